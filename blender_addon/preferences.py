@@ -36,17 +36,27 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         unit="TIME_ABSOLUTE",
     )  # type: ignore[valid-type]
 
-    def draw(self, _context: bpy.types.Context) -> None:
+    show_training: bpy.props.BoolProperty(
+        name="Show Training",
+        description="Show the panel for learning avatars in the JGHand tab",
+    )  # type: ignore[valid-type]
+
+    def draw(self, context: bpy.types.Context) -> None:
         """The page in Blender's preferences."""
         column = self.layout.column()
         column.use_property_split = True
         column.prop(self, "engine_python")
         column.prop(self, "render_timeout_s")
+        column.prop(self, "show_training")
         # here: what draws needs what is kept, which needs the preferences
         from .renderer.install import draw_tools
-        from .renderer.ops import draw_engine
+        from .renderer.panel import draw_status
 
-        draw_engine(self.layout)
+        box = self.layout.box()
+        draw_status(box, context)
+        row = box.row(align=True)
+        row.operator("jghand.restart_engine", icon="FILE_REFRESH")
+        row.operator("jghand.show_log", icon="TEXT")
         draw_tools(self.layout)
         self.layout.operator("wm.url_open", text="Manual", icon="HELP").url = manual.page()
 

@@ -207,26 +207,15 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
 
 
-class JGHandWindowSettings(bpy.types.PropertyGroup):
-    """`window_manager.jghand`: what is chosen in the panels and belongs to no file."""
-
-    pose: bpy.props.EnumProperty(
-        name="Pose",
-        description="The pose that Apply gives to the selected hands",
-        items=POSES,
-    )  # type: ignore[valid-type]
-
-
 _OWNERS = (
     (bpy.types.Object, JGHandObjectSettings),
     (bpy.types.Scene, JGHandSceneSettings),
-    (bpy.types.WindowManager, JGHandWindowSettings),
 )
 CLASSES = (JGHandJoint, *output_settings.CLASSES, *(settings for _, settings in _OWNERS))
 
 
 def register() -> None:
-    """Adds `object.jghand`, `scene.jghand` and `window_manager.jghand`."""
+    """Adds `object.jghand` and `scene.jghand`."""
     for owner, settings in _OWNERS:
         owner.jghand = bpy.props.PointerProperty(type=settings, override=OVERRIDABLE)
 

@@ -27,13 +27,12 @@ from .hand import (
 )
 from .hand import ops as hand_ops
 from .hand import panel as hand_panel
-from .render import command, left_out, ops_composite, panel_presets, panel_quality, panel_settings
+from .render import command, left_out, ops_composite, pages
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
 from .renderer import install, job_watch, runtime
 from .renderer import ops as renderer_ops
-from .renderer import panel as renderer_panel
 from .train import ops as train_ops
 from .train import panel as train_panel
 from .viewport import handlers
@@ -43,8 +42,7 @@ WITH_CLASSES = (
     *(preferences, properties, render_engine, renderer_ops, install),
     *(hand_ops, ops_bones, ops_pose, ops_controls, ops_motion, ops_track),
     *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
-    *(panel_presets, hand_panel, render_panel, panel_quality),
-    *(export_panel, train_panel, renderer_panel, panel_settings),
+    *(hand_panel, render_panel, export_panel, train_panel, pages),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (

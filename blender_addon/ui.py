@@ -17,7 +17,7 @@ from .core.panel_text import Line
 from .hand import armature, seen_hands
 
 # the order of the tab; room is left between them
-HAND, BONES, POSE, MOTION, VIEW, RENDER, QUALITY, OUTPUT, TRAIN, ADVANCED = range(0, 100, 10)
+HAND, BONES, POSE, RENDER, MOTION, BAKE, EXPORT, TRAIN = range(0, 80, 10)
 CLOSED = {"DEFAULT_CLOSED"}
 # Blender's own, which labels have
 _FONT = 0

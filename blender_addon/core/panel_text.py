@@ -175,7 +175,7 @@ def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, tran
             for stage in sorted(_mappings(report.get("stages")), key=lambda stage: not stage.get("ran"))
         ),
         tuple(_effect(effect, translate) for effect in _mappings(report.get("effects"))),
-        _warnings(report, translate),
+        warnings(report, translate),
     )
 
 
@@ -264,7 +264,8 @@ def _why(entry: Mapping[str, Any], word: str, translate: Translate) -> str:
     return text.rstrip(".")
 
 
-def _warnings(report: Mapping[str, Any], translate: Translate) -> tuple[Line, ...]:
+def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Line, ...]:
+    """What an artist should look at in the last picture, the joint out of its trained range first."""
     outside, others = [], []
     for note in (str(note) for note in report.get("notes") or ()):
         match = _OUTSIDE.fullmatch(note)

@@ -20,12 +20,12 @@ from . import bake_folders, baked_points, bakes, ops_bake, ops_common, usd_hook
 from .recording import SizeEstimate, Written, estimate
 
 
-class OutputPanel(Sidebar, bpy.types.Panel):
-    """What hands and which frames, and the job that writes them."""
+class BakePanel(Sidebar, bpy.types.Panel):
+    """Bakes."""
 
-    bl_idname = "VIEW3D_PT_jghand_output"
-    bl_label = "Bake & Export"
-    bl_order = ui.OUTPUT
+    bl_idname = "VIEW3D_PT_jghand_bake"
+    bl_label = "Bake"
+    bl_order = ui.BAKE
     bl_options = ui.CLOSED
 
     @classmethod
@@ -34,26 +34,7 @@ class OutputPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.output
-        draw_job(layout, context, job_watch.OUTPUT)
-        column = _column(layout)
-        column.row().prop(settings, "hands", expand=True)
-        column.prop(settings, "use_scene_range")
-        if not settings.use_scene_range:
-            rows = column.column(align=True)
-            rows.prop(settings, "frame_start")
-            rows.prop(settings, "frame_end")
-
-
-class BakePanel(Sidebar, bpy.types.Panel):
-    """Bakes."""
-
-    bl_idname = "VIEW3D_PT_jghand_bake"
-    bl_label = "Bake"
-    bl_parent_id = OutputPanel.bl_idname
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.layout, context.scene.jghand.output
-        column = _column(layout)
+        column = _draw_what(layout, context)
         column.prop(settings, "bake_folder")
         if not versions.has_native_splats():
             column.prop(settings, "bake_width_factor")
@@ -62,6 +43,7 @@ class BakePanel(Sidebar, bpy.types.Panel):
         hand = ui.active(context)
         if hand is None or not hand.jghand.bake:
             return
+        column.prop(hand.jghand, "bake", text="Baked Into")
         _draw_bake(layout, context, hand)
         row = layout.row(align=True)
         row.operator("jghand.play_bake", icon="PLAY")
@@ -74,11 +56,16 @@ class ExportPanel(Sidebar, bpy.types.Panel):
 
     bl_idname = "VIEW3D_PT_jghand_export"
     bl_label = "Export"
-    bl_parent_id = OutputPanel.bl_idname
+    bl_order = ui.EXPORT
+    bl_options = ui.CLOSED
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return ui.any_hand(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.output
-        column = _column(layout)
+        column = _draw_what(layout, context)
         column.prop(settings, "format")
         column.prop(settings, "folder")
         if settings.format == "usd":
@@ -97,6 +84,22 @@ class ExportPanel(Sidebar, bpy.types.Panel):
         layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
         for note in usd_hook.left_out():
             ui.paragraph(layout, context, note, icon="ERROR")
+
+
+def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
+    """The job that writes hands, which hands, and which frames. Returns the column that they stand in."""
+    settings = context.scene.jghand.output
+    draw_job(layout, context, job_watch.OUTPUT)
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    column.row().prop(settings, "hands", expand=True)
+    column.prop(settings, "use_scene_range")
+    if not settings.use_scene_range:
+        rows = column.column(align=True)
+        rows.prop(settings, "frame_start")
+        rows.prop(settings, "frame_end")
+    return column
 
 
 def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:
@@ -184,11 +187,4 @@ def _look_at_size(context: bpy.types.Context, folder: str, written: Written) -> 
     return estimate(target, hands, len(ops_common.frames_to_write(context)), written)
 
 
-def _column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    column = layout.column()
-    column.use_property_split = True
-    column.use_property_decorate = False
-    return column
-
-
-CLASSES = (OutputPanel, BakePanel, ExportPanel)
+CLASSES = (BakePanel, ExportPanel)

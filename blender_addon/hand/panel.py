@@ -12,10 +12,16 @@ from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS, NAMES
 from ..errors import JGHandFailure
 from ..export.panel import draw_job
+from ..render.engine_name import ENGINE
 from ..renderer import job_watch, runtime
+from ..renderer.panel import draw_status
 from ..ui import Sidebar
 from ..viewport import views
-from . import armature, controls, pose_library, sources
+from . import armature, avatar_files, controls, pose_library, sources
+from .seen_hands import avatar_of
+
+# the controls that curl and spread
+CONTROLLED = (HAND_CONTROL, *FINGER_CONTROLS)
 
 
 class HandPanel(Sidebar, bpy.types.Panel):
@@ -29,45 +35,31 @@ class HandPanel(Sidebar, bpy.types.Panel):
         layout = self.layout
         hands = ui.hands_of(context)
         status = runtime.link().status
-        if hands or status.state == "failed":
+        if status.state == "failed" or (hands and status.state != "ready"):
             draw_status(layout, context)
         if not hands:
             _draw_empty(layout, context)
             return
         _draw_hands(layout, context, hands)
         _draw_problems(layout, context, status.failure)
+        hint = _shading_hint(context)
+        if hint:
+            ui.paragraph(layout, context, hint, icon="INFO")
         hand = ui.active(context)
         if hand is not None:
             _draw_active(layout, hand)
-        row = layout.row(align=True)
-        row.operator_menu_enum("jghand.add_hand", "handedness", text="Add Hand", icon="ADD")
+        layout.operator_menu_enum("jghand.add_hand", "handedness", text="Add Hand", icon="ADD")
         _draw_existing(layout, context)
 
 
-def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The engine in one line; when something is wrong, the sentence, what to do, and buttons that do it."""
-    report = runtime.last_report(runtime.VIEWPORT)
-    frame_ms = report.get("total_ms") if report is not None else None
-    status = panel_text.status_text(runtime.link().status, frame_ms, iface_)
-    buttons = [button for button in status.buttons if ui.has_operator(button.operator)]
-    if status.good:
-        row = layout.split(factor=0.87)
-        ui.explained(row, panel_text.Line(status.text, tip=status.detail))
-        ends = row.row()
-        ends.alignment = "RIGHT"
-        for button in buttons:
-            icon = "PLAY" if button.operator.endswith("start_engine") else "QUIT"
-            ends.operator(button.operator, text="", icon=icon, emboss=False)
-        return
-    box = layout.box().column()
-    ui.paragraph(box, context, status.text, icon="ERROR")
-    if status.remedy:
-        ui.paragraph(box, context, status.remedy, icon="BLANK1")
-    if status.since or status.detail:
-        ui.explained(box, panel_text.Line(status.since or iface_("Details"), tip=status.detail), icon="INFO")
-    row = box.row(align=True)
-    for button in buttons:
-        row.operator(button.operator, text=button.label)
+def _shading_hint(context: bpy.types.Context) -> str:
+    """What a view shows that has no hands."""
+    shading = getattr(context.space_data, "shading", None)
+    if shading is not None and shading.type == "WIREFRAME":
+        return "Wireframe shows no hands: they are in Solid, Material Preview and Rendered"
+    if shading is not None and shading.type == "RENDERED" and context.scene.render.engine != ENGINE:
+        return "Rendered shading shows hands with the JGHand engine only"
+    return ""
 
 
 def _draw_empty(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -117,6 +109,9 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
         ui.paragraph(box, context, failure.advice.remedy, icon="BLANK1")
         if failure.detail not in ("", name):
             ui.explained(box, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
+    report = runtime.last_report(runtime.VIEWPORT)
+    for line in panel_text.warnings(report, iface_) if report is not None else ():
+        ui.explained(layout, line, icon="ERROR")
 
 
 def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:
@@ -131,6 +126,32 @@ def _icon(hand: bpy.types.Object) -> str:
     if armature.is_hand(hand):
         return "VIEW_PAN"
     return "ARMATURE_DATA" if hand.type == "ARMATURE" else "EMPTY_DATA"
+
+
+class CardPanel(Sidebar, bpy.types.Panel):
+    """What the avatar of the active hand says of itself."""
+
+    bl_idname = "VIEW3D_PT_jghand_card"
+    bl_label = "Avatar"
+    bl_parent_id = HandPanel.bl_idname
+    bl_options = ui.CLOSED
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return ui.active(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.operator("jghand.load_avatar", icon="FILE_FOLDER")
+        try:
+            card = avatar_files.card_of(avatar_of(context.object))
+        except JGHandFailure as failure:
+            ui.paragraph(layout, context, failure.advice.sentence, icon="ERROR")
+            return
+        for name, value in card.lines():
+            row = layout.split(factor=0.3)
+            row.label(text=name)
+            ui.paragraph(row, context, value)
 
 
 # rows that the list shows before it scrolls
@@ -239,14 +260,12 @@ class PosePanel(Sidebar, bpy.types.Panel):
         return context.object is not None and armature.is_hand(context.object)
 
     def draw(self, context: bpy.types.Context) -> None:
-        chosen = context.window_manager.jghand
+        layout = self.layout
         library = "jghand.show_pose_shelf" if pose_library.is_used() else "jghand.make_pose_assets"
-        self.layout.operator(library, icon="ASSET_MANAGER")
-        row = self.layout.row(align=True)
-        row.prop(chosen, "pose", text="")
-        row.operator("jghand.apply_pose", text="Apply").pose = chosen.pose
-        row = self.layout.row(align=True)
-        row.operator("jghand.flip_pose", text="Mirror to Other Hand", icon="MOD_MIRROR")
+        layout.operator(library, icon="ASSET_MANAGER")
+        row = layout.row(align=True)
+        row.operator_menu_enum("jghand.apply_pose", "pose", icon="ARMATURE_DATA")
+        row.operator("jghand.flip_pose", text="Mirror", icon="MOD_MIRROR")
         row.operator("jghand.reset_pose", text="", icon="LOOP_BACK")
 
 
@@ -256,10 +275,6 @@ class ControlsPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_controls"
     bl_label = "Finger Controls"
     bl_parent_id = PosePanel.bl_idname
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return PosePanel.poll(context)
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         """The whole layer off and on, in the header."""
@@ -275,56 +290,53 @@ class ControlsPanel(Sidebar, bpy.types.Panel):
             return
         column = layout.column(align=True)
         column.active = not controls.controls_are_muted(hand)
-        _draw_heads(column)
-        _draw_control(column, hand, HAND_CONTROL, "Hand", None)
-        column.separator()
-        for place, (finger, name) in enumerate(zip(FINGERS, FINGER_CONTROLS, strict=True)):
-            _draw_control(column, hand, name, finger.capitalize(), place)
+        for label, name in zip(("", "Hand", *map(str.capitalize, FINGERS)), ("", *CONTROLLED), strict=True):
+            row = column.split(factor=0.25, align=True)
+            row.label(text=label)
+            row = row.row(align=True)
+            for index, head in ((0, "Curl"), (2, "Spread")):
+                if name:
+                    row.prop(hand.pose.bones[name], "rotation_euler", index=index, text="")
+                else:
+                    row.label(text=head)
+
+
+class PinsPanel(Sidebar, bpy.types.Panel):
+    """Pinned fingertips and joint limits, and ways to be rid of the controls."""
+
+    bl_idname = "VIEW3D_PT_jghand_pins"
+    bl_label = "Pins and Limits"
+    bl_parent_id = PosePanel.bl_idname
+    bl_options = ui.CLOSED
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return PosePanel.poll(context) and controls.has_controls(context.object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, hand = self.layout, context.object
+        column = layout.column(align=True)
+        column.active = not controls.controls_are_muted(hand)
+        for place, finger in enumerate(FINGERS):
+            rule = controls.tip_rule(hand, place)
+            held = rule.influence > 0
+            row = column.row(align=True)
+            icon = "PINNED" if held else "UNPINNED"
+            button = row.operator("jghand.hold_tip", text=finger.capitalize(), icon=icon, depress=held)
+            button.finger, button.hold = finger, not held
+            if held:
+                row.prop(rule, "influence", text="Tip IK", slider=True)
         used = controls.joint_limits_are_used(hand)
         layout.operator("jghand.joint_limits", depress=used, icon="LOCKED" if used else "UNLOCKED")
-        row = layout.row(align=True)
-        row.operator("jghand.bake_controls", text="Bake", icon="ACTION")
-        row.operator("jghand.remove_controls", text="Remove", icon="X")
-        ui.paragraph(
-            layout, context, "Rolling a bone about itself moves no joint, and so changes nothing in the picture."
-        )
-
-
-def _draw_heads(column: bpy.types.UILayout) -> None:
-    row = column.split(factor=0.22, align=True)
-    row.label(text="")
-    row = row.row(align=True)
-    for text in ("Curl", "Spread"):
-        row.label(text=text)
-    row.label(text="", icon="BLANK1")
-
-
-def _draw_control(
-    column: bpy.types.UILayout, hand: bpy.types.Object, name: str, label: str, finger: int | None
-) -> None:
-    """A control's two turns, which can be keyed here, and whether the tip is held and how much."""
-    bone = hand.pose.bones[name]
-    row = column.split(factor=0.22, align=True)
-    row.label(text=label)
-    row = row.row(align=True)
-    row.prop(bone, "rotation_euler", index=0, text="")
-    row.prop(bone, "rotation_euler", index=2, text="")
-    if finger is None:
-        row.label(text="", icon="BLANK1")
-        return
-    rule = controls.tip_rule(hand, finger)
-    held = rule.influence > 0
-    button = row.operator("jghand.hold_tip", text="", icon="PINNED" if held else "UNPINNED", depress=held)
-    button.finger, button.hold = FINGERS[finger], not held
-    if held:
-        column.prop(rule, "influence", text="Tip IK", slider=True)
+        layout.operator("jghand.bake_controls", icon="ACTION")
+        layout.operator("jghand.remove_controls", icon="X")
 
 
 class MotionPanel(Sidebar, bpy.types.Panel):
     """Motion."""
 
     bl_idname = "VIEW3D_PT_jghand_motion"
-    bl_label = "Motion"
+    bl_label = "Import Motion"
     bl_order = ui.MOTION
     bl_options = ui.CLOSED
 
@@ -348,4 +360,4 @@ class MotionPanel(Sidebar, bpy.types.Panel):
             )
 
 
-CLASSES = (HandPanel, JointList, BonesPanel, PosePanel, ControlsPanel, MotionPanel)
+CLASSES = (HandPanel, CardPanel, JointList, BonesPanel, PosePanel, ControlsPanel, PinsPanel, MotionPanel)

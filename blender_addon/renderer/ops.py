@@ -13,15 +13,6 @@ from . import runtime
 
 LOG_NAME = "JGHand Engine Log"
 _RUNS = ("starting", "ready", "slow")
-_WORDS = {
-    "stopped": "The engine starts with the first picture",
-    "starting": "The engine is starting",
-    "ready": "The engine runs",
-    "slow": "The engine is slow to answer",
-    "stopping": "The engine is ending",
-}
-# what the preferences show of a failure's small print, and how wide a line of it is drawn
-_LINES, _LETTERS = 3, 90
 
 
 class StartEngine(bpy.types.Operator):
@@ -94,22 +85,6 @@ class ShowLog(bpy.types.Operator):
         if not bpy.app.background and context.window is not None:
             _show_text(context, text)
         return DONE
-
-
-def draw_engine(layout: bpy.types.UILayout) -> None:
-    """How the engine is, and its buttons: for the preferences."""
-    status = runtime.link().status
-    box = layout.box().column()
-    failure = status.failure
-    text = _WORDS.get(status.state, status.state) if failure is None else failure.advice.sentence
-    box.label(text=text, icon="CHECKMARK" if status.state == "ready" else "ERROR" if failure is not None else "INFO")
-    if failure is not None:
-        box.label(text=failure.advice.remedy, icon="BLANK1")
-        for line in failure.detail.splitlines()[:_LINES]:
-            box.label(text=line[:_LETTERS], icon="BLANK1", translate=False)
-    row = box.row(align=True)
-    row.operator(RestartEngine.bl_idname if status.state in _RUNS else StartEngine.bl_idname, icon="FILE_REFRESH")
-    row.operator(ShowLog.bl_idname, icon="TEXT")
 
 
 def _ready(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:

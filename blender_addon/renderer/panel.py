@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's small print, closed unless somebody looks for it."""
+"""How the renderer is: in the tab while it is not ready, in the preferences always."""
 
 from __future__ import annotations
 
@@ -7,45 +7,31 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
-from ..render.panel_quality import draw_effects, draw_receipt, receipt_of
-from ..ui import Sidebar
+from ..core import panel_text
 from . import runtime
 
-# what the engine says of itself -> what stands before it
-_FACTS = {"device": "Device", "engine_version": "Engine", "protocol": "Protocol", "pid": "Process"}
-_ACTIONS = (
-    ("jghand.restart_engine", "FILE_REFRESH"),
-    ("jghand.show_log", "TEXT"),
-)
 
-
-class AdvancedPanel(Sidebar, bpy.types.Panel):
-    """Advanced."""
-
-    bl_idname = "VIEW3D_PT_jghand_advanced"
-    bl_label = "Advanced"
-    bl_order = ui.ADVANCED
-    bl_options = ui.CLOSED
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        facts = runtime.link().status.handshake or {}
-        column = layout.column(align=True)
-        for name, label in _FACTS.items():
-            if name in facts:
-                row = column.split(factor=0.4)
-                row.label(text=label)
-                row.label(text=str(facts[name]), translate=False)
-        actions = layout.column(align=True)
-        for name, icon in _ACTIONS:
-            if ui.has_operator(name):
-                actions.operator(name, icon=icon)
-        actions.operator("jghand.open_preferences", icon="PREFERENCES")
-        receipt = receipt_of(context, runtime.RENDER)
-        if receipt is not None:
-            layout.label(text=iface_("Last Rendered Frame"))
-            draw_receipt(layout, context, receipt)
-            draw_effects(layout, receipt)
-
-
-CLASSES = (AdvancedPanel,)
+def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """One line; when something is wrong, the sentence, what to do, and buttons that do it."""
+    report = runtime.last_report(runtime.VIEWPORT)
+    frame_ms = report.get("total_ms") if report is not None else None
+    status = panel_text.status_text(runtime.link().status, frame_ms, iface_)
+    buttons = [button for button in status.buttons if ui.has_operator(button.operator)]
+    if status.good:
+        row = layout.split(factor=0.87)
+        ui.explained(row, panel_text.Line(status.text, tip=status.detail))
+        ends = row.row()
+        ends.alignment = "RIGHT"
+        for button in buttons:
+            icon = "PLAY" if button.operator.endswith("start_engine") else "QUIT"
+            ends.operator(button.operator, text="", icon=icon, emboss=False)
+        return
+    box = layout.box().column()
+    ui.paragraph(box, context, status.text, icon="ERROR")
+    if status.remedy:
+        ui.paragraph(box, context, status.remedy, icon="BLANK1")
+    if status.since or status.detail:
+        ui.explained(box, panel_text.Line(status.since or iface_("Details"), tip=status.detail), icon="INFO")
+    row = box.row(align=True)
+    for button in buttons:
+        row.operator(button.operator, text=button.label)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The training set, the training with its loss and newest picture, and the card of the avatar."""
+"""The training set, and the training with its loss and newest image."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
 from ..export.panel import draw_job
-from ..hand import avatar_files
 from ..hand.kept import kept
-from ..hand.seen_hands import avatar_of
+from ..preferences import preferences
 from ..renderer import job_watch, runtime
 from ..renderer.job_state import Phase
 from ..ui import Sidebar
@@ -26,6 +25,11 @@ class TrainPanel(Sidebar, bpy.types.Panel):
     bl_label = "Train"
     bl_order = ui.TRAIN
     bl_options = ui.CLOSED
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        chosen = preferences()
+        return chosen is not None and chosen.show_training
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.training
@@ -68,32 +72,6 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
             column.prop(settings, name)
         draw_job(layout, context, job_watch.CAPTURE)
         layout.operator("jghand.render_training_set", icon="RENDER_STILL")
-
-
-class CardPanel(Sidebar, bpy.types.Panel):
-    """What the avatar of the active hand says of itself."""
-
-    bl_idname = "VIEW3D_PT_jghand_card"
-    bl_label = "Avatar"
-    bl_order = ui.TRAIN - 1
-    bl_options = ui.CLOSED
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return ui.active(context) is not None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        layout.operator("jghand.load_avatar", icon="FILE_FOLDER")
-        try:
-            card = avatar_files.card_of(avatar_of(context.object))
-        except JGHandFailure as failure:
-            ui.paragraph(layout, context, failure.advice.sentence, icon="ERROR")
-            return
-        for name, value in card.lines():
-            row = layout.split(factor=0.3)
-            row.label(text=name)
-            ui.paragraph(row, context, value)
 
 
 def _training_folder(context: bpy.types.Context) -> TrainingFolder | None:
@@ -149,4 +127,4 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
 
-CLASSES = (CardPanel, TrainPanel, TrainingSetPanel)
+CLASSES = (TrainPanel, TrainingSetPanel)

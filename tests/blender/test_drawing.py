@@ -5,16 +5,12 @@ from __future__ import annotations
 from contextlib import nullcontext
 from types import SimpleNamespace
 
-import bpy
 import pytest
 from recording_layout import RecordingLayout
-from recording_layout import draw as drawn
 
 from blender_addon import ui
 from blender_addon.core import limits
 from blender_addon.render import rendering
-from blender_addon.render.panel import ViewPanel
-from blender_addon.renderer import runtime
 from blender_addon.viewport import drawing, overlay, rendered, views
 
 REGION = 0x1234
@@ -140,11 +136,3 @@ def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, m
     assert " ".join(layout.texts[: len(layout.texts) - 1]) == text
     assert max(map(len, layout.texts)) <= limits.POPUP_LETTERS
     assert layout.operators == ["jghand.use_engine"]
-
-
-def test_the_view_panel_says_that_viewport_renders_have_no_hands(extension, monkeypatch):
-    monkeypatch.setattr(runtime, "link", lambda: SimpleNamespace(status=None, log=""))
-    bpy.ops.jghand.add_hand()
-    seen = drawn(ViewPanel, extension)
-    tips = {one.text: one.settings.get("text") for one in seen.drawn if one.function == "operator"}
-    assert "render the animation with the JGHand engine" in tips["Viewport Render leaves hands out"]

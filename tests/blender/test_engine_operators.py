@@ -87,12 +87,12 @@ def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, e
     assert "jghand.start_engine" in draw_preferences(extension).operators
     bpy.ops.jghand.start_engine()
     layout = draw_preferences(extension)
-    assert "The engine runs" in layout.texts
+    assert "Ready · STAND-IN" in layout.texts
     assert "jghand.restart_engine" in layout.operators
     runtime.use_link(None)
     monkeypatch.setenv(VARIABLE, "/nowhere/python")
     assert "No engine is set up" in refuses(bpy.ops.jghand.start_engine)
-    assert "No engine is set up" in draw_preferences(extension).texts
+    assert "No engine is set up" in " ".join(draw_preferences(extension).texts)
 
 
 def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension, tmp_path, monkeypatch):

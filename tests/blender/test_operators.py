@@ -27,7 +27,7 @@ from blender_addon.hand import ops_motion as motion_operator
 from blender_addon.hand import ops_track as track_operator
 from blender_addon.hand import poses as hand_poses
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE
-from blender_addon.render import engine_name, panel_presets
+from blender_addon.render import engine_name, pages
 from blender_addon.render import ops as picture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -835,10 +835,8 @@ def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
     settings = extension.scene.jghand
     settings.render_preset, settings.shadow_strength, settings.viewport_density = "draft", 0.25, 0.5
     assert bpy.ops.jghand.add_picture_preset(name="Quick Look") == {"FINISHED"}
-    (path,) = [
-        Path(folder, name) for folder in bpy.utils.preset_paths(panel_presets.FOLDER) for name in os.listdir(folder)
-    ]
-    for name in panel_presets.SETTINGS:
+    (path,) = [Path(folder, name) for folder in bpy.utils.preset_paths(pages.FOLDER) for name in os.listdir(folder)]
+    for name in pages.SETTINGS:
         settings.property_unset(name)
     assert settings.render_preset == "final"
     bpy.ops.script.execute_preset(filepath=str(path), menu_idname="RENDER_PT_jghand_presets")

@@ -9,15 +9,15 @@ import hands
 import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
-from blender_addon import registration, versions
+from blender_addon import registration
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, pose_library
 from blender_addon.hand import panel as hand_panel
+from blender_addon.render import pages
 from blender_addon.render import panel as picture
-from blender_addon.render import panel_quality
-from blender_addon.renderer import panel as advanced
 from blender_addon.renderer import runtime
 from blender_addon.renderer.link import Status
+from blender_addon.renderer.panel import draw_status
 from blender_addon.viewport import views
 
 PANELS = {
@@ -27,6 +27,8 @@ PANELS = {
     if issubclass(panel, bpy.types.Panel) and hasattr(panel, "bl_idname")
     if panel.bl_space_type == "VIEW_3D"
 }
+# functions of a layout that draw something to click
+CONTROLS = {"prop", "prop_search", "operator", "operator_menu_enum", "menu", "popover", "template_list"}
 READY = Status("ready", 90.0, None, {"device": "cpu", "engine_version": "0.1.0", "pid": 7, "protocol": 2})
 RECEIPT = {
     "total_ms": 7.2,
@@ -55,9 +57,13 @@ def engine(extension, monkeypatch):
 
 
 def drawn(context: bpy.types.Context) -> dict[str, RecordingLayout]:
-    """What is seen of the tab."""
-    layouts = {name: draw(panel, context) for name, panel in PANELS.items()}
-    return {name: layout for name, layout in layouts.items() if layout is not None}
+    """What is seen of the tab; a panel in another one only with that."""
+    seen: dict[str, RecordingLayout] = {}
+    for name, panel in PANELS.items():
+        if getattr(panel, "bl_parent_id", name) in {*seen, name}:
+            layout = draw(panel, context)
+            seen |= {name: layout} if layout is not None else {}
+    return seen
 
 
 def text_of(layout: RecordingLayout) -> str:
@@ -77,11 +83,10 @@ def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
         hand_panel.PosePanel,
         hand_panel.BonesPanel,
         hand_panel.MotionPanel,
-        picture.ViewPanel,
         picture.RenderPanel,
+        pages.QualityPage,
     ):
         assert draw(panel, extension) is None
-    assert draw(panel_quality.QualityPanel, extension) is None
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -93,7 +98,7 @@ def test_all_panels_draw_for_a_hand_of_ours(extension, engine, side, with_contro
     seen = drawn(extension)
     assert hand_panel.ControlsPanel.bl_idname in seen
     assert hand_panel.BonesPanel.bl_idname not in seen
-    assert ("jghand.hold_tip" in seen[hand_panel.ControlsPanel.bl_idname].operators) == with_controls
+    assert (hand_panel.PinsPanel.bl_idname in seen) == with_controls
     bpy.ops.object.mode_set(mode="POSE")
     drawn(extension)
     if with_controls:
@@ -174,18 +179,24 @@ def test_the_pose_library_is_installed_once_and_then_shown(extension, engine):
     [
         (Status("stopped", 0.0), "Engine off"),
         (Status("starting", 12.0), "Starting…  12 s"),
-        (READY, "Ready · CPU"),
         (Status("slow", 12.0, None, READY.handshake), "The engine is not answering"),
         (Status("stopping", 2.0), "Stopping…  2 s"),
         (Status("failed", 5.0, JGHandFailure("killed", "signal 9")), "The system ended the engine"),
         (Status("failed", 5.0, None), "The engine stopped"),
     ],
 )
-def test_the_first_line_says_how_the_engine_is(extension, engine, status, wanted):
+def test_the_first_line_says_how_the_renderer_is_while_it_is_not_ready(extension, engine, status, wanted):
     add()
     engine.status = status
-    assert wanted in text_of(draw(hand_panel.HandPanel, extension))
-    drawn(extension)
+    assert text_of(draw(hand_panel.HandPanel, extension)).startswith(wanted)
+
+
+def test_a_ready_renderer_is_told_in_the_preferences_alone(extension, engine):
+    add()
+    layout = RecordingLayout()
+    draw_status(layout, extension)
+    assert "Ready · CPU" in text_of(layout)
+    assert "Ready" not in text_of(draw(hand_panel.HandPanel, extension))
 
 
 def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
@@ -205,38 +216,37 @@ def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatc
     assert said.count("The system ended the engine") == 1
 
 
-def test_late_pictures_are_counted(extension, engine, monkeypatch):
+def test_dropped_frames_are_counted(extension, engine, monkeypatch):
     add()
-    assert "Late" not in text_of(draw(picture.ViewPanel, extension))
+    assert "Dropped" not in text_of(draw(pages.StatisticsPage, extension))
     monkeypatch.setattr(views, "late_frames", lambda: 7)
-    assert "Late: 7" in draw(picture.ViewPanel, extension).texts
+    assert "Dropped frames: 7" in draw(pages.StatisticsPage, extension).texts
 
 
-def test_quality_shows_what_the_last_picture_did_and_why(extension, engine):
+def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
     add()
     runtime.set_report(runtime.VIEWPORT, RECEIPT)
     extension.scene.jghand.use_viewport_budget = True
     extension.scene.jghand.viewport_budget_ms = 5.0
-    seen = draw(panel_quality.QualityPanel, extension)
+    seen = draw(pages.StatisticsPage, extension)
     assert "index1: flexion 12° beyond training" in seen.texts
     assert "Over Budget" in seen.texts
     bars = [one.arguments for one in seen.drawn if one.function == "progress"]
     assert [(bar["text"], bar["factor"]) for bar in bars] == [("7.2 ms", 1.0), ("3.6 ms", 0.5)]
-    effects = draw(panel_quality.EffectsPanel, extension)
-    tips = {one.text: one.settings["text"] for one in effects.drawn if one.function == "operator"}
+    tips = {one.text: one.settings["text"] for one in seen.drawn if one.function == "operator"}
     assert tips["Self-Shadow"] == "Not run: no finger is near another"
     assert tips["Depth"] == "Ran: requested"
 
 
-def test_without_a_picture_quality_says_so(extension, engine):
+def test_a_pose_beyond_training_is_told_below_the_hands(extension, engine):
     add()
-    runtime._reports.clear()
-    assert "No picture yet" in text_of(draw(panel_quality.QualityPanel, extension))
-    assert draw(panel_quality.EffectsPanel, extension) is None
+    runtime.set_report(runtime.VIEWPORT, RECEIPT)
+    assert "index1: flexion 12° beyond training" in text_of(draw(hand_panel.HandPanel, extension))
 
 
 def test_render_says_what_the_view_transform_does_and_offers_standard(extension, engine):
     add()
+    extension.scene.render.engine = "JGHAND"
     extension.scene.view_settings.view_transform = "AgX"
     seen = draw(picture.RenderPanel, extension)
     assert "View transform is AgX" in text_of(seen)
@@ -251,32 +261,19 @@ def test_a_camera_that_cannot_be_used_is_told(extension, engine):
     add(use_camera=True)
     extension.scene.camera.data.type = "PANO"
     assert "Panoramic" in text_of(draw(picture.RenderPanel, extension))
-    extension.scene.camera = None
-    assert "no camera" in text_of(draw(picture.RenderPanel, extension))
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_where_blender_has_splat_objects_the_view_says_that_hands_are_pictures_there_too(
-    extension, engine, monkeypatch, native
-):
+def test_a_view_that_shows_no_hands_says_why(extension, engine):
     add()
-    monkeypatch.setattr(versions, "has_native_splats", lambda: native)
-    assert ("splat objects" in text_of(draw(picture.ViewPanel, extension))) is native
-
-
-def test_a_view_that_shows_no_hands_says_why():
-    assert "Wireframe" in picture._shading_hint("WIREFRAME", "CYCLES")
-    assert "JGHand engine" in picture._shading_hint("RENDERED", "CYCLES")
-    assert picture._shading_hint("RENDERED", "JGHAND") == ""
-    assert picture._shading_hint("SOLID", "CYCLES") == ""
-
-
-def test_advanced_shows_the_engine_and_the_last_render(extension, engine):
-    add()
-    runtime.set_report(runtime.RENDER, RECEIPT)
-    seen = draw(advanced.AdvancedPanel, extension)
-    assert {"Device", "cpu", "Process", "7"} <= set(seen.texts)
-    assert "Last Picture" in seen.texts
+    seen = {}
+    for shading in ("SOLID", "WIREFRAME", "RENDERED"):
+        around = SimpleNamespace(
+            space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)), scene=extension.scene
+        )
+        seen[shading] = hand_panel._shading_hint(around)
+    assert seen["SOLID"] == ""
+    assert "Wireframe" in seen["WIREFRAME"]
+    assert "JGHand engine" in seen["RENDERED"]
 
 
 def test_panels_do_not_ask_every_object_of_a_scene_at_every_redraw(extension, monkeypatch):
@@ -287,16 +284,37 @@ def test_panels_do_not_ask_every_object_of_a_scene_at_every_redraw(extension, mo
     asked = []
     is_any_hand = armature.is_any_hand
     monkeypatch.setattr(armature, "is_any_hand", lambda thing: asked.append(thing) or is_any_hand(thing))
-    assert picture.ViewPanel.bl_idname not in drawn(extension)
+    assert picture.RenderPanel.bl_idname not in drawn(extension)
     assert len(asked) < 20
     monkeypatch.undo()
     add()
-    assert picture.ViewPanel.bl_idname in drawn(extension)
+    assert picture.RenderPanel.bl_idname in drawn(extension)
 
 
-def test_panels_stand_in_the_tab_in_the_order_of_work():
-    top = [panel for panel in PANELS.values() if not hasattr(panel, "bl_parent_id")]
+def test_the_tab_has_what_is_used_all_the_time_open_and_the_rest_closed():
+    top = sorted(
+        (panel for panel in PANELS.values() if not hasattr(panel, "bl_parent_id")), key=lambda one: one.bl_order
+    )
     assert {panel.bl_category for panel in top} == {"JGHand"}
-    wanted = ["Hand", "Bones", "Pose", "Motion", "View", "Render", "Quality and Speed", "Advanced"]
-    ordered = [panel.bl_label for panel in sorted(top, key=lambda panel: panel.bl_order)]
-    assert [label for label in ordered if label in wanted] == wanted
+    closed = {panel.bl_label: "DEFAULT_CLOSED" in getattr(panel, "bl_options", ()) for panel in top}
+    assert list(closed) == ["Hand", "Bones", "Pose", "Render", "Import Motion", "Bake", "Export", "Train"]
+    assert [label for label in closed if not closed[label]] == ["Hand", "Bones", "Pose", "Render"]
+
+
+def test_one_hand_shows_at_most_25_controls(extension, engine):
+    add()
+    seen = {name: layout for name, layout in drawn(extension).items() if is_open(PANELS[name])}
+    controls_seen = [
+        (name, one.text or one.arguments.get("property"))
+        for name, layout in seen.items()
+        for one in layout.drawn
+        if one.function in CONTROLS
+    ]
+    assert 10 < len(controls_seen) <= 25, controls_seen
+
+
+def is_open(panel) -> bool:
+    """Whether a panel is open at first, and those that it stands in."""
+    if "DEFAULT_CLOSED" in getattr(panel, "bl_options", ()):
+        return False
+    return not hasattr(panel, "bl_parent_id") or is_open(PANELS[panel.bl_parent_id])

@@ -20,6 +20,7 @@ from blender_addon.export import bake_folders
 from blender_addon.export import panel as output
 from blender_addon.export.properties import IDENTITIES
 from blender_addon.hand import avatar_files, seen_hands
+from blender_addon.hand import panel as hand_panel
 from blender_addon.renderer import job_watch, runtime
 from blender_addon.renderer.job_state import Phase
 from blender_addon.renderer.jobs import Job
@@ -38,6 +39,7 @@ def place(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "long"))
     monkeypatch.setattr(job_watch, "timers_fire", lambda: True)
     monkeypatch.setattr(job_watch, "start", lambda: None)
+    monkeypatch.setattr(training, "preferences", lambda: SimpleNamespace(show_training=True))
     (tmp_path / "pictures").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     bpy.context.scene.jghand.training.capture_folder = "//pictures"
@@ -296,16 +298,16 @@ def test_what_is_no_avatar_is_not_put_on_a_hand(place, name):
 def test_the_card_is_shown_and_an_avatar_without_one_says_so(place, monkeypatch):
     monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
     bpy.ops.jghand.add_hand(handedness="right")
-    assert "JGHand built-in" in text_of(training.CardPanel)
+    assert "JGHand built-in" in text_of(hand_panel.CardPanel)
     file = place / "ana.jghand"
     header = json.dumps({"__metadata__": {"jghand": json.dumps({"name": "Ana's hand", "gaussians": 12345})}}).encode()
     file.write_bytes(len(header).to_bytes(8, "little") + header)
     bpy.context.object.jghand.avatar = str(file)
-    text = text_of(training.CardPanel)
+    text = text_of(hand_panel.CardPanel)
     assert "Ana's hand" in text
     assert "12345" in text
     file.write_bytes(b"another")
-    assert "not a JGHand avatar" in text_of(training.CardPanel)
+    assert "not a JGHand avatar" in text_of(hand_panel.CardPanel)
 
 
 def test_the_size_of_an_export_is_said_before_the_click(place):

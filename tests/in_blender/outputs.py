@@ -17,7 +17,8 @@ FRAMES = 24
 
 def step_the_panels_of_output_and_training_alone(window):
     """The others are tried elsewhere; without them these are seen whole on one screen, and open."""
-    for name in ("hand.panel", "render.panel", "render.panel_quality", "renderer.panel"):
+    bpy.context.preferences.addons[window.addon.__name__].preferences.show_training = True
+    for name in ("hand.panel", "render.panel"):
         for panel in reversed(window.module(name).CLASSES):
             if panel.bl_label != "Hand":
                 bpy.utils.unregister_class(panel)
