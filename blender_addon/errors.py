@@ -16,6 +16,9 @@ MISTAKE, BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY, INTERRUPTED = 1, 2, 3, 4, 130
 # what the exit code of a process says that said nothing itself; the system kills for memory, a shell tells it so
 EXIT_KINDS = {-9: "killed", 137: "killed", OUT_OF_MEMORY: "out_of_memory"}
 
+# failures of a picture that say nothing about it: somebody gave it up
+GIVEN_UP = frozenset({"canceled", "stopped"})
+
 
 def kind_of_exit(code: int) -> str:
     """The failure behind the exit code of a process that should not have ended."""
@@ -39,9 +42,10 @@ ADVICE = {
         BAD_INPUT,
     ),
     "tools_failed": Advice("The training tools could not be installed", "Look at the log and install again", TRY_AGAIN),
-    "no_engine": Advice("This Python has no JGHand engine", "Install it there and try again", BAD_INPUT),
-    "broken_engine": Advice(
-        "The engine's Python lacks something that it needs", "Install it there and try again", BAD_INPUT
+    "no_engine": Advice(
+        "The chosen Python has no JGHand engine, or lacks something that it needs",
+        "Leave it empty, or install the engine there",
+        BAD_INPUT,
     ),
     "protocol": Advice("Extension and engine are of different versions", "Update the older one", BAD_INPUT),
     "start_timeout": Advice("The engine did not start in time", "Look at the log and try again", TRY_AGAIN),

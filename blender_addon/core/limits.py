@@ -26,26 +26,20 @@ RESTART_S = 5.0
 RESTARTS_MAX = 3
 # pictures that failed and are not asked for again, the newest
 REFUSED_MAX = 64
-# after stdin was closed the engine may finish; then it is asked to end; then it is ended. At the end of Blender, or of
-# the extension, somebody waits for that, and the engine has nothing that it must finish
+# after stdin was closed the engine may finish; then it is ended. At the end of Blender, or of the extension, somebody
+# waits for that, and the engine has nothing that it must finish
 STOP_S = 3.0
-TERMINATE_S = 2.0
 CLOSE_S = 0.3
-# what was ended is gone within moments; what is not hangs in the system, and is looked at from time to time
+# what was ended is gone within moments; what is not hangs in the system
 KILL_S = 1.0
-# a check imports all that the engine needs; from a slow disk that takes as long as a start
-CHECK_S = 60.0
-# how often its operator looks whether it is done
-CHECK_LOOK_S = 0.1
+# after a connection broke, its process may be about to end
+TERMINATE_S = 2.0
 # after the end of the process, what it printed last may still be on its way
 LAST_WORDS_S = 0.2
 # lines of the engine's own output that are kept, those of them that a failure's detail shows, and letters of one
 LOG_LINES = 1000
 DETAIL_LINES = 20
 LOG_LINE_MAX = 2000
-# log files that are kept, the newest, and how long one may grow (a library that floods its output)
-LOG_FILES = 5
-LOG_FILE_MAX_BYTES = 8 * 2**20
 
 # ---- the armature ---------------------------------------------------------------------------------------------------
 

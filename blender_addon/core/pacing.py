@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
-from ..renderer.answers import GIVEN_UP
+from ..errors import GIVEN_UP
 from . import limits
 
 

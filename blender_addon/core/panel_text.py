@@ -58,7 +58,7 @@ _MENDS = {
     "no_tools": ("jghand.open_preferences", "Preferences"),
     "protocol": ("jghand.open_preferences", "Preferences"),
 }
-_START = ("jghand.start_engine", "Try Again")
+_START = ("jghand.restart_engine", "Try Again")
 
 
 @dataclass(frozen=True)
@@ -133,23 +133,21 @@ def wrapped(text: str, width: float, width_of: Callable[[str], float] = len) -> 
 
 
 def status_text(status: Any, frame_ms: float | None = None, translate: Translate = str) -> StatusText:
-    """The state of the engine's link (`renderer.answers.Status`). frame_ms: the whole last picture, None before one."""
+    """The state of the engine's link (`renderer.link.Status`). frame_ms: the whole last picture, None before one."""
     since, state = duration(status.since_s), status.state
     if state == "failed":
         return _failed(status.failure, since, translate)
     if state == "stopped":
-        text = translate("Engine off: starts when needed")
-        return StatusText(text, True, buttons=(Button("jghand.start_engine", "Start Engine"),))
-    stop = Button("jghand.stop_engine", "Stop")
+        return StatusText(translate("Engine off: starts when needed"), True)
     if state == "starting":
-        return StatusText(translate("Starting…  {since}").format(since=since), True, buttons=(stop,))
+        return StatusText(translate("Starting…  {since}").format(since=since), True)
     if state == "stopping":
         return StatusText(translate("Stopping…  {since}").format(since=since), True)
     if state == "slow":
         text = translate("The engine is not answering")
         remedy = translate("It may be at work: wait, or restart it")
         running = translate("Running for {since}").format(since=since)
-        return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"), stop))
+        return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"),))
     facts = status.handshake or {}
     parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
     if status.doing:
@@ -161,7 +159,7 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
     detail = translate("Running for {since}, version {version}, process {pid}").format(
         since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
     )
-    return StatusText(" · ".join(part for part in parts if part), True, detail=detail, buttons=(stop,))
+    return StatusText(" · ".join(part for part in parts if part), True, detail=detail)
 
 
 def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, translate: Translate = str) -> ReceiptText:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The link to the engine: pictures of which only the newest matters, and requests that are answered exactly.
 
-One thread owns process and socket (connection.py). What everybody else calls takes a lock for some microseconds and
+One thread owns process and socket (process.py). What everybody else calls takes a lock for some microseconds and
 never waits, except `wait`, `wait_until_ready`, `request` and `close`, whose waits are bounded and end with the engine.
 What becomes of the process is decided by state.py, who waits for what is kept by waiting.py. Does not use bpy.
 Source: BLENDER 3.2 to 3.4 and 5.
@@ -10,7 +10,6 @@ Source: BLENDER 3.2 to 3.4 and 5.
 from __future__ import annotations
 
 import contextlib
-import os
 import selectors
 import socket
 import threading
@@ -18,45 +17,45 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..core import limits
 from ..core.wire import protocol
 from ..errors import JGHandFailure
 from . import state as machine
-from .answers import Answer, Arrays, Progress, Status
-from .connection import EngineConnection, LostError
-from .process import EngineLog, EngineProcess
-from .state import Asker
-from .waiting import Call, Waiting
+from .process import EngineProcess, LostError
+from .waiting import Answer, Arrays, Call, Waiting
 
-__all__ = ["Answer", "EngineLink", "Progress", "Status"]
+__all__ = ["Answer", "EngineLink", "Status"]
 
-_NAMES: dict[type[machine.State], str] = {
-    machine.Stopped: "stopped",
-    machine.Starting: "starting",
-    machine.Ready: "ready",
-    machine.Stopping: "stopping",
-    machine.Failed: "failed",
-}
+
+@dataclass(frozen=True)
+class Status:
+    """How the engine is."""
+
+    # "stopped", "starting", "ready", "slow", "stopping" or "failed"
+    state: str
+    # for how many seconds; 0 for one that was never started
+    since_s: float
+    # why it failed
+    failure: JGHandFailure | None = None
+    # what the engine said of itself, empty before it did
+    handshake: Mapping[str, Any] = field(default_factory=dict)
+    # whether it works on something, and what of it takes long, if it says so
+    busy: bool = False
+    doing: str = ""
 
 
 class EngineLink:
     """The engine as everybody sees it. Make one, `ask` or `request`, `close` it at the end."""
 
-    def __init__(
-        self,
-        command: Callable[[], Sequence[str]],
-        *,
-        log_folder: Path | None = None,
-        environment: Mapping[str, str] = os.environ,
-    ) -> None:
-        """command: how to start the engine, asked at every start in the thread that wants it; may raise JGHandFailure.
-        log_folder: where what the engine prints is kept; None: only its last lines in memory."""
-        self._command, self._environment = command, environment
-        self._log, self._log_folder = EngineLog(), log_folder
-        self._shown_log = self._log  # the newest that is not empty
+    def __init__(self, command: Callable[[], Sequence[str]]) -> None:
+        """command: how to start the engine, asked at every start in the thread that wants it; may raise
+        JGHandFailure."""
+        self._command = command
+        # of the engine before and of this one, while that printed anything
+        self._logs: deque[deque[str]] = deque([deque()], maxlen=2)
         self._news = threading.Condition(threading.RLock())
         # all that follows is read and written under the lock of `_news`
         self._state: machine.State = machine.Stopped()
@@ -70,8 +69,7 @@ class EngineLink:
         self._waker: socket.socket | None = None
         # these belong to the thread; run: the number under which the machine knows the process
         self._run = 0
-        self._engine: EngineConnection | None = None
-        self._undead: list[EngineProcess] = []  # killed, and still there
+        self._engine: EngineProcess | None = None
 
     # ---- what everybody may call -------------------------------------------------------------------------------------
 
@@ -80,42 +78,21 @@ class EngineLink:
         """How the engine is now."""
         with self._news:
             state = self._state
-            name = "slow" if _is_slow(state) else _NAMES[type(state)]
+            name = "slow" if _is_slow(state) else type(state).__name__.lower()
             since_s = time.monotonic() - state.since_s if state.since_s else 0.0
-            progress, busy = self._waiting.progress, self._waiting.flying is not None
-            doing = progress.text if progress is not None else ""
-            return Status(name, since_s, self._failure, self._handshake, busy, doing)
+            busy = self._waiting.flying is not None
+            return Status(name, since_s, self._failure, self._handshake, busy, self._waiting.doing)
 
     @property
     def log(self) -> str:
-        """The last lines that the engine printed; the one before, while this one has printed nothing."""
-        return self._newest_log().last()
-
-    @property
-    def has_log(self) -> bool:
-        """Whether it printed any; for those who ask often."""
-        return not self._newest_log().empty
-
-    @property
-    def log_path(self) -> Path | None:
-        """The file with all of `log`; None where none is written."""
-        return self._newest_log().path
-
-    def progress(self) -> Progress | None:
-        """How far the request is that the engine works on, if it says so."""
-        with self._news:
-            return self._waiting.progress
+        """The last lines that this engine and the one before printed."""
+        return "\n".join("\n".join(tuple(lines)) for lines in tuple(self._logs) if lines)
 
     def start(self) -> None:
-        """Starts the engine, also one that was stopped on purpose or failed too often; returns at once."""
+        """Starts the engine, also one that failed too often; returns at once."""
         with self._news:
             self._waiting.forget_refused()
-            self._want(Asker.USER)
-
-    def stop(self) -> None:
-        """Ends the engine; returns at once. Pictures do not start it again, `start` and `request` do."""
-        with self._news:
-            self._handle(machine.StopAsked(time.monotonic()))
+            self._want(by_user=True)
 
     def restart(self) -> None:
         """Ends the engine, whatever it does, and starts a new one; returns at once."""
@@ -136,7 +113,7 @@ class EngineLink:
             thread.join(limits.CLOSE_S + 2 * limits.KILL_S)
         engine = self._engine
         if engine is not None:  # the thread did not come to it
-            engine.process.kill()
+            engine.popen.kill()
 
     def tick(self) -> bool:
         """Whether anything changed since the last call: an answer came, or the engine's state is another."""
@@ -161,7 +138,7 @@ class EngineLink:
         """
         with self._news:
             if self._waiting.ask(slot, header, arrays, tag, time.monotonic(), droppable=droppable):
-                self._want(Asker.PICTURE)
+                self._want()
             else:
                 self._news.notify_all()
             self._wake()
@@ -196,7 +173,7 @@ class EngineLink:
             while isinstance(self._state, machine.Starting | machine.Stopping) and self._works():
                 self._news.wait(limits.POLL_S)
             if not isinstance(self._state, machine.Ready):
-                raise _copy(self._failure or JGHandFailure("stopped"))
+                raise _copy(self._failure)
 
     def request(
         self,
@@ -215,43 +192,42 @@ class EngineLink:
         """
         with self._news:
             call = self._waiting.append(header, arrays, time.monotonic())
-            self._want(Asker.WORK)
+            self._want()
             self._wake()
         try:
-            answer = self._answer_to(call, timeout_s, canceled)
+            while (answer := self._answer_of(call, timeout_s)) is None:
+                if canceled():
+                    raise JGHandFailure("canceled")
         except BaseException:  # Ctrl-C too: the engine is not to go on with what nobody waits for
             with self._news:
                 self._waiting.give_up(call, time.monotonic())
                 self._wake()
             raise
         if answer.message is None:
-            raise _copy(answer.failure or JGHandFailure("internal", "an answer without content"))
+            raise _copy(answer.failure)
         return answer.message
 
-    def _answer_to(self, call: Call, timeout_s: float, canceled: Callable[[], bool]) -> Answer:
-        """Waits for it; JGHandFailure when it does not come."""
-        while True:
-            with self._news:
-                if call.answer is not None:
-                    return call.answer
-                late_s = -timeout_s if call.begun_s is None else time.monotonic() - call.begun_s - timeout_s
-                failure = self._no_answer(late_s > 0)
-                if failure is None:
-                    self._news.wait(min(limits.POLL_S, max(0.0, -late_s)))
-            if failure is not None:
-                raise failure
-            if canceled():
-                raise JGHandFailure("canceled")
+    def _answer_of(self, call: Call, timeout_s: float) -> Answer | None:
+        """Its answer, None where a moment's wait brought none; JGHandFailure when it will not come."""
+        with self._news:
+            if call.answer is not None:
+                return call.answer
+            left_s = timeout_s if call.begun_s is None else call.begun_s + timeout_s - time.monotonic()
+            if left_s <= 0:
+                raise self._with_words("hung", "no reply in time")
+            if not self._works():
+                raise _copy(self._failure)
+            self._news.wait(min(limits.POLL_S, left_s))
+            return call.answer
 
     # ---- under the lock ----------------------------------------------------------------------------------------------
 
-    def _want(self, asker: Asker) -> None:
+    def _want(self, *, by_user: bool = False) -> None:
         """Tells the machine that an engine is wanted; finds the command where that will start one."""
-        now_s = time.monotonic()
-        idle = isinstance(self._state, machine.Stopped | machine.Failed | machine.Stopping)
-        if idle and machine.may_start(self._state, asker, now_s):
+        event = machine.StartAsked(time.monotonic(), by_user)
+        if isinstance(self._state, machine.Stopped | machine.Failed) and machine.may_start(self._state, event):
             self._find_command()
-        self._handle(machine.StartAsked(now_s, asker))
+        self._handle(event)
 
     def _find_command(self) -> None:
         """Looks anew for the engine; the thread starts it, or tells why there is none."""
@@ -259,8 +235,6 @@ class EngineLink:
             self._spawn = tuple(self._command())
         except JGHandFailure as failure:
             self._spawn = failure
-        except (OSError, ValueError) as error:  # a folder that may not be read, a path that is none
-            self._spawn = JGHandFailure("no_interpreter", str(error))
 
     def _handle(self, event: machine.Event) -> None:
         """Feeds an event to the machine; what it decides about answers is done at once, the rest by the thread."""
@@ -289,23 +263,11 @@ class EngineLink:
         self._waiting.release(failure)
         self._news.notify_all()
 
-    def _no_answer(self, too_late: bool) -> JGHandFailure | None:
-        """Why an exact request will not be answered, None while it may be."""
-        if too_late:
-            return self._with_words("hung", "no reply in time")
-        return None if self._works() else _copy(self._failure or JGHandFailure("stopped"))
-
     def _with_words(self, kind: str, detail: str = "") -> JGHandFailure:
         """A failure of the engine with what it printed last."""
-        words = self._log.last(limits.DETAIL_LINES)
-        return JGHandFailure(kind, "\n".join(part for part in (detail, words) if part), log=self._log.last())
-
-    def _newest_log(self) -> EngineLog:
-        """Of this engine, or of the one before while this one has printed nothing."""
-        log = self._log
-        if not log.empty or self._shown_log.empty:
-            self._shown_log = log
-        return self._shown_log
+        lines = tuple(self._logs[-1])
+        words = "\n".join(lines[-limits.DETAIL_LINES :])
+        return JGHandFailure(kind, "\n".join(part for part in (detail, words) if part), log="\n".join(lines))
 
     def _works(self) -> bool:
         """Whether the thread that will answer lives."""
@@ -335,7 +297,7 @@ class EngineLink:
                 self._look_at_engine()
                 self._look_at_clock()
         except Exception as error:  # a mistake of ours must not leave anybody waiting
-            self._log.write(traceback.format_exc())
+            traceback.print_exc()
             self._end_engine()
             with self._news:
                 self._effects.clear()
@@ -364,8 +326,7 @@ class EngineLink:
             with self._news:
                 if not self._effects:
                     return
-                effect = self._effects.popleft()
-                spawn = self._spawn
+                effect, spawn = self._effects.popleft(), self._spawn
             match effect:
                 case machine.Spawn():
                     self._start_engine(effect.run, spawn)
@@ -373,26 +334,26 @@ class EngineLink:
                     self._end_engine()
                     self._say(machine.Exited(time.monotonic(), self._run, "killed"))
                 case machine.CloseStdin() if self._engine is not None:
-                    self._engine.process.close_stdin()
-                case machine.Terminate() if self._engine is not None:
-                    self._engine.process.terminate()
+                    self._engine.close_stdin()
 
     def _start_engine(self, run: int, spawn: Sequence[str] | JGHandFailure) -> None:
         self._end_engine()
-        self._newest_log()
-        self._run, self._log = run, EngineLog()
+        self._run, log = run, deque[str](maxlen=limits.LOG_LINES)
+        if self._logs[-1]:
+            self._logs.append(log)
+        else:
+            self._logs[-1] = log
         try:
             if isinstance(spawn, JGHandFailure):
                 raise spawn
-            self._log = EngineLog(self._log_folder)
-            self._engine = EngineConnection(spawn, self._log, environment=self._environment, wake=self._wake_up)
+            self._engine = EngineProcess(spawn, log, self._wake_up)
         except JGHandFailure as failure:
             self._say(machine.Exited(time.monotonic(), run, failure.kind, failure.detail))
 
     def _end_engine(self) -> None:
         engine, self._engine = self._engine, None
-        if engine is not None and not engine.end():
-            self._undead.append(engine.process)
+        if engine is not None:
+            engine.kill()
 
     def _look_at_engine(self) -> None:
         """Takes in what has come: the handshake, messages, the end of the process."""
@@ -401,7 +362,7 @@ class EngineLink:
             return
         try:
             engine.connect()
-            engine.flush()
+            engine.send(())
             while (message := engine.receive()) is not None:
                 self._take(message, engine)
         except LostError as lost:
@@ -411,7 +372,7 @@ class EngineLink:
             self._end_engine()
             self._say(machine.Exited(time.monotonic(), self._run, ended.kind, ended.detail))
 
-    def _take(self, message: protocol.Message, engine: EngineConnection) -> None:
+    def _take(self, message: protocol.Message, engine: EngineProcess) -> None:
         now_s = time.monotonic()
         with self._news:
             if isinstance(self._state, machine.Starting):  # this was its welcome
@@ -420,7 +381,7 @@ class EngineLink:
                 return
             self._handle(machine.Heard(now_s, self._run))
             if message.header.get("kind") != "heartbeat":
-                self._waiting.take(message, now_s, lambda: self._log.last(limits.DETAIL_LINES))
+                self._waiting.take(message, now_s)
                 self._news.notify_all()
 
     def _send_next(self) -> None:
@@ -443,7 +404,7 @@ class EngineLink:
                 return
             patience_s = limits.LOOK_S if isinstance(self._state, machine.Ready) else limits.POLL_S
             if self._rests():
-                patience_s = limits.LOOK_S if self._undead else None
+                patience_s = None
         # not select.select, which knows only the first 1024 handles of a process
         with selectors.DefaultSelector() as selector:
             selector.register(woken, selectors.EVENT_READ)
@@ -459,7 +420,6 @@ class EngineLink:
 
     def _look_at_clock(self) -> None:
         now_s = time.monotonic()
-        self._undead = [process for process in self._undead if process.runs]
         with self._news:
             if isinstance(self._state, machine.Ready) and self._waiting.is_overdue(now_s):
                 self._handle(machine.Broke(now_s, self._run, "hung", "a request does not end"))
@@ -478,6 +438,8 @@ def _is_slow(state: machine.State) -> bool:
     return isinstance(state, machine.Ready) and state.slow
 
 
-def _copy(failure: JGHandFailure) -> JGHandFailure:
+def _copy(failure: JGHandFailure | None) -> JGHandFailure:
     """To be raised: one that is kept would hold on to the frames that it went through."""
+    if failure is None:
+        return JGHandFailure("stopped")
     return JGHandFailure(failure.kind, failure.detail, log=failure.log)

@@ -18,13 +18,7 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     status = panel_text.status_text(runtime.link().status, frame_ms, iface_)
     buttons = [button for button in status.buttons if ui.has_operator(button.operator)]
     if status.good:
-        row = layout.split(factor=0.87)
-        ui.explained(row, panel_text.Line(status.text, tip=status.detail))
-        ends = row.row()
-        ends.alignment = "RIGHT"
-        for button in buttons:
-            icon = "PLAY" if button.operator.endswith("start_engine") else "QUIT"
-            ends.operator(button.operator, text="", icon=icon, emboss=False)
+        ui.explained(layout, panel_text.Line(status.text, tip=status.detail))
         return
     box = layout.box().column()
     ui.paragraph(box, context, status.text, icon="ERROR")

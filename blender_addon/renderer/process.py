@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's process and what it prints. Nothing here waits longer than its arguments allow. Does not use bpy.
+"""One engine: its process, what it prints, and the socket to it. Does not use bpy.
 
-The engine ends when its stdin does, so it cannot outlive this process, however that ends. Source: BLENDER 3.1 and 3.4.
+The engine ends when its stdin does, so it cannot outlive this process, however that ends.
+Source: BLENDER 3.1, 3.2 and 3.4.
 """
 
 from __future__ import annotations
@@ -9,27 +10,25 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import re
 import secrets
+import socket
 import subprocess
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 from ..core import limits
 from ..core.wire import protocol
 from ..errors import JGHandFailure, kind_of_exit
-from .programs import HIDDEN
+from .waiting import failure_told
 
+# no window of a console flashes up on Windows; the other systems have none
+HIDDEN = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 # what Blender's own process would impose on another Python
 _DROPPED = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "LD_LIBRARY_PATH", "LD_PRELOAD", "OCIO")
 _DROPPED_PREFIXES = ("DYLD_", "BLENDER_")
-# what a Python says of a module that it has not; the name ends the line, or it is another module's
-_NO_ENGINE = re.compile(r"No module named '?jghand_engine'?\s*$", re.MULTILINE)
-_NO_MODULE = re.compile(r"^.*No module named .*$", re.MULTILINE)
 
 
 def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -42,133 +41,125 @@ def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return kept | {"JGHAND_BLENDER_ADDON": str(Path(__file__).resolve().parents[1])}
 
 
-class EngineLog:
-    """What one engine printed: the last lines here, all of them in a file where a folder for that is given.
+class LostError(Exception):
+    """The engine cannot be used any more. kind: a key of errors.ADVICE; detail: what happened."""
 
-    A new engine gets a new log: nothing that it does is explained with the words of the one before."""
-
-    def __init__(self, folder: Path | None = None) -> None:
-        """folder: where a new file is begun, and the oldest go."""
-        self._lines: deque[str] = deque(maxlen=limits.LOG_LINES)
-        # apart: whoever reads the lines does not wait for a disk
-        self._lines_lock, self._file_lock = threading.Lock(), threading.Lock()
-        self._file: IO[str] | None = None
-        self._room = limits.LOG_FILE_MAX_BYTES
-        self.path: Path | None = None
-        if folder is not None:
-            _remove_old(folder)
-            self._open(folder)
-
-    def _open(self, folder: Path) -> None:
-        # the process's number keeps two Blenders of the same second apart
-        path = folder / f"engine-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.log"
-        with contextlib.suppress(OSError):  # a log that cannot be written is no reason to have no engine
-            folder.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a", encoding="utf-8", buffering=1)
-            self.path = path
-
-    @property
-    def empty(self) -> bool:
-        """Whether nothing was printed."""
-        return not self._lines
-
-    def write(self, line: str) -> None:
-        """One line more, from any thread."""
-        with self._lines_lock:
-            self._lines.append(line)
-        with self._file_lock:
-            if self._file is None or self._room <= 0:
-                return
-            self._room -= len(line) + 1
-            with contextlib.suppress(OSError):  # a full disk
-                self._file.write(line + "\n" if self._room > 0 else "… the rest is left out\n")
-
-    def end(self) -> None:
-        """Closes the file; the lines stay."""
-        with self._file_lock:
-            file, self._file = self._file, None
-            if file is not None:
-                with contextlib.suppress(OSError):
-                    file.close()
-
-    def last(self, count: int = limits.LOG_LINES) -> str:
-        """The last lines."""
-        with self._lines_lock:
-            lines = list(self._lines)
-        return "\n".join(lines[-count:])
-
-
-def _remove_old(folder: Path) -> None:
-    """Makes room for one log more."""
-
-    def age(path: Path) -> float:
-        try:
-            return path.stat().st_mtime
-        except OSError:  # a link to nothing, or another Blender removed it
-            return 0.0
-
-    with contextlib.suppress(OSError):
-        for path in sorted(folder.glob("engine-*.log"), key=age, reverse=True)[limits.LOG_FILES - 1 :]:
-            with contextlib.suppress(OSError):  # Windows keeps what another Blender has open
-                path.unlink()
+    def __init__(self, kind: str, detail: str) -> None:
+        super().__init__(kind, detail)
+        self.kind, self.detail = kind, detail
 
 
 class EngineProcess:
-    """A started engine: its token, its handshake once it has printed one, its end."""
+    """A process that was started; `connect` when it has said where it listens; then messages, which raise LostError.
 
-    def __init__(
-        self,
-        command: Sequence[str],
-        log: EngineLog,
-        *,
-        environment: Mapping[str, str] = os.environ,
-        wake: Callable[[], None] = lambda: None,
-    ) -> None:
-        """wake: called from another thread when there is something to look at. JGHandFailure: no_interpreter."""
+    Only `kill` and the search for the reason of a break wait, and not for long."""
+
+    def __init__(self, command: Sequence[str], log: deque[str], wake: Callable[[], None]) -> None:
+        """log: gets the lines that it prints. wake: called from another thread when there is something to look at.
+
+        JGHandFailure: no_interpreter."""
         try:
             self.popen = subprocess.Popen(
                 list(command),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                env=cleaned_environment(environment),
+                env=cleaned_environment(os.environ),
                 creationflags=HIDDEN,
             )
         except OSError as error:
             raise JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}") from error
         self.token = secrets.token_bytes(protocol.TOKEN_BYTES)
-        self.handshake: dict[str, Any] | None = None
+        # what the engine says of itself, once it does
+        self.handshake: Mapping[str, Any] = {}
+        self.socket: socket.socket | None = None
+        self._greeted = self._welcome = False
+        self._receiver: protocol.Receiver | None = None
+        self._outgoing: deque[memoryview] = deque()
         self._log, self._wake = log, wake
-        pipes = ((self.popen.stdout, True), (self.popen.stderr, False))
         self._drains = [
-            threading.Thread(target=self._drain, args=pipe, daemon=True, name="jghand log") for pipe in pipes
+            threading.Thread(target=self._drain, args=(pipe,), daemon=True, name="jghand log")
+            for pipe in (self.popen.stdout, self.popen.stderr)
         ]
         for drain in self._drains:
             drain.start()
         assert self.popen.stdin is not None  # it was asked for as a pipe
-        with contextlib.suppress(OSError):  # it has ended already, which `runs` tells
+        with contextlib.suppress(OSError):  # it has ended already, which `why_it_ended` tells
             self.popen.stdin.write(self.token.hex().encode() + b"\n")
             self.popen.stdin.flush()
 
+    # ---- messages ----------------------------------------------------------------------------------------------------
+
     @property
-    def runs(self) -> bool:
-        """Whether the process has not ended."""
-        return self.popen.poll() is None
+    def has_more_to_send(self) -> bool:
+        """Whether the socket took less than there is."""
+        return bool(self._outgoing)
 
-    def ends_within(self, seconds: float) -> bool:
-        """Waits for the end: a connection breaks a little before its process is gone."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.popen.wait(seconds)
-        return not self.runs
+    def connect(self) -> None:
+        """Connects to where the engine listens, once that is known, and says the token."""
+        if self._greeted or not self.handshake:
+            return
+        self._greeted = True
+        theirs = self.handshake["protocol"]
+        if theirs != protocol.PROTOCOL_VERSION:
+            raise LostError("protocol", f"extension {protocol.PROTOCOL_VERSION}, engine {theirs}")
+        try:
+            address = ("127.0.0.1", int(self.handshake.get("port", 0)))
+            self.socket = socket.create_connection(address, timeout=limits.WELCOME_S)
+            self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.socket.setblocking(False)
+        except (OSError, ValueError, TypeError, OverflowError) as error:
+            raise self._broken("broken_stream", str(error)) from error
+        self._receiver = protocol.Receiver(self.socket)
+        self.send([protocol.greeting(self.token)])
 
-    def why_it_ended(self) -> tuple[str, str]:
-        """Kind and detail of the failure behind the end of the process."""
+    def send(self, pieces: Iterable[bytes | memoryview]) -> None:
+        """Sends as much as the socket takes now, of what is left from before first."""
+        self._outgoing.extend(memoryview(piece).cast("B") for piece in pieces)
+        try:
+            while self._outgoing and self.socket is not None:
+                sent = self.socket.send(self._outgoing[0])
+                if sent < self._outgoing[0].nbytes:
+                    self._outgoing[0] = self._outgoing[0][sent:]
+                else:
+                    self._outgoing.popleft()
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:  # the reading side says what is the matter
+            self._outgoing.clear()
+
+    def receive(self) -> protocol.Message | None:
+        """The next message that has come whole, None when there is none. The first one is the engine's welcome."""
+        if self._receiver is None:
+            return None
+        try:
+            message = self._receiver.receive()
+        except protocol.Disconnected as error:
+            # an engine that does not know the token leaves without a word
+            raise self._broken("broken_stream" if self._welcome else "token", str(error)) from error
+        except (protocol.ProtocolError, OSError) as error:
+            self._disconnect()
+            raise LostError("broken_stream", str(error)) from error
+        if message is not None and not self._welcome:
+            if message.header.get("kind") != "welcome":
+                refusal = failure_told(message.header.get("error"))
+                raise LostError(refusal.kind, refusal.detail)
+            self._welcome = True
+        return message
+
+    # ---- the end -----------------------------------------------------------------------------------------------------
+
+    def why_it_ended(self) -> LostError | None:
+        """The reason of the end of the process; None while it runs."""
+        code = self.popen.poll()
+        if code is None:
+            return None
         for drain in self._drains:  # its last words may still be on their way
             drain.join(limits.LAST_WORDS_S)
-        code, words = self.popen.poll(), self._log.last(limits.DETAIL_LINES)
-        if self.handshake is None and (missing := _missing(words)):
-            return missing
-        return kind_of_exit(code or 0), f"exit code {code}"
+        missing = [line for line in tuple(self._log) if "No module named" in line]
+        if not self.handshake and missing:
+            return LostError("no_engine", missing[-1].strip())
+        return LostError(kind_of_exit(code), f"exit code {code}")
 
     def close_stdin(self) -> None:
         """Asks it to end."""
@@ -176,45 +167,49 @@ class EngineProcess:
             with contextlib.suppress(OSError):
                 self.popen.stdin.close()
 
-    def terminate(self) -> None:
-        """Asks it to end, as the system does it."""
-        with contextlib.suppress(OSError):
-            self.popen.terminate()
-
-    def kill(self) -> bool:
-        """Ends it at once; False when it is still there although: one that hangs in the system."""
+    def kill(self) -> None:
+        """Ends what is left of process and socket."""
+        self._disconnect()
         with contextlib.suppress(OSError):
             self.popen.kill()
-        gone = self.ends_within(limits.KILL_S)
+        self._ends_within(limits.KILL_S)
         self.close_stdin()
-        return gone
 
-    def _drain(self, pipe: IO[bytes], look_for_handshake: bool) -> None:
+    def _ends_within(self, seconds: float) -> bool:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.popen.wait(seconds)
+        return self.popen.poll() is not None
+
+    def _disconnect(self) -> None:
+        if self.socket is not None:
+            self.socket.close()
+        self.socket = self._receiver = None
+        self._outgoing.clear()
+
+    def _broken(self, kind: str, detail: str) -> LostError:
+        """The connection broke; when that is because the process ends, a little later, that is the reason."""
+        self._disconnect()
+        ended = self.why_it_ended() if self._ends_within(limits.TERMINATE_S) else None
+        return ended or LostError(kind, detail)
+
+    def _drain(self, pipe: IO[bytes]) -> None:
         """Keeps a pipe of the engine from filling up; finds the handshake in stdout."""
         with pipe:
             for raw in iter(lambda: pipe.readline(limits.LOG_LINE_MAX), b""):
                 line = raw.decode("utf-8", "replace").rstrip()
-                found = _handshake(line) if look_for_handshake else None
-                if found is not None:
-                    look_for_handshake, self.handshake = False, found
+                found = _handshake(line) if not self.handshake and pipe is self.popen.stdout else {}
+                if found:
+                    self.handshake = found
                     self._wake()
                 elif line:
-                    self._log.write(line)
+                    self._log.append(line)
         self._wake()
 
 
-def _missing(words: str) -> tuple[str, str] | None:
-    """Kind and detail of the failure of a Python that has not what it should start, or not all that this needs."""
-    if _NO_ENGINE.search(words):
-        return "no_engine", ""
-    lines = _NO_MODULE.findall(words)
-    return ("broken_engine", lines[-1].strip()) if lines else None
-
-
-def _handshake(line: str) -> dict[str, Any] | None:
-    """The handshake that a line is, None for any other line."""
+def _handshake(line: str) -> dict[str, Any]:
+    """The handshake that a line is; empty for any other line."""
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) and "protocol" in content else None
+        return {}
+    return content if isinstance(content, dict) and "protocol" in content else {}

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import bpy
-
 from ..core import limits
 from ..errors import JGHandFailure
 from ..preferences import preferences
@@ -54,7 +52,7 @@ def link() -> EngineLink:
     global _link
     with _lock:
         if _link is None:
-            _link = EngineLink(command, log_folder=_log_folder())
+            _link = EngineLink(command)
         return _link
 
 
@@ -144,15 +142,6 @@ def jobs() -> JobTable:
 def _chosen_python() -> str | None:
     chosen = preferences()
     return chosen.engine_python or None if chosen is not None else None
-
-
-def _log_folder() -> Path | None:
-    """Where an extension may write; a package that is not installed as one keeps no files."""
-    extension = __package__.rpartition(".")[0]
-    try:
-        return Path(bpy.utils.extension_path_user(extension, path="logs", create=True))
-    except (ValueError, OSError):
-        return None
 
 
 def register() -> None:

@@ -9,7 +9,6 @@ an earlier one, heard late, is not taken for the end of the present one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 
 from ..core import limits
 
@@ -32,9 +31,7 @@ class State:
 
 @dataclass(frozen=True)
 class Stopped(State):
-    """by_user: it was stopped on purpose, so that a picture alone does not start it again."""
-
-    by_user: bool = False
+    """There is no process: before the first wish for one, and after the end."""
 
 
 @dataclass(frozen=True)
@@ -57,37 +54,21 @@ class Ready(State):
 
 @dataclass(frozen=True)
 class Stopping(State):
-    """start_again: it is being restarted; pushes: how often it was asked more strongly than by the end of its stdin;
-    patience_s: as of StopAsked."""
+    """Its stdin was closed. start_again: it is being restarted; patience_s: after so long it is ended."""
 
     start_again: bool = False
-    pushes: int = 0
-    patience_s: float | None = None
-
-    def next_push(self) -> tuple[float, Terminate | Kill] | None:
-        """When, counted from the beginning of the stop, and how it is asked more strongly; None when it was already."""
-        usual = ((limits.STOP_S, Terminate()), (limits.STOP_S + limits.TERMINATE_S, Kill()))
-        pushes = usual if self.patience_s is None else ((self.patience_s, Kill()),)
-        return pushes[self.pushes] if self.pushes < len(pushes) else None
+    patience_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class Failed(State):
-    """kind: a key of messages.ADVICE; detail: what happened, without the engine's own words."""
+    """kind: a key of errors.ADVICE; detail: what happened, without the engine's own words."""
 
     kind: str = "crashed"
     detail: str = ""
 
 
 # ---- events ----------------------------------------------------------------------------------------------------------
-
-
-class Asker(Enum):
-    """Who wants an engine. PICTURE: the viewport. WORK: what somebody waits for (a render). USER: a button."""
-
-    PICTURE = "picture"
-    WORK = "work"
-    USER = "user"
 
 
 @dataclass(frozen=True)
@@ -99,17 +80,16 @@ class Event:
 
 @dataclass(frozen=True)
 class StartAsked(Event):
-    """Somebody wants an engine."""
+    """Somebody wants an engine. by_user: a button, which always starts one; else a picture or a request does."""
 
-    asker: Asker = Asker.USER
+    by_user: bool = False
 
 
 @dataclass(frozen=True)
 class StopAsked(Event):
-    """The user, or the end of the extension. patience_s: somebody waits for the end, no longer than that; None: nobody
-    does, and the engine gets the usual time."""
+    """The end of the extension. patience_s: how long it waits for the engine to end."""
 
-    patience_s: float | None = None
+    patience_s: float
 
 
 @dataclass(frozen=True)
@@ -172,11 +152,6 @@ class CloseStdin:
 
 
 @dataclass(frozen=True)
-class Terminate:
-    """Ask the process to end, as the system does it."""
-
-
-@dataclass(frozen=True)
 class Kill:
     """End the process and forget the connection."""
 
@@ -189,7 +164,7 @@ class Release:
     detail: str = ""
 
 
-Effect = Spawn | CloseStdin | Terminate | Kill | Release
+Effect = Spawn | CloseStdin | Kill | Release
 Step = tuple[State, tuple[Effect, ...]]
 
 
@@ -214,32 +189,16 @@ def transition(state: State, event: Event) -> Step:
     raise TypeError(f"{state!r} is no state")
 
 
-def may_start(state: State, asker: Asker, now_s: float) -> bool:
-    """Whether somebody's wish for an engine leads to one: it is there, on its way, or may be started now."""
-    match state:
-        case Stopped():
-            return asker is not Asker.PICTURE or not state.by_user
-        case Failed():
-            if asker is Asker.USER:
-                return True
-            waited = now_s - state.since_s >= limits.RESTART_S
-            return waited and state.kind in PASSING and state.restarts < limits.RESTARTS_MAX
-        case Stopping():
-            return state.start_again or asker is not Asker.PICTURE
-    return True
+def may_start(state: State, event: StartAsked) -> bool:
+    """Whether a wish for an engine leads to one: it is there, on its way, or may be started now."""
+    if not isinstance(state, Failed) or event.by_user:
+        return True
+    waited = event.now_s - state.since_s >= limits.RESTART_S
+    return waited and state.kind in PASSING and state.restarts < limits.RESTARTS_MAX
 
 
 def _stopped(state: Stopped, event: Event) -> Step:
-    match event:
-        case StartAsked():
-            if may_start(state, event.asker, event.now_s):
-                return _start(state, event, restarts=state.restarts)
-            return state, (Release("stopped"),)
-        case RestartAsked():
-            return _start(state, event, restarts=0)
-        case StopAsked():
-            return replace(state, by_user=True), ()
-    return state, ()
+    return _start(state, event) if isinstance(event, StartAsked | RestartAsked) else (state, ())
 
 
 def _starting(state: Starting, event: Event) -> Step:
@@ -253,10 +212,8 @@ def _starting(state: Starting, event: Event) -> Step:
             return _fail(state, event, event.kind, event.detail, Kill())
         case Tick() if event.now_s - state.since_s > limits.HANDSHAKE_S:
             return _fail(state, event, "start_timeout", "", Kill())
-        case StopAsked():
-            return _stop(state, event, start_again=False)
-        case RestartAsked():
-            return _stop(state, event, start_again=True)
+        case StopAsked() | RestartAsked():
+            return _stop(state, event)
     return state, ()
 
 
@@ -275,58 +232,47 @@ def _ready(state: Ready, event: Event) -> Step:
             return _fail(state, event, event.kind, event.detail)
         case Broke():
             return _fail(state, event, event.kind, event.detail, Kill())
-        case StopAsked():
-            return _stop(state, event, start_again=False)
-        case RestartAsked():
-            return _stop(state, event, start_again=True)
+        case StopAsked() | RestartAsked():
+            return _stop(state, event)
     return state, ()
 
 
 def _stopping(state: Stopping, event: Event) -> Step:
     match event:
         case Exited() if state.start_again:
-            return _start(state, event, restarts=0)
+            return _start(state, event)
         case Exited():
-            return Stopped(state.run, state.restarts, event.now_s, by_user=True), ()
-        case Tick():
-            push = state.next_push()
-            if push is not None and event.now_s - state.since_s > push[0]:
-                return replace(state, pushes=state.pushes + 1), (push[1],)
+            return Stopped(state.run, since_s=event.now_s), ()
+        case Tick() if event.now_s - state.since_s > state.patience_s:
+            return state, (Kill(),)
         case RestartAsked():
             return replace(state, start_again=True), ()
-        case StartAsked() if may_start(state, event.asker, event.now_s):
-            return replace(state, start_again=True), ()
-        case StartAsked():
-            return state, (Release("stopped"),)
-        case StopAsked(patience_s=None):
-            return replace(state, start_again=False), (Release("stopped"),)
         case StopAsked():
-            now_s, patience_s = event.now_s, event.patience_s
-            return Stopping(state.run, state.restarts, now_s, patience_s=patience_s), (Release("stopped"),)
+            return _stop(state, event)
     return state, ()
 
 
 def _failed(state: Failed, event: Event) -> Step:
     match event:
+        case StartAsked() if may_start(state, event):
+            return _start(state, event, restarts=0 if event.by_user else state.restarts + 1)
         case StartAsked():
-            if may_start(state, event.asker, event.now_s):
-                return _start(state, event, restarts=0 if event.asker is Asker.USER else state.restarts + 1)
             return state, (Release(state.kind, state.detail),)
         case RestartAsked():
-            return _start(state, event, restarts=0)
+            return _start(state, event)
         case StopAsked():
-            return Stopped(state.run, state.restarts, event.now_s, by_user=True), ()
+            return Stopped(state.run, since_s=event.now_s), ()
     return state, ()
 
 
-def _start(state: State, event: Event, *, restarts: int) -> Step:
+def _start(state: State, event: Event, *, restarts: int = 0) -> Step:
     return Starting(state.run + 1, restarts, event.now_s), (Spawn(state.run + 1),)
 
 
-def _stop(state: State, event: Event, *, start_again: bool) -> Step:
-    patience_s = event.patience_s if isinstance(event, StopAsked) else None
-    stopping = Stopping(state.run, state.restarts, event.now_s, start_again, patience_s=patience_s)
-    return stopping, (CloseStdin(), Release("stopped"))
+def _stop(state: State, event: Event) -> Step:
+    patience_s = event.patience_s if isinstance(event, StopAsked) else limits.STOP_S
+    again = isinstance(event, RestartAsked)
+    return Stopping(state.run, state.restarts, event.now_s, again, patience_s), (CloseStdin(), Release("stopped"))
 
 
 def _fail(state: State, event: Event, kind: str, detail: str, *first: Effect) -> Step:

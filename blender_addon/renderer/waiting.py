@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who waits for what of the engine: slots of which only the newest request counts, and exact requests in their order.
+"""Who waits for what of the engine: slots of which only the newest request counts, and exact requests in their order;
+and what they get.
 
 One request is with the engine at a time; the engine works on one anyway, and so nothing that is out of date is ever
 sent. No thread, no clock, no socket here: the link holds its lock while it calls this. Does not use bpy.
@@ -8,31 +9,61 @@ sent. No thread, no clock, no socket here: the link holds its lock while it call
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..core import limits
 from ..core.wire import protocol
-from ..errors import JGHandFailure
-from .answers import GIVEN_UP, Answer, Arrays, Progress, told
+from ..errors import GIVEN_UP, JGHandFailure
 from .state import PASSING
+
+Arrays = Mapping[str, protocol.Array]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """To the request with this tag: the engine's message, or a failure."""
+
+    tag: Hashable
+    message: protocol.Message | None
+    failure: JGHandFailure | None = None
+    round_trip_ms: float = 0.0
+
+    def fails_as(self, other: Answer | None) -> bool:
+        """Whether the other one says that the same request failed for the same reason."""
+        if other is None or self.tag != other.tag or self.failure is None or other.failure is None:
+            return False
+        return (self.failure.kind, self.failure.detail) == (other.failure.kind, other.failure.detail)
+
+
+def failure_told(error: Any) -> JGHandFailure:
+    """The failure that the engine reports; its own sentence is the detail."""
+    if not isinstance(error, dict):
+        return JGHandFailure("broken_stream", "an error without a description")
+    return JGHandFailure(
+        str(error.get("kind")), "\n".join(str(error[key]) for key in ("sentence", "detail") if error.get(key))
+    )
 
 
 @dataclass(eq=False)
 class Call:
-    """One request. slot: None for an exact one · droppable: it gives way to whatever else is wanted · sent_s: when the
-    engine got it, None before · told_s: when the engine last said what it does before it comes to it · given_up_s: when
-    nobody wanted the answer any more although the engine was at it · answer: of an exact one"""
+    """One request."""
 
     id: int
     pieces: list[bytes | memoryview]
+    # None for an exact one
     slot: str | None = None
     tag: Hashable = None
+    # it gives way to whatever else is wanted
     droppable: bool = False
+    # when the engine got it, None before
     sent_s: float | None = None
+    # when the engine last said what it does before it comes to it
     told_s: float = 0.0
+    # when nobody wanted the answer any more although the engine was at it
     given_up_s: float | None = None
+    # of an exact one
     answer: Answer | None = None
 
     @property
@@ -57,13 +88,15 @@ class _Slot:
 
 
 class Waiting:
-    """All requests of one link. changed: whether a slot got another answer, or progress came; the reader puts it back.
-    cancels: numbers of requests that the engine is to be told to give up."""
+    """All requests of one link."""
 
     def __init__(self) -> None:
+        # whether a slot got another answer, or the engine said what takes long; the reader puts it back
         self.changed = False
+        # what the engine works on, and what of it takes long, if it says so
         self.flying: Call | None = None
-        self.progress: Progress | None = None
+        self.doing = ""
+        # numbers of requests that the engine is to be told to give up
         self.cancels: deque[int] = deque()
         self.exact: deque[Call] = deque()
         self._slots: OrderedDict[str, _Slot] = OrderedDict()
@@ -160,22 +193,22 @@ class Waiting:
             call.sent_s, self.flying = now_s, call
         return call
 
-    def take(self, message: protocol.Message, now_s: float, log: Callable[[], str]) -> None:
-        """A message of the engine: a reply, or progress. What belongs to nothing is left aside. log: what the engine
-        printed last."""
+    def take(self, message: protocol.Message, now_s: float) -> None:
+        """A message of the engine: a reply, or progress. What belongs to nothing is ignored."""
         call, header = self.flying, message.header
         if call is None or call.sent_s is None or header.get("id") != call.id:
             return
         if header.get("kind") == "progress":
-            self.progress, self.changed, call.told_s = Progress.of(header), True, now_s
+            text = header.get("text")
+            self.doing, self.changed, call.told_s = text if isinstance(text, str) else "", True, now_s
         elif header.get("kind") == "reply":
-            failure = None if header.get("ok") is True else told(header.get("error"), log())
+            failure = None if header.get("ok") is True else failure_told(header.get("error"))
             round_trip_ms = 1e3 * (now_s - call.sent_s)
             self._arrived(call, Answer(call.tag, None if failure else message, failure, round_trip_ms))
 
     def release(self, failure: JGHandFailure) -> None:
         """Everybody who waits gets this failure. What the engine worked on when it failed is not asked for again."""
-        flying, self.flying, self.progress = self.flying, None, None
+        flying, self.flying, self.doing = self.flying, None, ""
         if flying is not None and flying.slot is not None and failure.kind in PASSING:
             self._refuse(flying.tag, failure)
         for call in (flying, *self.exact):
@@ -215,7 +248,7 @@ class Waiting:
         return None
 
     def _arrived(self, call: Call, answer: Answer) -> None:
-        self.flying = self.progress = None
+        self.flying, self.doing = None, ""
         if call.slot is None:
             call.answer = answer
             return

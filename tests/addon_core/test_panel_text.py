@@ -18,14 +18,14 @@ HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
 @pytest.mark.parametrize(
     ("status", "text", "good", "buttons"),
     [
-        (Status("stopped", 0.0), "Engine off: starts when needed", True, ["jghand.start_engine"]),
-        (Status("starting", 12.4), "Starting…  12 s", True, ["jghand.stop_engine"]),
-        (Status("ready", 200.0, None, HANDSHAKE), "Ready · CPU · 7.2 ms", True, ["jghand.stop_engine"]),
+        (Status("stopped", 0.0), "Engine off: starts when needed", True, []),
+        (Status("starting", 12.4), "Starting…  12 s", True, []),
+        (Status("ready", 200.0, None, HANDSHAKE), "Ready · CPU · 7.2 ms", True, []),
         (
             Status("slow", 90.0, None, HANDSHAKE),
             "The engine is not answering",
             False,
-            ["jghand.restart_engine", "jghand.stop_engine"],
+            ["jghand.restart_engine"],
         ),
         (Status("stopping", 1.0), "Stopping…  1 s", True, []),
     ],

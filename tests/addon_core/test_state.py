@@ -10,7 +10,6 @@ from blender_addon.core import limits
 from blender_addon.errors import ADVICE
 from blender_addon.renderer import state
 from blender_addon.renderer.state import (
-    Asker,
     Broke,
     CloseStdin,
     Exited,
@@ -27,7 +26,6 @@ from blender_addon.renderer.state import (
     StopAsked,
     Stopped,
     Stopping,
-    Terminate,
     Tick,
     transition,
 )
@@ -41,21 +39,9 @@ STOPPED = (CloseStdin(), Release("stopped"))
 TABLE = {
     "the first wish starts an engine": (
         Stopped(),
-        StartAsked(10.0, Asker.PICTURE),
+        StartAsked(10.0),
         Starting(1, since_s=10.0),
         (Spawn(1),),
-    ),
-    "a picture does not start one that was stopped on purpose": (
-        Stopped(3, by_user=True),
-        StartAsked(10.0, Asker.PICTURE),
-        Stopped(3, by_user=True),
-        (Release("stopped"),),
-    ),
-    "a render does": (
-        Stopped(3, by_user=True),
-        StartAsked(10.0, Asker.WORK),
-        Starting(4, since_s=10.0),
-        (Spawn(4),),
     ),
     "a greeting makes it ready": (
         Starting(1, since_s=9.0),
@@ -83,7 +69,7 @@ TABLE = {
         Failed(1, since_s=39.5, kind="start_timeout"),
         (Kill(), Release("start_timeout")),
     ),
-    "a start can be stopped": (Starting(1), StopAsked(10.0), Stopping(1, since_s=10.0), STOPPED),
+    "a start can be stopped": (Starting(1), StopAsked(10.0, 0.3), Stopping(1, 0, 10.0, False, 0.3), STOPPED),
     "a crash releases everybody": (
         READY,
         Exited(10.0, 1, "crashed", "exit code 7"),
@@ -103,84 +89,53 @@ TABLE = {
         Ready(1, looked_s=10.0),
         (),
     ),
-    "a stop closes stdin": (READY, StopAsked(11.0), Stopping(1, since_s=11.0), STOPPED),
-    "a restart does too": (READY, RestartAsked(11.0), Stopping(1, since_s=11.0, start_again=True), STOPPED),
+    "a stop closes stdin": (READY, StopAsked(11.0, 0.3), Stopping(1, 0, 11.0, False, 0.3), STOPPED),
+    "a restart does too": (READY, RestartAsked(11.0), Stopping(1, 0, 11.0, True, limits.STOP_S), STOPPED),
     "a restart ends in a start": (
-        Stopping(1, 2, start_again=True),
+        Stopping(1, 2, 0.0, True, limits.STOP_S),
         Exited(10.0, 1),
         Starting(2, since_s=10.0),
         (Spawn(2),),
     ),
-    "a stop ends in silence": (Stopping(1), Exited(10.0, 1), Stopped(1, since_s=10.0, by_user=True), ()),
-    "an engine may finish": (Stopping(1, since_s=10.0), Tick(12.0), Stopping(1, since_s=10.0), ()),
+    "a stop ends in silence": (Stopping(1, 0, 9.0, False, 0.3), Exited(10.0, 1), Stopped(1, since_s=10.0), ()),
     "where somebody waits for the end it is ended soon": (
-        Stopping(1, since_s=10.0, patience_s=0.3),
+        Stopping(1, 0, 10.0, False, 0.3),
         Tick(10.4),
-        Stopping(1, since_s=10.0, pushes=1, patience_s=0.3),
+        Stopping(1, 0, 10.0, False, 0.3),
         (Kill(),),
     ),
-    "whoever comes to wait ends the usual patience": (
-        Stopping(1, since_s=10.0, start_again=True, pushes=1),
-        StopAsked(13.0, 0.3),
-        Stopping(1, since_s=13.0, patience_s=0.3),
-        (Release("stopped"),),
-    ),
-    "then it is asked": (
-        Stopping(1, since_s=10.0),
+    "an engine that does not end is ended": (
+        Stopping(1, 0, 10.0, True, 3.0),
         Tick(13.5),
-        Stopping(1, since_s=10.0, pushes=1),
-        (Terminate(),),
-    ),
-    "then it is ended": (
-        Stopping(1, since_s=10.0, pushes=1),
-        Tick(15.5),
-        Stopping(1, since_s=10.0, pushes=2),
+        Stopping(1, 0, 10.0, True, 3.0),
         (Kill(),),
-    ),
-    "a render during a stop waits for a new engine": (
-        Stopping(1),
-        StartAsked(10.0, Asker.WORK),
-        Stopping(1, start_again=True),
-        (),
-    ),
-    "a picture during a stop does not": (
-        Stopping(1),
-        StartAsked(10.0, Asker.PICTURE),
-        Stopping(1),
-        (Release("stopped"),),
-    ),
-    "a second stop takes back a restart": (
-        Stopping(1, start_again=True),
-        StopAsked(10.0),
-        Stopping(1),
-        (Release("stopped"),),
     ),
     "after a crash a picture starts it again": (
         CRASHED,
-        StartAsked(LATER_S, Asker.PICTURE),
+        StartAsked(LATER_S),
         Starting(2, 1, LATER_S),
         (Spawn(2),),
     ),
-    "but not at once": (CRASHED, StartAsked(12.0, Asker.PICTURE), CRASHED, (Release("crashed"),)),
+    "but not at once": (CRASHED, StartAsked(12.0), CRASHED, (Release("crashed"),)),
     "and not too often": (
         Failed(9, limits.RESTARTS_MAX, kind="crashed"),
-        StartAsked(1e6, Asker.WORK),
+        StartAsked(1e6),
         Failed(9, limits.RESTARTS_MAX, kind="crashed"),
         (Release("crashed"),),
     ),
     "and not when nothing was mended": (
         Failed(1, kind="no_engine"),
-        StartAsked(1e6, Asker.WORK),
+        StartAsked(1e6),
         Failed(1, kind="no_engine"),
         (Release("no_engine"),),
     ),
     "the user may always, and counts anew": (
         Failed(9, limits.RESTARTS_MAX, 10.0, kind="no_engine"),
-        StartAsked(10.1, Asker.USER),
+        StartAsked(10.1, by_user=True),
         Starting(10, 0, 10.1),
         (Spawn(10),),
     ),
-    "a failure is put aside by a stop": (CRASHED, StopAsked(11.0), Stopped(1, since_s=11.0, by_user=True), ()),
+    "a failure is put aside by a stop": (CRASHED, StopAsked(11.0, 0.3), Stopped(1, since_s=11.0), ()),
 }
 
 
@@ -217,15 +172,15 @@ TIMES = st.floats(0, 1e6)
 RUNS = st.integers(0, 2)
 KINDS = st.sampled_from(sorted(ADVICE))
 STATES = st.one_of(
-    st.builds(Stopped, RUNS, st.integers(0, 5), TIMES, st.booleans()),
+    st.builds(Stopped, RUNS, st.integers(0, 5), TIMES),
     st.builds(Starting, RUNS, st.integers(0, 5), TIMES),
     st.builds(Ready, RUNS, st.integers(0, 5), TIMES, TIMES, TIMES),
-    st.builds(Stopping, RUNS, st.integers(0, 5), TIMES, st.booleans(), st.integers(0, 3)),
+    st.builds(Stopping, RUNS, st.integers(0, 5), TIMES, st.booleans(), TIMES),
     st.builds(Failed, RUNS, st.integers(0, 5), TIMES, KINDS),
 )
 EVENTS = st.one_of(
-    st.builds(StartAsked, TIMES, st.sampled_from(Asker)),
-    st.builds(StopAsked, TIMES),
+    st.builds(StartAsked, TIMES, st.booleans()),
+    st.builds(StopAsked, TIMES, TIMES),
     st.builds(RestartAsked, TIMES),
     st.builds(Tick, TIMES),
     st.builds(Greeted, TIMES, RUNS),
@@ -272,7 +227,7 @@ def test_there_is_never_more_than_one_process(history):
             if isinstance(effect, Spawn):
                 assert not lives
                 lives = True
-                asked_by_user = isinstance(event, RestartAsked) or getattr(event, "asker", None) is Asker.USER
+                asked_by_user = isinstance(event, RestartAsked) or getattr(event, "by_user", False)
                 unasked = isinstance(before, Failed) and not asked_by_user
                 restarts = restarts + 1 if unasked else 0 if asked_by_user else restarts
                 assert restarts <= limits.RESTARTS_MAX or isinstance(before, Stopped | Stopping)

@@ -78,7 +78,7 @@ class Histories(RuleBasedStateMachine):
         call = self.waiting.flying
         before = self.waiting.answer(call.slot) if call.slot is not None else None
         more = {"ok": False, "error": {"kind": kind}} if kind else {}
-        self.waiting.take(reply(call, **more), self.now_s, str)
+        self.waiting.take(reply(call, **more), self.now_s)
         assert self.waiting.flying is None
         if call.slot is None:
             assert call.answer is not None
@@ -97,7 +97,7 @@ class Histories(RuleBasedStateMachine):
     @rule(number=st.integers(-5, -1))
     def answer_to_something_else(self, number: int) -> None:
         before = self.waiting.flying
-        self.waiting.take(protocol.Message({"kind": "reply", "id": number, "ok": True}), self.now_s, str)
+        self.waiting.take(protocol.Message({"kind": "reply", "id": number, "ok": True}), self.now_s)
         assert self.waiting.flying is before
 
     @precondition(lambda self: self.exact)
@@ -151,7 +151,7 @@ def test_slots_take_turns():
             waiting.ask(slot, HEADER, None, (slot, turn), 0.0)
         call = waiting.next(0.0)
         sent.append(call.slot)
-        waiting.take(reply(call), 0.0, str)
+        waiting.take(reply(call), 0.0)
     assert sent == list("abcabc")
 
 
@@ -159,7 +159,7 @@ def test_only_so_many_failures_are_remembered():
     waiting = Waiting()
     for tag in range(limits.REFUSED_MAX + 1):
         waiting.ask("a", HEADER, None, tag, 0.0)
-        waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0, str)
+        waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0)
     assert waiting.ask("a", HEADER, None, 0, 0.0)
     assert not waiting.ask("b", HEADER, None, limits.REFUSED_MAX, 0.0)
 
@@ -174,9 +174,9 @@ def test_what_takes_too_long_is_known():
     waiting.give_up(call, 1.0)
     assert not waiting.is_overdue(limits.SILENCE_S)
     assert waiting.is_overdue(limits.SILENCE_S + 2)
-    waiting.take(progress(call), 20.0, str)
+    waiting.take(progress(call), 20.0)
     assert not waiting.is_overdue(limits.SILENCE_S + 2)
-    waiting.take(progress(call), 2 * limits.LOAD_S, str)
+    waiting.take(progress(call), 2 * limits.LOAD_S)
     assert waiting.is_overdue(limits.LOAD_S + limits.SILENCE_S + 2)
 
 
@@ -186,7 +186,7 @@ def test_what_is_wanted_again_while_the_engine_is_at_it_is_not_followed_by_what_
     call = waiting.next(0.0)
     waiting.ask("a", HEADER, None, 2, 0.0)
     assert not waiting.ask("a", HEADER, None, 1, 0.0)
-    waiting.take(reply(call), 0.0, str)
+    waiting.take(reply(call), 0.0)
     assert waiting.answer("a").tag == 1
     assert waiting.next(0.0) is None
 
@@ -201,7 +201,7 @@ def test_a_slow_picture_gives_way_to_the_next_pose_and_is_not_heard_of_again():
     assert not waiting.cancels
     waiting.ask("a", HEADER, None, "next pose", 1.0)
     assert (list(waiting.cancels), waiting.next(1.0)) == ([sharp.id], None)
-    waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0, str)
+    waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0)
     assert waiting.answer("a") is None
     assert {waiting.next(1.0).tag} <= {"another view", "next pose"}
 
@@ -212,7 +212,7 @@ def test_a_slow_picture_gives_way_to_a_render_and_its_view_hears_of_it():
     sharp = waiting.next(0.0)
     render = waiting.append(HEADER, None, 1.0)
     assert list(waiting.cancels) == [sharp.id]
-    waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0, str)
+    waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0)
     assert waiting.answer("a").failure.kind == "canceled"
     assert waiting.next(1.0) is render
     assert waiting.ask("a", HEADER, None, "sharp", 1.0, droppable=True)

@@ -34,42 +34,38 @@ def state() -> str:
     return runtime.link().status.state
 
 
-def test_the_engine_is_started_stopped_and_started_again(stand_in):
-    assert "not running" in refuses(bpy.ops.jghand.stop_engine)
-    assert bpy.ops.jghand.start_engine() == {"FINISHED"}
+def test_the_engine_is_started_and_started_again(stand_in):
+    assert bpy.ops.jghand.restart_engine() == {"FINISHED"}
     assert state() == "ready"
     first = runtime.link().status.handshake["pid"]
-    assert "already" in refuses(bpy.ops.jghand.start_engine)
     assert bpy.ops.jghand.restart_engine() == {"FINISHED"}
     assert runtime.link().status.handshake["pid"] != first
-    assert bpy.ops.jghand.stop_engine() == {"FINISHED"}
-    assert state() in ("stopping", "stopped")
 
 
 def test_a_start_that_fails_is_told_and_the_log_can_be_read(stand_in):
     assert "nothing yet" in refuses(bpy.ops.jghand.show_log)
     stand_in.append("die_at_start")
-    said = refuses(bpy.ops.jghand.start_engine)
+    said = refuses(bpy.ops.jghand.restart_engine)
     assert "stopped unexpectedly" in said
     assert "no torch here" in said
     assert state() == "failed"
     assert bpy.ops.jghand.show_log() == {"FINISHED"}
     assert "no torch here" in bpy.data.texts[engine.LOG_NAME].as_string()
     stand_in.clear()
-    assert bpy.ops.jghand.start_engine() == {"FINISHED"}
+    assert bpy.ops.jghand.restart_engine() == {"FINISHED"}
     assert bpy.ops.jghand.show_log() == {"FINISHED"}
     assert len(bpy.data.texts) == 1
 
 
 def test_disabling_the_extension_ends_the_engine(stand_in):
-    bpy.ops.jghand.start_engine()
-    process = runtime.link()._engine.process.popen
+    bpy.ops.jghand.restart_engine()
+    process = runtime.link()._engine.popen
     runtime.unregister()
     assert process.poll() is not None
 
 
 def test_another_file_does_not_end_the_engine(stand_in):
-    bpy.ops.jghand.start_engine()
+    bpy.ops.jghand.restart_engine()
     bpy.ops.wm.read_homefile(use_empty=True)
     assert state() == "ready"
 
@@ -84,14 +80,14 @@ def draw_preferences(extension) -> RecordingLayout:
 
 
 def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, extension, monkeypatch):
-    assert "jghand.start_engine" in draw_preferences(extension).operators
-    bpy.ops.jghand.start_engine()
+    assert "jghand.restart_engine" in draw_preferences(extension).operators
+    bpy.ops.jghand.restart_engine()
     layout = draw_preferences(extension)
     assert "Ready · STAND-IN" in layout.texts
     assert "jghand.restart_engine" in layout.operators
     runtime.use_link(None)
     monkeypatch.setenv(VARIABLE, "/nowhere/python")
-    assert "No engine is set up" in refuses(bpy.ops.jghand.start_engine)
+    assert "No engine is set up" in refuses(bpy.ops.jghand.restart_engine)
     assert "No engine is set up" in " ".join(draw_preferences(extension).texts)
 
 
@@ -132,7 +128,7 @@ def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_i
         return found[0]
 
     runtime.use_link(EngineLink(look))
-    assert "No engine is set up" in refuses(bpy.ops.jghand.start_engine)
+    assert "No engine is set up" in refuses(bpy.ops.jghand.restart_engine)
     found.append(stand_in_command)
     runtime.look_again()
     runtime.link().wait_until_ready()

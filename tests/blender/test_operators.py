@@ -40,7 +40,7 @@ _ENGINE = "the engine is none of the file"
 # what is not undone, and why
 NOT_UNDONE = {
     **dict.fromkeys(("explain", "open_preferences", "show_log", "show_job_log"), _SHOWS),
-    **dict.fromkeys(("start_engine", "restart_engine", "stop_engine"), _ENGINE),
+    "restart_engine": _ENGINE,
     **dict.fromkeys(("bake", "check_bake", "export", "render_training_set", "train"), _JOB),
     **dict.fromkeys(("cancel_job", "pause_training", "resume_training"), "a job is none of the file"),
     **dict.fromkeys(("install_tools", "remove_tools"), "the training tools are none of the file"),
@@ -56,7 +56,7 @@ ANYWHERE = {
         ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
     ),
     **dict.fromkeys(("open_preferences", "train", "export_scene_usd"), _NEEDS_NOTHING),
-    **dict.fromkeys(("start_engine", "restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
+    **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
     **dict.fromkeys(("pause_training", "resume_training", "add_picture_preset"), _ROW),
 }

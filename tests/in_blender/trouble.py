@@ -35,7 +35,7 @@ def step_a_killed_engine_is_a_sentence_with_a_remedy(window):
 
 
 def step_its_button_brings_the_picture_back(window):
-    assert window.call("jghand.start_engine") == {"FINISHED"}
+    assert window.call("jghand.restart_engine") == {"FINISHED"}
     yield from window.settle()
     assert skin(window.crop(window.picture("started_again"))).mean() > 0.03
 
