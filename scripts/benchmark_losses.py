@@ -19,10 +19,10 @@ from torch.nn import functional
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from jghand_engine.learn import losses, perceptual, ssim  # noqa: E402
-from jghand_engine.native.ssim import window  # noqa: E402
-from jghand_engine.study.frame_time import COLUMNS, machine, rows  # noqa: E402
-from jghand_engine.study.timing import Case, measure  # noqa: E402
+from jghand_engine.learn import losses, perceptual, ssim
+from jghand_engine.native.ssim import window
+from jghand_engine.study.frame_time import COLUMNS, machine, rows
+from jghand_engine.study.timing import Case, measure
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 

@@ -24,11 +24,11 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from hand import sampled_hands as hands  # noqa: E402  # pyright: ignore[reportMissingImports]
+from hand import sampled_hands as hands  # pyright: ignore[reportMissingImports]
 
-from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.skeleton import Skeleton  # noqa: E402
-from jghand_engine.learn.skeleton import BoneTransforms, JointTransform  # noqa: E402
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 
 CANONICAL = hands.canonical()
 

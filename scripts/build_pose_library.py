@@ -23,12 +23,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from blender_addon.core import poses, posing  # noqa: E402
-from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL  # noqa: E402
-from blender_addon.core.joints import HANDEDNESSES, LEFT, RIGHT  # noqa: E402
-from blender_addon.core.poses import HandPose  # noqa: E402
-from blender_addon.hand import pose_library  # noqa: E402
-from blender_addon.hand.motion_files import MotionFile, write_motion  # noqa: E402
+from blender_addon.core import poses, posing
+from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
+from blender_addon.core.joints import HANDEDNESSES, LEFT, RIGHT
+from blender_addon.core.poses import HandPose
+from blender_addon.hand import pose_library
+from blender_addon.hand.motion_files import MotionFile, write_motion
 
 # pixels: Blender shows assets at up to 128, and a quarter less than that keeps the file small
 PREVIEW_PX = 96

@@ -20,12 +20,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from blender_addon.core import posing  # noqa: E402  (the line above finds it)
-from blender_addon.core.joints import NAMES, RIGHT, TIPS, WRIST  # noqa: E402
-from jghand_engine.files import writing  # noqa: E402
-from jghand_engine.hand.kinematics import ArticulatedHand  # noqa: E402
-from jghand_engine.hand.orders import JointOrder, from_level, to_level  # noqa: E402
-from jghand_engine.hand.poses import (  # noqa: E402
+from blender_addon.core import posing
+from blender_addon.core.joints import NAMES, RIGHT, TIPS, WRIST
+from jghand_engine.files import writing
+from jghand_engine.hand.kinematics import ArticulatedHand
+from jghand_engine.hand.orders import JointOrder, from_level, to_level
+from jghand_engine.hand.poses import (
     LETTERS_DEG,
     POSES_DEG,
     SAME_SHAPE,

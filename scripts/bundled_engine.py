@@ -20,8 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # jghand_engine.native.build needs nothing but the standard library
 
-from jghand_engine.errors import JGHandError  # noqa: E402
-from jghand_engine.native import build as kernels  # noqa: E402
+from jghand_engine.errors import JGHandError
+from jghand_engine.native import build as kernels
 
 PACKAGE = ROOT / "jghand_engine"
 CONSTRAINTS = ROOT / "constraints" / "engine.txt"

@@ -17,7 +17,6 @@ import argparse
 import json
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -31,21 +30,21 @@ from scipy.spatial.transform import Rotation
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from build_web_viewer import install_packages  # noqa: E402
+from build_web_viewer import install_packages
+from other_programs import install_python, pins, put_into_page, python_of, run
 
-from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
-from jghand_engine.errors import JGHandError  # noqa: E402
-from jghand_engine.export.splats.cloud import AXES_FROM_RUB, SplatCloud  # noqa: E402
-from jghand_engine.export.splats.files import FORMATS, SplatMotion  # noqa: E402
-from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.poses import named_pose  # noqa: E402
-from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.errors import JGHandError
+from jghand_engine.export.splats.cloud import AXES_FROM_RUB, SplatCloud
+from jghand_engine.export.splats.files import FORMATS, SplatMotion
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.sequence import PoseSequence
 
 TOOLS = ROOT / "scripts" / "splat_clients"
 # JGHAND_SPLAT_CLIENTS names another folder that holds node_modules and an environment `python`
 CLIENTS = Path(os.environ.get("JGHAND_SPLAT_CLIENTS") or ROOT / ".envs" / "splat_clients")
 NODE, PYTHON = CLIENTS / "node_modules", CLIENTS / "python"
-BEGIN, END = "<!-- scripts/check_splat_files.py: begin -->", "<!-- scripts/check_splat_files.py: end -->"
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,7 @@ class Client:
 def clients() -> list[Client]:
     """Every program that is asked, installed or not."""
     packages = json.loads((TOOLS / "package.json").read_text())["dependencies"]
-    pins = dict(line.split("==") for line in (TOOLS / "requirements.txt").read_text().splitlines() if "==" in line)
+    versions = pins(TOOLS / "requirements.txt")
     transform = "@playcanvas/splat-transform"
     on_python = (
         ("gsply", ("ply", "spz", "sog"), NOTHING),
@@ -181,7 +180,7 @@ def clients() -> list[Client]:
             "playcanvas", packages["playcanvas"], ("glb",), _by_playcanvas, node_has("playcanvas"), sorts=True
         ),
         *(
-            Client(name, pins[name], kinds, lambda path, name=name: _by_python(name, path), python_is_there, adds)
+            Client(name, versions[name], kinds, lambda path, name=name: _by_python(name, path), has_python, adds)
             for name, kinds, adds in on_python
         ),
     ]  # fmt: skip
@@ -191,22 +190,8 @@ def node_has(package: str) -> Callable[[], bool]:
     return lambda: shutil.which("node") is not None and (NODE / package).is_dir()
 
 
-def client_python() -> Path:
-    return PYTHON / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-
-
-def python_is_there() -> bool:
-    return client_python().exists()
-
-
-def run(*command: str | Path, **options) -> str:
-    """What a program prints; RuntimeError with its last words when it fails."""
-    done = subprocess.run(
-        [str(word) for word in command], capture_output=True, text=True, check=False, timeout=600, **options
-    )
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(map(str, command))}: {(done.stdout + done.stderr).strip()[-2000:]}")
-    return done.stdout
+def has_python() -> bool:
+    return python_of(PYTHON).exists()
 
 
 def node(script: str, *words: str | Path) -> str:
@@ -240,7 +225,7 @@ def _by_playcanvas(path: Path) -> Found:
 def _by_python(client: str, path: Path) -> Found:
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table"
-        run(client_python(), TOOLS / "read_with_python.py", client, path, table)
+        run(python_of(PYTHON), TOOLS / "read_with_python.py", client, path, table)
         return Found.of_ellipsoids(_table(table, 14))
 
 
@@ -378,9 +363,7 @@ def install() -> None:
         install_packages(TOOLS, CLIENTS)
     else:
         print("npm is not here: the programs that need Node are left out", file=sys.stderr)
-    if not python_is_there():
-        run(sys.executable, "-m", "venv", PYTHON)
-    run(client_python(), "-m", "pip", "install", "-q", "-r", TOOLS / "requirements.txt")
+    install_python(PYTHON, TOOLS / "requirements.txt")
 
 
 def main() -> int:
@@ -396,16 +379,14 @@ def main() -> int:
         for row in rows:
             verdict = "" if row.good else "   ABOVE THE FORMAT'S PRECISION"
             print(f"{row.format:6} {row.subject:10} {row.client.name:16} {row.size:9} bytes  {row.difference}{verdict}")
-        if node_has("@playcanvas/splat-transform")() and python_is_there():
+        if node_has("@playcanvas/splat-transform")() and has_python():
             for source, target, signs in axes_of_conversions(folder):
                 print(f"splat-transform makes of our {source} our {target} with x, y, z times {signs}")
     if not rows:
         print("None of the programs is here: python scripts/check_splat_files.py --install", file=sys.stderr)
         return 1
     if options.page:
-        before, rest = options.page.read_text(encoding="utf-8").split(BEGIN)
-        after = rest.split(END)[1]
-        options.page.write_text(f"{before}{BEGIN}\n{markdown(rows)}\n{END}{after}", encoding="utf-8")
+        put_into_page(options.page, "check_splat_files.py", markdown(rows))
     return 0 if all(row.good for row in rows) else 1
 
 

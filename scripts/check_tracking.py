@@ -1,10 +1,8 @@
-"""Measures `jghand track` against motions that are known, and writes the tables of docs/TRACKING.md.
+"""Measures `jghand track` against motions that are known, which are the tables of docs/TRACKING.md.
 
     python scripts/check_tracking.py                            videos rendered here, about five minutes
     python scripts/check_tracking.py --capture FOLDER           also single pictures whose joints are exact
-    python scripts/check_tracking.py --video FILE               also how near a real video's hand is to its landmarks
-    python scripts/check_tracking.py --video FILE --joints FILE.npy     and agreement with an earlier run of a detector
-    python scripts/check_tracking.py --write                    puts the tables into docs/TRACKING.md
+    python scripts/check_tracking.py --page docs/TRACKING.md    puts the tables into the page
 
 Wants the extra `track` and the networks (`jghand track --fetch-model`). The rendered videos show the built-in avatar
 with bones of other lengths than those it is tracked with, in known motion before a known camera; the detector looks at
@@ -14,53 +12,43 @@ the compressed video, as at any other. Everything that is printed is measured in
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from other_programs import put_into_page, table
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.export.video import write_video
-from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, bone_lengths, hand_length, to_level
+from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.poses import MotionOptions, named_pose, pose_sequence_of_names
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset
-from jghand_engine.track import fit as fit_module
 from jghand_engine.track.detection import SeenHand
 from jghand_engine.track.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
-from jghand_engine.track.fit import fit
-from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
+from jghand_engine.track.hands_over_time import HandOverTime
 from jghand_engine.track.mediapipe_hands import MediaPipeHands, video_detector
-from jghand_engine.track.own_hand import own_canonical_joints
 from jghand_engine.track.poses import Pinhole
 from jghand_engine.track.second_look import SecondLook
-from jghand_engine.track.skeleton import Skeleton
 from jghand_engine.track.track import (
     MOTION_FROM_CAMERA,
     Sightings,
     TrackOptions,
-    camera_of,
-    landmarks_of,
     look,
     track,
     track_hand,
 )
 from jghand_engine.track.video import open_video, pictures
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "TRACKING.md"
-BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
 FPS, SIZE_PX, ANGLE_DEG, DISTANCE_M = 30.0, (640, 480), 60.0, 0.45
 # angle of view of the camera that sees hands at its border
 WIDE_DEG = 90.0
@@ -69,8 +57,6 @@ POSES = ("open", "relaxed", "point", "victory", "open", "three", "pinch", "open"
 OTHER_BONES_SIGMA, SEED = 0.08, 5
 # how long the hand is for the picture's height, where it is looked for that is small
 SMALL = (1 / 3, 1 / 5, 1 / 7, 1 / 9, 1 / 12)
-# gaps that are made in a real video, frames; every so many frames one, fitted with so many frames before and after it
-GAPS, GAP_EVERY, GAP_BESIDE = (3, 6, 12, 18, 24, 36, 48), 13, 40
 # the one-euro filter's usual setting for hands: least cut-off in Hz, how it grows with speed, cut-off of the speed
 ONE_EURO = (1.0, 0.5, 1.0)
 
@@ -113,7 +99,7 @@ class Row:
         ]  # fmt: skip
 
 
-HEADER = [
+HEADER = (
     "what is shown",
     "method",
     "found",
@@ -123,7 +109,7 @@ HEADER = [
     "camera 95 %",
     "jitter",
     "lag",
-]
+)
 
 
 # ---- what is shown ---------------------------------------------------------------------------------------------------
@@ -255,32 +241,10 @@ def rows_of_sightings(truth: Truth, sightings: Sightings, canonical_m: np.ndarra
     variants = {
         "fit, no smoothing": replace(exact, smoothing=0.0),
         "**jghand track**": exact,
-        f"the same, camera taken for {0.75 * truth.angle_deg:g} degrees": replace(
-            exact, camera_angle_deg=0.75 * truth.angle_deg
-        ),
+        "the same, angle of view taken for three quarters": replace(exact, camera_angle_deg=0.75 * truth.angle_deg),
     }
     for method, options in variants.items():
         yield row(method, track(sightings, canonical_m, options)[truth.handedness].sequence.joints_m)
-    if truth.angle_deg == WIDE_DEG:
-        for part in (0.5, 1.0):
-            turned = turned_to_the_ray(sightings, truth.pinhole, part)
-            joints = track(turned, canonical_m, exact)[truth.handedness].sequence.joints_m
-            yield row(f"jghand track, directions turned to the hand's ray by {part:g} of its angle", joints)
-
-
-def turned_to_the_ray(sightings: Sightings, pinhole: Pinhole, part: float) -> Sightings:
-    """As if the detector took the way it looks at a hand for that of the camera's axis: what it sees in space turned to
-    where the hand is, by a part of the angle between the two."""
-
-    def turned(hand: SeenHand) -> SeenHand:
-        ray = pinhole.rays(hand.middle_px)
-        ray = ray / np.linalg.norm(ray)
-        axis = np.array([-ray[1], ray[0], 0.0])
-        sine = float(np.linalg.norm(axis))
-        turn = vector_rotation(axis / max(sine, 1e-12) * part * math.asin(min(1.0, sine)))
-        return replace(hand, space_m=hand.space_m @ turn.T)
-
-    return replace(sightings, frames=[[turned(hand) for hand in frame] for frame in sightings.frames])
 
 
 def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
@@ -320,80 +284,6 @@ def _largest(hands: Sequence[SeenHand]) -> SeenHand | None:
     return max(hands, key=lambda hand: hand.size_px, default=None)
 
 
-def rows_of_earlier(sightings: Sightings, joints_file: Path, canonical_m: np.ndarray) -> Iterator[Row]:
-    """Agreement with joints that an earlier run of the same detector gave: no truth."""
-    earlier = to_level(np.load(joints_file, allow_pickle=False), JointOrder.STANDARD)
-    hand = track(sightings, canonical_m)[Handedness.RIGHT]
-    for method, joints in (("detector alone", detector_alone(hand.hand)), ("**jghand track**", hand.sequence.joints_m)):
-        row = measured("agreement with an earlier run on a real video (no truth)", method, joints, earlier, hand.seen,
-                       sightings.fps)  # fmt: skip
-        yield replace(row, in_space=(math.nan, math.nan))
-
-
-def misses_of(sightings: Sightings, canonical_m: np.ndarray) -> list[list[str]]:
-    """How far the landmarks of a real video are from where hands have them that are posed in two ways."""
-    options = TrackOptions(own_bones=True)
-    hand = track(sightings, canonical_m, options)[Handedness.RIGHT]
-    shown = [(joints, one) for joints, one in zip(hand.in_view, hand.hand.frames, strict=True) if one is not None]
-    pinhole = camera_of(sightings, options.camera_angle_deg)
-    lengths = bone_lengths(hand.in_view[:1])[0]
-    fitted, posed = [], []
-    for joints, one in shown:
-        fitted.append(np.linalg.norm(pinhole.project(joints) - one.image_px, axis=-1))
-        flat = rebuilt(np.zeros((1, 3)), bone_directions(one.space_m[None]), lengths)[0, :, :2]
-        # laid upon the landmarks as well as its place and its size allow
-        flat, wanted = flat - flat.mean(0), one.image_px - one.middle_px
-        posed.append(np.linalg.norm(flat * (flat * wanted).sum() / (flat * flat).sum() - wanted, axis=-1))
-    size = float(np.median([one.size_px for _, one in shown]))
-    cells = [("the detector's directions in space alone", posed), ("**jghand track**", fitted)]
-    return [[method, f"{np.median(off):.1f}", f"{size:.0f}"] for method, off in cells]
-
-
-def gaps_of(sightings: Sightings, canonical_m: np.ndarray) -> Iterator[list[str]]:
-    """How far a real video's motion in gaps that are made is from what it is without them, finger bones, mean degrees:
-    filled by the fit, with how far an angle leaves those that the fit has at both ends, median of the gaps; and filled
-    evenly, which leaves neither."""
-    landmarks = landmarks_of(
-        hands_over_time(sightings.frames, sightings.fps).hands[Handedness.RIGHT],
-        camera_of(sightings, TrackOptions().camera_angle_deg),
-        sightings.fps,
-    )
-    skeleton = Skeleton.of(own_canonical_joints(canonical_m, landmarks, hand_length(canonical_m)))
-    whole = fit(skeleton, landmarks)
-    for count in GAPS:
-        error: dict[bool, list[np.ndarray]] = {True: [], False: []}
-        beyond = []
-        for begin in range(GAP_BESIDE, len(whole) - count - GAP_BESIDE, GAP_EVERY):
-            seen = landmarks.part(slice(begin - GAP_BESIDE, begin + count + GAP_BESIDE))
-            image = seen.image_px.copy()
-            image[GAP_BESIDE:-GAP_BESIDE] = np.nan
-            gone = replace(seen, image_px=image)
-            for by_fit, own in error.items():
-                with gaps_filled_by_the_fit(by_fit):
-                    around = fit(skeleton, gone)
-                found = around.part(slice(GAP_BESIDE, -GAP_BESIDE))
-                truth = whole.part(slice(begin, begin + count))
-                directions = [bone_directions(poses.joints_m(skeleton)) for poses in (found, truth)]
-                own.append(angles_between_deg(*directions)[:, FINGER_BONES])
-                if by_fit:
-                    ends = around.angle_rad[[GAP_BESIDE - 1, -GAP_BESIDE]]
-                    over = np.maximum(found.angle_rad - ends.max(0), ends.min(0) - found.angle_rad)
-                    beyond.append(math.degrees(max(0.0, float(over.max()))))
-        by_fit, evenly = (f"{np.concatenate(own).mean():.1f}" for own in error.values())
-        yield [str(count), by_fit, f"{np.median(beyond):.1f}", evenly]
-
-
-@contextlib.contextmanager
-def gaps_filled_by_the_fit(by_fit: bool) -> Iterator[None]:
-    """However long they are; else none is."""
-    kept = fit_module.FIT_GAP_S, fit_module.FIT_REACH_S
-    fit_module.FIT_GAP_S, fit_module.FIT_REACH_S = (math.inf, math.inf) if by_fit else (0.0, kept[1])
-    try:
-        yield
-    finally:
-        fit_module.FIT_GAP_S, fit_module.FIT_REACH_S = kept
-
-
 def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[str]]:
     """In how many pictures of small hands, one of each pose, they are found: by one look, and with the second one."""
     names = sorted(set(POSES))
@@ -413,26 +303,11 @@ def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[st
 # ---- the table -------------------------------------------------------------------------------------------------------
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 1) -> str:
-    """words: so many columns hold words, the others numbers."""
-    lines = [header, [*["---"] * words, *["---:"] * (len(header) - words)], *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-def put_into_page(text: str) -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
-    with writing(PAGE) as temporary:
-        temporary.write_text(pattern.sub(lambda _: f"{BEGIN}\n{text}\n{END}", page), encoding="utf-8")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--capture", type=Path)
-    parser.add_argument("--video", type=Path)
-    parser.add_argument("--joints", type=Path)
     parser.add_argument("--model", type=Path)
-    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--page", type=Path, help="write the tables into this page, between its marks")
     options = parser.parse_args()
     canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     sources: list[Callable[[], Iterator[Row]]] = [
@@ -440,13 +315,6 @@ def main() -> None:
     ]
     if options.capture:
         sources.append(lambda: rows_of_capture(options.capture, canonical, options.model))
-    sightings = None
-    if options.video:
-        video = open_video(options.video)
-        with video_detector(options.model) as detector:
-            sightings = look(pictures(video), video.fps, detector)
-    if sightings is not None and options.joints:
-        sources.append(lambda: rows_of_earlier(sightings, options.joints, canonical))
     rows = []
     for source in sources:
         for row in source():
@@ -455,16 +323,10 @@ def main() -> None:
     tables = [table(HEADER, rows, words=2)]
     small = list(small_hands(canonical, options.model))
     tables.append(table(["hand's length, of the picture's height", "found by one look", "with the second look"], small))
-    if sightings is not None:
-        header = ["hand of the real video posed by", "median miss of its landmarks, px", "its size, px"]
-        tables.append(table(header, misses_of(sightings, canonical)))
-        header = ["frames of a gap in the real video", "filled by the fit, degrees", "beyond its ends, degrees"]
-        header += ["filled evenly, degrees"]
-        tables.append(table(header, list(gaps_of(sightings, canonical)), words=0))
     text = "\n\n".join(tables)
     print(f"\n{text}")
-    if options.write:
-        put_into_page(text)
+    if options.page:
+        put_into_page(options.page, "check_tracking.py", text)
 
 
 if __name__ == "__main__":

@@ -21,14 +21,14 @@ ROOT = Path(__file__).resolve().parents[1]
 # the random hands of the tests share no code with the engine
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from hand import sampled_hands as hands  # noqa: E402  # pyright: ignore[reportMissingImports]
-from hard_cases.hard_hands import hard_hands, size_of  # noqa: E402  # pyright: ignore[reportMissingImports]
-from learn.factored import factored  # noqa: E402  # pyright: ignore[reportMissingImports]
+from hand import sampled_hands as hands  # pyright: ignore[reportMissingImports]
+from hard_cases.hard_hands import hard_hands, size_of  # pyright: ignore[reportMissingImports]
+from learn.factored import factored  # pyright: ignore[reportMissingImports]
 
-from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.skeleton import Skeleton  # noqa: E402
-from jghand_engine.learn.skeleton import JointTransform  # noqa: E402
-from jghand_engine.template.builtin import load_template  # noqa: E402
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.learn.skeleton import JointTransform
+from jghand_engine.template.builtin import load_template
 
 CANONICAL = hands.canonical()
 SWINGS = ("minimal", "euler")

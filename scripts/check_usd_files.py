@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -25,28 +24,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from other_programs import install_python, pins, put_into_page, python_of, run, table
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
-from jghand_engine.color import srgb_to_linear  # noqa: E402
-from jghand_engine.export.motion import HandMotion  # noqa: E402
-from jghand_engine.export.usd.check import NO_SPLATS, check_usd  # noqa: E402
-from jghand_engine.export.usd.package import (  # noqa: E402
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.color import srgb_to_linear
+from jghand_engine.export.motion import HandMotion
+from jghand_engine.export.usd.check import NO_SPLATS, check_usd
+from jghand_engine.export.usd.package import (
     UsdOptions,
     UsdReport,
     export_usd,
 )
-from jghand_engine.export.usd.stage import Variant  # noqa: E402
-from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.poses import pose_sequence_of_names  # noqa: E402
-from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
+from jghand_engine.export.usd.stage import Variant
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
+from jghand_engine.hand.sequence import PoseSequence
 
 TOOLS = ROOT / "scripts" / "usd_clients"
 # JGHAND_USD_CLIENTS names another environment
 CLIENTS = Path(os.environ.get("JGHAND_USD_CLIENTS") or ROOT / ".envs" / "usd_clients")
-BEGIN, END = "<!-- scripts/check_usd_files.py: begin -->", "<!-- scripts/check_usd_files.py: end -->"
 GAUSSIANS, FRAMES = 2000, 20
 
 
@@ -134,18 +133,6 @@ class Reading:
         return within and self.rgb <= rgb and self.opacity <= rgb
 
 
-def client_python() -> Path:
-    return CLIENTS / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-
-
-def run(*command: str | Path) -> str:
-    """What a program prints; RuntimeError with its last words when it fails."""
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False, timeout=600)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(map(str, command))}: {(done.stdout + done.stderr).strip()[-2000:]}")
-    return done.stdout
-
-
 def subject(frames: int) -> HandMotion:
     """The built-in hand in motion, half a meter from the origin, of another size in every frame."""
     avatar = load_builtin(handedness=Handedness.RIGHT).prefix(GAUSSIANS)
@@ -167,9 +154,9 @@ def judge(way: Way, report: UsdReport) -> Verdict:
     """By Pixar's validators, our own rules and NVIDIA's."""
     files = [path for path in (report.stage, report.shot) if path is not None]
     issues = [str(finding) for path in files for finding in check_usd(path)]
-    if not client_python().exists():
+    if not python_of(CLIENTS).exists():
         return Verdict(way, issues)
-    answers = json.loads(run(client_python(), TOOLS / "validate_with_nvidia.py", *files)).values()
+    answers = json.loads(run(python_of(CLIENTS), TOOLS / "validate_with_nvidia.py", *files)).values()
     failures = sum(len(answer["all"].get(kind, ())) for answer in answers for kind in ("ERROR", "FAILURE"))
     warnings = sum(len(answer["all"].get("WARNING", ())) for answer in answers)
     return Verdict(way, issues, (failures, warnings), sum(len(v) for a in answers for v in a["splats"].values()))
@@ -180,7 +167,7 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
     motion = subject(way.frames)
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table.npz"
-        run(client_python(), TOOLS / "read_usd.py", client, report.stage.parent / way.reads, table, str(way.frames))
+        run(python_of(CLIENTS), TOOLS / "read_usd.py", client, report.stage.parent / way.reads, table, str(way.frames))
         found = dict(np.load(table))
     count = len(found["positions_m"])
     rest_m, still_sigma_m, opacity, still_rgb = motion.rest_arrays()
@@ -208,7 +195,7 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
 def readings(way: Way, report: UsdReport) -> Iterator[Reading]:
     """By every program that can read this way and is there: fourdgs no half precision, and without
     splats there is nothing to read."""
-    if not client_python().exists() or not way.reads or not way.has_splats:
+    if not python_of(CLIENTS).exists() or not way.reads or not way.has_splats:
         return
     # it reads the times of a payload in a variant at 24 frames a second, whatever the stage says (EXPORT 10)
     if way.options.package != "usdz":
@@ -217,49 +204,34 @@ def readings(way: Way, report: UsdReport) -> Iterator[Reading]:
         yield read("fourdgs", way, report)
 
 
-def versions() -> dict[str, str]:
-    lines = (TOOLS / "requirements.txt").read_text().splitlines()
-    return dict(line.split("==") for line in lines if "==" in line)
-
-
 def markdown(verdicts: list[Verdict], found: list[Reading]) -> str:
     """The tables of docs/FORMATS.md."""
-    pins = versions()
-    lines = [
-        f"| `jghand export` | UsdValidation {pins['usd-core']} and check-usd, all variants | "
-        f"usd-validation-nvidia {pins['usd-validation-nvidia']}, all variants | its rule VG.035 |",
-        "| --- | --- | --- | --- |",
-    ]
+    versions = pins(TOOLS / "requirements.txt")
+    judged = []
     for one in verdicts:
         nvidia = "not asked" if one.nvidia is None else f"{one.nvidia[0]} failures, {one.nvidia[1]} warnings"
-        said = f"{len(one.issues) - len(one.as_meant)} issues"
+        ours = f"{len(one.issues) - len(one.as_meant)} issues"
         if one.of_half:
-            said += f", {len(one.of_half)} notes that it is half"
+            ours += f", {len(one.of_half)} notes that it is half"
         splats = "not asked" if one.splats is None else f"{one.splats} issues"
-        splats = splats if one.way.has_splats else "no splats in it"
-        lines.append(f"| {_words(one.way)} | {said} | {nvidia} | {splats} |")
-    lines += [
-        "",
-        "| `jghand export` | read by | frames | position mm | size | color | opacity |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    lines += [
-        f"| {_words(one.way)} | {one.client} {pins[one.client]} | {one.frames} | {one.position_mm:.1g} | "
-        f"{100 * one.sigma:.1g} % | {one.rgb:.1g} | {one.opacity:.1g} |"
+        judged.append([_words(one.way), ours, nvidia, splats if one.way.has_splats else "no splats in it"])
+    header = [
+        "`jghand export`", f"UsdValidation {versions['usd-core']} and check-usd, all variants",
+        f"usd-validation-nvidia {versions['usd-validation-nvidia']}, all variants", "its rule VG.035",
+    ]  # fmt: skip
+    figures = [
+        [
+            _words(one.way), f"{one.client} {versions[one.client]}", str(one.frames), f"{one.position_mm:.1g}",
+            f"{100 * one.sigma:.1g} %", f"{one.rgb:.1g}", f"{one.opacity:.1g}",
+        ]
         for one in found
-    ]
-    return "\n".join(lines)
+    ]  # fmt: skip
+    compared = table(["`jghand export`", "read by", "frames", "position mm", "size", "color", "opacity"], figures, 2)
+    return f"{table(header, judged, words=4)}\n\n{compared}"
 
 
 def _words(way: Way) -> str:
     return f"`{way.words}`" if way.words.startswith("--") else way.words or "as it is"
-
-
-def install() -> None:
-    """Puts the programs into CLIENTS. Nothing else of the project is touched."""
-    if not client_python().exists():
-        run(sys.executable, "-m", "venv", CLIENTS)
-    run(client_python(), "-m", "pip", "install", "-q", "-r", TOOLS / "requirements.txt")
 
 
 def main() -> int:
@@ -268,8 +240,8 @@ def main() -> int:
     parser.add_argument("--page", type=Path, help="write the tables into this page, between its marks")
     options = parser.parse_args()
     if options.install:
-        install()
-    if not client_python().exists():
+        install_python(CLIENTS, TOOLS / "requirements.txt")
+    if not python_of(CLIENTS).exists():
         print("The other readers are not here: python scripts/check_usd_files.py --install", file=sys.stderr)
     verdicts: list[Verdict] = []
     found: list[Reading] = []
@@ -285,9 +257,7 @@ def main() -> int:
         print(f"{'good' if one.good else 'BAD '}  {one.way.words or 'as it is'}, read by {one.client}")
     print(markdown(verdicts, found))
     if options.page:
-        before, rest = options.page.read_text(encoding="utf-8").split(BEGIN)
-        after = rest.split(END)[1]
-        options.page.write_text(f"{before}{BEGIN}\n{markdown(verdicts, found)}\n{END}{after}", encoding="utf-8")
+        put_into_page(options.page, "check_usd_files.py", markdown(verdicts, found))
     return 0 if all(one.good for one in (*verdicts, *found)) else 1
 
 

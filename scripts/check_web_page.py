@@ -26,21 +26,21 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-import check_splat_files as clients  # noqa: E402
-from show_splat_file import BLACK, browser, psnr_db  # noqa: E402
+import check_splat_files as clients
+from show_splat_file import BLACK, browser, psnr_db
 
-from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
-from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
-from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
-from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
-from jghand_engine.export.web.page import WebView, export_web  # noqa: E402
-from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.poses import pose_sequence_of_names  # noqa: E402
-from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
-from jghand_engine.render.camera import Camera  # noqa: E402
-from jghand_engine.render.frame import HandRenderer  # noqa: E402
-from jghand_engine.render.framing import framing_camera  # noqa: E402
-from jghand_engine.render.settings import ShadowMode, preset  # noqa: E402
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.cli.camera_file import camera_to_dict
+from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png
+from jghand_engine.export.web.page import WebView, export_web
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.settings import ShadowMode, preset
 
 POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
 # frames that are compared: open, on the way to relaxed, and point

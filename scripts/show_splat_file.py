@@ -26,25 +26,25 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-import check_splat_files as clients  # noqa: E402
+import check_splat_files as clients
 
-from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
-from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
-from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
-from jghand_engine.color import decibels  # noqa: E402
-from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
-from jghand_engine.export.splats.cloud import SplatCloud  # noqa: E402
-from jghand_engine.export.splats.files import SplatMotion  # noqa: E402
-from jghand_engine.export.splats.ply import ply_bytes  # noqa: E402
-from jghand_engine.hand.poses import named_pose  # noqa: E402
-from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
-from jghand_engine.learn.gaussians import Gaussians  # noqa: E402
-from jghand_engine.learn.rasterize import rasterize  # noqa: E402
-from jghand_engine.limits import ALPHA_MIN, BLUR_PX2  # noqa: E402
-from jghand_engine.render.camera import Camera  # noqa: E402
-from jghand_engine.render.frame import HandRenderer  # noqa: E402
-from jghand_engine.render.framing import framing_camera  # noqa: E402
-from jghand_engine.render.settings import preset  # noqa: E402
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.cli.camera_file import camera_to_dict
+from jghand_engine.color import decibels
+from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png
+from jghand_engine.export.splats.cloud import SplatCloud
+from jghand_engine.export.splats.files import SplatMotion
+from jghand_engine.export.splats.ply import ply_bytes
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.limits import ALPHA_MIN, BLUR_PX2
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.settings import preset
 
 BLACK = (0.0, 0.0, 0.0)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

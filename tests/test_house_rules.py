@@ -318,3 +318,16 @@ def test_no_two_test_files_share_a_name():
         if path.name.startswith("test_") and "blender" not in path.parts:
             names.setdefault(path.name, []).append(name_of(path))
     offences([" and ".join(paths) for paths in names.values() if len(paths) > 1])
+
+
+def test_scripts_that_import_blender_or_the_extension_say_that_they_are_gpl_and_stand_in_the_notice():
+    scripts = ROOT / "scripts"
+    found = {
+        name_of(path)
+        for path in python_files(scripts)
+        if {"bpy", "blender_addon"} & {module.split(".")[0] for module, _ in imports(path)}
+    }
+    assert found == set(
+        re.findall(r"scripts/\w+\.py", (ROOT / "NOTICE").read_text(encoding="utf-8").split("Files made")[0])
+    )
+    offences([name for name in found if "GPL-3.0-or-later" not in (ROOT / name).read_text(encoding="utf-8")[:60]])

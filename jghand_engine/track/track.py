@@ -160,8 +160,7 @@ def track_hand(
 def landmarks_of(hand: HandOverTime, camera: Pinhole, fps: float) -> Landmarks:
     """What was seen, as a right hand's: a left one is mirrored.
 
-    A detector that looks at the hand alone might take the way it looks for that of the camera's axis; directions turned
-    to where the hand is were measured, and are no better (`scripts/check_tracking.py`, docs/TRACKING.md).
+    Directions are taken as the detector has them: turned to the ray on which the hand lies they are no nearer.
     """
     count = len(hand.frames)
     image, directions = np.full((count, 21, 2), np.nan), np.full((count, 20, 3), np.nan)

@@ -14,11 +14,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import check_usd_files
 from check_usd_files import WAYS, Way
+from other_programs import python_of
 
 
 @pytest.fixture(autouse=True)
 def clients():
-    if not check_usd_files.client_python().exists():
+    if not python_of(check_usd_files.CLIENTS).exists():
         pytest.skip(f"{check_usd_files.CLIENTS.name} is not here (scripts/check_usd_files.py --install)")
 
 
