@@ -13,11 +13,11 @@ import math
 import numba
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.native import contract
 
 # numba compiles them in as constants (hence no cache on disk: it would not notice new values)
-BLUR_PX2, ALPHA_MIN, ALPHA_MAX = limits.BLUR_PX2, limits.ALPHA_MIN, limits.ALPHA_MAX
-T_STOP, Z_NEAR_M, TILE_PX = limits.T_STOP, limits.Z_NEAR_M, limits.TILE_PX
+BLUR_PX2, ALPHA_MIN, ALPHA_MAX = contract.BLUR_PX2, contract.ALPHA_MIN, contract.ALPHA_MAX
+T_STOP, Z_NEAR_M, TILE_PX = contract.T_STOP, contract.Z_NEAR_M, contract.TILE_PX
 
 
 @numba.njit

@@ -13,7 +13,7 @@ import torch
 from scipy.spatial import KDTree
 from studio_light import Studio, skin_rgb
 
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M, AvatarInfo, HandAvatar
 from jghand_engine.captures.making.procedural_skin import SkinLook
 from jghand_engine.captures.making.skin_points import SkinPoints
 from jghand_engine.hand.joints import Handedness
@@ -21,7 +21,6 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.canonical_points import bone_areas, shared_out, take_turns
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import apply, blend, posed_radius_scale
-from jghand_engine.limits import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.sampling import sample_shell
 from jghand_engine.template.surface import vertex_normals

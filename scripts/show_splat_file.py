@@ -40,7 +40,7 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
-from jghand_engine.limits import ALPHA_MIN, BLUR_PX2
+from jghand_engine.native.contract import ALPHA_MIN, BLUR_PX2
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.framing import framing_camera

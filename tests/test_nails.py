@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.captures.making.procedural_skin import SkinLook
 from jghand_engine.captures.making.skin_marks import TIPS, MarkPainter, fit_nails
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.texture import sample_bilinear

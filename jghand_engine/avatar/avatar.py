@@ -9,9 +9,19 @@ import numpy as np
 
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.joints import PARENTS, Handedness
+from jghand_engine.hand.orders import STANDARD_OF_LEVEL
 from jghand_engine.hand.skeleton import ScaleMode, Skeleton, Transform
-from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
+
+# radius of a Gaussian, meters
+SIGMA_MIN_M = 1e-4
+SIGMA_MAX_M = 4e-3
+# Gaussians deeper than this, meters, grow in a coarser level of detail only until they are this many of their own
+# radii below the skin: further grown they would show as a halo around the hand
+DEEP_M = 1e-3
+DEEP_RADII = 1.8
+# signed distance that d = 0..1 of the UVD coordinates spans, meters (a fixed range: features must not shift)
+UVD_RANGE_M = 0.010
 
 
 @dataclass(frozen=True)
@@ -130,3 +140,30 @@ def grown_radii(sigma_m: np.ndarray, scale: float, uvd_depth: np.ndarray) -> np.
     limit_m = np.where(depth_m > DEEP_M, depth_m / DEEP_RADII, np.inf)
     grown = np.minimum(np.maximum(sigma_m, np.minimum(sigma_m * scale, limit_m)), SIGMA_MAX_M)
     return grown.astype(sigma_m.dtype)
+
+
+# level order: the bones from the wrist to the knuckles
+_PALM = slice(1, 6)
+
+
+def bone_numbers(avatar: HandAvatar) -> np.ndarray:
+    """(N,) uint8, 1..20: the bone that moves a Gaussian most, by the number of the joint at which it ends, in the
+    standard order.
+
+    What moves with the palm as a whole (B_0, METHOD 2.6) belongs to the nearest of the five bones of the palm.
+    """
+    weights = avatar.bone_weights
+    bone = weights.argmax(1)
+    palm = bone == 0
+    bone[palm] = 1 + _palm_distances(avatar, palm).argmin(1)
+    return STANDARD_OF_LEVEL[bone].astype(np.uint8)
+
+
+def _palm_distances(avatar: HandAvatar, rows: np.ndarray) -> np.ndarray:
+    """(M, 5) squared distances of the canonical centers of these rows from the bones of the palm."""
+    points = avatar.position_m[rows].astype(np.float64)[:, None]
+    joints = avatar.canonical_joints_m
+    start, end = joints[list(PARENTS[_PALM])], joints[_PALM]
+    along = ((points - start) * (end - start)).sum(-1) / np.square(end - start).sum(-1)
+    nearest = start + along.clip(0, 1)[..., None] * (end - start)
+    return np.square(points - nearest).sum(-1)

@@ -8,9 +8,9 @@ from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
+from jghand_engine.avatar import BUILTIN, PAINTED, SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar
-from jghand_engine.avatar.shipped import BUILTIN, PAINTED, SHIPPED
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 

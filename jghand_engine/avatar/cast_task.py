@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
@@ -16,6 +15,19 @@ from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES
+
+# edges of shadows: softness of the capsule's surface, as a part of its radius, and half width of a lamp per distance
+# (64 lamps on a sphere are 0.25 in radius; sharper edges learned poses a little better, with less than half of it)
+FLESH_SOFTNESS = 0.2
+LAMP_HALF_WIDTH = 0.15
+# floors against division by zero: squared length of a capsule's axis (m^2), squared sine between ray and axis, width of
+# an edge (m), bounced light
+CAPSULE_LENGTH2_MIN = 1e-12
+CAPSULE_SINE2_MIN = 1e-3
+CAPSULE_WIDTH_MIN_M = 1e-6
+BOUNCED_MIN = 1e-12
+# display-referred colors go with light to this power
+LIGHT_TO_DISPLAY = 1 / 2.2
 
 
 class CastStep:
@@ -50,10 +62,10 @@ class CastStep:
         }
         shadow = task.cast
         shadow.blocks, shadow.groups = own.count, groups
-        shadow.bounced = tuple(np.maximum(cast.bounced_rgb, limits.BOUNCED_MIN).tolist())
-        shadow.softness, shadow.lamp_width = limits.FLESH_SOFTNESS, limits.LAMP_HALF_WIDTH
-        shadow.width_min, shadow.distance2_min = limits.CAPSULE_WIDTH_MIN_M, limits.CAPSULE_LENGTH2_MIN
-        shadow.to_display = limits.LIGHT_TO_DISPLAY
+        shadow.bounced = tuple(np.maximum(cast.bounced_rgb, BOUNCED_MIN).tolist())
+        shadow.softness, shadow.lamp_width = FLESH_SOFTNESS, LAMP_HALF_WIDTH
+        shadow.width_min, shadow.distance2_min = CAPSULE_WIDTH_MIN_M, CAPSULE_LENGTH2_MIN
+        shadow.to_display = LIGHT_TO_DISPLAY
         set_pointers(shadow, self.arrays)
         set_pointers(task, self.around)
 
@@ -64,9 +76,9 @@ class CastStep:
         joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self.joints_m) + matrices[:, :, 3]
         start, end, radius_m = capsules(joints_m, bones.scale)
         axis = end - start
-        length2 = np.maximum((axis * axis).sum(1), limits.CAPSULE_LENGTH2_MIN)
+        length2 = np.maximum((axis * axis).sum(1), CAPSULE_LENGTH2_MIN)
         along = axis @ self.direction.T
-        sine2 = np.maximum(length2[:, None] - along * along, limits.CAPSULE_SINE2_MIN * length2[:, None])
+        sine2 = np.maximum(length2[:, None] - along * along, CAPSULE_SINE2_MIN * length2[:, None])
         self._capsule[:, :3], self._capsule[:, 3:6] = start, axis
         self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m
         self._capsule_lamp[:, :, 0] = along.reshape(BONE_COUNT, -1, LANES)

@@ -13,6 +13,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.correctives import (
+    SHADE_MAX,
     Correctives,
     LinearCorrectives,
     PoseFeatures,
@@ -21,7 +22,6 @@ from jghand_engine.avatar.correctives import (
     products,
 )
 from jghand_engine.hand.joints import JOINT_COUNT
-from jghand_engine.limits import SHADE_MAX
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import HIDDEN_MAX, NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.tasks import LANES

@@ -12,7 +12,14 @@ import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
-from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
+
+# strongest shade that a pose may add or take, as a logarithm: what the shadow and the light do not explain
+SHADE_MAX = 0.5
+# largest basis of the linear tier
+BASIS_MAX = 64
+# ranges of the angles between neighboring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
+PALM_NEIGHBOR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
+PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
 
 # planes of joint angles: that of the five metacarpals, then those of bones 6..20
 PLANES = 16

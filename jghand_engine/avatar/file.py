@@ -31,15 +31,16 @@ from jghand_engine.avatar.storage import (
     pack,
     unpack,
 )
-from jghand_engine.avatar.texts import is_text
-from jghand_engine.avatar.validation import REMEDY, check_avatar
+from jghand_engine.avatar.validation import AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX, REMEDY, check_avatar, is_text
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
 from jghand_engine.json_files import JsonObject, is_number
-from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
+
+# a longer header is refused before anything is allocated
+AVATAR_HEADER_MAX_BYTES = 65_536
 
 FORMAT_VERSION = 2
 # the newest without anything learned

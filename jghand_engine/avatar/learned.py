@@ -14,7 +14,20 @@ from jghand_engine.avatar.correctives import Correctives, PoseNetwork
 from jghand_engine.avatar.tiers import Distilled, Price, Tier, choose
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
-from jghand_engine.limits import GATE_CAPSULE_RADII_MM, OWN_FLESH_RADII, SHADOW_GAIN, SHADOW_TINT, SHADOW_UNSEEN
+from jghand_engine.native.contract import SHADOW_GAIN, SHADOW_TINT
+
+# capsule radii of the flesh of bones 1..20, millimeters at scale 1 (METHOD 5.4)
+CAPSULE_RADII_MM = (
+    *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
+)  # fmt: skip
+# flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on
+OWN_FLESH_RADII = (1.15, 1.6)
+# a shadow that never changes a pixel by more, as it was measured, is not drawn: two 8-bit steps, on the darkest pixel
+SHADOW_UNSEEN = 2 / 255
+# logarithm of the strongest light and shade: exp(3) is 20 times, farther than any display reaches
+LIGHT_EXPONENT_MAX = 3.0
+# logarithm of the longest and shortest axis of a Gaussian over its radius: 20 times, a needle
+LOG_STRETCH_MAX = 3.0
 
 # coefficients of the light's irradiance: real spherical harmonics of degrees 0 to 3
 SH_COUNT = 16
@@ -174,7 +187,7 @@ class Learned:
 
 def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Start (20, 3), end (20, 3) and radius (20,) of the bones' flesh. joints_m: (21, 3), level order."""
-    radius_m = 1e-3 * np.array(GATE_CAPSULE_RADII_MM)
+    radius_m = 1e-3 * np.array(CAPSULE_RADII_MM)
     return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
 
 

@@ -26,8 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetShape, PoseNetwork, largest_basis
+from jghand_engine.avatar.correctives import BASIS_MAX, LinearCorrectives, PoseNetShape, PoseNetwork, largest_basis
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
     SH_COUNT,
@@ -41,11 +40,23 @@ from jghand_engine.avatar.learned import (
     own_flesh,
 )
 from jghand_engine.avatar.storage import UINT16_MAX, Storage
-from jghand_engine.avatar.texts import is_text
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
+from jghand_engine.avatar.validation import AVATAR_REACH_M, LIGHT_LOBES_MAX, SHADOW_GAIN_MAX, is_text
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.json_files import JsonObject
+
+# what a file may hold, so that its header alone cannot ask for more memory than a machine has: octaves of an encoding,
+# widths and texels of the pose's network
+POSE_NET_OCTAVES_MAX = 12
+POSE_NET_WIDTH_MAX = 1024
+POSE_NET_TEXELS_MAX = 256
+# ... Gaussians times the width of the network: a trained hand has 60,000 x 128, an eighth of it
+POSE_NET_UNITS_MAX = 64_000_000
+# ... lamps of the cast shadow, and anchors times lamps: the torch form holds some ten float32 for each; ours has
+# 131,072 pairs
+CAST_LAMPS_MAX = 256
+CAST_PAIRS_MAX = 4_000_000
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
@@ -71,7 +82,7 @@ class DistilledAbout:
     @classmethod
     def parsed(cls, of: JsonObject, net: PoseNetShape) -> DistilledAbout:
         """Every field looked at. A linear tier has a price, and a price of it is of the tier that there is."""
-        basis = of.count("basis", 0, min(limits.BASIS_MAX, largest_basis(net)))
+        basis = of.count("basis", 0, min(BASIS_MAX, largest_basis(net)))
         measured_on = of.value("measured_on", is_text, "a text of one line")
         prices = of.value(
             "prices", lambda value: isinstance(value, list) and len(value) <= PRICES_MAX, "a list of tiers"
@@ -90,7 +101,7 @@ def _parsed_price(of: JsonObject, basis: int) -> Price:
         raise of.wrong("entries", ", ".join(sorted(names)))
     tier = Tier(of.one_of("tier", (Tier.EXACT, Tier.LINEAR)))
     wanted = basis if tier is Tier.LINEAR else 0
-    if of.count("basis", 0, limits.BASIS_MAX) != wanted or (tier is Tier.LINEAR and basis == 0):
+    if of.count("basis", 0, BASIS_MAX) != wanted or (tier is Tier.LINEAR and basis == 0):
         raise of.wrong("basis", f"that of the tier in the file, {basis}")
     # an accuracy may be below 0 dB, and a tier nearer to the pictures than the network; time and size are never below 0
     least = {"frame_ms": 0.0, "megabytes": 0.0, "psnr_db": -PRICE_MAX, "lost_db": -PRICE_MAX}
@@ -107,11 +118,11 @@ class CastAbout:
     @classmethod
     def parsed(cls, of: JsonObject) -> CastAbout:
         """Every field looked at."""
-        lamps, anchors = of.count("lamps", 2, limits.CAST_LAMPS_MAX), of.count("anchors", 1, UINT16_MAX)
+        lamps, anchors = of.count("lamps", 2, CAST_LAMPS_MAX), of.count("anchors", 1, UINT16_MAX)
         if lamps % 2:
             raise of.wrong("lamps", "an even count")
-        if lamps * anchors > limits.CAST_PAIRS_MAX:
-            raise of.wrong("anchors", f"lamps times anchors of at most {limits.CAST_PAIRS_MAX:,}")
+        if lamps * anchors > CAST_PAIRS_MAX:
+            raise of.wrong("anchors", f"lamps times anchors of at most {CAST_PAIRS_MAX:,}")
         return cls(lamps, anchors)
 
 
@@ -154,7 +165,7 @@ class LearnedAbout:
         if distilled is not None and net is None:
             raise of.wrong("baked", "an object, beside a network")
         return cls(
-            of.count("lobes", 0, limits.LIGHT_LOBES_MAX),
+            of.count("lobes", 0, LIGHT_LOBES_MAX),
             net,
             None if shadow is None else _parsed_shadow(shadow),
             of.flag("world_offsets"),
@@ -167,24 +178,24 @@ class LearnedAbout:
 def _parsed_shadow(of: JsonObject) -> ShadowLook:
     red, green, blue = of.numbers("tint", 3, 0, 1)
     seen = None if of.fields.get("seen") is None else of.number("seen", 0, 1)
-    return ShadowLook(of.number("gain", 0, limits.SHADOW_GAIN_MAX), (red, green, blue), seen)
+    return ShadowLook(of.number("gain", 0, SHADOW_GAIN_MAX), (red, green, blue), seen)
 
 
 def _parsed_net(of: JsonObject, gaussians: int) -> PoseNetShape:
-    octaves = of.numbers("octaves", 3, 0, limits.POSE_NET_OCTAVES_MAX)
+    octaves = of.numbers("octaves", 3, 0, POSE_NET_OCTAVES_MAX)
     if not any(octaves) or not all(isinstance(count, int) for count in of.fields["octaves"]):
         raise of.wrong("octaves", "three counts, not all 0")
-    hidden = of.count("hidden", 1, limits.POSE_NET_WIDTH_MAX)
-    if gaussians * hidden > limits.POSE_NET_UNITS_MAX:
-        most = limits.POSE_NET_UNITS_MAX // gaussians
+    hidden = of.count("hidden", 1, POSE_NET_WIDTH_MAX)
+    if gaussians * hidden > POSE_NET_UNITS_MAX:
+        most = POSE_NET_UNITS_MAX // gaussians
         raise of.wrong("hidden", f"at most {most} units for each of {gaussians} Gaussians")
     return PoseNetShape(
         octaves=(int(octaves[0]), int(octaves[1]), int(octaves[2])),
         level1=of.flag("level1"),
         shaded=of.flag("shaded"),
-        reach_m=of.number("reach_m", 0, limits.AVATAR_REACH_M),
-        angle_channels=of.count("angle_channels", 1, limits.POSE_NET_WIDTH_MAX),
-        angle_texels=of.count("angle_texels", 2, limits.POSE_NET_TEXELS_MAX),
+        reach_m=of.number("reach_m", 0, AVATAR_REACH_M),
+        angle_channels=of.count("angle_channels", 1, POSE_NET_WIDTH_MAX),
+        angle_texels=of.count("angle_texels", 2, POSE_NET_TEXELS_MAX),
         hidden=hidden,
     )
 

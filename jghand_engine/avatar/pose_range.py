@@ -10,7 +10,10 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.hand.joints import LEVEL_NAMES
-from jghand_engine.limits import POSE_RANGE_TOLERANCE_DEG
+
+# how far a joint may leave the range of angles that was trained, degrees, before it is told: the skin of a good avatar
+# carries on so far (assumed)
+POSE_RANGE_TOLERANCE_DEG = 8.0
 
 ANGLE_NAMES = ("flexion", "abduction")
 

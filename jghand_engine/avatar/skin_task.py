@@ -6,19 +6,21 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
-from jghand_engine.avatar.learned import Learned, Light
+from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, Learned, Light
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.limits import (
-    BLEND_DET_MIN,
-    LIGHT_EXPONENT_MAX,
-    NORMAL_LENGTH2_MIN,
-    QUATERNION_MIN,
-    SIGMA_STRETCH_MAX,
-    SIGMA_STRETCH_MIN,
-)
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES, SkinTask
+
+# posed radius relative to the whole hand's scale: blending rotations shrinks the determinant at flexed knuckles
+SIGMA_STRETCH_MIN = 0.7
+SIGMA_STRETCH_MAX = 1.4
+# length of a quaternion at or below which it is no rotation, and counts as none
+QUATERNION_MIN = 1e-6
+# |det L| / s_g^3 below which the blended rotation is replaced by the palm's
+BLEND_DET_MIN = 1e-3
+# squared length below which a normal counts as none
+NORMAL_LENGTH2_MIN = 1e-12
 
 
 def skin_task(blocks: Blocks) -> SkinTask:

@@ -2,30 +2,44 @@
 
 from __future__ import annotations
 
+import unicodedata
+
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork
-from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, SH_COUNT, CastShadow, Learned
+from jghand_engine.avatar.learned import (
+    ANCHOR_NEIGHBORS,
+    LIGHT_EXPONENT_MAX,
+    LOG_STRETCH_MAX,
+    SH_COUNT,
+    CastShadow,
+    Learned,
+)
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import check_hand_size, check_order
 from jghand_engine.hand.skeleton import CanonicalHand, Swing, scale_exponent
-from jghand_engine.limits import (
-    AVATAR_MAX_GAUSSIANS,
-    AVATAR_REACH_M,
-    CAST_SUM_TOLERANCE,
-    LIGHT_EXPONENT_MAX,
-    LIGHT_LOBES_MAX,
-    LIGHT_VALUE_MAX,
-    LOG_STRETCH_MAX,
-    NORMAL_LENGTH_TOLERANCE,
-    POSE_NET_WEIGHT_MAX,
-    SHADOW_GAIN_MAX,
-    SIGMA_MAX_M,
-    SIGMA_MIN_M,
-    WEIGHT_SUM_TOLERANCE,
-)
+
+# more Gaussians are refused before anything is allocated
+AVATAR_MAX_GAUSSIANS = 1_000_000
+# characters of one text in an avatar's description (name, template, license, an angle's name): they are shown in a line
+AVATAR_TEXT_MAX = 500
+# canonical Gaussians further than this from the wrist along an axis, meters, belong to no hand
+AVATAR_REACH_M = 0.5
+# what a file may hold of what was learned; beyond it nothing was learned from pictures, and memory or floats run out:
+# lobes of the gloss; color, rim and shine that they may have; gain of the shadow; weights of the pose's network
+LIGHT_LOBES_MAX = 64
+LIGHT_VALUE_MAX = 1e3
+SHADOW_GAIN_MAX = 100.0
+POSE_NET_WEIGHT_MAX = 1e4
+# by how much the length of a stored normal may be off 1
+NORMAL_LENGTH_TOLERANCE = 1e-3
+# by how much shares and weights of an anchor, of 8 and 16 bits, may sum to something else than 1
+CAST_SUM_TOLERANCE = 5e-3
+# a row of bone weights, of a template or an avatar, that is further from 1 than this was not meant as weights: float32
+# rounding of 21 summands leaves less than 1e-6
+WEIGHT_SUM_TOLERANCE = 1e-5
 
 REMEDY = "The avatar is damaged or was made by another program: export or download it again."
 
@@ -186,3 +200,17 @@ def _refuse(thing: str, name: str, wanted: str, bad: np.ndarray, values: np.ndar
         came=f"{float(values[tuple(first)]):.6g} at {of} {int(first[0])} ({int(bad.sum())} such values)",
         remedy=REMEDY,
     )
+
+
+def is_text(value: object) -> bool:
+    """Whether `value` is a text that can be shown in a line and encoded: no control characters, no surrogates."""
+    return (
+        isinstance(value, str)
+        and len(value) <= AVATAR_TEXT_MAX
+        and not any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in value)
+    )
+
+
+def as_text(value: str) -> str:
+    """`value` as `is_text` wants it: without what cannot be shown, and cut off."""
+    return "".join(letter for letter in value if is_text(letter))[:AVATAR_TEXT_MAX]

@@ -13,10 +13,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
 
@@ -81,7 +81,7 @@ def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.
     pixels, depth_m = camera.project(vertices_m)
     fine = MASK_SUPERSAMPLING
     corners = pixels[faces] * fine
-    visible = (depth_m[faces] > limits.Z_NEAR_M).all(axis=1)
+    visible = (depth_m[faces] > contract.Z_NEAR_M).all(axis=1)
     canvas = Image.new("L", (camera.width * fine, camera.height * fine))
     draw = ImageDraw.Draw(canvas)
     for triangle in corners[visible & _touches(corners, canvas.size)].reshape(-1, 6).tolist():

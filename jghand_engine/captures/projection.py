@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from jghand_engine import limits
 from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
 # a joint so near to the mask counts as on it, px: joints lie inside the finger, its silhouette may be cut close
@@ -42,7 +42,7 @@ def look_at(sample: Sample) -> Seen:
 def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
     """(21, 2) pixels; NaN for joints that are not known or not before the camera."""
     pixels, depth_m = camera.project(joints_m)
-    return np.where((depth_m > limits.Z_NEAR_M)[:, None], pixels, np.nan)
+    return np.where((depth_m > contract.Z_NEAR_M)[:, None], pixels, np.nan)
 
 
 def joints_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.camera_file import camera_to_dict
 from jghand_engine.cli.console import progress, write_json
 from jghand_engine.cli.frame_files import FrameFiles, FrameWriter

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine import limits
+from jghand_engine.avatar.correctives import BASIS_MAX
 from jghand_engine.cli.console import progress, say, say_table, write_json
 from jghand_engine.cli.options import ReportOptions
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
+
+# poses that are made up beside the trained ones
+DISTIL_POSES = 400
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -51,7 +54,7 @@ class Distill:
     """How the avatar is written: compact is a third of the size."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 40
     """At most so many held-out pictures of each kind; 0 takes all."""
-    poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = limits.DISTIL_POSES
+    poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = DISTIL_POSES
     """Poses to make up around the known ones, for the linear form to be fitted to."""
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
@@ -63,7 +66,7 @@ class Distill:
         from jghand_engine.avatar.correctives import largest_basis
         from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
-        from jghand_engine.avatar.texts import as_text
+        from jghand_engine.avatar.validation import as_text
         from jghand_engine.files import check_place
         from jghand_engine.learn.distill import distill, poses_near
         from jghand_engine.native.machine import processor
@@ -81,7 +84,7 @@ class Distill:
         # what is measured is what will be read again
         avatar = stored_form(load_avatar_called(self.avatar), storage)
         net = pose_net_of(avatar)
-        bases = self._bases(min(limits.BASIS_MAX, largest_basis(net.shape)))
+        bases = self._bases(min(BASIS_MAX, largest_basis(net.shape)))
         yard = self._yardstick(avatar)
         known = yard.known_poses(avatar)
         poses = torch.cat([known, poses_near(known, self.poses, seed=0)])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from jghand_engine.avatar.shipped import SHIPPED
+from jghand_engine.avatar import SHIPPED
 from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import FormatOptions, ReportOptions
 from jghand_engine.errors import InputError

@@ -80,7 +80,7 @@ def material(
     """The pictures of `capture` for an avatar called `name`; progress is judged by some that are held out, or else
     by some that are learned. template: where the Gaussians start; None: on the built-in hand."""
     from jghand_engine.avatar.avatar import AvatarInfo, LearnedFrom
-    from jghand_engine.avatar.texts import as_text
+    from jghand_engine.avatar.validation import as_text
     from jghand_engine.captures.picture_digest import picture_digest
     from jghand_engine.learn.step import Material
 

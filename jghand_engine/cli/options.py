@@ -12,10 +12,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from jghand_engine import limits
-from jghand_engine.avatar.shipped import BUILTIN
+from jghand_engine.avatar import BUILTIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
+from jghand_engine.native import contract
 
 # the widest lens, millimeters: one that sees around the hand
 APERTURE_MAX_MM = 200.0
@@ -172,8 +172,8 @@ class EffectOptions:
             raise InputError("--shutter", wanted="0 to 1", came=f"{self.shutter:g}")
         if not 0 <= self.aperture <= APERTURE_MAX_MM:
             raise InputError("--aperture", wanted=f"0 to {APERTURE_MAX_MM:g} mm", came=f"{self.aperture:g}")
-        if self.focus is not None and not self.focus > limits.Z_NEAR_M:
-            raise InputError("--focus", wanted=f"meters beyond {limits.Z_NEAR_M:g}", came=f"{self.focus:g}")
+        if self.focus is not None and not self.focus > contract.Z_NEAR_M:
+            raise InputError("--focus", wanted=f"meters beyond {contract.Z_NEAR_M:g}", came=f"{self.focus:g}")
 
 
 def color(text: str) -> tuple[float, float, float]:

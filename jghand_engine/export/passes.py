@@ -17,12 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.skin_bones import bone_numbers
+from jghand_engine.avatar.avatar import HandAvatar, bone_numbers
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL, hand_length
-from jghand_engine.limits import Z_NEAR_M
+from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import Frame
 

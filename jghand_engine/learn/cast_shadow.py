@@ -22,10 +22,21 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from jghand_engine import limits
-from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, SHARE_UNITS, lamp_directions
+from jghand_engine.avatar.cast_task import (
+    BOUNCED_MIN,
+    CAPSULE_LENGTH2_MIN,
+    CAPSULE_SINE2_MIN,
+    CAPSULE_WIDTH_MIN_M,
+    FLESH_SOFTNESS,
+    LAMP_HALF_WIDTH,
+    LIGHT_TO_DISPLAY,
+)
+from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, CAPSULE_RADII_MM, SHARE_UNITS, lamp_directions
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.learn.planes import weighted_rows
+
+# distances of a Gaussian to its anchors count as longer by this, meters: no anchor takes all
+ANCHOR_SOFTENING_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -60,7 +71,7 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
     neighbors = min(ANCHOR_NEIGHBORS, count)
     distance_m, nearest = tree.query(position_m.double().numpy(), k=list(range(1, neighbors + 1)))  # type: ignore[arg-type]
     spare = ANCHOR_NEIGHBORS - neighbors
-    share = np.pad(1 / (distance_m + limits.ANCHOR_SOFTENING_M), ((0, 0), (0, spare)))
+    share = np.pad(1 / (distance_m + ANCHOR_SOFTENING_M), ((0, 0), (0, spare)))
     # eight bits, as a file holds them: what is drawn from the file is what was learned
     share = np.rint(SHARE_UNITS * share / share.sum(1, keepdims=True))
     share[:, 0] += SHARE_UNITS - share.sum(1)
@@ -89,7 +100,7 @@ class CastTensors:
 
 def capsules(joints_m: Tensor, hand_scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Start (20, 3), end (20, 3) and radius (20,) of the bones' flesh. joints_m: (21, 3), level order."""
-    radius_m = 1e-3 * torch.tensor(limits.GATE_CAPSULE_RADII_MM, dtype=joints_m.dtype, device=joints_m.device)
+    radius_m = 1e-3 * torch.tensor(CAPSULE_RADII_MM, dtype=joints_m.dtype, device=joints_m.device)
     return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
 
 
@@ -127,12 +138,12 @@ def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tens
     that of a lamp of LAMP_HALF_WIDTH. position_m: (A, 3) · direction: (K, 3) unit · start, end: (3,)
     """
     axis, from_start = end - start, position_m - start
-    length2 = (axis * axis).sum().clamp_min(limits.CAPSULE_LENGTH2_MIN)
+    length2 = (axis * axis).sum().clamp_min(CAPSULE_LENGTH2_MIN)
     axis_along = direction @ axis
     point_along_axis = from_start @ axis
     point_along_ray = from_start @ direction.T
     # |from_start + t direction - s axis|^2 is least over all t at this s
-    sine2 = (length2 - axis_along * axis_along).clamp_min(limits.CAPSULE_SINE2_MIN * length2)
+    sine2 = (length2 - axis_along * axis_along).clamp_min(CAPSULE_SINE2_MIN * length2)
     s = ((point_along_axis[:, None] - axis_along * point_along_ray) / sine2).clamp(0, 1)
     t = (s * axis_along - point_along_ray).clamp_min(0)
     s = ((point_along_axis[:, None] + t * axis_along) / length2).clamp(0, 1)
@@ -142,17 +153,17 @@ def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tens
         + t * (t + 2 * point_along_ray - 2 * s * axis_along)
         + s * (s * length2 - 2 * point_along_axis[:, None])
     )
-    distance = distance2.clamp_min(limits.CAPSULE_LENGTH2_MIN).sqrt()
-    width = limits.FLESH_SOFTNESS * radius_m + limits.LAMP_HALF_WIDTH * t
-    return _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(limits.CAPSULE_WIDTH_MIN_M))
+    distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
+    width = FLESH_SOFTNESS * radius_m + LAMP_HALF_WIDTH * t
+    return _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(CAPSULE_WIDTH_MIN_M))
 
 
 def exponent(shadow: CastTensors, seen: LampsSeen) -> Tensor:
     """(N, 3) what the cast shadow adds to the exponent of `light.lit`, 0 where all lamps are seen."""
     rgb = shadow.lamp_rgb.to(seen.open.dtype)
-    bounced = shadow.bounced_rgb.to(rgb.dtype).clamp_min(limits.BOUNCED_MIN)
+    bounced = shadow.bounced_rgb.to(rgb.dtype).clamp_min(BOUNCED_MIN)
     left = (seen.seen @ rgb + bounced) / (seen.open @ rgb + bounced)
-    return shadow.anchors.spread(limits.LIGHT_TO_DISPLAY * left.log())
+    return shadow.anchors.spread(LIGHT_TO_DISPLAY * left.log())
 
 
 def _smooth(part: Tensor) -> Tensor:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from jghand_engine.avatar.skin_task import QUATERNION_MIN
 from jghand_engine.learn.rotations import dot, mat_mul, quaternion_rotation, safe_unit
-from jghand_engine.limits import QUATERNION_MIN
 
 
 def posed_covariance(log_scale: torch.Tensor, quaternion: torch.Tensor, linear: torch.Tensor) -> torch.Tensor:

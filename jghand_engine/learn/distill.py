@@ -14,13 +14,23 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.errors import InputError
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.pose_net import PoseNet, numbers_of
 from jghand_engine.learn.tensors import HandTensors
+
+# poses that are made up: wobble of flexion, abduction and palm angles, degrees; how far beyond the known range,
+# degrees: as far as the angles of a hand between two learned poses go
+DISTIL_WOBBLE_DEG = (8.0, 3.0)
+DISTIL_WOBBLE_PALM_DEG = 2.0
+DISTIL_BEYOND_DEG = 5.0
+# penalty on directions, per pose, for numbers of variance 1; variance of a component over the largest below which it is
+# noise; Gaussians at once: bounds the memory to some 400 MB
+DISTIL_RIDGE = 1e-4
+DISTIL_VARIANCE_MIN = 1e-6
+DISTIL_GAUSSIANS_AT_ONCE = 2048
 
 INT8_MAX = 127
 
@@ -29,12 +39,12 @@ def poses_near(known: Tensor, count: int, seed: int) -> Tensor:
     """(count, 37) poses near `known` (P, 37): fingers of different ones, between two of them, with some wobble, but not
     farther than DISTIL_BEYOND_DEG from the range of angles that they span. count: 0 and up."""
     g = torch.Generator().manual_seed(seed)
-    beyond = math.radians(limits.DISTIL_BEYOND_DEG)
+    beyond = math.radians(DISTIL_BEYOND_DEG)
     low, high = known.amin(0) - beyond, known.amax(0) + beyond
     finger = torch.arange(15) % 5
     # the joint's finger for each of the 37 angles; the palm's are of the sixth
     owner = torch.cat([finger.repeat_interleave(2), torch.full((7,), 5)])
-    wobble_deg = torch.tensor([*limits.DISTIL_WOBBLE_DEG] * 15 + [limits.DISTIL_WOBBLE_PALM_DEG] * 7)
+    wobble_deg = torch.tensor([*DISTIL_WOBBLE_DEG] * 15 + [DISTIL_WOBBLE_PALM_DEG] * 7)
     poses = []
     for _ in range(count):
         source = torch.randint(len(known), (6,), generator=g)
@@ -65,8 +75,8 @@ def distill(
         numbers = torch.stack([numbers_of(each, mean, projection, max(bases)) for each in features])
         found: dict[int, list[tuple[Tensor, Tensor, Tensor]]] = {basis: [] for basis in bases}
         total = len(net.bone_weights)
-        for start in range(0, total, limits.DISTIL_GAUSSIANS_AT_ONCE):
-            rows = slice(start, start + limits.DISTIL_GAUSSIANS_AT_ONCE)
+        for start in range(0, total, DISTIL_GAUSSIANS_AT_ONCE):
+            rows = slice(start, start + DISTIL_GAUSSIANS_AT_ONCE)
             part = net.part(rows)
             wanted = torch.stack([_correction(part, pose) for pose in poses], 1)
             fit = _Fit(torch.einsum("ni,mik->nmk", part.bone_weights, numbers), wanted)
@@ -90,7 +100,7 @@ def _components(features: Tensor, bone_weights: Tensor) -> tuple[Tensor, Tensor]
     covariance = torch.einsum("i,mic,mid->cd", weight.double(), centered, centered) / len(features)
     variance, direction = torch.linalg.eigh(covariance)
     variance, direction = variance.flip(0), direction.flip(1)
-    spread = variance.clamp_min(limits.DISTIL_VARIANCE_MIN * float(variance[0].clamp_min(1e-30))).sqrt()
+    spread = variance.clamp_min(DISTIL_VARIANCE_MIN * float(variance[0].clamp_min(1e-30))).sqrt()
     return mean, (direction / spread).float()
 
 
@@ -108,7 +118,7 @@ class _Fit:
         z, y = mixed.double() - self._middle, wanted.double() - self._level
         self._square, self._goal = z.transpose(1, 2) @ z, z.transpose(1, 2) @ y
         # Gaussians that some number does not reach have no use for its direction
-        self._square.diagonal(dim1=1, dim2=2).add_(limits.DISTIL_RIDGE * mixed.shape[1])
+        self._square.diagonal(dim1=1, dim2=2).add_(DISTIL_RIDGE * mixed.shape[1])
 
     def solved(self, basis: int) -> tuple[Tensor, Tensor, Tensor]:
         """constant, direction and scale for the first `basis` numbers, as in `LinearCorrectives`."""

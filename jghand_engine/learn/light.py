@@ -19,7 +19,8 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from jghand_engine.limits import LIGHT_EXPONENT_MAX, NORMAL_LENGTH2_MIN
+from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX
+from jghand_engine.avatar.skin_task import NORMAL_LENGTH2_MIN
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,17 @@ from enum import StrEnum
 import torch
 from torch import Tensor, nn
 
-from jghand_engine import limits
-from jghand_engine.avatar.avatar import AvatarInfo, sigma_scale_for_prefix
+from jghand_engine.avatar.avatar import (
+    DEEP_M,
+    DEEP_RADII,
+    SIGMA_MAX_M,
+    SIGMA_MIN_M,
+    UVD_RANGE_M,
+    AvatarInfo,
+    sigma_scale_for_prefix,
+)
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.learned import SH_COUNT, ShadowLook, own_flesh
+from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, ShadowLook, own_flesh
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.canonical_points import CanonicalPoints
 from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
@@ -24,6 +31,29 @@ from jghand_engine.learn.light import LightTensors, unit
 from jghand_engine.learn.planes import IdentityPlanes
 from jghand_engine.learn.pose_net import PoseNet
 from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors, LearnedTensors, mapped
+from jghand_engine.native import contract
+
+# standard deviation of feature planes at the start (METHOD 4.2)
+PLANE_START_STD = 0.1
+# how far a learned normal may leave the template's, per unit of the decoder's output
+NORMAL_BEND = 0.3
+# logarithm of the greatest and least shine over their middle: skin is equally glossy nearly everywhere, and cameras
+# that were not learned from show what was taken for gloss
+SHINE_SPREAD = 0.5
+# lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
+# a sharper lobe than the last is narrower than what a Gaussian of half a millimeter can show
+LOBE_SHARPNESS_START = 5.0
+LOBE_SHARPNESS_MAX = 60.0
+LOBE_RAW_START = -4.5
+# learnable range of the shadow's darkness g (METHOD 5.2: 4 to 12; wider, because a shadow may be better off)
+SHADOW_GAIN_RANGE = (1.0, 12.0)
+# lamps around the hand, and points of the skin at which they are counted: one per 20 mm^2
+LAMPS = 64
+ANCHORS = 2048
+# logarithm of a lamp's brightness per unit of its parameter: lamps differ much more than other parameters do
+LAMP_RATE = 10.0
+# light that reaches skin which sees no lamp, from other skin, over that of all lamps together, at the start
+BOUNCED_START = 0.03
 
 # towards the corners of a cube: where the lobes of the gloss begin
 _LOBES = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
@@ -83,7 +113,7 @@ class LearnedHand(nn.Module):
         super().__init__()
         self.options, self.points = options, points
         if options.cast_shadow:
-            self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, limits.ANCHORS)
+            self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, ANCHORS)
             self._own = torch.from_numpy(own_flesh(self._anchors.position_m.numpy(), points.joints_m.numpy()))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
@@ -107,17 +137,17 @@ class LearnedHand(nn.Module):
         self.pose_net = PoseNet(points.bone_weights, points.uvd, options.pose)
         self.irradiance = nn.Parameter(torch.zeros(SH_COUNT, 3))
         self.lobe_direction = nn.Parameter(torch.tensor(_LOBES))
-        self.lobe_log_sharpness = nn.Parameter(torch.full((len(_LOBES),), math.log(limits.LOBE_SHARPNESS_START)))
-        self.lobe_raw_rgb = nn.Parameter(torch.full((len(_LOBES), 3), limits.LOBE_RAW_START))
+        self.lobe_log_sharpness = nn.Parameter(torch.full((len(_LOBES),), math.log(LOBE_SHARPNESS_START)))
+        self.lobe_raw_rgb = nn.Parameter(torch.full((len(_LOBES), 3), LOBE_RAW_START))
         self.raw_rim = nn.Parameter(torch.zeros(()))
         if options.cast_shadow:
-            self.raw_lamps = nn.Parameter(torch.zeros(limits.LAMPS, 3))
-            self.raw_bounced = nn.Parameter(torch.logit(torch.full((3,), limits.BOUNCED_START)))
-        low, high = limits.SHADOW_GAIN_RANGE
-        self.raw_shadow_gain = nn.Parameter(torch.logit(torch.tensor(math.log(limits.SHADOW_GAIN / low, high / low))))
-        self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(limits.SHADOW_TINT)))
+            self.raw_lamps = nn.Parameter(torch.zeros(LAMPS, 3))
+            self.raw_bounced = nn.Parameter(torch.logit(torch.full((3,), BOUNCED_START)))
+        low, high = SHADOW_GAIN_RANGE
+        self.raw_shadow_gain = nn.Parameter(torch.logit(torch.tensor(math.log(contract.SHADOW_GAIN / low, high / low))))
+        self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(contract.SHADOW_TINT)))
         for plane in (self.planes.uv.texels, self.planes.ud.texels, self.planes.vd.texels, self.pose_net.angles.planes):
-            nn.init.normal_(plane, std=limits.PLANE_START_STD)
+            nn.init.normal_(plane, std=PLANE_START_STD)
         for last in (self.heads, self.pose_net.out):
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
@@ -144,10 +174,8 @@ class LearnedHand(nn.Module):
             bone_weights=points.bone_weights[:count],
             uvd=points.uvd[:count],
             learned=LearnedTensors(
-                normal=unit(points.normal[:count] + limits.NORMAL_BEND * out[:, 7:10]),
-                shine=torch.exp(limits.SHINE_SPREAD * torch.tanh(out[:, 10]))
-                if options.glossy
-                else out.new_zeros(count),
+                normal=unit(points.normal[:count] + NORMAL_BEND * out[:, 7:10]),
+                shine=torch.exp(SHINE_SPREAD * torch.tanh(out[:, 10])) if options.glossy else out.new_zeros(count),
                 light=self.light(),
                 correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
                 shadow=self.shadow_look(),
@@ -183,7 +211,7 @@ class LearnedHand(nn.Module):
         """On the first `count` Gaussians, with gradients; None where it is not learned."""
         if not self.options.cast_shadow:
             return None
-        lamp_rgb = torch.softmax(limits.LAMP_RATE * self.raw_lamps, 0)
+        lamp_rgb = torch.softmax(LAMP_RATE * self.raw_lamps, 0)
         return CastTensors(lamp_rgb, torch.sigmoid(self.raw_bounced), self._anchors.prefix(count), self._own)
 
     def light(self) -> LightTensors:
@@ -206,7 +234,7 @@ class LearnedHand(nn.Module):
 
     def shadow(self) -> tuple[Tensor, Tensor]:
         """Gain () and tint (3,) of the shadow as they are now, with gradients, inside their ranges."""
-        low, high = limits.SHADOW_GAIN_RANGE
+        low, high = SHADOW_GAIN_RANGE
         gain = low * (high / low) ** torch.sigmoid(self.raw_shadow_gain)
         return gain, torch.sigmoid(self.raw_shadow_tint)
 
@@ -216,10 +244,10 @@ class LearnedHand(nn.Module):
         A clamp while the avatar is made would take the gradient of what is beyond the edge: it could never return.
         """
         with torch.no_grad():
-            self.log_sigma.clamp_(math.log(limits.SIGMA_MIN_M), math.log(limits.SIGMA_MAX_M))
-            self.lobe_log_sharpness.clamp_(max=math.log(limits.LOBE_SHARPNESS_MAX))
+            self.log_sigma.clamp_(math.log(SIGMA_MIN_M), math.log(SIGMA_MAX_M))
+            self.lobe_log_sharpness.clamp_(max=math.log(LOBE_SHARPNESS_MAX))
             if self.options.shape is not Shape.ISO:
-                self.log_stretch.clamp_(-limits.LOG_STRETCH_MAX, limits.LOG_STRETCH_MAX)
+                self.log_stretch.clamp_(-LOG_STRETCH_MAX, LOG_STRETCH_MAX)
 
     def spread_radii(self, known: int, nearest: Tensor) -> None:
         """Gives Gaussians from `known` on the learned growth of their neighbor among the first `known`.
@@ -237,6 +265,6 @@ def grown_radii(sigma_m: Tensor, scale: float, uvd_depth: Tensor) -> Tensor:
     """`avatar.grown_radii` with gradients."""
     if scale == 1.0:
         return sigma_m
-    depth_m = (0.5 - uvd_depth) * (2 * limits.UVD_RANGE_M)
-    limit_m = torch.where(depth_m > limits.DEEP_M, depth_m / limits.DEEP_RADII, torch.inf)
-    return torch.maximum(sigma_m, torch.minimum(sigma_m * scale, limit_m)).clamp(max=limits.SIGMA_MAX_M)
+    depth_m = (0.5 - uvd_depth) * (2 * UVD_RANGE_M)
+    limit_m = torch.where(depth_m > DEEP_M, depth_m / DEEP_RADII, torch.inf)
+    return torch.maximum(sigma_m, torch.minimum(sigma_m * scale, limit_m)).clamp(max=SIGMA_MAX_M)

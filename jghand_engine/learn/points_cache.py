@@ -20,12 +20,14 @@ import torch
 
 from jghand_engine.errors import JGHandError
 from jghand_engine.files import cache_folder, writing
-from jghand_engine.limits import POINTS_CACHE_FILES
 from jghand_engine.template.mesh import HandTemplate
+
+# placed points that the user's cache keeps, the newest: 5 MB each at 40,000 Gaussians
+POINTS_CACHE_FILES = 8
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # what placing is made of: a change of any of them makes other points, perhaps
-_CODE = ("learn/canonical_points.py", "hand/joints.py", "limits/avatar.py", "template/*.py")
+_CODE = ("learn/canonical_points.py", "hand/joints.py", "avatar/avatar.py", "template/*.py")
 
 Points = dict[str, torch.Tensor]
 

@@ -14,10 +14,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from jghand_engine.avatar import correctives
-from jghand_engine.avatar.correctives import PLANES
+from jghand_engine.avatar.correctives import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG, PLANES
 from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
 from jghand_engine.learn.frames import HandFrames
-from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
 # bones 1..5 read the angle between palm bones and the one between palm planes at these places (METHOD 4.1)
 _NEIGHBOR_OF_FINGER = (0, 0, 1, 2, 3)

@@ -14,9 +14,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetShape, PoseNetwork, positional_encoding, products
+from jghand_engine.avatar.correctives import (
+    SHADE_MAX,
+    LinearCorrectives,
+    PoseNetShape,
+    PoseNetwork,
+    positional_encoding,
+    products,
+)
 from jghand_engine.learn.pose_features import AnglePlanes, PoseAngles
-from jghand_engine.limits import SHADE_MAX
 
 
 @dataclass(frozen=True)

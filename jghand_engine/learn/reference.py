@@ -12,10 +12,13 @@ from dataclasses import dataclass
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
+
+# pairs of pixel and Gaussian that are held at once: some 30 MB per intermediate in float64
+REFERENCE_PAIRS_AT_ONCE = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Picture:
     @property
     def valid(self) -> torch.Tensor:
         """(H, W) bool: where there is enough coverage to speak of a depth."""
-        return self.alpha > limits.DEPTH_ALPHA_MIN
+        return self.alpha > contract.DEPTH_ALPHA_MIN
 
     @property
     def depth_m(self) -> torch.Tensor:
@@ -75,7 +78,7 @@ class _Ellipses:
 
 
 def rasterize_reference(
-    gaussians: Gaussians, camera: Camera, *, alpha_min: float = limits.ALPHA_MIN, smooth: bool = False
+    gaussians: Gaussians, camera: Camera, *, alpha_min: float = contract.ALPHA_MIN, smooth: bool = False
 ) -> Picture:
     """Draws `gaussians` as `camera` sees them.
 
@@ -132,9 +135,9 @@ def _select(
 ) -> tuple[torch.Tensor, int]:
     """Indices of the visible Gaussians front to back, ties by index, and the number of invalid ones."""
     valid = _valid(gaussians, position_c)
-    in_front = torch.nonzero(valid & (position_c[:, 2] > limits.Z_NEAR_M))[:, 0]
+    in_front = torch.nonzero(valid & (position_c[:, 2] > contract.Z_NEAR_M))[:, 0]
     ellipses = _project(gaussians, position_c, in_front, camera)
-    sized = (ellipses.a < limits.VAR_MAX_PX2) & (ellipses.c < limits.VAR_MAX_PX2)
+    sized = (ellipses.a < contract.VAR_MAX_PX2) & (ellipses.c < contract.VAR_MAX_PX2)
     invalid = int((~valid).sum()) + int((~sized).sum())
     left, right, top, bottom = _boxes(ellipses, alpha_min)
     on_picture = (right > 0) & (left < camera.width) & (bottom > 0) & (top < camera.height)
@@ -146,7 +149,7 @@ def _select(
 
 def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
     """(N,) bool: every value can be drawn. Comparisons with NaN are false."""
-    g, reach = gaussians, limits.POSITION_MAX_M
+    g, reach = gaussians, contract.POSITION_MAX_M
     covariance = g.covariance_m2
     shapes = (g.sigma_m > 0) & (g.sigma_m < math.inf) if covariance is None else semi_definite(covariance)
     return (
@@ -154,7 +157,7 @@ def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
         & shapes
         & (g.opacity >= 0)
         & (g.opacity <= 1)
-        & (g.rgb.abs() <= limits.RGB_MAX).all(1)
+        & (g.rgb.abs() <= contract.RGB_MAX).all(1)
     )
 
 
@@ -166,7 +169,7 @@ def semi_definite(covariance_m2: torch.Tensor) -> torch.Tensor:
     """
     xx, xy, xz, yy, yz, zz = covariance_m2.to(torch.float64).unbind(1)
     trace = xx + yy + zz
-    slack = limits.COVARIANCE_SLACK * trace
+    slack = contract.COVARIANCE_SLACK * trace
     xx, yy, zz = xx + slack, yy + slack, zz + slack
     two = xx * yy - xy * xy
     three = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
@@ -197,7 +200,7 @@ def _project_spheres(sigma: torch.Tensor, jacobian: _Four) -> _Four:
     """a, b, c and determinant, with the low pass added, from radii (M,) and du/dx, dv/dy, du/dz, dv/dz (M,)."""
     jx, jy, jxz, jyz = jacobian
     xx, xz, yy, yz = (sigma * jx) ** 2, (sigma * jxz) ** 2, (sigma * jy) ** 2, (sigma * jyz) ** 2
-    blur = limits.BLUR_PX2
+    blur = contract.BLUR_PX2
     a, b, c = xx + xz + blur, (sigma * jxz) * (sigma * jyz), yy + yz + blur
     # a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
     return a, b, c, xx * yy + xx * yz + xz * yy + blur * (xx + xz + yy + yz) + blur**2
@@ -208,7 +211,7 @@ def _project_ellipsoids(covariance: torch.Tensor, jacobian: _Four, camera: Camer
 
     In float64 on the way, for a c - b^2 cancels for long thin ellipses and cannot be multiplied out here.
     """
-    blur, rotation = limits.BLUR_PX2, torch.from_numpy(camera.camera_from_world[:3, :3]).to(covariance.device)
+    blur, rotation = contract.BLUR_PX2, torch.from_numpy(camera.camera_from_world[:3, :3]).to(covariance.device)
     jx, jy, jxz, jyz = (j.to(torch.float64)[:, None] for j in jacobian)
     tu, tv = jx * rotation[0] + jxz * rotation[2], jy * rotation[1] + jyz * rotation[2]
     matrix = covariance.to(torch.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(1, (3, 3))
@@ -242,7 +245,7 @@ def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth
     """Planes (5, H, W), tile by tile."""
     with torch.no_grad():
         left, right, top, bottom = _boxes(ellipses, alpha_min)
-    tile, rows = limits.TILE_PX, []
+    tile, rows = contract.TILE_PX, []
     for y in range(0, camera.height, tile):
         height = min(tile, camera.height - y)
         in_row = torch.nonzero((bottom > y) & (top < y + tile))[:, 0]
@@ -270,7 +273,7 @@ def _draw_pixels(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float,
     count = ellipses.u.shape[0]
     if count == 0:
         return ellipses.features.sum(0).expand(pixels.shape[0], 5)  # zeros that belong to the graph
-    at_once = max(1, limits.REFERENCE_PAIRS_AT_ONCE // count)
+    at_once = max(1, REFERENCE_PAIRS_AT_ONCE // count)
     tensors = [getattr(ellipses, name) for name in ellipses.__dataclass_fields__]
 
     def blend(some: torch.Tensor, *fields: torch.Tensor) -> torch.Tensor:
@@ -292,7 +295,7 @@ def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smoot
     q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / e.det
     alpha = _cut(e.opacity * torch.exp(-q), alpha_min, smooth=smooth)
     # `where` and not `clamp`: at the cap the gradient is zero
-    alpha = torch.where(alpha < limits.ALPHA_MAX, alpha, torch.full_like(alpha, limits.ALPHA_MAX))
+    alpha = torch.where(alpha < contract.ALPHA_MAX, alpha, torch.full_like(alpha, contract.ALPHA_MAX))
     behind = torch.cumprod(1 - alpha, 1)
     transmittance = torch.cat([torch.ones_like(behind[:, :1]), behind[:, :-1]], 1)
     return (alpha * transmittance) @ e.features

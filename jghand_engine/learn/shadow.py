@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch.nn.functional import softplus
 
-from jghand_engine import limits
+from jghand_engine.native import contract
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
@@ -30,7 +30,7 @@ from jghand_engine.render.shadow import NativeShade, ShadowStyle, vogel_disc
 
 def normalized_depth(depth_sum: torch.Tensor, alpha: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Sum of weight * z and alpha, both (H, W) -> depth in meters (0 where there is none) and where there is one."""
-    valid = alpha > limits.DEPTH_ALPHA_MIN
+    valid = alpha > contract.DEPTH_ALPHA_MIN
     depth_m = torch.where(valid, depth_sum / torch.where(valid, alpha, torch.ones_like(alpha)), 0.0)
     return depth_m, valid
 
@@ -48,8 +48,8 @@ def visibility(depth_m: torch.Tensor, valid: torch.Tensor, camera: Camera, style
     flat, inside = _taps(depth_m.detach(), valid, camera, style)
     occluding = valid.reshape(-1)[flat] & inside
     v = points.reshape(-1, 3)[flat] - points[valid][:, None]
-    length = torch.sqrt((v * v).sum(-1) + (limits.SHADOW_LENGTH_EPS * style.radius_m) ** 2)
-    height_m = (v * normal[:, None]).sum(-1) - limits.SHADOW_HEIGHT_MIN_M
+    length = torch.sqrt((v * v).sum(-1) + (contract.SHADOW_LENGTH_EPS * style.radius_m) ** 2)
+    height_m = (v * normal[:, None]).sum(-1) - contract.SHADOW_HEIGHT_MIN_M
     cosine = height_m / length
     falloff = (1 - length / style.radius_m).clamp_min(0) ** 2
     occlusion = style.softness * softplus((cosine - style.bias) / style.softness) * falloff
@@ -100,7 +100,7 @@ def _taps(
     row, column = valid.nonzero().unbind(-1)
     disc = torch.from_numpy(vogel_disc(style.samples)).to(depth_m.dtype)
     reach = style.radius_m / _spread(depth_m, camera)[valid]
-    lo, hi = limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
+    lo, hi = contract.SHADOW_RADIUS_MIN_PX, contract.SHADOW_RADIUS_MAX_PX
     x = column[:, None] + ((camera.fx * reach).clamp(lo, hi)[:, None] * disc[:, 0]).round().long()
     y = row[:, None] + ((camera.fy * reach).clamp(lo, hi)[:, None] * disc[:, 1]).round().long()
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -114,13 +114,13 @@ def _normals(points: torch.Tensor, depth_m: torch.Tensor, valid: torch.Tensor, c
     """
     tangents = []
     for axis, focal in ((0, camera.fy), (1, camera.fx)):
-        step_px = (focal * limits.SHADOW_NORMAL_REACH_M / _spread(depth_m, camera)).clamp(
-            limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
+        step_px = (focal * contract.SHADOW_NORMAL_REACH_M / _spread(depth_m, camera)).clamp(
+            contract.SHADOW_RADIUS_MIN_PX, contract.SHADOW_RADIUS_MAX_PX
         )
         tangents.append(_tangent(points, valid, step_px.round().long(), axis))
     normal = torch.linalg.cross(*tangents)
     square = (normal * normal).sum(-1, keepdim=True)
-    normal = normal / torch.sqrt(square.clamp_min(limits.SHADOW_NORMAL_MIN2))
+    normal = normal / torch.sqrt(square.clamp_min(contract.SHADOW_NORMAL_MIN2))
     away = normal[..., 2:] if camera.orthographic else (normal * points).sum(-1, keepdim=True)
     return torch.where(away > 0, -normal, normal)
 
@@ -134,7 +134,7 @@ def _tangent(points: torch.Tensor, valid: torch.Tensor, step: torch.Tensor, axis
     (next_points, ahead), (last_points, behind) = (_neighbor(points, valid, sign * step, axis) for sign in (1, -1))
     forward, backward = next_points - points, points - last_points
     size_f, size_b = forward[..., 2].abs(), backward[..., 2].abs()
-    floor = limits.SHADOW_AGREE * torch.minimum(size_f, size_b) + limits.SHADOW_AGREE_FLOOR_M
+    floor = contract.SHADOW_AGREE * torch.minimum(size_f, size_b) + contract.SHADOW_AGREE_FLOOR_M
     agree = ahead & behind & ((size_f - size_b).abs() < floor)
     use_forward = ahead & (~behind | (size_f < size_b))
     fallback = torch.zeros_like(points)

@@ -11,6 +11,7 @@ from typing import Protocol
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
@@ -20,7 +21,6 @@ from jghand_engine.learn.light import gloss, lit, unit
 from jghand_engine.learn.pose_features import PoseAngles
 from jghand_engine.learn.pose_net import Correction
 from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors
-from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 
 
 class PoseTransforms(Protocol):

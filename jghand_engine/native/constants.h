@@ -1,4 +1,4 @@
-// The constants of the rasterization contract, the shadow and the similarity. jghand_engine/limits/ says why each has its value; a test compares.
+// What the kernels compile in of contract.py, which says why each has its value, and of tasks.py; a test compares.
 #pragma once
 
 namespace jg {

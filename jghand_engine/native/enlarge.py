@@ -11,10 +11,12 @@ import ctypes
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.native.binding import Library, address, new_team
 from jghand_engine.native.tasks import EnlargeTask
 from jghand_engine.native.threads import shared_pool
+
+# depths that differ by less are of one surface, meters: less than a finger's thickness, more than a pixel's slope
+SAME_SURFACE_M = 0.005
 
 # items that threads share
 STRIPES = 16
@@ -37,7 +39,7 @@ def native_enlarged(
         large_width=large_width,
         large_height=large_height,
         stripes=STRIPES,
-        same_surface=limits.SAME_SURFACE_M,
+        same_surface=SAME_SURFACE_M,
         rgba=address(rgba, np.float32, "rgba", (height, width, 4)),
         depth=address(depth_m, np.float32, "depth", (height, width)),
         spans=spans.ctypes.data,

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.threads import shared_pool
 
@@ -36,7 +36,7 @@ _JOB_NAMES = {
 
 def check_picture_size(width: int, height: int) -> None:
     """InputError for a picture that no kernel draws."""
-    largest = limits.PICTURE_MAX_PX
+    largest = contract.IMAGE_MAX_PX
     if not (1 <= width <= largest and 1 <= height <= largest):
         came = f"{width} x {height}"
         raise InputError("picture size", wanted=f"1 to {largest} pixels along each side", came=came)
@@ -127,7 +127,7 @@ class NativeRasterizer:
         self._job = _Job()
         self._team = new_team()
         self._job.team = self._team.ctypes.data
-        self._job.z_near, self._job.alpha_max = limits.Z_NEAR_M, limits.ALPHA_MAX
+        self._job.z_near, self._job.alpha_max = contract.Z_NEAR_M, contract.ALPHA_MAX
         self._arrays: dict[str, np.ndarray] = {}
         self._prepared: GaussianArrays | None = None  # what is being drawn
         self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
@@ -150,8 +150,8 @@ class NativeRasterizer:
         gaussians: GaussianArrays,
         view: View,
         *,
-        alpha_min: float = limits.ALPHA_MIN,
-        t_stop: float = limits.T_STOP,
+        alpha_min: float = contract.ALPHA_MIN,
+        t_stop: float = contract.T_STOP,
         planes: np.ndarray | None = None,
     ) -> np.ndarray:
         """Draws and returns planes (5, H, W) float32: premultiplied R G B, alpha, sum of weight times depth.
@@ -170,8 +170,8 @@ class NativeRasterizer:
         gaussians: GaussianArrays,
         view: View,
         *,
-        alpha_min: float = limits.ALPHA_MIN,
-        t_stop: float = limits.T_STOP,
+        alpha_min: float = contract.ALPHA_MIN,
+        t_stop: float = contract.T_STOP,
         planes: np.ndarray | None = None,
     ) -> np.ndarray:
         """The first half of `forward`, for who shares one call of a pool with other work: then every thread calls
@@ -200,7 +200,7 @@ class NativeRasterizer:
         if self._job.status == _TOO_MANY_PAIRS:
             raise MemoryLimitError(
                 "Gaussians cover too many tiles",
-                wanted=f"at most {limits.MAX_PAIRS} pairs of Gaussian and tile",
+                wanted=f"at most {contract.MAX_PAIRS} pairs of Gaussian and tile",
                 remedy="Use a smaller picture, fewer or smaller Gaussians.",
             )
         self._inputs = self._prepared
@@ -212,7 +212,7 @@ class NativeRasterizer:
             raise InputError("backward pass", wanted="a forward pass before it", came="none")
         n = len(self._inputs)
         self._job.plane_gradients = address(plane_gradients, np.float32, "plane_gradients", self._planes.shape)
-        records = self._array("record_gradients", (limits.GRADIENT_STRIPES, n, _RECORD_FLOATS), np.float32)
+        records = self._array("record_gradients", (contract.GRADIENT_STRIPES, n, _RECORD_FLOATS), np.float32)
         self._job.record_gradients = records.ctypes.data
         shapes = {"position_m": (n, 3), "opacity": (n,), "rgb": (n, 3)}
         shapes |= {"sigma_m": (n,)} if self._inputs.covariance_m2 is None else {"covariance_m2": (n, 6)}
@@ -243,7 +243,7 @@ class NativeRasterizer:
         check_picture_size(view.width, view.height)
         job = self._job
         job.width, job.height = view.width, view.height
-        job.tiles_x, job.tiles_y = -(-view.width // limits.TILE_PX), -(-view.height // limits.TILE_PX)
+        job.tiles_x, job.tiles_y = -(-view.width // contract.TILE_PX), -(-view.height // contract.TILE_PX)
         job.fx, job.fy, job.cx, job.cy = view.fx, view.fy, view.cx, view.cy
         job.orthographic = view.orthographic
         job.camera_from_position[:] = np.asarray(view.camera_from_position, np.float64).ravel().tolist()
@@ -251,8 +251,8 @@ class NativeRasterizer:
     @staticmethod
     def _cut(alpha_min: float) -> float:
         """log2 of the cut-off; below the limit the kernel's exponential has no meaning."""
-        if not limits.NATIVE_ALPHA_MIN <= alpha_min < 1:
-            wanted = f"{limits.NATIVE_ALPHA_MIN:g} to below 1"
+        if not contract.NATIVE_ALPHA_MIN <= alpha_min < 1:
+            wanted = f"{contract.NATIVE_ALPHA_MIN:g} to below 1"
             raise InputError("alpha_min", wanted=wanted, came=f"{alpha_min:g}")
         return math.log2(alpha_min)
 
@@ -282,7 +282,7 @@ class NativeRasterizer:
     def _reserve_list(self, pairs: int) -> None:
         """Room for `pairs` entries and a quarter more, so that a moving hand does not ask again every frame."""
         self._job.list_capacity = 0  # should there be no memory: the old list is gone
-        capacity = min(pairs + pairs // 4 + 1024, limits.MAX_PAIRS)
+        capacity = min(pairs + pairs // 4 + 1024, contract.MAX_PAIRS)
         self._job.tile_list = self._array("tile_list", (capacity,), np.int32).ctypes.data
         self._job.list_capacity = capacity
 

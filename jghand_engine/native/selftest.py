@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import RetryError
+from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
@@ -114,15 +114,15 @@ def _shaded(library: Library, planes: np.ndarray) -> np.ndarray:
     """(H, W, 4) the picture with its shadow at full strength in every channel."""
     view, task = sample_view(), new_shade_task(_SIZE, _SIZE)
     index = np.arange(_SHADOW_SAMPLES) + 0.5
-    radius, angle = np.sqrt(index / _SHADOW_SAMPLES), index * limits.GOLDEN_ANGLE_RAD
+    radius, angle = np.sqrt(index / _SHADOW_SAMPLES), index * contract.GOLDEN_ANGLE_RAD
     disc = aligned_zeros((2, _SHADOW_SAMPLES))
     disc[:] = radius * np.cos(angle), radius * np.sin(angle)
     depth, row_valid, team = padded_depth(task), np.zeros(_SIZE, np.int32), new_team()
     rgba = np.zeros((_SIZE, _SIZE, 4), np.float32)
     task.samples, task.darkness = _SHADOW_SAMPLES, (1.0, 1.0, 1.0)
     task.fx, task.fy, task.cx, task.cy, task.origin = view.fx, view.fy, view.cx, view.cy, 0.5
-    task.radius, task.bias = limits.SHADOW_RADIUS_M, limits.SHADOW_BIAS
-    task.softness, task.gain = limits.SHADOW_SOFTNESS, limits.SHADOW_GAIN
+    task.radius, task.bias = contract.SHADOW_RADIUS_M, contract.SHADOW_BIAS
+    task.softness, task.gain = contract.SHADOW_SOFTNESS, contract.SHADOW_GAIN
     task.disc_x, task.disc_y = disc[0].ctypes.data, disc[1].ctypes.data
     task.picture, task.row_valid, task.rgba = planes.ctypes.data, row_valid.ctypes.data, rgba.ctypes.data
     library.call.jg_shade(team.ctypes.data, ctypes.addressof(task))
@@ -144,8 +144,8 @@ def _check_skin(library: Library) -> None:
     task = SkinTask(
         scale=1.0,
         inverse_scale=1.0,
-        stretch_min=limits.SIGMA_STRETCH_MIN,
-        stretch_max=limits.SIGMA_STRETCH_MAX,
+        stretch_min=0.5,
+        stretch_max=2.0,
         blocks=1,
     )
     aligned = [aligned_zeros(array.shape) for array in arrays]

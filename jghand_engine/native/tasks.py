@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.native import contract
 from jghand_engine.native.binding import aligned_zeros
 
 # window and constants of SSIM, which every paper shares (Wang et al. 2004); 0..1 is the range of the pictures
@@ -18,7 +18,7 @@ SSIM_WINDOW_PX = 11
 # elements of one vector of the kernels
 LANES = 16
 # rows and columns around the picture: the farthest sample and its neighbor; columns in whole vectors
-PAD_ROWS = math.ceil(limits.SHADOW_RADIUS_MAX_PX) + 1
+PAD_ROWS = math.ceil(contract.SHADOW_RADIUS_MAX_PX) + 1
 PAD_COLUMNS = -(-PAD_ROWS // LANES) * LANES
 
 _I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
@@ -88,21 +88,21 @@ def new_shade_task(width: int, height: int) -> ShadeTask:
         height=height,
         stride=-(-width // LANES) * LANES + 2 * PAD_COLUMNS,
         pad_rows=PAD_ROWS,
-        alpha_min=limits.DEPTH_ALPHA_MIN,
-        reach_min_px=limits.SHADOW_RADIUS_MIN_PX,
-        reach_max_px=limits.SHADOW_RADIUS_MAX_PX,
-        length_eps=limits.SHADOW_LENGTH_EPS,
-        normal_reach=limits.SHADOW_NORMAL_REACH_M,
-        height_min=limits.SHADOW_HEIGHT_MIN_M,
-        agree=limits.SHADOW_AGREE,
-        agree_floor=limits.SHADOW_AGREE_FLOOR_M,
-        normal_min2=limits.SHADOW_NORMAL_MIN2,
+        alpha_min=contract.DEPTH_ALPHA_MIN,
+        reach_min_px=contract.SHADOW_RADIUS_MIN_PX,
+        reach_max_px=contract.SHADOW_RADIUS_MAX_PX,
+        length_eps=contract.SHADOW_LENGTH_EPS,
+        normal_reach=contract.SHADOW_NORMAL_REACH_M,
+        height_min=contract.SHADOW_HEIGHT_MIN_M,
+        agree=contract.SHADOW_AGREE,
+        agree_floor=contract.SHADOW_AGREE_FLOOR_M,
+        normal_min2=contract.SHADOW_NORMAL_MIN2,
     )
 
 
 def padded_depth(task: ShadeTask) -> np.ndarray:
     """The padded plane of depths of a task, empty; the task points to it. Whoever has the task must keep it."""
     depth = aligned_zeros((task.height + 2 * PAD_ROWS, task.stride))
-    depth.fill(limits.SHADOW_FAR_M)
+    depth.fill(contract.SHADOW_FAR_M)
     task.depth = depth.ctypes.data + depth.itemsize * (PAD_ROWS * task.stride + PAD_COLUMNS)
     return depth

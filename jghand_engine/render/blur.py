@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM
 from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.rotations import slerp_rotation
 from jghand_engine.hand.sequence import pose_between
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.image import Box, Image, mean_depth
 from jghand_engine.render.shadow import vogel_disc
@@ -71,9 +72,9 @@ def disc_px(camera: Camera, joints_m: Sequence[np.ndarray], scale: float = 1.0) 
     if camera.lens is None:
         return 0.0
     depth_m = camera.project(np.concatenate(joints_m))[1]
-    flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * scale
+    flesh_m = 1e-3 * max(CAPSULE_RADII_MM) * scale
     ends = (float(depth_m.min()) - flesh_m, float(depth_m.max()) + flesh_m)
-    return max(camera.lens.blur_px(max(camera.fx, camera.fy), max(end, limits.Z_NEAR_M)) for end in ends)
+    return max(camera.lens.blur_px(max(camera.fx, camera.fy), max(end, contract.Z_NEAR_M)) for end in ends)
 
 
 # ---- an open shutter ------------------------------------------------------------------------------------------------
@@ -187,7 +188,7 @@ def way_px(moments: Sequence[Moment]) -> float:
 def _steps_px(moments: Sequence[Moment]) -> np.ndarray:
     """(moments - 1, joints) pixels from one moment to the next; infinite when a joint passes the near plane."""
     seen = [moment.camera.project(np.concatenate(moment.joints_m)) for moment in moments]
-    if not all((depth_m > limits.Z_NEAR_M).all() for _, depth_m in seen):
+    if not all((depth_m > contract.Z_NEAR_M).all() for _, depth_m in seen):
         return np.full((1, 1), np.inf)
     return np.linalg.norm(np.diff(np.stack([pixels for pixels, _ in seen]), axis=0), axis=-1)
 

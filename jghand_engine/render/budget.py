@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.color import decibels
@@ -36,6 +35,13 @@ from jghand_engine.render.profile import (
 )
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
+
+# part of a budget that 95 % of the measured frames may take: the rest is for whoever shows the image
+BUDGET_PART = 0.9
+# how long a machine that knows nothing of itself measures, seconds
+BUDGET_SECONDS = 2.0
+# images smaller than this lose more by half the size than by fewer Gaussians (built-in hand), pixels
+HALF_PIXELS_MIN = 600_000
 
 # poses whose accuracy is measured, and rounds of all settings at least
 _POSES, _ROUNDS_MIN = 3, 5
@@ -81,7 +87,7 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
     if avatar.learned is not None and avatar.learned.correctives is not None:
         found["viewport, no correctives"] = replace(viewport, effects=NO_CORRECTIVES)
         found["draft, no correctives"] = replace(draft, effects=NO_CORRECTIVES)
-    if size_px[0] * size_px[1] >= limits.HALF_PIXELS_MIN:
+    if size_px[0] * size_px[1] >= HALF_PIXELS_MIN:
         found["viewport, half size"] = replace(viewport, half=True)
         found["draft, half size"] = replace(draft, half=True)
     return found
@@ -113,7 +119,7 @@ def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], thr
 
 def choose(profile: Profile, budget_ms: float, total: int, threads: int = 0) -> Chosen:
     """See `best_for`. The settings that come out may reuse stages and have so many threads."""
-    fitting = [row for row in profile.rows if row.p95_ms <= limits.BUDGET_PART * budget_ms]
+    fitting = [row for row in profile.rows if row.p95_ms <= BUDGET_PART * budget_ms]
     front = pareto_front((row.p95_ms, row.psnr_db, row) for row in fitting)
     row = front[-1] if front else min(profile.rows, key=lambda each: each.p95_ms)
     return Chosen(
@@ -126,7 +132,7 @@ def choose(profile: Profile, budget_ms: float, total: int, threads: int = 0) -> 
 
 
 def measure_quickly(
-    subject: Subject, offered: Mapping[str, RenderSettings], threads: int, seconds: float = limits.BUDGET_SECONDS
+    subject: Subject, offered: Mapping[str, RenderSettings], threads: int, seconds: float = BUDGET_SECONDS
 ) -> Profile:
     """Times of all settings in turn, and their accuracy against preset `reference`, in about so many seconds."""
     started = time.perf_counter()

@@ -12,8 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
+from jghand_engine.native import contract
+
+# meters at which parallel rays are taken to meet: their directions differ by 1e-7 over a hand then, float32's rounding
+PARALLEL_EYE_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,8 @@ class Lens:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.aperture_m) and self.aperture_m >= 0):
             raise InputError("lens: aperture_m", wanted="0 or a diameter in meters", came=str(self.aperture_m))
-        if not (math.isfinite(self.focus_m) and self.focus_m > limits.Z_NEAR_M):
-            wanted = f"a depth beyond the near plane, {limits.Z_NEAR_M:g} m"
+        if not (math.isfinite(self.focus_m) and self.focus_m > contract.Z_NEAR_M):
+            wanted = f"a depth beyond the near plane, {contract.Z_NEAR_M:g} m"
             raise InputError("lens: focus_m", wanted=wanted, came=str(self.focus_m))
 
     def blur_px(self, focal_px: float, depth_m: float) -> float:
@@ -106,7 +109,7 @@ class Camera:
         """(3,) float64 where the camera stands, world meters. Of parallel rays: so far away that they might meet
         there."""
         rotation, offset_m = self.camera_from_world[:3, :3], self.camera_from_world[:3, 3]
-        away_m = limits.PARALLEL_EYE_M if self.orthographic else 0.0
+        away_m = PARALLEL_EYE_M if self.orthographic else 0.0
         return -(rotation.T @ offset_m) - away_m * rotation[2]
 
     def px_per_meter(self, depth_m: float) -> float:

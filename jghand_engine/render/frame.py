@@ -15,15 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
+from jghand_engine.avatar.avatar import HandAvatar, bone_numbers, check_follows_joints
 from jghand_engine.avatar.pose_range import outside, trained_range
-from jghand_engine.avatar.skin_bones import bone_numbers
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.hand.skeleton import Skeleton, describe_flags
+from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.rasterizer import check_picture_size
@@ -45,6 +44,7 @@ from jghand_engine.render.blur import (
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 from jghand_engine.render.effects import (
+    REUSE_BENT_MAX,
     HandFacts,
     Kept,
     Scene,
@@ -232,7 +232,7 @@ class SceneRenderer:
             raise InputError("bones of a picture", wanted="a picture drawn before", came="none")
         if self._bones is None:
             self._bones = [bone_numbers(avatar) for avatar in self._avatars]
-        canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, limits.ALPHA_MIN)
+        canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, contract.ALPHA_MIN)
         return self._backend.part_map(canvas, self._bones)
 
     def _checked(self, joints_m: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -261,7 +261,7 @@ class SceneRenderer:
             old if pose.keep_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)
         ]
-        odd = bool(notes) or any(float(np.abs(one.angles_rad[:30]).max()) > limits.REUSE_BENT_MAX for one in bones)
+        odd = bool(notes) or any(float(np.abs(one.angles_rad[:30]).max()) > REUSE_BENT_MAX for one in bones)
         kept = Kept([joints.copy() for joints in hands], odd, angles)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
         return _Shot(_Posed(kept, poses, notes, unseen), None)
@@ -369,7 +369,7 @@ class SceneRenderer:
             normal = surface_normals(whole.depth_m, camera)
             report.ran(str(Effect.NORMALS), 1e3 * (time.perf_counter() - started))
         if plan.runs(Effect.IDS) and whole.weights is not None:
-            covered = whole.weights.sum(-1) > limits.DEPTH_ALPHA_MIN
+            covered = whole.weights.sum(-1) > contract.DEPTH_ALPHA_MIN
             ids = np.where(covered, 1 + whole.weights.argmax(-1), 0).astype(np.uint8)
         depth_m = whole.depth_m if plan.runs(Effect.DEPTH) else None
         if depth_m is None:

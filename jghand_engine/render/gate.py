@@ -11,11 +11,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
 
+# radius of influence, meters, and the score over which the pass fades in
+GATE_RADIUS_M = 0.060
+GATE_LOW = 0.5
+GATE_HIGH = 1.0
+# samples along each capsule's axis: 5 x 5 distances per pair of bones; penetration is capped (a deep overlap of two
+# bones must not hide the others)
+GATE_SAMPLES = 5
+GATE_PENETRATION_MAX = 1.5
+
 _PARENTS = np.array(PARENTS[1:])  # of the end of bone k + 1, hence its start
-_RADII_M = np.array(limits.GATE_CAPSULE_RADII_MM) * 1e-3
+_RADII_M = np.array(CAPSULE_RADII_MM) * 1e-3
 
 
 def _far_pairs() -> tuple[np.ndarray, np.ndarray]:
@@ -31,7 +40,7 @@ def _far_pairs() -> tuple[np.ndarray, np.ndarray]:
 
 _FIRST, _SECOND = _far_pairs()
 _REACH_M = _RADII_M[_FIRST] + _RADII_M[_SECOND]
-_ALONG = np.linspace(0.0, 1.0, limits.GATE_SAMPLES)[:, None, None]
+_ALONG = np.linspace(0.0, 1.0, GATE_SAMPLES)[:, None, None]
 
 
 class ShadowGate:
@@ -78,7 +87,7 @@ def gap_between(hands_m: Sequence[np.ndarray]) -> float:
 
 def fade(score: float) -> float:
     """Strength of the shadow, 0..1, by the gate's score."""
-    return smoothstep(score, limits.GATE_LOW, limits.GATE_HIGH)
+    return smoothstep(score, GATE_LOW, GATE_HIGH)
 
 
 def smoothstep(value: float, low: float, high: float) -> float:
@@ -95,7 +104,7 @@ def _penetration(joints_m: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _closeness(gap_m: np.ndarray) -> np.ndarray:
-    inside = np.clip(1.0 - gap_m / limits.GATE_RADIUS_M, 0.0, limits.GATE_PENETRATION_MAX)
+    inside = np.clip(1.0 - gap_m / GATE_RADIUS_M, 0.0, GATE_PENETRATION_MAX)
     return inside * inside
 
 
@@ -110,5 +119,5 @@ def _nearest2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     distance2 = a @ (-2.0 * b.T)
     distance2 += np.einsum("ij,ij->i", b, b)
     distance2 += np.einsum("ij,ij->i", a, a)[:, None]
-    shape = (limits.GATE_SAMPLES, BONE_COUNT, limits.GATE_SAMPLES, BONE_COUNT)
+    shape = (GATE_SAMPLES, BONE_COUNT, GATE_SAMPLES, BONE_COUNT)
     return distance2.reshape(shape).min(axis=0).min(axis=1)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.native import contract
 
 
 class Box(NamedTuple):
@@ -73,5 +73,5 @@ class Image:
 def mean_depth(depth_sum: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """The mean depth of what covers a pixel, from the sums of coverage times depth and of coverage, as the rasterizer
     has it: 0 where hardly anything does."""
-    valid = covered > limits.DEPTH_ALPHA_MIN
+    valid = covered > contract.DEPTH_ALPHA_MIN
     return np.where(valid, depth_sum / np.where(valid, covered, 1), 0).astype(np.float32)

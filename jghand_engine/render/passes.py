@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
 # ---- normals --------------------------------------------------------------------------------------------------------
@@ -26,13 +26,13 @@ def surface_normals(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     y = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy).astype(depth_m.dtype)
     x = ((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx).astype(depth_m.dtype)
     points = np.stack([x * spread, y[:, None] * spread, depth_m], -1)
-    low, high = limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
+    low, high = contract.SHADOW_RADIUS_MIN_PX, contract.SHADOW_RADIUS_MAX_PX
     tangents = []
     for axis, focal in ((0, camera.fy), (1, camera.fx)):
-        step_px = np.clip(np.float32(focal * limits.SHADOW_NORMAL_REACH_M) / spread, low, high)
+        step_px = np.clip(np.float32(focal * contract.SHADOW_NORMAL_REACH_M) / spread, low, high)
         tangents.append(_tangent(points, valid, np.rint(step_px).astype(np.int64), axis))
     normal = np.cross(*tangents)
-    square = np.maximum((normal * normal).sum(-1, keepdims=True), limits.SHADOW_NORMAL_MIN2)
+    square = np.maximum((normal * normal).sum(-1, keepdims=True), contract.SHADOW_NORMAL_MIN2)
     normal /= np.sqrt(square)
     away = normal[..., 2:] if camera.orthographic else (normal * points).sum(-1, keepdims=True)
     return np.where(valid[..., None], np.where(away > 0, -normal, normal), np.float32(0))
@@ -44,7 +44,7 @@ def _tangent(points: np.ndarray, valid: np.ndarray, step: np.ndarray, axis: int)
     (next_points, ahead), (last_points, behind) = (_neighbor(points, valid, sign * step, axis) for sign in (1, -1))
     forward, backward = next_points - points, points - last_points
     size_f, size_b = np.abs(forward[..., 2]), np.abs(backward[..., 2])
-    floor = limits.SHADOW_AGREE * np.minimum(size_f, size_b) + limits.SHADOW_AGREE_FLOOR_M
+    floor = contract.SHADOW_AGREE * np.minimum(size_f, size_b) + contract.SHADOW_AGREE_FLOOR_M
     agree = ahead & behind & (np.abs(size_f - size_b) < floor)
     use_forward = ahead & (~behind | (size_f < size_b))
     tangent = np.where(use_forward[..., None], forward, backward)
@@ -92,4 +92,4 @@ def heaviest_part(parts: int, coverage: Callable[[int], np.ndarray]) -> np.ndarr
         most = np.take_along_axis(covered, here[..., None], -1)[..., 0]
         numbers = np.where(most > heaviest, (first + here).astype(np.uint8), numbers)
         heaviest = np.maximum(heaviest, most)
-    return np.where(total > limits.DEPTH_ALPHA_MIN, numbers, 0).astype(np.uint8)
+    return np.where(total > contract.DEPTH_ALPHA_MIN, numbers, 0).astype(np.uint8)

@@ -19,18 +19,23 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jghand_engine
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned_storage import LearnedAbout, pack_learned
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import cache_folder, writing
+from jghand_engine.native import contract
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import processor
 from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
 from jghand_engine.render.settings import RenderSettings, ShadowMode
+
+# accuracy of a whole image over black from which on an artist sees no difference, has to look for it, sees it at once
+LOOKS_SAME_DB = 45.0
+LOOKS_ALIKE_DB = 38.0
+LOOKS_CLOSE_DB = 30.0
 
 FORMAT = 1
 APPROXIMATE = "approximate creases"
@@ -73,13 +78,13 @@ def pareto_front(rows: Iterable[tuple[float, float, Row]]) -> list[Row]:
 
 def how_it_looks(psnr_db: float, causes: Sequence[str]) -> str:
     """A few words for who does not know decibels. causes: what is left out, see `left_out`, the worst first."""
-    if psnr_db >= limits.LOOKS_SAME_DB:
+    if psnr_db >= LOOKS_SAME_DB:
         return "looks the same"
     # nothing else is left: correctives of a cheaper tier
     what = causes[0] if causes else APPROXIMATE
-    if psnr_db >= limits.LOOKS_ALIKE_DB:
+    if psnr_db >= LOOKS_ALIKE_DB:
         return f"nearly the same ({what})"
-    return what if psnr_db >= limits.LOOKS_CLOSE_DB else f"clearly {what}" if what.startswith("soft") else what
+    return what if psnr_db >= LOOKS_CLOSE_DB else f"clearly {what}" if what.startswith("soft") else what
 
 
 def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
@@ -90,7 +95,7 @@ def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
         "correctives": "" if settings.effects.allows(Effect.CORRECTIVES) else "flat creases and knuckles",
         "Gaussians": "soft fingertips" if count < total else "",
         "shadow": "no shadow between the fingers" if settings.shadow is ShadowMode.OFF else "",
-        "blend": "thin edges" if settings.alpha_min > limits.ALPHA_MIN else "",
+        "blend": "thin edges" if settings.alpha_min > contract.ALPHA_MIN else "",
     }
     return {axis: words for axis, words in seen.items() if words}
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from jghand_engine import limits
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
+from jghand_engine.native import contract
 from jghand_engine.render.effect_plan import AUTO, Choice
 
 
@@ -46,12 +46,12 @@ class RenderSettings:
     """
 
     gaussians: int = 0
-    alpha_min: float = limits.ALPHA_MIN
-    t_stop: float = limits.T_STOP
+    alpha_min: float = contract.ALPHA_MIN
+    t_stop: float = contract.T_STOP
     shadow: ShadowMode = ShadowMode.GATED
     shadow_samples: int = 16
     shadow_strength: float = 1.0
-    shadow_radius_m: float = limits.SHADOW_RADIUS_M
+    shadow_radius_m: float = contract.SHADOW_RADIUS_M
     correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
@@ -71,14 +71,14 @@ class RenderSettings:
             ("t_stop", 0 <= self.t_stop < 1, "a value from 0 to below 1"),
             (
                 "shadow_samples",
-                1 <= self.shadow_samples <= limits.SHADOW_SAMPLES_MAX,
-                f"1 to {limits.SHADOW_SAMPLES_MAX}",
+                1 <= self.shadow_samples <= contract.SHADOW_SAMPLES_MAX,
+                f"1 to {contract.SHADOW_SAMPLES_MAX}",
             ),
             ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
             (
                 "shadow_radius_m",
-                0 < self.shadow_radius_m <= limits.SHADOW_RADIUS_MAX_M,
-                f"above 0, at most {limits.SHADOW_RADIUS_MAX_M:g} meters",
+                0 < self.shadow_radius_m <= contract.SHADOW_RADIUS_MAX_M,
+                f"above 0, at most {contract.SHADOW_RADIUS_MAX_M:g} meters",
             ),
             ("correctives", self.correctives in tuple(Tier), " | ".join(Tier)),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError
+from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.tasks import (
     LANES,
@@ -42,15 +42,15 @@ class ShadowStyle:
 
     samples: int = 16
     strength: float = 1.0
-    radius_m: float = limits.SHADOW_RADIUS_M
-    bias: float = limits.SHADOW_BIAS
-    softness: float = limits.SHADOW_SOFTNESS
-    gain: float = limits.SHADOW_GAIN
-    tint: tuple[float, float, float] = limits.SHADOW_TINT
+    radius_m: float = contract.SHADOW_RADIUS_M
+    bias: float = contract.SHADOW_BIAS
+    softness: float = contract.SHADOW_SOFTNESS
+    gain: float = contract.SHADOW_GAIN
+    tint: tuple[float, float, float] = contract.SHADOW_TINT
 
     def __post_init__(self) -> None:
         checks = (
-            ("samples", 1 <= self.samples <= limits.SHADOW_SAMPLES_MAX, f"1 to {limits.SHADOW_SAMPLES_MAX}"),
+            ("samples", 1 <= self.samples <= contract.SHADOW_SAMPLES_MAX, f"1 to {contract.SHADOW_SAMPLES_MAX}"),
             ("strength", 0 <= self.strength <= 1, "0 to 1"),
             ("radius_m", math.isfinite(self.radius_m) and self.radius_m > 0, "a positive length in meters"),
             ("bias", math.isfinite(self.bias), "a finite number"),
@@ -61,15 +61,15 @@ class ShadowStyle:
         for name, good, wanted in checks:
             if not good:
                 raise InputError(f"shadow {name}", wanted=wanted, came=str(getattr(self, name)))
-        if (1 + abs(self.bias)) / self.softness > limits.SHADOW_STEEPNESS_MAX:
-            wanted = f"(1 + |bias|) / softness up to {limits.SHADOW_STEEPNESS_MAX:g}"
+        if (1 + abs(self.bias)) / self.softness > contract.SHADOW_STEEPNESS_MAX:
+            wanted = f"(1 + |bias|) / softness up to {contract.SHADOW_STEEPNESS_MAX:g}"
             raise InputError("shadow softness", wanted=wanted, came=f"{self.softness} with bias {self.bias}")
 
 
 def vogel_disc(count: int) -> np.ndarray:
     """`count` points of the unit disc at equal area, (count, 2) float64: a sunflower, the same for every pixel."""
     index = np.arange(count) + 0.5
-    radius, angle = np.sqrt(index / count), index * limits.GOLDEN_ANGLE_RAD
+    radius, angle = np.sqrt(index / count), index * contract.GOLDEN_ANGLE_RAD
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
 
 
@@ -143,7 +143,7 @@ class NativeShade:
         """visibility (H, W) of the forward pass, gradient of the darkened color (3, H, W) -> `out` (5, H, W)."""
         size = (self.task.height, self.task.width)
         if self._stripes is None:
-            self._stripes = aligned_zeros((size[0] + 2 * limits.SHADOW_STRIPES * PAD_ROWS, self.task.stride))
+            self._stripes = aligned_zeros((size[0] + 2 * contract.SHADOW_STRIPES * PAD_ROWS, self.task.stride))
         self._keep += (visibility, darkened, out)
         self.team.fill(0)
         return ShadeGradient(

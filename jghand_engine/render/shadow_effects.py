@@ -13,12 +13,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM, SHADOW_UNSEEN, ShadowLook
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import NOT_ALLOWED, Decision, Effect
-from jghand_engine.render.gate import contact_between, fade, gap_between, smoothstep
+from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, fade, gap_between, smoothstep
 from jghand_engine.render.settings import RenderSettings, ShadowMode
+
+# hands smaller than this on the image get no shadow pass, px; it fades in up to the second size
+SHADOW_HAND_MIN_PX = 64.0
+SHADOW_HAND_FULL_PX = 96.0
+# estimated cost on one core, milliseconds per pixel and sample
+SHADOW_MS = 3e-7
 
 if TYPE_CHECKING:
     from jghand_engine.render.effects import HandFacts, Scene
@@ -44,7 +50,7 @@ def plan_shadows(
     """Strength 0..1 of the pass that shades all hands, and why: parts of a hand, and hands, near each other."""
     looks = [hand.look for hand in hands if hand.look is not None]
     extents_px = [extent_px(pixels, depth, scene.camera) for pixels, depth in scene.seen_joints]
-    cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * limits.SHADOW_MS
+    cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * SHADOW_MS
     darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
     dark = _Loss(f"darker by up to {100 * darkest:.0f} %", darkest)
     several = len(hands) > 1
@@ -62,7 +68,7 @@ def plan_shadows(
         return neither(NOT_ALLOWED, dark)
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     gap_m = gap_between(scene.joints_m) if may_between else math.inf
-    alone = gap_m >= limits.GATE_RADIUS_M
+    alone = gap_m >= GATE_RADIUS_M
     if alone and not always and (seen := _unseen(looks, settings)) is not None:
         return neither(f"seen by {255 * seen:.1f} of 255 steps", _Loss("the most that `jghand distill` measured", seen))
     size_px = max(extents_px)
@@ -101,7 +107,7 @@ def plan_shadows(
 
 def fade_with_size(size_px: float) -> float:
     """0..1: how much of the shadow the largest hand, of that extent, gets."""
-    return smoothstep(size_px, limits.SHADOW_HAND_MIN_PX, limits.SHADOW_HAND_FULL_PX)
+    return smoothstep(size_px, SHADOW_HAND_MIN_PX, SHADOW_HAND_FULL_PX)
 
 
 _ALONE = Decision(Effect.BETWEEN, False, "one hand", _NOTHING.bound, _NOTHING.worst)
@@ -109,10 +115,10 @@ _ALONE = Decision(Effect.BETWEEN, False, "one hand", _NOTHING.bound, _NOTHING.wo
 
 def _unseen(looks: Sequence[ShadowLook], settings: RenderSettings) -> float | None:
     """The most that these shadows change a pixel of a hand alone, where that is known and too little to see."""
-    if settings.shadow_radius_m != limits.SHADOW_RADIUS_M:
+    if settings.shadow_radius_m != contract.SHADOW_RADIUS_M:
         return None  # it was measured at the usual reach
     seen = settings.shadow_strength * max(math.inf if look.seen is None else look.seen for look in looks)
-    return seen if seen <= limits.SHADOW_UNSEEN else None
+    return seen if seen <= SHADOW_UNSEEN else None
 
 
 def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
@@ -123,9 +129,9 @@ def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
 def extent_px(pixels: np.ndarray, depth: np.ndarray, camera: Camera) -> float:
     """The longer side of the box around a hand on the picture, of joints that `camera.project` put there; infinite when
     the camera is inside the hand."""
-    if not (depth > limits.Z_NEAR_M).all():
+    if not (depth > contract.Z_NEAR_M).all():
         return math.inf
-    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * camera.px_per_meter(float(depth.min()))
+    flesh_px = 2e-3 * max(CAPSULE_RADII_MM) * camera.px_per_meter(float(depth.min()))
     return float((pixels.max(0) - pixels.min(0)).max()) + flesh_px
 
 

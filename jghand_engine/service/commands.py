@@ -13,10 +13,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from jghand_engine import __version__, limits
+from jghand_engine import __version__
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
 from jghand_engine.service.picture_request import OUTPUT_BYTES, PictureRequest, read_request, text_of
 from jghand_engine.service.protocol import PROTOCOL_VERSION, Array, Message
+
+# letters of an error's detail on the wire: with the sentence it must fit the 64 kB header
+DETAIL_MAX = 8000
 
 
 class Canceled(Exception):  # noqa: N818 - not an error: the client does not want the answer any more
@@ -136,16 +139,16 @@ def error_header(error: BaseException) -> dict[str, str]:
     kinds = ((MemoryLimitError, "out_of_memory"), (RetryError, "retry"), (InputError, "bad_input"))
     kind = next((name for known, name in kinds if isinstance(error, known)), "")
     if kind:
-        return {"kind": kind, "sentence": str(error)[: limits.DETAIL_MAX], "detail": ""}
+        return {"kind": kind, "sentence": str(error)[:DETAIL_MAX], "detail": ""}
     if is_out_of_memory(error):
         return {"kind": "out_of_memory", "sentence": "The picture does not fit into memory.", "detail": _short(error)}
     sentence = str(error) if isinstance(error, JGHandError) else f"The engine failed: {type(error).__name__}."
-    trace = "".join(traceback.format_exception(error))[-limits.DETAIL_MAX :]
-    return {"kind": "internal", "sentence": sentence[: limits.DETAIL_MAX], "detail": trace}
+    trace = "".join(traceback.format_exception(error))[-DETAIL_MAX:]
+    return {"kind": "internal", "sentence": sentence[:DETAIL_MAX], "detail": trace}
 
 
 def _short(error: BaseException) -> str:
-    return str(error)[: limits.DETAIL_MAX]
+    return str(error)[:DETAIL_MAX]
 
 
 def _or_nothing(values: np.ndarray | None, size: tuple[int, int]) -> np.ndarray:

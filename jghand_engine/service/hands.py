@@ -15,11 +15,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.avatar.shipped import SHIPPED
+from jghand_engine.avatar import SHIPPED
 from jghand_engine.errors import InputError
 from jghand_engine.service.commands import Canceled, LoadedAvatar, Painting, never
 from jghand_engine.service.picture_request import Exposure, PictureRequest, PictureSettings
+
+# renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
+RENDERERS_MAX = 8
+# avatars that are kept though no renderer shows them: those that were just loaded, before their first image
+IDLE_AVATARS_MAX = 4
+# sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
+BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
+BUDGET_ASPECT = 1.5
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -130,7 +137,7 @@ class EngineHands:
                 avatars = [self._avatar(*hand) for hand in hands]
                 settings = replace(_settings(asked, avatars, size_px), depth=picture.depth)
                 drawn = [_thinned(avatar, settings.gaussians, asked.density) for avatar in avatars]
-                while len(self._renderers) >= limits.RENDERERS_MAX:
+                while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
                 self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
                 self._drop_idle()
@@ -163,7 +170,7 @@ class EngineHands:
         """Lets go of avatars that no renderer shows, but for the few that were read last."""
         shown = {version for key in self._renderers for version, _ in key.hands}
         idle = [version for version in self._avatars if version not in shown]
-        for version in idle[: -limits.IDLE_AVATARS_MAX]:
+        for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]
 
     def _read(self, avatar: str) -> HandAvatar:
@@ -196,8 +203,8 @@ def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[
 def _measured_size(pixels: int) -> tuple[int, int]:
     """The least size of a few that has so many pixels: each is measured for two seconds when it is first met, and a
     view's pictures change theirs all the time."""
-    widths = limits.BUDGET_WIDTHS_PX
-    sizes = [(width, round(width / limits.BUDGET_ASPECT)) for width in widths]
+    widths = BUDGET_WIDTHS_PX
+    sizes = [(width, round(width / BUDGET_ASPECT)) for width in widths]
     return next((size for size in sizes if size[0] * size[1] >= pixels), sizes[-1])
 
 

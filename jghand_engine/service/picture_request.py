@@ -15,9 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.native import contract
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
+
+# hands in one image; each costs as much as the first
+PICTURE_HANDS_MAX = 16
+# moments of one image with motion blur: as many as the extension may ask for
+EXPOSURES_MAX = 64
+# renderers of other settings are asked for one frame in so many milliseconds; a minute is no frame any more
+BUDGET_MAX_MS = 60_000.0
+# letters of a text among the settings of an image
+SETTING_TEXT_MAX = 200
+# meters of places in a request: beyond any scene, and far from where float64 overflows
+REQUEST_NUMBER_MAX = 1e9
+# focal length and principal point, px: a view a million times narrower than any lens is a mistake
+PINHOLE_MAX_PX = 1e9
+# by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale
+RIGID_MAX = 1e-4
 
 # outputs that a picture may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
 OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "depth_covered": 4, "ids": 1, "png": 5}
@@ -35,7 +50,7 @@ class PictureSettings:
     budget_ms: float | None = None
     density: float = 1.0
     shadow_strength: float = 1.0
-    shadow_radius_m: float = limits.SHADOW_RADIUS_M
+    shadow_radius_m: float = contract.SHADOW_RADIUS_M
     correctives: str | None = None
     effects: str = "auto"
 
@@ -59,20 +74,20 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and 0 < len(value) <= limits.SETTING_TEXT_MAX
+    return isinstance(value, str) and 0 < len(value) <= SETTING_TEXT_MAX
 
 
 _CHECKS = {
     "preset": (_is_text, "the name of a preset"),
     "budget_ms": (
-        lambda v: v is None or (_is_number(v) and 0 < v <= limits.BUDGET_MAX_MS),
-        f"null, or milliseconds above 0, at most {limits.BUDGET_MAX_MS:g}",
+        lambda v: v is None or (_is_number(v) and 0 < v <= BUDGET_MAX_MS),
+        f"null, or milliseconds above 0, at most {BUDGET_MAX_MS:g}",
     ),
     "density": (lambda v: _is_number(v) and 0 < v <= 1, "a part above 0, at most 1"),
     "shadow_strength": (lambda v: _is_number(v) and 0 <= v <= 1, "a number from 0 to 1"),
     "shadow_radius_m": (
-        lambda v: _is_number(v) and 0 < v <= limits.SHADOW_RADIUS_MAX_M,
-        f"meters above 0, at most {limits.SHADOW_RADIUS_MAX_M:g}",
+        lambda v: _is_number(v) and 0 < v <= contract.SHADOW_RADIUS_MAX_M,
+        f"meters above 0, at most {contract.SHADOW_RADIUS_MAX_M:g}",
     ),
     "correctives": (lambda v: v is None or _is_text(v), "null, or the name of a tier"),
     "effects": (_is_text, "auto | all | none | names of effects"),
@@ -138,7 +153,7 @@ def read_request(message: Message) -> tuple[PictureRequest, list[str]]:
     Raises InputError, or MemoryLimitError for a picture that one message cannot carry.
     """
     header = message.header
-    width, height = (_whole(header, name, limits.PICTURE_MAX_PX) for name in ("width", "height"))
+    width, height = (_whole(header, name, contract.IMAGE_MAX_PX) for name in ("width", "height"))
     outputs = _outputs(header)
     _check_size(width, height, outputs)
     orthographic = header.get("orthographic", False)
@@ -189,8 +204,8 @@ def _check_size(width: int, height: int, outputs: list[str]) -> None:
 
 def _hands(header: dict[str, Any]) -> tuple[HandAsked, ...]:
     entries = header.get("hands")
-    if not (isinstance(entries, list) and len(entries) <= limits.PICTURE_HANDS_MAX):
-        raise InputError("hands", wanted=f"a list of at most {limits.PICTURE_HANDS_MAX}", came=repr(entries)[:80])
+    if not (isinstance(entries, list) and len(entries) <= PICTURE_HANDS_MAX):
+        raise InputError("hands", wanted=f"a list of at most {PICTURE_HANDS_MAX}", came=repr(entries)[:80])
     for entry in entries:
         if not isinstance(entry, dict):
             raise InputError("hand", wanted="an object with avatar and handedness", came=repr(entry)[:80])
@@ -202,17 +217,17 @@ def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
     camera_from_world (m, 4, 4), and where there are hands joints (m, n, 21, 3) and world_from_hand (m, n, 4, 4)."""
     came = message.arrays.get("pinholes")
     count = came.shape[0] if came is not None else 0
-    if not 1 <= count <= limits.EXPOSURES_MAX:
-        wanted = f"fx, fy, cx, cy of 1 to {limits.EXPOSURES_MAX} exposures"
+    if not 1 <= count <= EXPOSURES_MAX:
+        wanted = f"fx, fy, cx, cy of 1 to {EXPOSURES_MAX} exposures"
         raise InputError("array pinholes", wanted=wanted, came="nothing" if came is None else str(came.shape))
     pinholes = _numbers(message, "pinholes", (count, 4))
-    if not (np.abs(pinholes) < limits.PINHOLE_MAX_PX).all() or not (pinholes[:, :2] > 0).all():
+    if not (np.abs(pinholes) < PINHOLE_MAX_PX).all() or not (pinholes[:, :2] > 0).all():
         raise InputError("array pinholes", wanted="pixels, fx and fy above 0", came=str(pinholes.tolist())[:80])
     lenses = np.tile((0.0, 1.0), (count, 1))
     if "lenses" in message.arrays:
         lenses = _numbers(message, "lenses", (count, 2))
-        if not (lenses[:, 0] >= 0).all() or not (lenses[:, 1] > limits.Z_NEAR_M).all():
-            wanted = f"an aperture of 0 or more and a focus beyond {limits.Z_NEAR_M:g}, meters"
+        if not (lenses[:, 0] >= 0).all() or not (lenses[:, 1] > contract.Z_NEAR_M).all():
+            wanted = f"an aperture of 0 or more and a focus beyond {contract.Z_NEAR_M:g}, meters"
             raise InputError("array lenses", wanted=wanted, came=str(lenses.tolist())[:80])
     weights = np.ones(count)
     if "weights" in message.arrays:
@@ -243,9 +258,7 @@ def _rigid(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
     turns = maps[..., :3, :3]
     errors = np.abs(np.swapaxes(turns, -1, -2) @ turns - np.eye(3))
     if not (
-        (errors < limits.RIGID_MAX).all()
-        and (np.linalg.det(turns) > 0).all()
-        and (maps[..., 3, :] == (0, 0, 0, 1)).all()
+        (errors < RIGID_MAX).all() and (np.linalg.det(turns) > 0).all() and (maps[..., 3, :] == (0, 0, 0, 1)).all()
     ):
         raise InputError(f"array {name}", wanted="a rotation and a translation", came="a scaled or mirrored map")
     return maps
@@ -258,8 +271,8 @@ def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
         came = "nothing" if array is None else f"{array.dtype} {array.shape}"
         raise InputError(f"array {name}", wanted=f"floats of shape {shape}", came=came)
     values = np.asarray(array.view()).astype(np.float64)
-    if not (np.abs(values) <= limits.REQUEST_NUMBER_MAX).all():  # false for NaN too
-        wanted = f"finite numbers up to {limits.REQUEST_NUMBER_MAX:g}"
+    if not (np.abs(values) <= REQUEST_NUMBER_MAX).all():  # false for NaN too
+        wanted = f"finite numbers up to {REQUEST_NUMBER_MAX:g}"
         raise InputError(f"array {name}", wanted=wanted, came="NaN, infinity or a larger one")
     return values
 

@@ -4,7 +4,6 @@ A message is a u32 little-endian header length, a UTF-8 JSON header, and the raw
 which the header lists them under "arrays" as {"name", "dtype", "shape"}. Lengths are checked before anything is
 allocated. The first bytes that a client sends are not a message but its greeting: the token and the protocol version.
 
-The limits of the protocol stand here and not in limits/, because this file travels alone into the extension.
 Source: BLENDER 3.1 and 3.2, RENDERING 13 (26).
 """
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 from collections import deque
 
-from jghand_engine import limits
 from jghand_engine.service.protocol import Message
+
+# requests of a client that wait; one more is read when one is taken
+REQUESTS_WAITING_MAX = 16
 
 
 class Requests:
@@ -22,7 +24,7 @@ class Requests:
     def put(self, message: Message) -> None:
         """Adds a request; waits while too many wait already, so that a client that floods is slowed down."""
         with self._changed:
-            self._changed.wait_for(lambda: self._over or len(self._waiting) < limits.REQUESTS_WAITING_MAX)
+            self._changed.wait_for(lambda: self._over or len(self._waiting) < REQUESTS_WAITING_MAX)
             if not self._over:
                 self._waiting.append(message)
                 self._changed.notify_all()

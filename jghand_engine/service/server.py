@@ -27,13 +27,22 @@ from collections import deque
 from collections.abc import Callable
 from typing import IO, Any, NoReturn
 
-from jghand_engine import __version__, limits
+from jghand_engine import __version__
 from jghand_engine.errors import InputError
 from jghand_engine.service import protocol
 from jghand_engine.service.commands import Canceled, Commands, PictureSource, Reply, error_header
 from jghand_engine.service.handles import take_stdin
 from jghand_engine.service.protocol import Disconnected, Message, ProtocolError
 from jghand_engine.service.requests import Requests
+
+# seconds between two signs of life; Blender calls the renderer slow after 5 s without one
+HEARTBEAT_S = 1.0
+# a stranger's time to say the token
+GREETING_S = 2.0
+# connections that may be greeting at the same time; one more, and the oldest is closed
+GREETINGS_MAX = 8
+# after the end of stdin a running request may finish for so long before the process ends regardless
+STOP_GRACE_S = 3.0
 
 LOOPBACK = "127.0.0.1"
 # a request that is no request: the client does not want the answer to another one any more
@@ -71,7 +80,7 @@ class Server:
         self._busy = threading.Lock()
         self._greetings: deque[socket.socket] = deque()  # the oldest first
         self._greetings_lock = threading.Lock()
-        self._listener = socket.create_server((LOOPBACK, 0), backlog=limits.GREETINGS_MAX)
+        self._listener = socket.create_server((LOOPBACK, 0), backlog=GREETINGS_MAX)
 
     @property
     def port(self) -> int:
@@ -117,7 +126,7 @@ class Server:
                     return
                 continue
             with self._greetings_lock:
-                if len(self._greetings) >= limits.GREETINGS_MAX:
+                if len(self._greetings) >= GREETINGS_MAX:
                     with contextlib.suppress(OSError):  # its thread may be closing it
                         self._greetings.popleft().shutdown(socket.SHUT_RDWR)
                 self._greetings.append(connection)
@@ -127,7 +136,7 @@ class Server:
         """Lets a client in that knows the token; a stranger is cut off without an answer."""
         admitted = False
         try:
-            deadline = time.monotonic() + limits.GREETING_S
+            deadline = time.monotonic() + GREETING_S
             version = protocol.receive_greeting(connection, self._token, deadline=deadline)
             if version is None or not self._leave_greetings(connection):
                 return
@@ -252,7 +261,7 @@ def _beat(
     signs: Callable[[], list[dict[str, Any]]],
 ) -> None:
     """Says once a second that the process lives; skipped while the client does not read."""
-    while not gone.wait(limits.HEARTBEAT_S):
+    while not gone.wait(HEARTBEAT_S):
         with sending:
             try:
                 if not gone.is_set() and _takes_more(connection):
@@ -333,7 +342,7 @@ def _end_with_stdin(server: Server, parent: int) -> None:
     except OSError as error:
         _log(f"stdin cannot be read: {error}")
     server.stop()
-    time.sleep(limits.STOP_GRACE_S)
+    time.sleep(STOP_GRACE_S)
     os._exit(0)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.learn.tables import NONE, Table, number
+from jghand_engine.render.profile import LOOKS_SAME_DB
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.study.accuracy_growth import Growth
 from jghand_engine.study.accuracy_reference import Error
@@ -96,7 +96,7 @@ class Accuracy:
     @property
     def headline(self) -> str:
         """The quickest setting that looks the same, and what less time takes away."""
-        same = [row for row in self.front if row.error.psnr_db >= limits.LOOKS_SAME_DB]
+        same = [row for row in self.front if row.error.psnr_db >= LOOKS_SAME_DB]
         less = [row for row in self.front if not same or row.median_ms < same[0].median_ms]
         # of several that look alike the most exact one
         told = {row.looks: f"{row.median_ms:.0f} ms: {row.looks}" for row in [*less, *same[:1]]}

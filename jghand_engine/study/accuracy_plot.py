@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.render.profile import pareto_front
+from jghand_engine.render.profile import LOOKS_SAME_DB, pareto_front
 from jghand_engine.study.accuracy import Accuracy, Row
 from jghand_engine.study.accuracy_growth import PANELS, POSES, Growth
 from jghand_engine.study.accuracy_variants import TOGETHER
@@ -67,7 +66,7 @@ def _draw_crop(axes: Axes, row: Row) -> None:
         axes.imshow(row.crop, interpolation="lanczos")
     axes.set_axis_off()
     axes.set_title(f"{row.median_ms:.1f} ms", fontsize=16, weight="bold", loc="left", color=INK, pad=32)
-    color = OURS if row.error.psnr_db >= limits.LOOKS_SAME_DB else USUAL
+    color = OURS if row.error.psnr_db >= LOOKS_SAME_DB else USUAL
     looks = textwrap.fill(row.looks, 30)
     axes.text(0, 1.02, looks, transform=axes.transAxes, fontsize=10.5, color=color, weight="bold")
     axes.text(0, -0.07, row.name, transform=axes.transAxes, fontsize=9, color=QUIET)
@@ -75,10 +74,10 @@ def _draw_crop(axes: Axes, row: Row) -> None:
 
 def _draw_front(axes: Axes, study: Accuracy) -> None:
     values = [row.error.psnr_db for row in study.rows]
-    low, high = min(values) - 3, max(*values, limits.LOOKS_SAME_DB) + 4
+    low, high = min(values) - 3, max(*values, LOOKS_SAME_DB) + 4
     axes.set_ylim(low, high)
-    axes.axhspan(limits.LOOKS_SAME_DB, high, color=UNSEEN, lw=0, zorder=0)
-    axes.text(0.01, limits.LOOKS_SAME_DB, "looks the same above", transform=axes.get_yaxis_transform(), fontsize=9.5,
+    axes.axhspan(LOOKS_SAME_DB, high, color=UNSEEN, lw=0, zorder=0)
+    axes.text(0.01, LOOKS_SAME_DB, "looks the same above", transform=axes.get_yaxis_transform(), fontsize=9.5,
               color=HARMLESS, va="bottom")  # fmt: skip
     for rows, color, size in (
         ([row for row in study.rows if row.axis != TOGETHER], "#c9c7c1", 22),

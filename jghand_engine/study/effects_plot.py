@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine import limits
+from jghand_engine.render.gate import GATE_LOW
 from jghand_engine.study.effects_study import EffectsStudy
 from jghand_engine.study.report import HARMLESS, INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL, title
 
@@ -68,7 +68,7 @@ def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
 
 def _draw_gate(axes: Axes, study: EffectsStudy) -> None:
     title(axes, "How dark the self-shadow of a pose is")
-    axes.axvspan(1e-2, limits.GATE_LOW, color=UNSEEN, lw=0)
+    axes.axvspan(1e-2, GATE_LOW, color=UNSEEN, lw=0)
     axes.set_xscale("log")
     for row in study.gate:
         color = QUIET if row.strength == 0 else USUAL

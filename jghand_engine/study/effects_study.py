@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.captures.captures import Capture
@@ -29,10 +28,13 @@ from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.frame import Frame, HandRenderer
-from jghand_engine.render.gate import ShadowGate, fade
+from jghand_engine.render.gate import GATE_LOW, ShadowGate, fade
 from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.subject import Subject
+
+# occlusion that is seen: the part of the hand's pixels beyond it is what the gate is judged by (METHOD 5.4)
+GATE_NEED = 0.2
 
 POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")
 # a picture of a capture, or a name with joints (21, 3), meters, and a camera
@@ -120,7 +122,7 @@ class EffectsStudy:
         """What would be skipped, were the gate closed below a score: as it is, tighter, and always. Per threshold: the
         score (None: never open), the pictures skipped, the worst of them (part of the hand occluded, difference), and
         their mean PSNR against the captured pictures without the shadow and with it."""
-        return [_skipped_below(self.gate, score) for score in (limits.GATE_LOW, *CLOSED_BELOW)]
+        return [_skipped_below(self.gate, score) for score in (GATE_LOW, *CLOSED_BELOW)]
 
     @property
     def headline(self) -> str:
@@ -307,7 +309,7 @@ def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: GateSample) -> 
             psnr(np.asarray(rgb[inside], np.float32), truth.rgb[inside]) for rgb in (frame.rgba[..., :3], shaded)
         )
     darkest = float(np.abs(shaded - frame.rgba[..., :3]).max())
-    occluded = float((occlusion[hand] > limits.GATE_NEED).mean()) if hand.any() else 0.0
+    occluded = float((occlusion[hand] > GATE_NEED).mean()) if hand.any() else 0.0
     return GateRow(name, score, fade(score), occluded, darkest, truth_db)  # type: ignore[arg-type]
 
 

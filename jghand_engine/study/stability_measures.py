@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.learned import own_flesh
@@ -27,6 +26,7 @@ from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import apply, pose_gaussians
 from jghand_engine.learn.tensors import HandTensors
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import (
     GRADIENT_MAX,
@@ -298,7 +298,7 @@ def hand_picture(avatar: HandAvatar | HandTensors, case: HandCase) -> PictureErr
 
 def camera_before(case: HandCase, side_px: int = PICTURE_PX) -> Camera:
     """A camera that sees a whole hand whose wrist is at the origin, from the palm's side, however large the hand is."""
-    distance_m = max(4.0 * case.size_m, 10 * limits.Z_NEAR_M)
+    distance_m = max(4.0 * case.size_m, 10 * contract.Z_NEAR_M)
     middle = (case.joints_m - case.joints_m[:1]).mean(0).numpy()
     eye = middle + np.array([0.3, 0.1, 0.95]) * distance_m
     focal_px = 0.4 * side_px * distance_m / case.size_m

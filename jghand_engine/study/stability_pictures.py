@@ -12,10 +12,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.reference import Picture, rasterize_reference
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 
@@ -87,7 +87,7 @@ def converted(gaussians: Gaussians, dtype: torch.dtype, *, grad: bool = False) -
 def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:
     """float32 Gaussians as they are drawn (natively where there is a kernel) against the reference in float64."""
     with torch.no_grad():
-        drawn = rasterize(gaussians, camera, RenderSettings(t_stop=limits.T_STOP))
+        drawn = rasterize(gaussians, camera, RenderSettings(t_stop=contract.T_STOP))
         exact = rasterize_reference(converted(gaussians, torch.float64), camera)
     ours, theirs = planes_of(drawn).double(), planes_of(exact)
     # contributions scale with the largest color and depth of the scene
@@ -95,9 +95,9 @@ def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:
     if exact.visible_gaussians:
         axis = torch.from_numpy(camera.camera_from_world[2])
         depth = gaussians.position_m.double() @ axis[:3] + axis[3]
-        good = torch.isfinite(depth) & (depth.abs() <= limits.POSITION_MAX_M)
+        good = torch.isfinite(depth) & (depth.abs() <= contract.POSITION_MAX_M)
         scale[4] = max(float(depth[good].abs().max()), 1.0) if bool(good.any()) else 1.0
-        color = gaussians.rgb[torch.isfinite(gaussians.rgb).all(1) & (gaussians.rgb.abs() <= limits.RGB_MAX).all(1)]
+        color = gaussians.rgb[torch.isfinite(gaussians.rgb).all(1) & (gaussians.rgb.abs() <= contract.RGB_MAX).all(1)]
         scale[:3] = max(float(color.abs().max()), 1.0) if len(color) else 1.0
     error = ((ours - theirs).abs() / scale).amax(-1)
     return PictureError(

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
+from jghand_engine.native import contract
 from jghand_engine.native.library import load
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.shadow import ShadowStyle
@@ -34,7 +34,7 @@ from jghand_engine.study.stability_pictures import (
 # what PICTURE_NUDGE_M may change a pixel by, in 8-bit steps: one contribution at the cut, and the movement itself
 STEPS_MAX = 1.1
 
-_CUT = limits.ALPHA_MIN
+_CUT = contract.ALPHA_MIN
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _at_near_plane() -> tuple[Gaussians, Camera]:
     camera = Camera(64, 64, 60.0, 60.0, 32.0, 32.0, np.eye(4))
     g = torch.Generator().manual_seed(5)
     position = 0.02 * (torch.rand(300, 3, generator=g) - 0.5)
-    position[:, 2] = limits.Z_NEAR_M + torch.tensor([-1e-6, 0.0, 1e-6]).repeat(100)
+    position[:, 2] = contract.Z_NEAR_M + torch.tensor([-1e-6, 0.0, 1e-6]).repeat(100)
     rgb = torch.rand(300, 3, generator=g)
     return Gaussians(position, torch.full((300,), 3e-4), torch.full((300,), 0.7), rgb), camera
 

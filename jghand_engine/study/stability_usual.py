@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import PARENTS, Handedness
+from jghand_engine.native import contract
 
 # the usual guards of these formulas: "length + eps", clipped arc cosine
 EPS = 1e-8
@@ -127,7 +127,7 @@ def _by_angles(parent: Tensor, child: Tensor) -> tuple[Tensor, Tensor]:
 def usual_ink(covariance_px2: Tensor, offsets_px: Tensor, opacity: float) -> Tensor:
     """Alpha (P,) of a Gaussian at offsets (P, 2) from its center, from the inverse of its covariance xx, xy, yy (3,):
     the blur is added, the determinant is a c - b^2, in the working precision."""
-    a, b, c = covariance_px2 + limits.BLUR_PX2 * torch.tensor([1.0, 0.0, 1.0], dtype=covariance_px2.dtype)
+    a, b, c = covariance_px2 + contract.BLUR_PX2 * torch.tensor([1.0, 0.0, 1.0], dtype=covariance_px2.dtype)
     det = a * c - b * b
     x, y = offsets_px.to(covariance_px2.dtype).unbind(-1)
     return opacity * torch.exp(-0.5 * (c * x * x - 2 * b * x * y + a * y * y) / det)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS
-from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template.closest import ClosestPoints, Surface
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import segment_distance

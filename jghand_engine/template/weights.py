@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from jghand_engine.avatar.validation import WEIGHT_SUM_TOLERANCE
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.limits import WEIGHT_SUM_TOLERANCE
 
 if TYPE_CHECKING:
     import torch

@@ -61,7 +61,7 @@ _REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[
 
 @dataclass(frozen=True)
 class Trust:
-    """How much is believed: standard deviations (`jghand_engine.limits`, tracking). smoothing: 1; more is smoother, 0
+    """How much is believed: standard deviations. smoothing: 1; more is smoother, 0
     fits every frame alone."""
 
     landmark: float = LANDMARK_SIGMA

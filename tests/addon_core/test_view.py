@@ -18,7 +18,7 @@ from blender_addon.core.view import (
     picture_request,
     pinhole_from,
 )
-from jghand_engine import limits as engine_limits
+from jghand_engine.native import contract
 from jghand_engine.service.picture_request import PictureSettings, read_request
 from jghand_engine.service.protocol import Message
 
@@ -82,7 +82,7 @@ def test_settings_lens_and_rays_arrive():
 
 def test_shadows_reach_as_far_as_the_engines_own_unless_it_is_said():
     assert PictureSettings().shadow_radius_m == limits.SHADOW_RADIUS_MM / 1e3
-    assert limits.SHADOW_RADIUS_MAX_MM / 1e3 == engine_limits.SHADOW_RADIUS_MAX_M
+    assert limits.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
 
 
 def test_moments_arrive_in_their_order_with_their_weights():

@@ -13,18 +13,17 @@ import safetensors
 import safetensors.numpy
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
-from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
+from jghand_engine.avatar.avatar import SIGMA_MIN_M, HandAvatar, LearnedFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.learned import Learned, Light, ShadowLook
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.avatar.texts import as_text
+from jghand_engine.avatar.validation import as_text
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Swing, Transform, scale_exponent
 from jghand_engine.learn.baselines import HaloLikeTransform, transform_of
 from jghand_engine.learn.skeleton import JointTransform
-from jghand_engine.limits import SIGMA_MIN_M
 
 
 def same(one: HandAvatar, other: HandAvatar) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from small_avatars import trained_avatar
 
 from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
-from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT
+from jghand_engine.native.contract import SHADOW_GAIN, SHADOW_TINT
 
 
 def with_ellipsoids() -> Learned:

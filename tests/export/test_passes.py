@@ -10,15 +10,15 @@ import pytest
 from scipy.spatial import KDTree
 from usd_samples import engine_gaussians, engine_mesh
 
+from jghand_engine.avatar.avatar import bone_numbers
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.skin_bones import bone_numbers
 from jghand_engine.errors import InputError
 from jghand_engine.export.passes import JOINT_REACH_ROOM, JointView, JointWitness, channels, joint_reach_m, pass_names
 from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import LEVEL_OF_STANDARD
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.limits import Z_NEAR_M
+from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import Frame, HandRenderer
 from jghand_engine.render.framing import framing_camera

@@ -9,10 +9,10 @@ import pytest
 import torch
 from painted_hand import bone_areas
 
+from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.learn import canonical_points
 from jghand_engine.learn.canonical_points import CanonicalPoints
-from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface

@@ -10,9 +10,9 @@ import pytest
 import torch
 from small_avatars import trained_tensors
 
-from jghand_engine import limits
+from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH, LIGHT_TO_DISPLAY
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM, OWN_FLESH_RADII, own_flesh
 from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
-from jghand_engine.avatar.learned import own_flesh
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.poses import named_pose
@@ -123,7 +123,7 @@ def test_edges_are_soft_and_widen_with_the_distance():
     near, far = partly(0.8), partly(-1.0)
     assert 0 < near < far
     # half a lamp's width per meter of way
-    assert far == pytest.approx(1e3 * (limits.LAMP_HALF_WIDTH * 2.0 + 2e-3 + 0.01), abs=15)
+    assert far == pytest.approx(1e3 * (LAMP_HALF_WIDTH * 2.0 + 2e-3 + 0.01), abs=15)
 
 
 # ---- what is one's own -----------------------------------------------------------------------------------------------
@@ -136,7 +136,7 @@ def test_flesh_is_ones_own_on_its_bone_and_not_elsewhere():
     for a, point in enumerate(CAST.anchors.position_m.double()):
         along = torch.linspace(0, 1, 201, dtype=torch.float64)[:, None, None]
         distance = (start + along * (end - start) - point).norm(dim=-1).amin(0) / radius_m
-        near, far = limits.OWN_FLESH_RADII
+        near, far = OWN_FLESH_RADII
         assert bool((own[a][distance < near] == 1).all())
         assert bool((own[a][distance > far + 1e-4] == 0).all())
 
@@ -146,7 +146,7 @@ def test_capsules_run_from_joint_to_joint_and_grow_with_the_hand():
     for bone in range(20):
         assert torch.equal(start[bone], CANONICAL_M[PARENTS[bone + 1]])
         assert torch.equal(end[bone], CANONICAL_M[bone + 1])
-    torch.testing.assert_close(radius_m, 2e-3 * torch.tensor(limits.GATE_CAPSULE_RADII_MM).double())
+    torch.testing.assert_close(radius_m, 2e-3 * torch.tensor(CAPSULE_RADII_MM).double())
 
 
 # ---- the loss of light -----------------------------------------------------------------------------------------------
@@ -178,7 +178,7 @@ def test_only_the_hidden_lamp_and_its_color_are_missing():
     seen[:, 3] = 0.0
     bounced = torch.tensor([0.05, 0.02, 0.01], dtype=torch.float64)
     loss = exponent(replace(CAST, lamp_rgb=rgb, bounced_rgb=bounced), LampsSeen(open_, seen))
-    alone = CAST.anchors.spread((0.05 / (open_[:, 3:4] + 0.05)).log() * limits.LIGHT_TO_DISPLAY)
+    alone = CAST.anchors.spread((0.05 / (open_[:, 3:4] + 0.05)).log() * LIGHT_TO_DISPLAY)
     torch.testing.assert_close(loss[:, :1], alone)
     assert not loss[:, 1:].any()
 

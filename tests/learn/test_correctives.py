@@ -10,9 +10,8 @@ from small_avatars import small_tensors
 from small_hands import SMALL_NET, frames_of, stirred
 from torch.nn import functional
 
-from jghand_engine.avatar.correctives import PoseNetShape, positional_encoding
+from jghand_engine.avatar.correctives import SHADE_MAX, PoseNetShape, positional_encoding
 from jghand_engine.learn.pose_net import PoseNet
-from jghand_engine.limits import SHADE_MAX
 
 AVATAR = small_tensors(60)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from jghand_engine import limits
+from jghand_engine.avatar.skin_task import QUATERNION_MIN
 from jghand_engine.learn.covariance import posed_covariance
+from jghand_engine.native import contract
 
 ENTRIES = [0, 1, 2, 4, 5, 8]
 FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]
@@ -69,7 +70,7 @@ def test_the_length_and_the_sign_of_a_quaternion_mean_nothing():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("length", [0.0, 1e-30, limits.QUATERNION_MIN, 1e-5])
+@pytest.mark.parametrize("length", [0.0, 1e-30, QUATERNION_MIN, 1e-5])
 def test_a_quaternion_without_length_is_no_rotation_and_has_a_finite_gradient(length, dtype):
     log_scale, quaternion, linear = some(20, dtype)
     quaternion = (length * quaternion / quaternion.norm(dim=1, keepdim=True)).requires_grad_()
@@ -78,7 +79,7 @@ def test_a_quaternion_without_length_is_no_rotation_and_has_a_finite_gradient(le
     assert bool(torch.isfinite(got).all())
     assert quaternion.grad is not None
     assert bool(torch.isfinite(quaternion.grad).all())
-    if length < limits.QUATERNION_MIN:
+    if length < QUATERNION_MIN:
         want = linear @ torch.diag_embed(torch.exp(2 * log_scale)) @ linear.mT
         # float32: 1e-7 of the largest entry
         close = {"rtol": 1e-5, "atol": 1e-12} if dtype == torch.float32 else {"rtol": 1e-12, "atol": 0.0}
@@ -109,7 +110,7 @@ def test_any_linear_map_gives_semi_definite_covariances_and_finite_gradients(lin
     assert all(leaf.grad is not None and bool(torch.isfinite(leaf.grad).all()) for leaf in leaves)
     values = torch.linalg.eigvalsh(matrices(covariance.detach().double()))
     # within what the rasterizer takes for rounding; worst seen -3.4e-8
-    assert bool((values[:, 0] >= -0.1 * limits.COVARIANCE_SLACK * values.sum(1)).all())
+    assert bool((values[:, 0] >= -0.1 * contract.COVARIANCE_SLACK * values.sum(1)).all())
 
 
 def test_nothing_changes_under_autocast():

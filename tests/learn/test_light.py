@@ -10,9 +10,8 @@ import pytest
 import scipy.special
 import torch
 
-from jghand_engine.avatar.learned import SH_COUNT
+from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SH_COUNT
 from jghand_engine.learn.light import LightTensors, gloss, harmonics, lit, unit
-from jghand_engine.limits import LIGHT_EXPONENT_MAX
 
 
 def directions(count: int = 200, seed: int = 0) -> torch.Tensor:

@@ -10,9 +10,18 @@ import pytest
 import torch
 from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, small_points, stirred
 
-from jghand_engine import limits
+from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M
+from jghand_engine.avatar.learned import LOG_STRETCH_MAX
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.learn.model import LearnedHand, ModelOptions, OffsetFrame, Shape
+from jghand_engine.learn.model import (
+    LOBE_SHARPNESS_MAX,
+    SHADOW_GAIN_RANGE,
+    SHINE_SPREAD,
+    LearnedHand,
+    ModelOptions,
+    OffsetFrame,
+    Shape,
+)
 from jghand_engine.learn.tensors import HandTensors, LearnedTensors
 
 RIGHT = Handedness.RIGHT
@@ -98,21 +107,21 @@ def test_no_weight_carries_anything_out_of_its_range():
     # to the rounding of positions
     assert 0.99 * SMALL_MODEL.identity_reach_m < float(moved_m.max()) <= SMALL_MODEL.identity_reach_m + 1e-8
     sigma_m = avatar.sigma_m.detach()
-    assert float(sigma_m.min()) == pytest.approx(limits.SIGMA_MIN_M)
-    assert float(sigma_m.max()) == pytest.approx(limits.SIGMA_MAX_M)
+    assert float(sigma_m.min()) == pytest.approx(SIGMA_MIN_M)
+    assert float(sigma_m.max()) == pytest.approx(SIGMA_MAX_M)
     for unit_range in (avatar.rgb, avatar.opacity):
         assert 0 <= float(unit_range.detach().min()) <= float(unit_range.detach().max()) <= 1
-    assert float(learned.shine.detach().log().abs().max()) == pytest.approx(limits.SHINE_SPREAD)
+    assert float(learned.shine.detach().log().abs().max()) == pytest.approx(SHINE_SPREAD)
     torch.testing.assert_close(learned.normal.detach().norm(dim=1), torch.ones(300), atol=2e-7, rtol=0)
     light = learned.light
-    assert float(light.lobe_sharpness.detach().max()) == pytest.approx(limits.LOBE_SHARPNESS_MAX)
+    assert float(light.lobe_sharpness.detach().max()) == pytest.approx(LOBE_SHARPNESS_MAX)
     assert float(light.lobe_rgb.detach().min()) >= 0
     assert float(light.rim.detach()) >= 0
     assert learned.shadow is not None
-    assert limits.SHADOW_GAIN_RANGE[0] <= learned.shadow.gain <= limits.SHADOW_GAIN_RANGE[1]
+    assert SHADOW_GAIN_RANGE[0] <= learned.shadow.gain <= SHADOW_GAIN_RANGE[1]
     assert all(0 <= part <= 1 for part in learned.shadow.tint)
     assert learned.ellipsoid is not None
-    assert float(learned.ellipsoid.log_stretch.detach().abs().max()) == limits.LOG_STRETCH_MAX
+    assert float(learned.ellipsoid.log_stretch.detach().abs().max()) == LOG_STRETCH_MAX
     assert all(bool(torch.isfinite(tensor).all()) for tensor in (avatar.position_m, learned.normal, light.lobe_rgb))
 
 
@@ -133,10 +142,10 @@ def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_re
     optimizer.step()
     hand.keep_in_range()
     sigma_m = avatar_of(hand).sigma_m
-    assert float(sigma_m[0].detach()) > 1.02 * limits.SIGMA_MIN_M  # observed 1.026
-    assert float(sigma_m[1].detach()) < 0.4 * limits.SIGMA_MAX_M  # observed 0.36
-    assert hand.log_stretch[:2].detach().abs().max() == limits.LOG_STRETCH_MAX - 1
-    assert float(hand.lobe_log_sharpness[0].detach()) == pytest.approx(math.log(limits.LOBE_SHARPNESS_MAX) - 1)
+    assert float(sigma_m[0].detach()) > 1.02 * SIGMA_MIN_M  # observed 1.026
+    assert float(sigma_m[1].detach()) < 0.4 * SIGMA_MAX_M  # observed 0.36
+    assert hand.log_stretch[:2].detach().abs().max() == LOG_STRETCH_MAX - 1
+    assert float(hand.lobe_log_sharpness[0].detach()) == pytest.approx(math.log(LOBE_SHARPNESS_MAX) - 1)
 
 
 def test_what_is_in_its_range_is_left_alone():
@@ -245,7 +254,7 @@ def deep_and_wide(hand: LearnedHand) -> None:
     """Some Gaussians far under the skin, and some as wide as may be."""
     hand.points.uvd[::3, 2] = 0.25  # 5 mm deep
     with torch.no_grad():
-        hand.log_sigma[::5] = math.log(limits.SIGMA_MAX_M)
+        hand.log_sigma[::5] = math.log(SIGMA_MAX_M)
 
 
 @pytest.mark.parametrize("count", [30, 120, 299, 300])
@@ -270,9 +279,7 @@ def test_a_prefix_is_what_the_finished_avatar_gives_as_prefix(count):
 def test_radii_of_a_prefix_grow_as_gaps_on_a_surface_do():
     hand = small_hand(moved=False)
     hand.points.uvd[:, 2] = 0.5
-    torch.testing.assert_close(
-        avatar_of(hand, 75).sigma_m, (2 * hand.points.sigma_m[:75]).clamp(max=limits.SIGMA_MAX_M)
-    )
+    torch.testing.assert_close(avatar_of(hand, 75).sigma_m, (2 * hand.points.sigma_m[:75]).clamp(max=SIGMA_MAX_M))
 
 
 def test_all_gaussians_keep_the_gradient_of_their_radii():

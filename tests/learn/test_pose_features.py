@@ -10,7 +10,7 @@ import pytest
 import torch
 from small_hands import frames_of
 
-from jghand_engine.avatar.correctives import positional_encoding
+from jghand_engine.avatar.correctives import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG, positional_encoding
 from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
 from jghand_engine.learn.pose_features import (
     AnglePlanes,
@@ -19,7 +19,6 @@ from jghand_engine.learn.pose_features import (
     octave_of_wave,
     palm_angles,
 )
-from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
 TEXELS = 5
 RANGES = torch.from_numpy(FRAME_RANGES_DEG)

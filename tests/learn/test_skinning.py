@@ -8,6 +8,7 @@ import pytest
 import torch
 from small_avatars import small_tensors
 
+from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.gaussians import Gaussians
@@ -15,7 +16,6 @@ from jghand_engine.learn.pose_net import Correction
 from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import apply, blend, pose_gaussians, pose_skin, turning, volume_scale
 from jghand_engine.learn.tensors import HandTensors
-from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.weight_field import WeightField
 

@@ -12,11 +12,11 @@ from painted_samples import mirrored, painted_samples
 from small_hands import SMALL_MODEL
 from small_trainings import SMALL, parameters_of, small_training
 
-from jghand_engine import limits
+from jghand_engine.avatar.avatar import SIGMA_MAX_M
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.learn.baselines import HaloLikeTransform
-from jghand_engine.learn.model import Shape
+from jghand_engine.learn.model import SHADOW_GAIN_RANGE, Shape
 from jghand_engine.learn.options import LossWeights, Schedule, TrainOptions, Transform
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
@@ -322,7 +322,7 @@ def test_the_shadow_darkens_by_strength_and_tint(build, samples):
 
     def picture(gain: float, tint: float, strength: float) -> torch.Tensor:
         with torch.no_grad():
-            low, high = limits.SHADOW_GAIN_RANGE
+            low, high = SHADOW_GAIN_RANGE
             training.hand.raw_shadow_gain.copy_(torch.logit(torch.tensor(math.log(gain / low, high / low))))
             training.hand.raw_shadow_tint.fill_(math.log(tint / (1 - tint)) if tint < 1 else math.inf)
             avatar = training._live()
@@ -360,7 +360,7 @@ def test_long_gradients_are_shortened(build):
 
 
 def test_after_a_step_and_after_loading_no_radius_is_beyond_its_limit(build):
-    training, most = build(), math.log(limits.SIGMA_MAX_M)
+    training, most = build(), math.log(SIGMA_MAX_M)
     with torch.no_grad():
         training.hand.log_sigma += 1.0
     beyond = {name: tensor.clone() for name, tensor in training.tensors().items()}

@@ -10,15 +10,14 @@ import sys
 
 import pytest
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.native import binding, build, library, selftest, tasks
+from jghand_engine.native import binding, build, contract, library, selftest, tasks
 
 
 def test_the_kernels_constants_are_those_of_python():
     text = (build.SOURCE_FOLDER / "constants.h").read_text()
     found = {name: float(value) for name, value in re.findall(r"constexpr \w+ (\w+) = ([-\d.e]+)f?;", text)}
-    python = vars(limits) | vars(tasks)
+    python = vars(contract) | vars(tasks)
     shared = {name: value for name, value in found.items() if name in python}
     assert set(found) - set(shared) == {"LN2", "LOG2E"}
     assert shared == {name: python[name] for name in shared}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from splat_scenes import camera_for, hand_gaussians
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.native import contract
 from jghand_engine.native import rasterizer as module
 from jghand_engine.native.binding import address, aligned_zeros
 from jghand_engine.native.library import load, runnable_variants
@@ -96,7 +96,7 @@ def test_memory_that_may_only_be_read_is_refused_for_results():
 
 def test_a_picture_too_large_is_refused():
     with pytest.raises(InputError, match="picture size"):
-        rasterizer().forward(hand_arrays(1), View(limits.PICTURE_MAX_PX + 1, 1, 1.0, 1.0, 0, 0, np.eye(3, 4)))
+        rasterizer().forward(hand_arrays(1), View(contract.IMAGE_MAX_PX + 1, 1, 1.0, 1.0, 0, 0, np.eye(3, 4)))
 
 
 def test_backward_before_forward_is_refused():
@@ -135,7 +135,7 @@ def test_a_picture_that_was_refused_has_no_backward_pass():
     one.forward(arrays, view)
     want = one.backward(gradient)
     with pytest.raises(InputError, match="picture size"):
-        one.forward(hand_arrays(90), view_for(limits.PICTURE_MAX_PX + 1, 1))
+        one.forward(hand_arrays(90), view_for(contract.IMAGE_MAX_PX + 1, 1))
     with pytest.raises(InputError, match="forward"):
         one.backward(gradient)
     one.forward(arrays, view)

@@ -9,11 +9,10 @@ from dataclasses import replace
 import pytest
 from small_avatars import small_avatar, trained_avatar
 
-from jghand_engine import limits
 from jghand_engine.color import PSNR_MAX_DB
 from jghand_engine.errors import InputError
 from jghand_engine.render import budget, profile
-from jghand_engine.render.budget import best_for, candidates, choose, measure_quickly
+from jghand_engine.render.budget import BUDGET_PART, best_for, candidates, choose, measure_quickly
 from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.profile import (
     Profile,
@@ -55,8 +54,8 @@ def test_the_most_accurate_that_fits_is_chosen_else_the_quickest(budget_ms, name
 def test_the_slow_frames_have_to_fit_with_room_to_spare():
     # 95 % below 11 ms: 11 / 0.9 = 12.2
     profile_of_rows = Profile(ROWS, "here", False)
-    assert choose(profile_of_rows, 11 / limits.BUDGET_PART + 0.01, 100).rated.name == "good"
-    assert choose(profile_of_rows, 11 / limits.BUDGET_PART - 0.01, 100).rated.name == "quick"
+    assert choose(profile_of_rows, 11 / BUDGET_PART + 0.01, 100).rated.name == "good"
+    assert choose(profile_of_rows, 11 / BUDGET_PART - 0.01, 100).rated.name == "quick"
 
 
 def test_what_comes_out_may_reuse_and_has_the_threads_that_were_asked_for():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jghand_engine.errors import InputError
-from jghand_engine.limits import PARALLEL_EYE_M, Z_NEAR_M
-from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.native.contract import Z_NEAR_M
+from jghand_engine.render.camera import PARALLEL_EYE_M, Camera, Lens
 
 UP = np.array([0.0, 1.0, 0.0])
 EYE_M, TARGET_M = np.array([0.3, 0.2, 0.9]), np.array([0.0, 0.1, 0.0])

@@ -21,11 +21,11 @@ from splat_scenes import (
     stretched,
 )
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.learn import reference
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import check_gaussians, rasterize_reference, semi_definite
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
 F64 = torch.float64
@@ -71,7 +71,7 @@ def test_a_gaussian_is_drawn_while_its_box_reaches_into_the_picture(side: str):
 def test_a_box_that_only_touches_the_border_is_not_drawn():
     gaussian = one([0.0, 0.0, 1.0], sigma_m=0.06, opacity=0.5)
     ellipses = reference._project(gaussian, gaussian.position_m, torch.tensor([0]), front_camera(8, 8, 100.0))
-    left, right, top, bottom = (float(edge) for edge in reference._boxes(ellipses, limits.ALPHA_MIN)[:, 0])
+    left, right, top, bottom = (float(edge) for edge in reference._boxes(ellipses, contract.ALPHA_MIN)[:, 0])
     reach = (right - left) / 2
     assert 16 < reach < 24  # then 8 + reach is exact, and so is what follows
     assert (right - left, bottom - top) == (2 * reach, 2 * reach)
@@ -87,13 +87,13 @@ def test_a_box_that_only_touches_the_border_is_not_drawn():
 
 def test_at_the_near_plane_nothing_is_drawn_and_right_behind_it_is():
     camera = front_camera(16, 16, 20.0)
-    for depth_m, drawn in ((limits.Z_NEAR_M, 0), (math.nextafter(limits.Z_NEAR_M, 1), 1)):
+    for depth_m, drawn in ((contract.Z_NEAR_M, 0), (math.nextafter(contract.Z_NEAR_M, 1), 1)):
         assert counts(one([0.0, 0.0, depth_m]), camera) == (drawn, 0)
 
 
 def test_an_opacity_equal_to_the_cut_cannot_be_seen():
     camera = front_camera(15, 15, 20.0)
-    for opacity, drawn in ((limits.ALPHA_MIN, 0), (math.nextafter(limits.ALPHA_MIN, 1), 1)):
+    for opacity, drawn in ((contract.ALPHA_MIN, 0), (math.nextafter(contract.ALPHA_MIN, 1), 1)):
         assert counts(one([0.0, 0.0, 1.0], opacity=opacity), camera) == (drawn, 0)
 
 
@@ -101,14 +101,14 @@ def test_a_variance_equal_to_its_limit_is_invalid(monkeypatch):
     """Of spheres in the middle of the picture the variance is (sigma f / z)^2 + 0.3, in both directions."""
     camera = Camera(9, 9, 1.0, 2.0, 4.5, 4.5, torch.eye(4, dtype=F64))
     for limit, drawn in ((4.3, 0), (math.nextafter(4.3, 5), 1), (1.3, 0), (2.0, 0)):
-        monkeypatch.setattr(limits, "VAR_MAX_PX2", limit)
+        monkeypatch.setattr(contract, "VAR_MAX_PX2", limit)
         assert counts(one([0.0, 0.0, 1.0], sigma_m=1.0), camera) == (drawn, 1 - drawn)
         turned = Camera(9, 9, 2.0, 1.0, 4.5, 4.5, torch.eye(4, dtype=F64))
         assert counts(one([0.0, 0.0, 1.0], sigma_m=1.0), turned) == (drawn, 1 - drawn)
 
 
 def test_the_largest_values_that_can_be_drawn_are_drawn():
-    far, bright = limits.POSITION_MAX_M, limits.RGB_MAX
+    far, bright = contract.POSITION_MAX_M, contract.RGB_MAX
     camera = Camera(9, 9, 1.0, 1.0, 4.5, 4.5, torch.eye(4, dtype=F64))
     largest = one([far, -far, far], sigma_m=1e3, opacity=1.0, rgb=(bright, -bright, 0.0))
     assert counts(largest, replace(camera, cx=3.5, cy=5.5)) == (1, 0)
@@ -122,8 +122,8 @@ BOTH_WAYS = list(itertools.product(range(3), (1, -1)))
 @pytest.mark.parametrize(
     ("name", "column", "value"),
     [
-        *(("position_m", column, sign * math.nextafter(limits.POSITION_MAX_M, 2e6)) for column, sign in BOTH_WAYS),
-        *(("rgb", column, sign * math.nextafter(limits.RGB_MAX, 2e6)) for column, sign in BOTH_WAYS),
+        *(("position_m", column, sign * math.nextafter(contract.POSITION_MAX_M, 2e6)) for column, sign in BOTH_WAYS),
+        *(("rgb", column, sign * math.nextafter(contract.RGB_MAX, 2e6)) for column, sign in BOTH_WAYS),
         ("sigma_m", None, 0.0),
         ("sigma_m", None, math.inf),
         ("opacity", None, math.nextafter(1, 2)),
@@ -166,7 +166,7 @@ def test_semi_definite_is_what_the_eigenvalues_say():
     full = random.normal(size=(4000, 3, 3)) * 10.0 ** random.uniform(-8, 3, (4000, 1, 1))
     symmetric = full + full.swapaxes(1, 2) + np.abs(np.linalg.norm(full, axis=(1, 2)))[:, None, None] * np.eye(3)
     trace = np.trace(symmetric, axis1=1, axis2=2)
-    least = np.linalg.eigvalsh(symmetric)[:, 0] + limits.COVARIANCE_SLACK * trace
+    least = np.linalg.eigvalsh(symmetric)[:, 0] + contract.COVARIANCE_SLACK * trace
     expected = least > 0
     assert 0.2 < expected.mean() < 0.8
     assert np.array_equal(semi_definite(upper(symmetric)).numpy(), expected)
@@ -177,13 +177,13 @@ def test_flat_covariances_may_be_a_part_of_their_trace_beyond_flat():
     turn = np.linalg.qr(random.normal(size=(200, 3, 3)))[0]
     for part, good in ((-0.9, True), (-1.1, False)):
         for flat in ([2.0, 1.0, 0.0], [3.0, 0.0, 0.0]):
-            values = np.array(flat) + part * limits.COVARIANCE_SLACK * sum(flat) * (np.array(flat) == 0)
+            values = np.array(flat) + part * contract.COVARIANCE_SLACK * sum(flat) * (np.array(flat) == 0)
             matrices = turn * values @ turn.swapaxes(1, 2)
             assert (semi_definite(upper(matrices)).numpy() == good).all()
 
 
 def test_without_the_slack_a_flat_covariance_is_refused_to_the_last_bit(monkeypatch):
-    monkeypatch.setattr(limits, "COVARIANCE_SLACK", 0.0)
+    monkeypatch.setattr(contract, "COVARIANCE_SLACK", 0.0)
     for place in (0, 3, 5):
         rows = torch.tensor([[1.0, 0, 0, 1, 0, 1]] * 2, dtype=F64)
         rows[:, place] = torch.tensor([0.0, 1e-300], dtype=F64)
@@ -217,7 +217,7 @@ def test_the_smooth_cut_is_a_smoothstep_from_the_cut_to_twice_the_cut():
 
 
 def test_an_alpha_at_the_cap_has_no_gradient_and_one_below_it_has():
-    for opacity, gradient in ((limits.ALPHA_MAX, 0.0), (math.nextafter(limits.ALPHA_MAX, 0), 1.0)):
+    for opacity, gradient in ((contract.ALPHA_MAX, 0.0), (math.nextafter(contract.ALPHA_MAX, 0), 1.0)):
         leaf = torch.tensor([opacity], dtype=F64, requires_grad=True)
         gaussian = replace(one([0.0, 0.0, 1.0]), opacity=leaf)
         rasterize_reference(gaussian, front_camera(5, 5, 100.0)).alpha[2, 2].backward()
@@ -269,7 +269,7 @@ def test_a_tile_meets_the_gaussians_whose_boxes_reach_into_it_and_no_others(blen
 
 @pytest.mark.parametrize(("allowed", "at_once"), [(100, 3), (59, 1), (1, 1), (10**6, 256)])
 def test_as_many_pixels_are_drawn_at_once_as_the_memory_allows(blended, monkeypatch, allowed, at_once):
-    monkeypatch.setattr(limits, "REFERENCE_PAIRS_AT_ONCE", allowed)
+    monkeypatch.setattr(reference, "REFERENCE_PAIRS_AT_ONCE", allowed)
     hand = in_precision(hand_gaussians(30, sigma_mm=(200, 300)), F64)
     rasterize_reference(hand, camera_for(16, 16))
     sizes = [len(pixels) for pixels, _ in blended]

@@ -10,7 +10,6 @@ import pytest
 import torch
 from small_avatars import ellipsoid_avatar, trained_avatar
 
-from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.corrective_task import NetworkStep
 from jghand_engine.avatar.posing import Poser
@@ -21,11 +20,13 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.tensors import HandTensors
+from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, blur, effects, shadow_effects
 from jghand_engine.render.blur import Shutter
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
+from jghand_engine.render.effects import CROP_SHADOW, REUSE_ANGLE_RAD, REUSE_CORRECTION_M, TAIL_ALPHA_MIN, TAIL_PSNR_DB
 from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.image import Box
 from jghand_engine.render.settings import RenderSettings, ShadowMode
@@ -110,7 +111,7 @@ def test_auto_is_all_within_what_the_receipt_says(name: str):
     names, view = SCENES[name]
     apart_m = 0.45 if "far" in name else 0.1
     joints = [pose(one) + np.array([apart_m * place, 0.0, 0.0]) for place, one in enumerate(names)]
-    settings = replace(SMALL, alpha_min=limits.TAIL_ALPHA_MIN)
+    settings = replace(SMALL, alpha_min=TAIL_ALPHA_MIN)
     auto, everything = (
         SceneRenderer([RIGHT] * len(names), replace(settings, effects=choice)).render(joints, view)
         for choice in (Choice(), ALL)
@@ -120,7 +121,7 @@ def test_auto_is_all_within_what_the_receipt_says(name: str):
     bound = plan.skipped_worst + 1.1e-4
     if plan.strength > 0:
         # the shadow fades in with the gate, and never exceeds its tint
-        bound += (1 - plan.strength) * max(limits.SHADOW_TINT)
+        bound += (1 - plan.strength) * max(contract.SHADOW_TINT)
     assert float(error.max()) <= bound
     if plan.skipped_worst <= 1 / 255 and plan.strength == 1:
         assert float((error > 1.1e-4).mean()) < 1e-3
@@ -132,13 +133,13 @@ def test_but_for_the_gate_auto_is_all_to_the_cut_off(name: str, avatar):
     names, view = SCENES[name]
     apart_m = 0.45 if "far" in name else 0.1
     joints = [pose(one, avatar) + np.array([apart_m * place, 0.0, 0.0]) for place, one in enumerate(names)]
-    settings = replace(SMALL, alpha_min=limits.TAIL_ALPHA_MIN, antialias=True)
+    settings = replace(SMALL, alpha_min=TAIL_ALPHA_MIN, antialias=True)
     hands = [avatar] * len(names)
     auto = SceneRenderer(hands, settings).render(joints, view)
     forced = frozenset(CHOOSABLE) - {Effect.SHADOW}
     everything = SceneRenderer(hands, replace(settings, effects=Choice(forced=forced))).render(joints, view)
     # what is drawn in a box rounds the centers of pixels, and the samples of the shadow, elsewhere
-    bound = limits.TAIL_ALPHA_MIN + (limits.CROP_SHADOW if plan_of(auto).strength > 0 else 0.0)
+    bound = TAIL_ALPHA_MIN + (CROP_SHADOW if plan_of(auto).strength > 0 else 0.0)
     assert difference(auto, everything) <= bound
 
 
@@ -146,10 +147,10 @@ def test_the_faint_tail_is_worth_what_the_receipt_says():
     joints, view = pose("relaxed"), camera(300, 240, focal_px=500.0)
     short, long = (
         HandRenderer(RIGHT, RenderSettings(shadow=ShadowMode.OFF, alpha_min=cut)).render(joints, view).rgba
-        for cut in (limits.ALPHA_MIN, limits.TAIL_ALPHA_MIN)
+        for cut in (contract.ALPHA_MIN, TAIL_ALPHA_MIN)
     )
     lost_db = -10 * np.log10(float(((short - long) ** 2).mean()))
-    assert lost_db > limits.TAIL_PSNR_DB  # observed 51.1 on the painted hand, 54.9 on the trained one
+    assert lost_db > TAIL_PSNR_DB  # observed 51.1 on the painted hand, 54.9 on the trained one
 
 
 # ---- what is skipped costs nothing ----------------------------------------------------------------------------------
@@ -202,10 +203,10 @@ def test_correctives_that_are_kept_lack_what_the_receipt_says():
     for name in ("open", "relaxed", "fist"):
         frames = transform.frames(torch.from_numpy(pose(name, avatar)))
         angles = torch.cat([frames.angles.flatten(), frames.palm_p, frames.palm_n])
-        step = limits.REUSE_ANGLE_RAD * torch.randn(37, generator=generator, dtype=torch.float64).sign()
+        step = REUSE_ANGLE_RAD * torch.randn(37, generator=generator, dtype=torch.float64).sign()
         with torch.no_grad():
             before, after = (net(Angles.of(a.float())).offset_m for a in (angles, angles + step))
-        assert float((after - before).norm(dim=-1).max()) < limits.REUSE_CORRECTION_M  # observed 0.06 mm
+        assert float((after - before).norm(dim=-1).max()) < REUSE_CORRECTION_M  # observed 0.06 mm
 
 
 def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
@@ -313,7 +314,7 @@ def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
         posed = scene._posed
         assert posed is not None
         box = effects.hand_box(
-            posed.kept.joints_m, [one.bones for one in posed.poses], scene._facts, view, limits.ALPHA_MIN
+            posed.kept.joints_m, [one.bones for one in posed.poses], scene._facts, view, contract.ALPHA_MIN
         ) or Box(0, 0, 640, 480)
         outside = frame.rgba[..., 3].copy()
         outside[box.top : box.top + box.height, box.left : box.left + box.width] = 0

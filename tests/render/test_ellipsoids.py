@@ -29,11 +29,11 @@ from splat_scenes import (
     stretched,
 )
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.learn.covariance import posed_covariance
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import rasterize_reference
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
 native = pytest.mark.parametrize("backend", NATIVE)
@@ -73,7 +73,7 @@ def contract_pixel(gaussians: Gaussians, camera: Camera, i: int, j: int) -> list
     transmittance, sums = 1.0, [0.0] * 5
     for n in torch.argsort(position[:, 2], stable=True).tolist():
         x, y, z = position[n].tolist()
-        if z <= limits.Z_NEAR_M:
+        if z <= contract.Z_NEAR_M:
             continue
         rows = [[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]]
         jacobian = torch.tensor(rows, dtype=torch.float64) @ matrix[:3, :3]
@@ -83,7 +83,7 @@ def contract_pixel(gaussians: Gaussians, camera: Camera, i: int, j: int) -> list
         center = torch.tensor([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dtype=torch.float64)
         away = torch.tensor([i + 0.5, j + 0.5], dtype=torch.float64) - center
         alpha = float(gaussians.opacity[n]) * math.exp(-0.5 * float(away @ torch.linalg.solve(ellipse, away)))
-        if alpha < limits.ALPHA_MIN:
+        if alpha < contract.ALPHA_MIN:
             continue
         weight = min(alpha, 0.999) * transmittance
         transmittance -= weight
@@ -253,7 +253,7 @@ def test_hidden_ellipsoids_change_no_bit_of_the_others(backend):
 def test_a_projected_variance_beyond_the_limit_is_left_out_and_counted(factor, drawn, backend):
     """Promise 12: a needle along y, on both sides of 1e9 px^2."""
     focal, depth = 500.0, 0.5
-    variance = (factor * limits.VAR_MAX_PX2 - limits.BLUR_PX2) * (depth / focal) ** 2
+    variance = (factor * contract.VAR_MAX_PX2 - contract.BLUR_PX2) * (depth / focal) ** 2
     needle = replace(
         gaussians_from([[0, 0, depth]], [1.0], [0.5], [[1, 1, 1]]),
         covariance_m2=torch.tensor([[1e-6, 0, 0, variance, 0, 1e-6]]),

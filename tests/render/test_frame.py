@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -18,10 +17,12 @@ from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
+from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend as backend_module
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect
+from jghand_engine.render.effects import REUSE_JOINTS_M, REUSE_SKIN_M
 from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
@@ -64,10 +65,10 @@ def check_against(frame: Frame, planes: torch.Tensor, *, flips: float) -> None:
     # RENDERING 3: 1.1e-4 but for flips of a threshold, up to 1/255, or of a normal of the shadow (observed 0.014)
     assert float((error > 1.1e-4).mean()) <= flips
     assert float(error.max()) < 0.04
-    valid = exact[..., 3] > limits.DEPTH_ALPHA_MIN + 1e-3
+    valid = exact[..., 3] > contract.DEPTH_ALPHA_MIN + 1e-3
     depth_m = planes[4].numpy()[valid] / exact[valid][:, 3]
     assert np.quantile(np.abs(frame.depth_m[valid] - depth_m), 0.999) < 5e-6  # observed 3.4e-6
-    assert (frame.depth_m[exact[..., 3] < limits.DEPTH_ALPHA_MIN - 1e-3] == 0).all()
+    assert (frame.depth_m[exact[..., 3] < contract.DEPTH_ALPHA_MIN - 1e-3] == 0).all()
 
 
 # ---- the picture ----------------------------------------------------------------------------------------------------
@@ -207,10 +208,10 @@ def test_joints_that_move_within_the_limit_move_the_skin_within_the_bound(pose: 
     step = torch.randn(21, 3, generator=generator, dtype=torch.float64)
     # uphill: every joint goes as far as it may, the way that moves the farthest point of the skin farther still
     for _ in range(8):
-        step = (limits.REUSE_JOINTS_M * step / step.norm(dim=-1, keepdim=True)).requires_grad_()
+        step = (REUSE_JOINTS_M * step / step.norm(dim=-1, keepdim=True)).requires_grad_()
         farthest = (skin(joints + step) - before).norm(dim=-1).max()
         (step,) = torch.autograd.grad(farthest, step)
-    assert limits.REUSE_JOINTS_M < float(farthest.detach()) <= limits.REUSE_SKIN_M  # observed 0.125 to 0.138 mm
+    assert REUSE_JOINTS_M < float(farthest.detach()) <= REUSE_SKIN_M  # observed 0.125 to 0.138 mm
 
 
 @pytest.mark.parametrize("name", ["ordinary: relaxed", "bones +50 % and -50 % in turn"])
@@ -225,11 +226,11 @@ def test_skin_that_is_kept_is_off_by_no_more_than_the_receipt_says(kind: str, na
     worst = 0.0
     for _ in range(12):
         step = torch.randn(21, 3, generator=generator, dtype=torch.float64)
-        step *= limits.REUSE_JOINTS_M / step.norm(dim=-1, keepdim=True)
+        step *= REUSE_JOINTS_M / step.norm(dim=-1, keepdim=True)
         after = posed_avatar(avatar, transform, joints + step).position_m
         worst = max(worst, float((after - before).norm(dim=-1).max()))
     # worst observed: 0.55 mm, trained, odd bones
-    assert 0.5 * limits.REUSE_JOINTS_M < worst < limits.REUSE_SKIN_M
+    assert 0.5 * REUSE_JOINTS_M < worst < REUSE_SKIN_M
 
 
 def test_a_hand_with_a_finger_folded_back_is_reused_only_when_it_stands_still(backend: str):
@@ -303,7 +304,7 @@ def test_auto_differs_from_all_within_the_stated_bound(backend: str):
             # every channel was darkened to c (1 - k (1 - V)): the brightest tells V best
             channel = drawn.argmax(1)[:, None]
             ratio = np.take_along_axis(shaded, channel, 1) / np.take_along_axis(drawn, channel, 1)
-            occluded = (1 - ratio[:, 0]) / np.array(limits.SHADOW_TINT)[channel[:, 0]]
+            occluded = (1 - ratio[:, 0]) / np.array(contract.SHADOW_TINT)[channel[:, 0]]
             assert 0 < float(occluded.max()) <= 1
             # the receipt: 1 % of the hand's pixels occluded by over 0.2
             assert float((occluded > 0.2).mean()) <= 0.01, pose
@@ -392,7 +393,7 @@ def test_renderer_works_on_after_a_refused_pose(backend: str):
 def test_renderer_works_on_after_a_refused_camera(backend: str):
     settings = replace(ALWAYS, gaussians=500, backend=backend)
     renderer = HandRenderer(RIGHT, settings)
-    view, too_large = camera(60, 50), camera(limits.PICTURE_MAX_PX + 1, 1)
+    view, too_large = camera(60, 50), camera(contract.IMAGE_MAX_PX + 1, 1)
     first = renderer.render(CANONICAL_M, view)
     fist = named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT)
     with pytest.raises(InputError, match="picture size"):

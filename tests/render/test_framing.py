@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.native import contract
 from jghand_engine.render.framing import INDEX, MIDDLE, PINKY, VIEWS, WRIST, framing_camera, hand_axes
 from jghand_engine.template.builtin import load_template
 
@@ -24,7 +24,7 @@ def motion(handedness=Handedness.RIGHT):
 
 def pixels(camera, points_m):
     uv, depth = camera.project(points_m)
-    assert float(depth.min()) > limits.Z_NEAR_M
+    assert float(depth.min()) > contract.Z_NEAR_M
     return uv
 
 

@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jghand_engine import limits
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.render.gate import ShadowGate, _far_pairs, contact_between, fade, gap_between
+from jghand_engine.render.gate import (
+    GATE_HIGH,
+    GATE_LOW,
+    GATE_RADIUS_M,
+    ShadowGate,
+    _far_pairs,
+    contact_between,
+    fade,
+    gap_between,
+)
 from jghand_engine.template.builtin import load_template
 
 CANONICAL_M = load_template().joints_m
@@ -25,7 +34,7 @@ def rotation(seed: int) -> np.ndarray:
 
 
 PARENTS = [0] * 5 + list(range(1, 16))
-RADII_M = np.array(limits.GATE_CAPSULE_RADII_MM) * 1e-3
+RADII_M = np.array(CAPSULE_RADII_MM) * 1e-3
 
 
 def penetration(joints_a: np.ndarray, a: int, joints_b: np.ndarray, b: int) -> float:
@@ -98,18 +107,18 @@ def test_collapsed_hands_have_a_finite_score(gate: ShadowGate):
 
 
 def test_fade_is_smooth_and_ends_at_its_thresholds():
-    scores = np.linspace(limits.GATE_LOW - 0.2, limits.GATE_HIGH + 0.2, 901)
+    scores = np.linspace(GATE_LOW - 0.2, GATE_HIGH + 0.2, 901)
     strength = np.array([fade(float(score)) for score in scores])
     assert strength[0] == 0
     assert strength[-1] == 1
     assert (np.diff(strength) >= 0).all()
     assert np.abs(np.diff(strength)).max() < 4e-3  # no step: nothing pops
-    assert fade(limits.GATE_LOW) == 0
-    assert fade(limits.GATE_HIGH) == 1
+    assert fade(GATE_LOW) == 0
+    assert fade(GATE_HIGH) == 1
 
 
 def test_fade_is_the_smoothstep_between_its_thresholds():
-    low, high = limits.GATE_LOW, limits.GATE_HIGH
+    low, high = GATE_LOW, GATE_HIGH
     for part, strength in ((0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375)):
         assert fade(low + part * (high - low)) == pytest.approx(strength, abs=1e-12)
 
@@ -138,7 +147,7 @@ def test_the_gap_between_hands_is_that_of_the_nearest_two_boxes():
     assert gap_between([CANONICAL_M, far, near]) == pytest.approx(max(0.3 - boxes[1] - flesh_m, 0), abs=1e-12)
     assert gap_between([CANONICAL_M]) == np.inf
     # a promise: what is farther apart than the radius of influence casts nothing
-    beyond = np.array([0.0, boxes[1] + flesh_m + limits.GATE_RADIUS_M, 0.0])
+    beyond = np.array([0.0, boxes[1] + flesh_m + GATE_RADIUS_M, 0.0])
     assert contact_between([CANONICAL_M, CANONICAL_M + beyond]) == 0
 
 

@@ -11,8 +11,7 @@ from small_avatars import small_avatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.limits import SAME_SURFACE_M
-from jghand_engine.native.enlarge import native_enlarged
+from jghand_engine.native.enlarge import SAME_SURFACE_M, native_enlarged
 from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer

@@ -7,10 +7,10 @@ import math
 import pytest
 import torch
 
-from jghand_engine import limits
 from jghand_engine.color import PSNR_MAX_DB, decibels
 from jghand_engine.learn.reference import Picture
 from jghand_engine.learn.shadow import normalized_depth
+from jghand_engine.native import contract
 
 
 def picture_with(alpha: list[float], depth_m: list[float]) -> Picture:
@@ -31,7 +31,7 @@ def test_planes_become_color_coverage_and_depth():
 
 
 def test_depth_is_the_mean_of_what_covers_a_pixel_where_enough_does():
-    least = limits.DEPTH_ALPHA_MIN
+    least = contract.DEPTH_ALPHA_MIN
     picture = picture_with([0.0, least / 2, least, math.nextafter(least, 1), 1.0], [0.7] * 5)
     assert picture.valid.tolist() == [[False, False, False, True, True]]
     assert picture.depth_m[0].tolist() == pytest.approx([0, 0, 0, 0.7, 0.7], abs=1e-15)

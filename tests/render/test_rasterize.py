@@ -23,10 +23,10 @@ from splat_scenes import (
     reordered,
 )
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import camera_frame
+from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
 native = pytest.mark.parametrize("backend", NATIVE)
@@ -77,7 +77,7 @@ def test_every_number_of_gaussians_agrees_with_the_reference(count, backend):
 
 
 @native
-@pytest.mark.parametrize("alpha_min", [1 / 64, 1 / 255, 1 / 1024, 1 / 16384, 1e-6, limits.NATIVE_ALPHA_MIN])
+@pytest.mark.parametrize("alpha_min", [1 / 64, 1 / 255, 1 / 1024, 1 / 16384, 1e-6, contract.NATIVE_ALPHA_MIN])
 def test_every_cut_off_agrees_with_the_reference(alpha_min, backend):
     gaussians, camera = hand_gaussians(1500, sigma_mm=(1, 3), opacity=(0.001, 1.0)), camera_for(100, 70)
     got = draw(gaussians, camera, backend, alpha_min=alpha_min, t_stop=0.0)
@@ -155,7 +155,7 @@ def test_extreme_colors_are_drawn_unclamped(backend):
 def test_a_projected_variance_beyond_the_limit_is_left_out_and_counted(factor, drawn, backend):
     """Promise 12, on both sides of 1e9 px^2."""
     focal, depth = 500.0, 0.5
-    sigma = math.sqrt(factor * limits.VAR_MAX_PX2 - limits.BLUR_PX2) * depth / focal
+    sigma = math.sqrt(factor * contract.VAR_MAX_PX2 - contract.BLUR_PX2) * depth / focal
     picture = draw(gaussians_from([[0, 0, depth]], [sigma], [0.5], [[1, 1, 1]]), front_camera(8, 8, focal), backend)
     assert (picture.visible_gaussians, picture.invalid_gaussians) == ((1, 0) if drawn else (0, 1))
     assert float(picture.alpha.max()) == (pytest.approx(0.5) if drawn else 0)

@@ -18,12 +18,13 @@ from splat_scenes import (
     reordered,
 )
 
-from jghand_engine import limits
+from jghand_engine.learn import reference
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import camera_frame, rasterize_reference
+from jghand_engine.native import contract
 
 
-def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: float = limits.ALPHA_MIN) -> list[float]:
+def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: float = contract.ALPHA_MIN) -> list[float]:
     """R G B A D of pixel (i, j), literally as RENDERING 3 says it, one Gaussian after the other in plain floats."""
     position = camera_frame(gaussians.position_m, camera).tolist()
     order = sorted(range(len(position)), key=lambda n: position[n][2])  # sorted() is stable: ties by index
@@ -52,7 +53,7 @@ def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: floa
 
 
 @pytest.mark.parametrize(
-    ("alpha_min", "orthographic"), [(limits.ALPHA_MIN, False), (1 / 16384, False), (limits.ALPHA_MIN, True)]
+    ("alpha_min", "orthographic"), [(contract.ALPHA_MIN, False), (1 / 16384, False), (contract.ALPHA_MIN, True)]
 )
 def test_every_pixel_is_what_the_contract_says(alpha_min, orthographic):
     gaussians = in_precision(hand_gaussians(60, sigma_mm=(2, 12), opacity=(0.002, 1.0)), torch.float64)
@@ -104,7 +105,7 @@ def test_the_smooth_variant_is_the_contract_above_twice_the_cut():
     gaussians = in_precision(hand_gaussians(200, sigma_mm=(2, 4)), torch.float64)
     camera = camera_for(32, 24)
     hard, smooth = (planes_of(rasterize_reference(gaussians, camera, smooth=smooth)) for smooth in (False, True))
-    assert float((hard - smooth).abs().max()) <= 200 * limits.ALPHA_MIN
+    assert float((hard - smooth).abs().max()) <= 200 * contract.ALPHA_MIN
     assert float((hard - smooth).abs().max()) > 0
 
 
@@ -122,7 +123,7 @@ def test_a_capped_alpha_has_no_gradient_to_opacity_and_shape():
 def test_drawing_in_several_parts_changes_nothing(monkeypatch):
     gaussians = in_precision(hand_gaussians(300, sigma_mm=(2, 4)), torch.float64)
     whole = planes_of(rasterize_reference(gaussians, camera_for(40, 24)))
-    monkeypatch.setattr(limits, "REFERENCE_PAIRS_AT_ONCE", 1000)
+    monkeypatch.setattr(reference, "REFERENCE_PAIRS_AT_ONCE", 1000)
     parts = planes_of(rasterize_reference(gaussians, camera_for(40, 24)))
     assert float((whole - parts).abs().max()) <= 1e-14  # matrix products of other shapes round differently
 

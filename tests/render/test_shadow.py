@@ -13,9 +13,9 @@ import pytest
 import torch
 from depth_scenes import camera, fingers, plane, planes_of, rays, sphere
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.learn.shadow import darken, normalized_depth, shade, surface_normals, visibility
+from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library
 from jghand_engine.render import passes
@@ -254,7 +254,7 @@ def test_background_gets_no_gradient():
     view = camera(64, 64, 300.0)
     planes = planes_of(fingers(view)).double().requires_grad_()
     darken(planes, view, STYLE).sum().backward()
-    outside = planes.detach()[3] <= limits.DEPTH_ALPHA_MIN
+    outside = planes.detach()[3] <= contract.DEPTH_ALPHA_MIN
     assert planes.grad is not None
     assert bool(outside.any())
     assert float(planes.grad[3:, outside].abs().max()) == 0

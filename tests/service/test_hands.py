@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from small_avatars import trained_avatar
 
-from jghand_engine import limits
+from jghand_engine.avatar import PAINTED
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.avatar.shipped import PAINTED
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
+from jghand_engine.native import contract
 from jghand_engine.render import blur, budget
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service.commands import Canceled
-from jghand_engine.service.hands import EngineHands
+from jghand_engine.service.hands import IDLE_AVATARS_MAX, EngineHands
 from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
 
 PINHOLE = (200.0, 200.0, 60.0, 45.0)
@@ -103,7 +103,7 @@ def test_the_nearer_of_two_hands_covers_the_other_whatever_their_order(source, r
     # contract's cut-off may fall on either side of it (observed: 16 of 43200 values, by 4.3e-4 at most)
     difference = np.abs(one.rgba - other.rgba)
     assert (difference > 5e-6).mean() < 5e-4
-    assert difference.max() < limits.ALPHA_MIN
+    assert difference.max() < contract.ALPHA_MIN
     # the other out of sight: how much larger hands are drawn and averaged depends on the smallest of them
     aside = replace(right, world_from_hand=np.eye(4))
     aside.world_from_hand[0, 3] = 10.0
@@ -161,10 +161,10 @@ def test_an_avatar_whose_file_changed_is_drawn_anew_without_being_told(right, tm
 
 def test_avatars_that_nothing_shows_are_let_go(tmp_path):
     fresh, avatar = EngineHands(), load_painted(handedness=Handedness.RIGHT).prefix(50)
-    for number in range(limits.IDLE_AVATARS_MAX + 2):
+    for number in range(IDLE_AVATARS_MAX + 2):
         save_avatar(tmp_path / f"{number}.jghand", avatar)
         fresh.load(str(tmp_path / f"{number}.jghand"))
-    assert len(fresh._avatars) == limits.IDLE_AVATARS_MAX
+    assert len(fresh._avatars) == IDLE_AVATARS_MAX
 
 
 def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, right, tmp_path):

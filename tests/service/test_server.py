@@ -20,9 +20,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jghand_engine import limits
 from jghand_engine.service import protocol, server
 from jghand_engine.service.protocol import Array, Disconnected
+from jghand_engine.service.requests import REQUESTS_WAITING_MAX
+from jghand_engine.service.server import GREETINGS_MAX
 
 STAND_IN = Path(__file__).with_name("stand_in_engine.py")
 # the machine may be busy with other tests
@@ -200,7 +201,7 @@ def test_a_stranger_is_cut_off_without_an_answer(engine, first_bytes):
 
 
 def test_silent_strangers_do_not_keep_the_client_out(engine):
-    strangers = [engine.connected(b"") for _ in range(2 * limits.GREETINGS_MAX)]
+    strangers = [engine.connected(b"") for _ in range(2 * GREETINGS_MAX)]
     with engine.connected() as connection:
         assert receive(connection).header["kind"] == "welcome"
         assert answer(connection, {"kind": "info", "id": 1}).header["ok"]
@@ -357,7 +358,7 @@ def test_a_picture_that_nobody_waits_for_any_more_stops():
 
 
 def test_more_requests_than_may_wait_are_all_answered(engine):
-    count = 5 * limits.REQUESTS_WAITING_MAX
+    count = 5 * REQUESTS_WAITING_MAX
     with engine.connected() as connection:
         receive(connection)
         for number in range(count):

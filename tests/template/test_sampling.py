@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
-from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import ClosestPoints, Surface

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from jghand_engine.avatar.validation import WEIGHT_SUM_TOLERANCE
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.limits import WEIGHT_SUM_TOLERANCE
 from jghand_engine.template import weights as weights_module
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.weights import (

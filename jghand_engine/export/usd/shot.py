@@ -10,7 +10,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom
 
 from jghand_engine.export.usd.stage import LayerNames, TimeRange, announce_fallback, matrix4d, new_layer
 from jghand_engine.hand.orders import hand_length
-from jghand_engine.limits import Z_NEAR_M
+from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.render.camera import Camera
 
 # OpenCV looks along +z with y down, USD along -z with y up

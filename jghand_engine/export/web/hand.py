@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
-from jghand_engine.avatar.cast_task import CastStep
+from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, NoStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
-from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
 from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
@@ -129,6 +128,6 @@ def _cast(
     arrays |= {f"cast.{name}": array for name, array in cast.arrays.items()} | cast.around
     return {
         "joints_m": cast.joints_m.tolist(), "direction": cast.direction.tolist(),
-        "radius_m": [1e-3 * radius for radius in limits.GATE_CAPSULE_RADII_MM],
-        "length2_min": limits.CAPSULE_LENGTH2_MIN, "sine2_min": limits.CAPSULE_SINE2_MIN,
+        "radius_m": [1e-3 * radius for radius in CAPSULE_RADII_MM],
+        "length2_min": CAPSULE_LENGTH2_MIN, "sine2_min": CAPSULE_SINE2_MIN,
     }  # fmt: skip

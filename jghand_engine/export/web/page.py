@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import __version__, limits
+from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.errors import InputError, RetryError
@@ -39,6 +39,7 @@ from jghand_engine.hand.kinematics import ABDUCTION_SIDE, RANGES_DEG, Articulate
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.poses import angles_on, named_angles, pose_names
 from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
+from jghand_engine.native import contract
 from jghand_engine.render.framing import FILL, FOCAL, framing_camera, skin_radii_m
 
 ASSETS = Path(__file__).resolve().parents[2] / "assets" / "web"
@@ -175,8 +176,8 @@ def asset(name: str) -> str:
 def _contract() -> dict[str, float]:
     """How the rasterizer draws (RENDERING 3): its low pass, the opacity that it leaves out, and where in standard
     deviations an opaque Gaussian gets there."""
-    reach = math.sqrt(-2 * math.log(limits.ALPHA_MIN))
-    return {"blur_px2": limits.BLUR_PX2, "alpha_min": limits.ALPHA_MIN, "reach_sigma": reach}
+    reach = math.sqrt(-2 * math.log(contract.ALPHA_MIN))
+    return {"blur_px2": contract.BLUR_PX2, "alpha_min": contract.ALPHA_MIN, "reach_sigma": reach}
 
 
 def _learned_from(avatar: HandAvatar) -> str:
