@@ -35,57 +35,71 @@ class Advice:
 
 
 ADVICE = {
-    "no_interpreter": Advice("No engine is set up", "Choose the engine's Python", BAD_INPUT),
+    "no_interpreter": Advice("No renderer was found", 'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand', BAD_INPUT),
     "no_tools": Advice(
         "Training and video tracking need PyTorch, which is not installed",
-        "Press Install Training Tools in the extension's preferences",
+        'Press "Install Training Tools" in the extension\'s preferences',
         BAD_INPUT,
     ),
-    "tools_failed": Advice("The training tools could not be installed", "Look at the log and install again", TRY_AGAIN),
+    "tools_failed": Advice(
+        "The training tools could not be installed", 'Look at "Show Log" and install again', TRY_AGAIN
+    ),
     "no_engine": Advice(
-        "The chosen Python has no JGHand engine, or lacks something that it needs",
-        "Leave it empty, or install the engine there",
+        "The chosen Python has no JGHand, or lacks something that it needs",
+        'Leave "Renderer\'s Python" empty, or install JGHand there',
         BAD_INPUT,
     ),
-    "protocol": Advice("Extension and engine are of different versions", "Update the older one", BAD_INPUT),
-    "start_timeout": Advice("The engine did not start in time", "Look at the log and try again", TRY_AGAIN),
-    "out_of_memory": Advice("The memory is full", "Choose a smaller picture or quality preset", OUT_OF_MEMORY),
+    "protocol": Advice("Extension and renderer are of different versions", "Update the older one", BAD_INPUT),
+    "start_timeout": Advice("The renderer did not start in time", 'Look at "Show Log" and try again', TRY_AGAIN),
+    "out_of_memory": Advice("Out of memory", "Choose a smaller resolution or quality preset", OUT_OF_MEMORY),
     "killed": Advice(
-        "The system ended the engine, most likely for memory",
+        "The system ended the renderer, most likely for memory",
         "Close other programs or choose a smaller preset",
         OUT_OF_MEMORY,
     ),
-    "crashed": Advice("The engine stopped unexpectedly", "Look at the log and start again", TRY_AGAIN),
-    "hung": Advice("The engine does not answer in time", "Look at the log, start again, or allow more time", TRY_AGAIN),
-    "broken_stream": Advice(
-        "The connection to the engine broke, or what came over it made no sense",
-        "Look at the log and try again",
+    "crashed": Advice(
+        "The renderer stopped unexpectedly", 'Look at "Show Log" and press "Restart Renderer"', TRY_AGAIN
+    ),
+    "hung": Advice(
+        "The renderer does not answer in time",
+        'Press "Restart Renderer", or allow a longer "Render Timeout"',
         TRY_AGAIN,
     ),
-    "stopped": Advice("The engine was stopped", "Start it again when it is needed", TRY_AGAIN),
-    "canceled": Advice("This was canceled", "Start it again when it is wanted", INTERRUPTED),
+    "broken_stream": Advice(
+        "The connection to the renderer broke",
+        'Look at "Show Log" and try again',
+        TRY_AGAIN,
+    ),
+    "stopped": Advice("The renderer was stopped", "It starts again with the next image", TRY_AGAIN),
+    "canceled": Advice("Canceled", "Start it again when it is wanted", INTERRUPTED),
     "no_graphics": Advice(
         "The graphics driver does not draw the hand",
-        "Make the view smaller, switch Show Hands off and on, or update the driver",
+        'Make the view smaller, switch "Show Hands" off and on in Render Properties, or update the driver',
         TRY_AGAIN,
     ),
-    "token": Advice("Another program answered", "Start the engine again", TRY_AGAIN),
-    "busy": Advice("The engine serves another program", "Start an engine of your own", TRY_AGAIN),
+    "token": Advice("Unexpected server", 'Press "Restart Renderer"', TRY_AGAIN),
+    "busy": Advice("The renderer serves another program", 'Press "Restart Renderer"', TRY_AGAIN),
     "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),
-    "bad_input": Advice("The engine cannot use what it was given", "Correct it and try again", BAD_INPUT),
-    "retry": Advice("The engine could not do it now", "Try again", TRY_AGAIN),
-    "internal": Advice("JGHand made a mistake", "Look at the log and report it", MISTAKE),
-    "interrupted": Advice("The run was interrupted", "Start it again to go on where it stopped", INTERRUPTED),
+    "bad_input": Advice("The renderer cannot use what it was given", "Correct it and try again", BAD_INPUT),
+    "retry": Advice("The renderer could not do it now", "Try again", TRY_AGAIN),
+    "internal": Advice("Internal error", 'Look at "Show Log" and report it', MISTAKE),
+    "interrupted": Advice("The run was interrupted", "Start it again to continue where it stopped", INTERRUPTED),
     "no_place": Advice("There is no folder to write to yet", "Save the file first, or choose a folder", BAD_INPUT),
-    "no_bake": Advice("There is no finished bake here", "Bake the hand, or choose the folder of a bake", BAD_INPUT),
-    "stale_bake": Advice("The bake is not of what the scene has now", "Bake again, or play it as it is", BAD_INPUT),
+    "no_bake": Advice("There is no finished bake here", 'Press "Bake", or choose the folder of a bake', BAD_INPUT),
+    "stale_bake": Advice("The bake is not of what the scene has now", 'Bake again, or press "Play Anyway"', BAD_INPUT),
     "no_pictures": Advice(
-        "There are no pictures to learn from", "Render a training set, or choose its folder", BAD_INPUT
+        "There are no images to learn from",
+        'Press "Render Training Set", or choose the folder of a "Training Set"',
+        BAD_INPUT,
     ),
     "no_usd": Advice("This Blender cannot read or write USD", "Use a Blender that was built with USD", BAD_INPUT),
     "job_running": Advice("This is running already", "Wait until it has ended, or cancel it", TRY_AGAIN),
     # what this side refuses
-    "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
+    "not_a_hand": Advice(
+        "This armature is not a JGHand hand",
+        'Press "Add Hand", or "Use Existing Armature" and map its bones',
+        BAD_INPUT,
+    ),
     "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map", BAD_INPUT),
     "no_hand": Advice(
         "There is no hand in this scene that is rendered", "Add a hand, or make its instances real", BAD_INPUT
@@ -97,7 +111,7 @@ ADVICE = {
     ),
     "scripts_blocked": Advice(
         "This file needs its Python scripts or drivers, and they are blocked",
-        "If you trust the file, allow them; batch runs do with --allow-scripts",
+        "If you trust the file, allow its scripts",
         BAD_INPUT,
     ),
     "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),
@@ -120,13 +134,15 @@ ADVICE = {
     ),
     "offline": Advice(
         "The networks that find a hand are not on this computer, and Blender may not go online",
-        "Allow Online Access in the preferences, under System, or run once in a terminal with any video",
+        'Switch "Allow Online Access" on in the preferences, under System',
         TRY_AGAIN,
     ),
     "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand", BAD_INPUT),
     "no_pose": Advice("There is no pose of this name", "Choose one of the list", BAD_INPUT),
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
-    "no_camera": Advice("The scene has no camera of its own", "Name one with --camera", BAD_INPUT),
+    "no_camera": Advice(
+        "The scene has no camera", 'Press "Add Hand Camera", or choose one in Scene Properties', BAD_INPUT
+    ),
     "pixel_aspect": Advice("Cameras are made with square pixels only", "Make fx and fy equal", BAD_INPUT),
     "panoramic": Advice(
         "Panoramic cameras are not supported", "Choose a perspective or orthographic camera", BAD_INPUT
@@ -139,7 +155,7 @@ ADVICE = {
     ),
     "other_region": Advice(
         "The render region is not that of the scene that the hands are combined with",
-        "Press Combine with Scene again",
+        'Press "Set Up Compositing" again',
         BAD_INPUT,
     ),
     "empty_region": Advice("The render region has no pixels", "Draw it larger, or switch it off", BAD_INPUT),
@@ -147,11 +163,11 @@ ADVICE = {
         "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent", BAD_INPUT
     ),
     "same_folder": Advice(
-        "The pictures of two cameras would lie in one folder", "Rename one of them, or render them apart", BAD_INPUT
+        "The images of two cameras would lie in one folder", "Rename one of them, or render them apart", BAD_INPUT
     ),
     "other_export": Advice(
         "The folder holds an export of this name that another file, or another hand, has made",
-        "Choose another folder, or switch Replace Others on",
+        'Choose another folder, or switch "Overwrite Existing" on',
         BAD_INPUT,
     ),
     "bad_file": Advice("This file cannot be opened", "Choose a .blend file", BAD_INPUT),

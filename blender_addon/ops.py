@@ -238,7 +238,7 @@ def poll_bones(operator: type, context: bpy.types.Context) -> bool:
 def poll_controls(operator: type, context: bpy.types.Context) -> bool:
     """The same, with finger controls."""
     return poll_hand(operator, context) and (
-        controls.has_controls(active_hand(context)) or missing(operator, "Add finger controls first")
+        controls.has_controls(active_hand(context)) or missing(operator, 'Press "Add Finger Controls" first')
     )
 
 

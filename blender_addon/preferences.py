@@ -21,13 +21,13 @@ class JGHandPreferences(bpy.types.AddonPreferences):
     bl_idname = __package__
 
     engine_python: bpy.props.StringProperty(
-        name="Engine's Python",
-        description="Python interpreter that has the JGHand engine installed. Empty: the one of this extension",
+        name="Renderer's Python",
+        description="A Python that has another JGHand installed. Empty: the renderer that comes with the extension",
         subtype="FILE_PATH",
         update=_look_again,
     )  # type: ignore[valid-type]
     render_timeout_s: bpy.props.FloatProperty(
-        name="Longest Wait per Frame",
+        name="Render Timeout",
         description="How long one rendered frame may take before the render fails with a report",
         default=limits.REQUEST_S,
         min=1.0,

@@ -141,7 +141,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
     viewport_preset: bpy.props.EnumProperty(
         name="Viewport Quality",
-        description="How pictures in the viewport are made while nothing moves",
+        description="How the viewport is drawn while nothing moves",
         items=PRESETS,
         default="viewport",
     )  # type: ignore[valid-type]
@@ -152,11 +152,11 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
     use_viewport_budget: bpy.props.BoolProperty(
         name="Frame Budget",
-        description="Choose the most accurate measured settings that draw a viewport picture in the given time",
+        description="Choose the most accurate measured settings that draw a viewport frame in the given time",
     )  # type: ignore[valid-type]
     viewport_budget_ms: bpy.props.FloatProperty(
         name="Milliseconds",
-        description="Time that one viewport picture may take in the engine, in milliseconds",
+        description="Time that the renderer may take for a viewport frame, in milliseconds",
         default=limits.BUDGET_MS,
         min=1.0,
         soft_max=100.0,

@@ -57,6 +57,14 @@ def has_operator(name: str) -> bool:
     return hasattr(bpy.types, f"{family.upper()}_OT_{action}")
 
 
+def settings(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """The column that properties stand in, with their names at the left."""
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    return column
+
+
 def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE") -> None:
     """Text that is longer than the sidebar is wide."""
     column = layout.column(align=True)

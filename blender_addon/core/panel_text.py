@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the panels say, as plain text: the engine's state, a picture's receipt, a bone map. Does not use bpy.
+"""What the panels say, as plain text: the renderer's state, a picture's receipt, a bone map. Does not use bpy.
 
 A receipt is a `FrameReport.as_dict()` of the engine as it came over the wire; it may be of another version, so nothing
 in it is taken for granted. Every sentence is made from a template that goes through `translate`. Tooltips have no
@@ -45,7 +45,7 @@ EFFECTS = {
     "motion-blur": "Motion Blur",
     "depth-of-field": "Depth of Field",
     "faint-tail": "Faint Edges",
-    "whole-picture": "Whole Picture",
+    "whole-picture": "Whole Image",
 }
 # `OutOfRange.sentence()` of the engine: index1 flexion 105°: 12° outside the 0° to 93° that was trained
 _OUTSIDE = re.compile(
@@ -83,7 +83,7 @@ class Button:
 
 @dataclass(frozen=True)
 class StatusText:
-    """The state of the engine. text: one line · remedy: what an artist can do, "" when all is well · since: since when,
+    """The state of the renderer. text: one line · remedy: what an artist can do, "" when all is well · since: since when,
     where the line does not say it · detail: the small print."""
 
     text: str
@@ -133,19 +133,19 @@ def wrapped(text: str, width: float, width_of: Callable[[str], float] = len) -> 
 
 
 def status_text(status: Any, frame_ms: float | None = None, translate: Translate = str) -> StatusText:
-    """The state of the engine's link (`renderer.link.Status`). frame_ms: the whole last picture, None before one."""
+    """The state of the renderer's link (`renderer.link.Status`). frame_ms: the whole last picture, None before one."""
     since, state = duration(status.since_s), status.state
     if state == "failed":
         return _failed(status.failure, since, translate)
     if state == "stopped":
-        return StatusText(translate("Engine off: starts when needed"), True)
+        return StatusText(translate("Renderer off: starts when needed"), True)
     if state == "starting":
         return StatusText(translate("Starting…  {since}").format(since=since), True)
     if state == "stopping":
         return StatusText(translate("Stopping…  {since}").format(since=since), True)
     if state == "slow":
-        text = translate("The engine is not answering")
-        remedy = translate("It may be at work: wait, or restart it")
+        text = translate("The renderer is not answering")
+        remedy = translate('It may be at work: wait, or press "Restart"')
         running = translate("Running for {since}").format(since=since)
         return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"),))
     facts = status.handshake or {}
@@ -155,7 +155,7 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
     elif frame_ms is not None:
         parts.append(milliseconds(frame_ms))
     elif status.busy:  # it reads the avatar and warms up
-        parts.append(translate("first picture…"))
+        parts.append(translate("first frame…"))
     detail = translate("Running for {since}, version {version}, process {pid}").format(
         since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
     )
@@ -210,7 +210,7 @@ def map_lines(sources: Sequence[Any], known: Sequence[str], translate: Translate
 def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
     log = Button("jghand.show_log", "Show Log")
     if failure is None:
-        return StatusText(translate("The engine stopped"), False, buttons=(Button(*_START), log))
+        return StatusText(translate("The renderer stopped"), False, buttons=(Button(*_START), log))
     mend = Button(*_MENDS.get(failure.kind, _START))
     sentence, remedy = translate(failure.advice.sentence), translate(failure.advice.remedy)
     ago = translate("{since} ago").format(since=since)
@@ -226,10 +226,10 @@ def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, 
         threads=int(_number(report.get("threads"), 1)),
     )
     if budget_ms is None:
-        return Line(translate("Last Picture"), milliseconds(total_ms), 1.0, tip)
+        return Line(translate("Last Frame"), milliseconds(total_ms), 1.0, tip)
     tip = translate("{tip}; the budget is {budget}").format(tip=tip, budget=milliseconds(budget_ms))
     part, good = min(total_ms / max(budget_ms, 1e-3), 1.0), total_ms <= budget_ms
-    text = translate("Last Picture") if good else translate("Over Budget")
+    text = translate("Last Frame") if good else translate("Over Budget")
     return Line(text, milliseconds(total_ms), part, tip, good)
 
 
@@ -270,11 +270,11 @@ def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Lin
         if match is None:
             others.append(Line(note.rstrip("."), tip=note.rstrip("."), good=False))
             continue
-        template = translate("{joint}: {angle} {beyond}° beyond training")
+        template = translate("{joint}: {angle} {beyond}° outside trained range")
         text = template.format(
             joint=match["joint"], angle=translate(match["angle"]), beyond=round(float(match["beyond"]))
         )
-        tip = translate("{note}. Such a pose was in no picture that the avatar learned from, so its skin is a guess")
+        tip = translate("{note}. Such a pose was in no image that the avatar learned from, so its skin is a guess")
         outside.append(Line(text, tip=tip.format(note=note), good=False))
     invalid = int(_number(report.get("invalid_gaussians")))
     if invalid:

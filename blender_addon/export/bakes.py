@@ -173,7 +173,7 @@ def check_made(path: Path, recording: Recording) -> dict[str, Any]:
     figures = _figures(path)
     made_from = figures.get("made_from")
     if not isinstance(made_from, dict) or made_from.get("joints_sha256") != recording.digest:
-        raise JGHandFailure("internal", f"{recording.name}: the engine wrote other joints than it was given")
+        raise JGHandFailure("internal", f"{recording.name}: the renderer wrote other joints than it was given")
     return figures
 
 
@@ -229,7 +229,7 @@ def stale_reasons(
     if avatar is not None and avatar_digest(avatar) != hand.avatar:
         reasons.append("the avatar is another one")
     if engine_version is not None and hand.engine_version and engine_version != hand.engine_version:
-        reasons.append("the engine is of another version")
+        reasons.append("the renderer is of another version")
     return reasons
 
 

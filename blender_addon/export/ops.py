@@ -38,7 +38,7 @@ class Export(StartsJob, bpy.types.Operator):
         texts = {
             "usd": "Write an animated OpenUSD stage per hand into the folder. Esc cancels",
             "ply": "Write a splat file per hand and frame into the folder. Esc cancels",
-            "motion": "Write a motion file per hand into the folder: no engine is needed",
+            "motion": "Write a motion file per hand into the folder: no renderer is needed",
         }
         return texts[context.scene.jghand.output.format]
 
@@ -137,7 +137,7 @@ class CancelJob(Reporting, bpy.types.Operator):
     bl_idname = "jghand.cancel_job"
     bl_label = "Cancel"
     bl_description = (
-        "Stop this job. A training writes a checkpoint first, pictures and exported files that are finished stay, and "
+        "Stop this job. A training writes a checkpoint first, images and exported files that are finished stay, and "
         "a bake that is not finished is removed"
     )
     bl_options = PLUMBING

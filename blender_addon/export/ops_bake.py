@@ -41,7 +41,7 @@ class Bake(StartsJob, bpy.types.Operator):
     bl_idname = "jghand.bake"
     bl_label = "Bake"
     bl_description = (
-        "Write every frame of the range to disk, so that it plays without the engine: as USD points, or as splats "
+        "Write every frame of the range to disk, so that it plays without the renderer: as USD points, or as splats "
         "where this Blender draws them. An earlier bake stays until this one is finished. Esc cancels"
     )
     # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
@@ -88,14 +88,14 @@ class PlayBake(Reporting, bpy.types.Operator):
     bl_idname = "jghand.play_bake"
     bl_label = "Play Bake"
     bl_description = (
-        "Bring the bake of this hand into the scene as an object that plays with neither engine nor extension, "
+        "Bring the bake of this hand into the scene as an object that plays with neither renderer nor extension, "
         "and stop drawing the hand itself in the viewport"
     )
     bl_options = UNDOABLE
 
     accept_stale: bpy.props.BoolProperty(
-        name="As It Is",
-        description="Play a bake of another pose, avatar or engine too",
+        name="Play Anyway",
+        description="Play a bake of another pose, avatar or renderer too",
         default=False,
         options={"SKIP_SAVE"},
     )  # type: ignore[valid-type]
@@ -127,7 +127,7 @@ class CheckBake(StartsJob, bpy.types.Operator):
 
     bl_idname = "jghand.check_bake"
     bl_label = "Check Bake"
-    bl_description = "Go through all frames and compare this hand with its bake: pose, avatar, frames and engine"
+    bl_description = "Go through all frames and compare this hand with its bake: pose, avatar, frames and renderer"
     bl_options = REGISTERED
 
     working = "Comparing with the bake"

@@ -44,9 +44,10 @@ class BakePanel(Sidebar, bpy.types.Panel):
         if hand is None or not hand.jghand.bake:
             return
         column.prop(hand.jghand, "bake", text="Baked Into")
-        _draw_bake(layout, context, hand)
+        stale = _draw_bake(layout, context, hand)
         row = layout.row(align=True)
-        row.operator("jghand.play_bake", icon="PLAY")
+        play = row.operator("jghand.play_bake", text="Play Anyway" if stale else "Play Bake", icon="PLAY")
+        play.accept_stale = stale
         row.operator("jghand.check_bake", text="", icon="CHECKMARK")
         row.operator("jghand.clear_bake", text="", icon="TRASH")
 
@@ -90,9 +91,7 @@ def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.ty
     """The job that writes hands, which hands, and which frames. Returns the column that they stand in."""
     settings = context.scene.jghand.output
     draw_job(layout, context, job_watch.OUTPUT)
-    column = layout.column()
-    column.use_property_split = True
-    column.use_property_decorate = False
+    column = ui.settings(layout)
     column.row().prop(settings, "hands", expand=True)
     column.prop(settings, "use_scene_range")
     if not settings.use_scene_range:
@@ -102,20 +101,21 @@ def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.ty
     return column
 
 
-def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:
-    """What the bake of a hand holds, and why it does not show what is seen now."""
+def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> bool:
+    """What the bake of a hand holds, and why it does not show what is seen now. Returns whether it is stale."""
     seen = kept(context, _look_at_bake, hand.session_uid)
     if seen is None:
-        return
+        return False
     if seen.problem:
         ui.paragraph(layout, context, iface_(seen.problem) + ".", icon="ERROR")
-        return
+        return False
     text = iface_("Baked: frames {first} to {last}").format(first=seen.first, last=seen.last)
     layout.label(text=text, icon="CHECKMARK" if not seen.reasons else "BLANK1", translate=False)
     if seen.reasons:
         what = "What plays here is not what the scene has" if seen.plays else "The bake is not what the scene has"
         said = f"{iface_(what)}: {', '.join(map(iface_, seen.reasons))}."
         ui.paragraph(layout, context, said, icon="ERROR")
+    return bool(seen.reasons)
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,8 @@ SIZES = (
     ("per_frame", "Per Frame", "Radii of every frame, in larger files", "NONE", 1),
 )
 RADIANCES = (
-    ("srgb", "As Seen", "Colors as a screen shows them, for most viewers", "NONE", 0),
-    ("linear", "Linear Light", "Colors as light, for path tracers", "NONE", 1),
+    ("srgb", "sRGB", "Colors as a screen shows them, for most viewers", "NONE", 0),
+    ("linear", "Linear", "Colors as light, for path tracers", "NONE", 1),
 )
 AXES = (
     ("rdf", "Viewers", "X right, Y down, Z forward, as splat viewers expect it", "NONE", 0),
@@ -100,14 +100,14 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     frame_start: bpy.props.IntProperty(name="Start", description="First frame that is written", default=1)  # type: ignore[valid-type]
     frame_end: bpy.props.IntProperty(name="End", description="Last frame that is written", default=250)  # type: ignore[valid-type]
     program: bpy.props.EnumProperty(
-        name="For",
+        name="Target Application",
         description="The program that will read the stage: sets what is shown first and the size of points",
         items=PROGRAMS,
         default="generic",
         update=_suit_program,
     )  # type: ignore[valid-type]
     variant: bpy.props.EnumProperty(
-        name="Shown as",
+        name="Default Variant",
         description="What a program shows that cannot choose between splats, points and mesh; all are written",
         items=VARIANTS,
         default="splats",
@@ -136,7 +136,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         max=100.0,
     )  # type: ignore[valid-type]
     replace_others: bpy.props.BoolProperty(
-        name="Replace Others",
+        name="Overwrite Existing",
         description="Write over exports of the same name that another file, or another hand of this one, has made. "
         "Its own exports are always replaced",
     )  # type: ignore[valid-type]
@@ -148,13 +148,13 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
 
     capture_folder: bpy.props.StringProperty(
         name="Training Set",
-        description="Folder of the pictures to learn from: one that Render Training Set made, InterHand2.6M or HanCo",
+        description="Folder of the images to learn from: one that Render Training Set made, InterHand2.6M or HanCo",
         subtype="DIR_PATH",
         options=path_options(),
         default="//jghand_capture",
     )  # type: ignore[valid-type]
     identity: bpy.props.EnumProperty(
-        name="Whose Hand", description="The rigged hand that is rendered", items=IDENTITIES, default="adult_man"
+        name="Hand Model", description="The rigged hand that is rendered", items=IDENTITIES, default="adult_man"
     )  # type: ignore[valid-type]
     cameras: bpy.props.IntProperty(
         name="Cameras", description="Views of every pose", default=16, min=1, soft_max=64, max=256
@@ -168,7 +168,7 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
     size: bpy.props.IntVectorProperty(
         name="Resolution",
-        description="Width and height of the pictures",
+        description="Width and height of the images",
         size=2,
         default=(334, 512),
         min=16,
@@ -200,8 +200,8 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         unit="TIME_ABSOLUTE",
     )  # type: ignore[valid-type]
     all_pictures: bpy.props.BoolProperty(
-        name="All Pictures",
-        description="Learn from the pictures too that are held out to judge by: for an avatar that is used",
+        name="Use Validation Images",
+        description="Learn from the images too that are held out to judge by, for a final avatar",
     )  # type: ignore[valid-type]
     overwrite: bpy.props.BoolProperty(
         name="Overwrite", description="Replace the avatar's file even if it is not of this training", default=False

@@ -52,7 +52,7 @@ class Card:
         rows = [
             ("Name", self.name),
             ("Learned From", self.learned_from or "nothing: it is painted"),
-            ("License", self.license or "not said"),
+            ("License", self.license or "not stated"),
             ("Written", self.written),
             ("PSNR", self.accuracy),
             ("Splats", f"{self.gaussians}"),
@@ -66,9 +66,9 @@ SHIPPED_CARDS = {
         name="JGHand built-in",
         license="CC0-1.0 AND Apache-2.0, see NOTICE: learnt from path-traced pictures of MakeHuman's hand (CC0-1.0) on "
         "a rig with SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in Blender's studio light (CC0-1.0)",
-        learned_from="432 pictures of builtin train/Capture0",
+        learned_from="432 images of builtin train/Capture0",
         written="",
-        accuracy="33.47 on held-out pictures of builtin train/Capture0 (40 of novel pose, 16 of both novel), preset "
+        accuracy="33.47 on held-out images of builtin train/Capture0 (40 of novel pose, 16 of both novel), preset "
         "final",
         gaussians=40_000,
         learned=True,
@@ -147,7 +147,7 @@ def _card(about: Mapping[str, Any], written: str) -> Card:
     return Card(
         name=_text(about["name"]),
         license=_text(about.get("licence", "")),
-        learned_from=_text(f"{source['pictures']} pictures of {source['capture']}") if source else "",
+        learned_from=_text(f"{source['pictures']} images of {source['capture']}") if source else "",
         written=written,
         accuracy=_accuracy(learned.get("baked") or {}) if learned else "",
         gaussians=int(about["gaussians"]),

@@ -84,8 +84,8 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     bl_idname = "jghand.import_motion"
     bl_label = "Import Motion"
     bl_description = (
-        "Key a motion on the active hand or on a new one: jghand's own files, and through the engine BVH, glTF, USD, "
-        "and joints of OpenPose, MediaPipe, FreeMoCap and headsets. The action before it stays in the file. Esc cancels"
+        "Key a motion on the active hand or on a new one: JGHand's own files, BVH, glTF, USD, and joints of OpenPose, "
+        "MediaPipe, FreeMoCap and headsets. The action before it stays in the file. Esc cancels"
     )
 
     working = "Importing the motion"

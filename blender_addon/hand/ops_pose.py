@@ -139,7 +139,7 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not poll_hand(cls, context):
             return False
-        return pose_library.is_used() or missing(cls, "Use Install Pose Library first")
+        return pose_library.is_used() or missing(cls, 'Press "Install Pose Library" first')
 
     def run(self, context: bpy.types.Context) -> None:
         if context.mode != "POSE":

@@ -58,7 +58,7 @@ def _shading_hint(context: bpy.types.Context) -> str:
     if shading is not None and shading.type == "WIREFRAME":
         return "Wireframe shows no hands: they are in Solid, Material Preview and Rendered"
     if shading is not None and shading.type == "RENDERED" and context.scene.render.engine != ENGINE:
-        return "Rendered shading shows hands with the JGHand engine only"
+        return 'Rendered shading shows hands after "Use JGHand Engine" only'
     return ""
 
 
@@ -116,9 +116,7 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
 
 def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:
     """The settings of the active hand."""
-    column = layout.column()
-    column.use_property_split = True
-    column.use_property_decorate = False
+    column = ui.settings(layout)
     column.prop(hand.jghand, "avatar", placeholder="Built-in")
 
 

@@ -116,7 +116,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(program, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("file", type=Path, help="a .blend file with a JGHand armature")
-    add("--out", type=Path, required=True, help="folder for the pictures")
+    add("--out", type=Path, required=True, help="folder for the images")
     cameras = "cameras; may be given again; default: the scene's camera, or those of its markers"
     add("--camera", action="append", default=[], metavar="NAME[,NAME]", help=cameras)
     add("--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range")

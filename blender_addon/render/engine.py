@@ -112,7 +112,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
 
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
         """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
-        self.update_stats("JGHand", "Waiting for the engine")
+        self.update_stats("JGHand", "Waiting for the renderer")
         header, arrays = moments_request(
             seen,
             outputs=outputs,

@@ -80,10 +80,10 @@ def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
 def sentence_of(scene: bpy.types.Scene) -> str:
     """What is to be said about the hands of a picture of this scene; nothing where they are as they should be."""
     if hands_left_out(scene):
-        return f"{sentence(scene.render.engine)} {iface_('Use the JGHand engine, or Combine with Scene.')}"
+        return sentence(scene.render.engine) + " " + iface_('Press "Use JGHand Engine" or "Set Up Compositing".')
     differences = composite.out_of_date(scene)
     if differences:
-        template = iface_("The hands of this picture are not up to date: {list}. Combine with Scene once more.")
+        template = iface_('The hands of this image are not up to date: {list}. Press "Set Up Compositing" again.')
         return template.format(list=", ".join(differences))
     return ""
 
@@ -92,7 +92,7 @@ def sentence(engine: str) -> str:
     """What is to be said about a picture of this engine."""
     name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
     name = {"Eevee": "EEVEE"}.get(name, name)
-    return iface_("This picture has no hands: {engine} does not draw them.").format(engine=name)
+    return iface_("This image has no hands: {engine} does not draw them.").format(engine=name)
 
 
 def was_said(scene: bpy.types.Scene) -> bool:

@@ -19,8 +19,8 @@ class UseEngine(Reporting, bpy.types.Operator):
     bl_idname = "jghand.use_engine"
     bl_label = "Use JGHand Engine"
     bl_description = (
-        "Render this scene's hands with JGHand: F12, animations, and the viewport's Rendered mode. Switches Lock "
-        "Interface on, because Blender can crash when a scene is edited while it is rendered"
+        "Render this scene's hands with JGHand: F12, animations and the viewport's Rendered shading. Locks the "
+        "interface while rendering, because Blender can crash when a scene is edited meanwhile"
     )
     bl_options = UNDOABLE
 
@@ -46,7 +46,7 @@ class UseStandard(Reporting, bpy.types.Operator):
     """Operator: colors as the avatar was captured."""
 
     bl_idname = "jghand.use_standard"
-    bl_label = "Use Standard"
+    bl_label = "Set Standard View Transform"
     bl_description = (
         "Set this scene's view transform to Standard, without look, exposure and gamma: the hand then has the colors "
         "of its capture. AgX and Filmic are made for light, and the hand is a photograph already"
@@ -87,11 +87,11 @@ class AddCamera(Reporting, bpy.types.Operator):
 
 
 class OpenPreferences(Reporting, bpy.types.Operator):
-    """Operator: where the engine's Python is chosen."""
+    """Operator: the extension's page in the preferences."""
 
     bl_idname = "jghand.open_preferences"
     bl_label = "JGHand Preferences"
-    bl_description = "Open the extension's preferences, where the engine's Python is chosen"
+    bl_description = "Open the preferences of JGHand"
     bl_options = PLUMBING
 
     def run(self, _context: bpy.types.Context) -> None:

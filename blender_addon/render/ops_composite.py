@@ -16,11 +16,11 @@ class CombineWithScene(Reporting, bpy.types.Operator):
     """Operator: the hands, rendered by JGHand, go into the picture of this scene's own engine, by depth."""
 
     bl_idname = "jghand.combine_with_scene"
-    bl_label = "Combine with Scene"
+    bl_label = "Set Up Compositing"
     bl_description = (
         "Give the hands a scene of their own that JGHand renders, and combine it with this one by depth in the "
         "compositor. Once more brings it up to date with this scene's hands, camera, size and frames. "
-        "Switches Lock Interface on, because Blender can crash when a scene is edited while it is rendered"
+        "Locks the interface while rendering, because Blender can crash when a scene is edited meanwhile"
     )
     bl_options = UNDOABLE
 
@@ -43,10 +43,10 @@ class CombineWithScene(Reporting, bpy.types.Operator):
 
 
 class RemoveCombination(Reporting, bpy.types.Operator):
-    """Operator: takes away what Combine with Scene made."""
+    """Operator: takes away what Set Up Compositing made."""
 
     bl_idname = "jghand.remove_combination"
-    bl_label = "Remove Combination"
+    bl_label = "Remove Compositing"
     bl_description = "Take away the hands' own scene and the nodes that combine it; nodes of yours stay"
     bl_options = UNDOABLE
 

@@ -57,12 +57,6 @@ class _Page:
     bl_region_type = "WINDOW"
     bl_context = "render"
 
-    def column(self) -> bpy.types.UILayout:
-        """Where properties go."""
-        self.layout.use_property_split = True
-        self.layout.use_property_decorate = False
-        return self.layout.column()
-
 
 class _OwnPage(_Page):
     """One that shows while the scene is rendered by JGHand."""
@@ -89,7 +83,7 @@ class QualityPage(_Page, bpy.types.Panel):
         RENDER_PT_jghand_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
-        column, settings = self.column(), context.scene.jghand
+        column, settings = ui.settings(self.layout), context.scene.jghand
         column.prop(settings, "shadow_strength", slider=True)
         column.prop(settings, "shadow_radius_mm")
 
@@ -102,7 +96,7 @@ class ViewportPage(_Page, bpy.types.Panel):
     bl_parent_id = QualityPage.bl_idname
 
     def draw(self, context: bpy.types.Context) -> None:
-        column, settings = self.column(), context.scene.jghand
+        column, settings = ui.settings(self.layout), context.scene.jghand
         column.prop(settings, "show_in_viewport")
         column = column.column()
         column.active = settings.show_in_viewport
@@ -126,7 +120,7 @@ class RenderPage(_Page, bpy.types.Panel):
     bl_parent_id = QualityPage.bl_idname
 
     def draw(self, context: bpy.types.Context) -> None:
-        column, settings = self.column(), context.scene.jghand
+        column, settings = ui.settings(self.layout), context.scene.jghand
         column.prop(settings, "render_preset", text="Preset")
         column.prop(settings, "motion_samples")
 
@@ -143,7 +137,7 @@ class StatisticsPage(_Page, bpy.types.Panel):
         dropped = views.late_frames()
         if dropped:
             text = iface_("Dropped frames: {count}").format(count=dropped)
-            tip = iface_("Frames of the last playback that were drawn before their picture came")
+            tip = iface_("Frames of the last playback that were drawn before their image came")
             ui.explained(self.layout, panel_text.Line(text, tip=tip), icon="INFO")
         for kind, title in ((runtime.VIEWPORT, "Viewport"), (runtime.RENDER, "Render")):
             receipt = receipt_of(context, kind)
@@ -159,7 +153,7 @@ class FilmPage(_OwnPage, bpy.types.Panel):
     bl_label = "Film"
 
     def draw(self, context: bpy.types.Context) -> None:
-        self.column().prop(context.scene.render, "film_transparent", text="Transparent")
+        ui.settings(self.layout).prop(context.scene.render, "film_transparent", text="Transparent")
 
 
 class MotionBlurPage(_OwnPage, bpy.types.Panel):
@@ -174,7 +168,7 @@ class MotionBlurPage(_OwnPage, bpy.types.Panel):
         self.layout.prop(context.scene.render, "use_motion_blur", text="")
 
     def draw(self, context: bpy.types.Context) -> None:
-        column, render = self.column(), context.scene.render
+        column, render = ui.settings(self.layout), context.scene.render
         column.active = render.use_motion_blur
         column.prop(render, "motion_blur_position", text="Position")
         column.prop(render, "motion_blur_shutter")
@@ -189,7 +183,7 @@ class PassesPage(_OwnPage, bpy.types.Panel):
     bl_context = "view_layer"
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.column()
+        column = ui.settings(self.layout)
         column.prop(context.view_layer, "use_pass_z", text="Depth")
         column.prop(context.scene.jghand, "use_pass_ids")
 

@@ -79,7 +79,7 @@ class InstallTools(Reporting, bpy.types.Operator):
         if job is not None and not job.is_over:
             return missing(cls, "The training tools are being installed")
         if not is_online():
-            return missing(cls, "Allow Online Access in the preferences, under System")
+            return missing(cls, 'Switch "Allow Online Access" on in the preferences, under System')
         return True
 
     def run(self, _context: bpy.types.Context) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine by hand: start it again, see what it printed."""
+"""The renderer by hand: start it again, see what it printed."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, missing, sentenc
 from ..ui import PANELS, redraw
 from . import runtime
 
-LOG_NAME = "JGHand Engine Log"
+LOG_NAME = "JGHand Renderer Log"
 
 
 class RestartEngine(bpy.types.Operator):
-    """Operator: ends the engine, whatever it does, and starts another; also one that failed too often."""
+    """Operator: ends the renderer, whatever it does, and starts another; also one that failed too often."""
 
     bl_idname = "jghand.restart_engine"
-    bl_label = "Restart Engine"
-    bl_description = "End the engine, whatever it is doing, and start it again. It also starts with the first picture"
+    bl_label = "Restart Renderer"
+    bl_description = "End the renderer, whatever it is doing, and start it again. It also starts with the first image"
     bl_options = PLUMBING
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -35,16 +35,16 @@ class RestartEngine(bpy.types.Operator):
 
 
 class ShowLog(bpy.types.Operator):
-    """Operator: what the engine printed, as a text; in a text editor where there is one, else in a new window."""
+    """Operator: what the renderer printed, as a text; in a text editor where there is one, else in a new window."""
 
     bl_idname = "jghand.show_log"
     bl_label = "Show Log"
-    bl_description = "Open what the engine printed in the Text Editor"
+    bl_description = "Open what the renderer printed in the Text Editor"
     bl_options = REGISTERED
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return bool(runtime.link().log) or missing(cls, "The engine has printed nothing yet")
+        return bool(runtime.link().log) or missing(cls, "The renderer has printed nothing yet")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         text = bpy.data.texts.get(LOG_NAME) or bpy.data.texts.new(LOG_NAME)

@@ -23,8 +23,8 @@ from .training_folder import TrainingReader, folder_of
 
 STARTS = (
     ("new", "New", "There is no training yet", "NONE", 0),
-    ("resume", "Go On", "Go on where the training stands", "NONE", 1),
-    ("fresh", "Start Anew", "Forget the training that the folder holds", "NONE", 2),
+    ("resume", "Resume", "Continue where the training stands", "NONE", 1),
+    ("fresh", "Restart", "Forget the training that the folder holds", "NONE", 2),
 )
 
 
@@ -34,8 +34,8 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
     bl_idname = "jghand.render_training_set"
     bl_label = "Render Training Set"
     bl_description = (
-        "Make pictures of a rigged hand from all sides, path traced in a process of its own. "
-        "What is there already is kept: the same again goes on where it was stopped"
+        "Render images of a rigged hand from all sides, path traced in a process of its own. "
+        "What is there already is kept: started again it continues where it was stopped"
     )
     bl_options = REGISTERED
 
@@ -105,9 +105,9 @@ class Train(StartsJob, bpy.types.Operator):
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         """The tooltip says what becomes of an earlier training."""
         if properties.start == "resume":
-            return "Go on with this training where it stands, in a process of its own"
+            return "Continue this training where it stands, in a process of its own"
         if properties.start == "fresh":
-            return "Begin anew: the training that the folder holds is lost"
+            return "Begin again: the training that the folder holds is lost"
         return cls.bl_description
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -118,9 +118,9 @@ class Train(StartsJob, bpy.types.Operator):
         return context.window_manager.invoke_confirm(
             self,
             event,
-            title=rpt_("Start Anew?"),
+            title=rpt_("Restart Training?"),
             message=rpt_("The training in {folder} is lost: {what}.").format(folder=self._work.name, what=lost),
-            confirm_text=rpt_("Start Anew"),
+            confirm_text=rpt_("Restart"),
             icon="WARNING",
         )
 
@@ -192,7 +192,7 @@ class ResumeTraining(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.resume_training"
     bl_label = "Resume"
-    bl_description = "Go on with the training where it was paused"
+    bl_description = "Continue the training where it was paused"
     bl_options = PLUMBING
 
     def run(self, _context: bpy.types.Context) -> None:

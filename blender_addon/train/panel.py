@@ -33,9 +33,7 @@ class TrainPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.training
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = ui.settings(layout)
         column.prop(settings, "capture_folder")
         column.prop(settings, "avatar_file")
         column.prop(settings, "preset")
@@ -60,9 +58,7 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.training
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = ui.settings(layout)
         for name in ("identity", "cameras"):
             column.prop(settings, name)
         column.prop(settings, "use_motion")
@@ -106,8 +102,8 @@ def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> No
         row.operator("jghand.resume_training", icon="PLAY")
         row.operator("jghand.cancel_job", text="Stop", icon="CANCEL").key = job_watch.TRAINING
     elif seen is not None and seen.can_go_on:
-        row.operator("jghand.train", text="Go On", icon="PLAY").start = "resume"
-        row.operator("jghand.train", text="Start Anew", icon="FILE_REFRESH").start = "fresh"
+        row.operator("jghand.train", text="Resume", icon="PLAY").start = "resume"
+        row.operator("jghand.train", text="Restart…", icon="FILE_REFRESH").start = "fresh"
     else:
         row.operator("jghand.train", icon="PLAY").start = "new"
 

@@ -99,7 +99,7 @@ RECEIPT = {
 
 def test_a_receipt_becomes_bars_of_the_stages_that_ran():
     said = panel_text.receipt_text(RECEIPT)
-    assert (said.total.text, said.total.value, said.total.good) == ("Last Picture", "7.2 ms", True)
+    assert (said.total.text, said.total.value, said.total.good) == ("Last Frame", "7.2 ms", True)
     assert said.total.tip == "51,000 of 60,000 splats, drawn by avx2 on 2 threads"
     skin, raster, shadow = said.stages
     assert (skin.text, skin.value, skin.part) == ("Skin", "1.8 ms", 0.25)
@@ -126,7 +126,7 @@ def test_a_picture_over_its_budget_is_told():
 def test_a_joint_out_of_its_trained_range_is_named_before_everything_else():
     notes = ["The palm is nearly a line.", "index1 flexion 105°: 12° outside the 0° to 93° that was trained"]
     first, second = panel_text.receipt_text({**RECEIPT, "notes": notes}).warnings
-    assert first.text == "index1: flexion 12° beyond training"
+    assert first.text == "index1: flexion 12° outside trained range"
     assert first.tip.startswith(notes[1])
     assert not first.tip.endswith(".")
     assert second.text == "The palm is nearly a line"

@@ -22,6 +22,7 @@ _PLACED = {
     "operator_menu_enum": ("operator", "property"),
     "template_icon_view": ("data", "property"),
     "template_list": (*("listtype_name", "list_id", "dataptr", "propname", "active_dataptr", "active_propname"),),
+    "template_curve_mapping": ("data", "property"),
     "menu": ("menu",),
     "popover": ("panel",),
 }

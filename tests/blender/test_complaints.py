@@ -138,7 +138,8 @@ def test_f12_with_an_engine_that_draws_no_hands_says_so_once(stand_in, scene, ca
     bpy.ops.render.render()
     told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("JGHand:")]
     assert told == [
-        "JGHand: This picture has no hands: Workbench does not draw them. Use the JGHand engine, or Combine with Scene."
+        "JGHand: This image has no hands: Workbench does not draw them. "
+        'Press "Use JGHand Engine" or "Set Up Compositing".'
     ]
 
 

@@ -229,7 +229,7 @@ def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
     extension.scene.jghand.use_viewport_budget = True
     extension.scene.jghand.viewport_budget_ms = 5.0
     seen = draw(pages.StatisticsPage, extension)
-    assert "index1: flexion 12° beyond training" in seen.texts
+    assert "index1: flexion 12° outside trained range" in seen.texts
     assert "Over Budget" in seen.texts
     bars = [one.arguments for one in seen.drawn if one.function == "progress"]
     assert [(bar["text"], bar["factor"]) for bar in bars] == [("7.2 ms", 1.0), ("3.6 ms", 0.5)]
@@ -241,7 +241,7 @@ def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
 def test_a_pose_beyond_training_is_told_below_the_hands(extension, engine):
     add()
     runtime.set_report(runtime.VIEWPORT, RECEIPT)
-    assert "index1: flexion 12° beyond training" in text_of(draw(hand_panel.HandPanel, extension))
+    assert "index1: flexion 12° outside trained range" in text_of(draw(hand_panel.HandPanel, extension))
 
 
 def test_render_says_what_the_view_transform_does_and_offers_standard(extension, engine):
