@@ -35,7 +35,9 @@ class Advice:
 
 
 ADVICE = {
-    "no_interpreter": Advice("No renderer was found", 'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand', BAD_INPUT),
+    "no_interpreter": Advice(
+        "No renderer was found", 'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand', BAD_INPUT
+    ),
     "no_tools": Advice(
         "Training and video tracking need PyTorch, which is not installed",
         'Press "Install Training Tools" in the extension\'s preferences',

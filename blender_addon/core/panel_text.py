@@ -83,7 +83,7 @@ class Button:
 
 @dataclass(frozen=True)
 class StatusText:
-    """The state of the renderer. text: one line · remedy: what an artist can do, "" when all is well · since: since when,
+    """How the renderer is. text: one line · remedy: what an artist can do, "" when all is well · since: since when,
     where the line does not say it · detail: the small print."""
 
     text: str

@@ -28,12 +28,13 @@ class RenderPanel(Sidebar, bpy.types.Panel):
         camera = scene.camera
         if camera is not None and camera.type == "CAMERA" and camera.data.type == "PANO":
             ui.paragraph(layout, context, "Panoramic cameras are not supported", icon="ERROR")
-        if scene.render.engine == ENGINE:
+        combined = composite.has_combination(scene)
+        if scene.render.engine == ENGINE or combined:
             _draw_colors(layout, context)
-        else:
+        if scene.render.engine != ENGINE:
             layout.operator("jghand.use_engine", icon="RESTRICT_RENDER_OFF")
             layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
-            if composite.has_combination(scene):
+            if combined:
                 layout.operator("jghand.remove_combination", icon="X")
         layout.operator("jghand.add_camera", icon="CAMERA_DATA")
 

@@ -18,12 +18,12 @@ HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
 @pytest.mark.parametrize(
     ("status", "text", "good", "buttons"),
     [
-        (Status("stopped", 0.0), "Engine off: starts when needed", True, []),
+        (Status("stopped", 0.0), "Renderer off: starts when needed", True, []),
         (Status("starting", 12.4), "Starting…  12 s", True, []),
         (Status("ready", 200.0, None, HANDSHAKE), "Ready · CPU · 7.2 ms", True, []),
         (
             Status("slow", 90.0, None, HANDSHAKE),
-            "The engine is not answering",
+            "The renderer is not answering",
             False,
             ["jghand.restart_engine"],
         ),
@@ -47,9 +47,7 @@ def test_every_failure_says_what_happened_when_and_what_to_do(kind):
 
 
 def test_before_the_first_picture_a_busy_engine_says_what_it_is_at():
-    assert (
-        panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE, busy=True)).text == "Ready · CPU · first picture…"
-    )
+    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE, busy=True)).text == "Ready · CPU · first frame…"
     assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE)).text == "Ready · CPU"
 
 
@@ -201,7 +199,7 @@ def test_everything_that_is_said_goes_through_the_translation():
     panel_text.status_text(Status("failed", 1.0, JGHandFailure("crashed")), None, translate)
     panel_text.receipt_text(RECEIPT, 5.0, translate)
     panel_text.map_lines(whole_map(), [], translate)
-    assert {"The engine stopped unexpectedly", "Self-Shadow", "Over Budget"} <= set(heard)
+    assert {"The renderer stopped unexpectedly", "Self-Shadow", "Over Budget"} <= set(heard)
 
 
 def test_durations_and_paragraphs_are_short():

@@ -181,6 +181,7 @@ def test_colors_differ_from_other_viewers(engine, scene, tmp_path):
 
 @pytest.mark.parametrize("transform", ["AgX", "Filmic"])
 def test_a_view_transform_that_changes_colors_is_said_and_mended_by_one_button(stand_in, scene, transform):
+    scene.render.engine = "JGHAND"
     scene.view_settings.view_transform = transform
     assert transform in "\n".join(drawn_by(picture.RenderPanel))
     bpy.ops.jghand.use_standard()
@@ -311,18 +312,13 @@ def test_an_external_process_that_hangs_on_starting_for_ever(stand_in_command, s
     runtime.use_link(None)
 
 
-def test_starting_says_since_when_and_offers_to_stop(stand_in_command, scene):
+def test_starting_says_since_when(stand_in_command, scene):
     link = EngineLink(lambda: [*stand_in_command, "silent"])
     runtime.use_link(link)
     link.start()
     time.sleep(0.1)
-    drawn = drawn_by(hand.HandPanel)
-    assert any(text.startswith("Starting") for text in drawn)
-    link.stop()
-    began = time.monotonic()
-    while link.status.state != "stopped" and time.monotonic() - began < 20:
-        time.sleep(0.02)
-    assert link.status.state == "stopped"
+    assert any(text.startswith("Starting") for text in drawn_by(hand.HandPanel))
+    link.close()
     runtime.use_link(None)
 
 

@@ -231,7 +231,7 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "program", none)
     path = tmp_path / "wave.bvh"
     path.write_text("HIERARCHY\n")
-    with pytest.raises(RuntimeError, match="No engine is set up"):
+    with pytest.raises(RuntimeError, match="No renderer was found"):
         bpy.ops.jghand.import_motion(filepath=str(path))
     path = tmp_path / "text.csv"
     path.write_text("a,b\n1,2\n")

@@ -177,12 +177,12 @@ def test_the_pose_library_is_installed_once_and_then_shown(extension, engine):
 @pytest.mark.parametrize(
     ("status", "wanted"),
     [
-        (Status("stopped", 0.0), "Engine off"),
+        (Status("stopped", 0.0), "Renderer off"),
         (Status("starting", 12.0), "Starting…  12 s"),
-        (Status("slow", 12.0, None, READY.handshake), "The engine is not answering"),
+        (Status("slow", 12.0, None, READY.handshake), "The renderer is not answering"),
         (Status("stopping", 2.0), "Stopping…  2 s"),
-        (Status("failed", 5.0, JGHandFailure("killed", "signal 9")), "The system ended the engine"),
-        (Status("failed", 5.0, None), "The engine stopped"),
+        (Status("failed", 5.0, JGHandFailure("killed", "signal 9")), "The system ended the renderer"),
+        (Status("failed", 5.0, None), "The renderer stopped"),
     ],
 )
 def test_the_first_line_says_how_the_renderer_is_while_it_is_not_ready(extension, engine, status, wanted):
@@ -202,7 +202,7 @@ def test_a_ready_renderer_is_told_in_the_preferences_alone(extension, engine):
 def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
     engine.status = Status("failed", 5.0, JGHandFailure("no_interpreter", "nothing found"))
     seen = draw(hand_panel.HandPanel, extension)
-    assert "No engine is set up" in text_of(seen)
+    assert "No renderer was found" in text_of(seen)
     assert "jghand.open_preferences" in seen.operators
 
 
@@ -213,7 +213,7 @@ def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatc
     engine.status = Status("failed", 5.0, JGHandFailure("killed"))
     said = text_of(draw(hand_panel.HandPanel, extension))
     assert "Right Hand: Mirrored scale is not supported" in said
-    assert said.count("The system ended the engine") == 1
+    assert said.count("The system ended the renderer") == 1
 
 
 def test_dropped_frames_are_counted(extension, engine, monkeypatch):
@@ -273,7 +273,7 @@ def test_a_view_that_shows_no_hands_says_why(extension, engine):
         seen[shading] = hand_panel._shading_hint(around)
     assert seen["SOLID"] == ""
     assert "Wireframe" in seen["WIREFRAME"]
-    assert "JGHand engine" in seen["RENDERED"]
+    assert "JGHand Engine" in seen["RENDERED"]
 
 
 def test_panels_do_not_ask_every_object_of_a_scene_at_every_redraw(extension, monkeypatch):

@@ -100,7 +100,7 @@ def test_only_one_training_runs_at_a_time(place):
 @pytest.mark.parametrize(
     ("name", "value", "told"),
     [
-        ("capture_folder", "//none", "no pictures"),
+        ("capture_folder", "//none", "no images"),
         ("capture_folder", "", "no folder"),
         ("avatar_file", "//hand.ply", "ends with .jghand"),
     ],
