@@ -28,26 +28,27 @@ from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.poses import MotionOptions, named_pose, pose_sequence_of_names
-from jghand_engine.hand.rotations import vector_rotation
+from jghand_engine.hand.rotations import alignment, vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset
-from jghand_engine.track.detection import SeenHand
-from jghand_engine.track.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
+from jghand_engine.track.detection import SecondLook, SeenHand
 from jghand_engine.track.hands_over_time import HandOverTime
 from jghand_engine.track.mediapipe_hands import MediaPipeHands, video_detector
 from jghand_engine.track.poses import Pinhole
-from jghand_engine.track.second_look import SecondLook
 from jghand_engine.track.track import (
+    FINGER_BONES,
     MOTION_FROM_CAMERA,
     Sightings,
     TrackOptions,
-    look,
+    angles_between_deg,
+    detect,
+    jitter_deg,
     track,
     track_hand,
 )
-from jghand_engine.track.video import open_video, pictures
+from jghand_engine.track.video import open_video, read_frames
 
 FPS, SIZE_PX, ANGLE_DEG, DISTANCE_M = 30.0, (640, 480), 60.0, 0.45
 # angle of view of the camera that sees hands at its border
@@ -57,6 +58,8 @@ POSES = ("open", "relaxed", "point", "victory", "open", "three", "pinch", "open"
 OTHER_BONES_SIGMA, SEED = 0.08, 5
 # how long the hand is for the picture's height, where it is looked for that is small
 SMALL = (1 / 3, 1 / 5, 1 / 7, 1 / 9, 1 / 12)
+# how far a lag is looked for, seconds, and in which steps
+LAG_MAX_S, LAG_STEP_S = 0.25, 0.001
 # the one-euro filter's usual setting for hands: least cut-off in Hz, how it grows with speed, cut-off of the speed
 ONE_EURO = (1.0, 0.5, 1.0)
 
@@ -178,6 +181,37 @@ def measured(case: str, method: str, joints_m: np.ndarray, truth_m: np.ndarray, 
     )  # fmt: skip
 
 
+def directions_in_palm(joints_m: np.ndarray, canonical_joints_m: np.ndarray) -> np.ndarray:
+    """(F, 21, 3) level-order joints -> (F, 20, 3) directions of the bones, the palm turned onto a canonical one."""
+    directions = bone_directions(joints_m)
+    palm = bone_directions(canonical_joints_m[None])[:, :5]
+    turn = alignment(directions[:, :5], np.broadcast_to(palm, (len(directions), 5, 3)))
+    return directions @ np.swapaxes(turn, -1, -2)
+
+
+def lag_ms(tracked: np.ndarray, truth: np.ndarray, fps: float) -> float:
+    """How much later than the truth a motion is, milliseconds: the shift in time at which finger bones differ least.
+
+    Both (F, 20, 3) directions in the palm. NaN for motions too short to shift.
+    """
+    count = len(truth)
+    reach = min(LAG_MAX_S, (count - 3) / (2 * fps))
+    if reach <= 0:
+        return float("nan")
+    time = np.arange(count) / fps
+    inner = (time >= reach) & (time <= time[-1] - reach)
+    wanted = truth[inner][:, FINGER_BONES]
+    shifts = np.arange(-reach, reach, LAG_STEP_S)
+    costs = []
+    for shift in shifts:
+        at = (time[inner] + shift) * fps
+        before = np.clip(np.floor(at).astype(int), 0, count - 2)
+        part = (at - before)[:, None, None]
+        there = (1 - part) * tracked[before][:, FINGER_BONES] + part * tracked[before + 1][:, FINGER_BONES]
+        costs.append(np.square(there - wanted).sum(-1).mean())
+    return float(1000 * shifts[int(np.argmin(costs))])
+
+
 def _median_and_95(came: np.ndarray, truth: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
     error = angles_between_deg(came, truth)[seen][:, FINGER_BONES]
     return float(np.median(error)), float(np.percentile(error, 95))
@@ -215,7 +249,7 @@ def rows_of_video(truth: Truth, canonical_m: np.ndarray, model: Path | None) -> 
         write_video(path, film(truth), FPS)
         video = open_video(path)
         with video_detector(model) as detector:
-            sightings = look(pictures(video), video.fps, detector)
+            sightings = detect(read_frames(video), video.fps, detector)
     yield from rows_of_sightings(truth, sightings, canonical_m)
 
 

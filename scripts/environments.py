@@ -110,7 +110,7 @@ ENGINE = Environment(
 # the tests of tracking want networks that no package of today holds: without them they are skipped
 HAND_MODEL = """
 from jghand_engine.errors import JGHandError
-from jghand_engine.track.model_file import fetch_model
+from jghand_engine.track.mediapipe_hands import fetch_model
 try:
     print("finding hands in videos with", fetch_model().name)
 except JGHandError as error:

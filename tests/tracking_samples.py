@@ -10,8 +10,7 @@ from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.track.detection import SeenHand
-from jghand_engine.track.poses import Pinhole, Poses
-from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton
+from jghand_engine.track.poses import LIMITS_RAD, JointChain, Pinhole, Poses
 from jghand_engine.track.track import Sightings
 
 CANONICAL_M = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
@@ -57,4 +56,4 @@ def seen(joints_m: np.ndarray, handedness: Handedness, score: float = 0.95) -> S
 
 def right_joints_m(count: int = 60) -> np.ndarray:
     """(F, 21, 3) of `moving_poses` on the built-in hand, camera axes."""
-    return moving_poses(count).joints_m(Skeleton.of(CANONICAL_M))
+    return moving_poses(count).joints_m(JointChain.of(CANONICAL_M))

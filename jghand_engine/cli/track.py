@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
     from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
-    from jghand_engine.track.video import ReadingNotes, Video
+    from jghand_engine.track.video import Video
 
 # below this certainty, 0..1, of which hand it is, that is told
 HAND_CERTAINTY_LOW = 0.3
@@ -98,14 +98,14 @@ class Track:
         from jghand_engine.motion.tools import turned_up
         from jghand_engine.track.hands_over_time import hands_over_time
         from jghand_engine.track.track import track
-        from jghand_engine.track.video import ReadingNotes, open_video
+        from jghand_engine.track.video import open_video
 
         options = self._checked()
         video = open_video(self.video, self.fps, most=self.most)
         avatar = load_avatar_called(self.avatar.avatar)
-        notes = ReadingNotes()
+        notes: list[str] = []
         if video.uneven:
-            notes.sentences.append(
+            notes.append(
                 f"The times between the pictures of {self.video} vary: they were brought to an even rate of "
                 f"{video.fps:g} per second."
             )
@@ -114,7 +114,7 @@ class Track:
         seconds_looking = time.perf_counter() - started
         found = hands_over_time(sightings.frames, sightings.fps)
         hands = track(sightings, avatar.canonical_joints_m, options, self._wanted(found))
-        notes.sentences += [
+        notes += [
             f"{_doubt(side, hand)}, and taken for a mistake."
             for side, hand in found.doubted.items()
             if hand.seen.sum() >= HAND_SEEN_FRAMES_MIN
@@ -127,7 +127,7 @@ class Track:
             write_json(self.film_camera, self._film_camera(sightings, options))
         if self.proof is not None:
             self._write_proof(video, sightings, hands, avatar, options)
-        for sentence in notes.sentences:
+        for sentence in notes:
             say(sentence)
         for side, hand in hands.items():
             say(_sentence(side, hand, files[side]))
@@ -136,7 +136,7 @@ class Track:
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "track", "video": str(self.video), "fps": video.fps, "frames": len(sightings.frames),
-                "size_px": [video.width, video.height], "notes": notes.sentences,
+                "size_px": [video.width, video.height], "notes": notes,
                 "seconds_looking": seconds_looking, "seconds_fitting": seconds_fitting,
                 "hands": [_figures(side, hand, files[side]) for side, hand in hands.items()],
                 "film_camera": None if self.film_camera is None else str(self.film_camera),
@@ -193,11 +193,10 @@ class Track:
             # a report is replaced, as every command does
             check_place(path, overwrite=self.overwrite or name == "--json", option=name)
 
-    def _look(self, video: Video, notes: ReadingNotes) -> Sightings:
-        from jghand_engine.track.mediapipe_hands import check_package, video_detector
-        from jghand_engine.track.model_file import fetch_model
-        from jghand_engine.track.track import look
-        from jghand_engine.track.video import pictures
+    def _look(self, video: Video, notes: list[str]) -> Sightings:
+        from jghand_engine.track.mediapipe_hands import check_package, fetch_model, video_detector
+        from jghand_engine.track.track import detect
+        from jghand_engine.track.video import read_frames
 
         if self.fetch_model and self.model is None:
             check_package()
@@ -205,8 +204,8 @@ class Track:
         total = video.frames if self.most is None else min(self.most, video.frames or self.most)
         with video_detector(self.model) as detector, progress("Looking for hands", total or 1) as bar:
             task = bar.task_ids[0]
-            return look(
-                pictures(video, notes, most=self.most),
+            return detect(
+                read_frames(video, notes, most=self.most),
                 video.fps,
                 detector,
                 lambda done: bar.update(task, completed=done, total=max(done, total or 0)),
@@ -263,12 +262,12 @@ class Track:
         from jghand_engine.export.video import write_video
         from jghand_engine.track.proof import side_by_side
         from jghand_engine.track.track import camera_of
-        from jghand_engine.track.video import pictures
+        from jghand_engine.track.video import read_frames
 
         assert self.proof is not None
         count = len(sightings.frames)
         pinhole = camera_of(sightings, options.camera_angle_deg)
-        frames = side_by_side(pictures(video, most=count), hands, pinhole, avatar)
+        frames = side_by_side(read_frames(video, most=count), hands, pinhole, avatar)
         with progress("Writing the proof", count) as bar:
 
             def told() -> Iterator[np.ndarray]:

@@ -1,8 +1,8 @@
 """The motion of a skeleton that explains landmarks best: one robust least-squares fit of many frames at once.
 
-Of every frame the fit knows where landmarks lie in the picture and, from the detector's own estimate in space, where
-bones point (look.py). Between frames it wants small accelerations. Joint limits are part of it, and bones cannot change
-length. Gauss-Newton with damping. Frames without a hand are filled by what is before and after them.
+Of every frame the fit knows where landmarks lie in the image and, from the detector's own estimate in space, where
+bones point (costs.py). Between frames it wants small accelerations. Joint limits are part of it, and bones cannot
+change length. Gauss-Newton with damping. Frames without a hand are filled by what is before and after them.
 """
 
 from __future__ import annotations
@@ -12,12 +12,20 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import LinAlgError, solveh_banded
 
 from jghand_engine.hand.rotations import alignment
-from jghand_engine.track.look import Trust, View
-from jghand_engine.track.poses import STATE_COUNT, Landmarks, Pinhole, Poses, joined
-from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton
-from jghand_engine.track.smoother import Steadiness, solve
+from jghand_engine.track.costs import PoseCosts, Steadiness, Trust
+from jghand_engine.track.poses import (
+    ANGLE_COUNT,
+    LIMITS_RAD,
+    STATE_COUNT,
+    JointChain,
+    Landmarks,
+    Pinhole,
+    Poses,
+    joined,
+)
 
 # Gauss-Newton steps; the steps end when the cost falls by less than this part, with no more damping than the first
 FIT_STEPS = 30
@@ -43,7 +51,7 @@ FIT_MARGIN_S = 2.0
 FIT_MARGIN_FRAMES_MAX = 1200
 
 
-def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
+def fit(chain: JointChain, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
     """The motion. Frames before the hand is first seen hold its first pose, those after the last one its last.
 
     At least one frame must show the hand. In gaps of up to `FIT_GAP_S` it goes as the fit says; in longer ones,
@@ -53,12 +61,12 @@ def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) ->
     """
     trust = trust or Trust()
     seen = np.flatnonzero(landmarks.seen)
-    start = initial_poses(skeleton, landmarks)
+    start = initial_poses(chain, landmarks)
     believed = ~_in_long_gaps(landmarks.seen, FIT_GAP_S * landmarks.fps)
     fitted, known = [], []
     reach = None if trust.smoothing == 0 else FIT_REACH_S * landmarks.fps
     for kept, wide in _parts(seen, reach, _margin(landmarks.fps, trust.smoothing)):
-        poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
+        poses = _fit_part(chain, landmarks.part(wide), start.part(wide), trust)
         kept = kept[believed[kept]]
         fitted.append(poses.part(np.isin(wide, kept)))
         known.append(kept)
@@ -105,12 +113,12 @@ def _parts(seen: np.ndarray, longest_gap: float | None, margin: int) -> Iterator
             begin = end
 
 
-def initial_poses(skeleton: Skeleton, landmarks: Landmarks) -> Poses:
+def initial_poses(chain: JointChain, landmarks: Landmarks) -> Poses:
     """A first guess: the palm where it lies in space, fingers as bent as neighboring bones are to each other, the
     distance from the hand's size in the picture; between seen frames along the shortest way."""
     seen = np.flatnonzero(landmarks.seen)
     directions = landmarks.directions[seen]
-    palm = skeleton.palm_m[1:] / np.linalg.norm(skeleton.palm_m[1:], axis=-1, keepdims=True)
+    palm = chain.palm_m[1:] / np.linalg.norm(chain.palm_m[1:], axis=-1, keepdims=True)
     turn = alignment(np.broadcast_to(palm, (len(seen), 5, 3)), directions[:, :5])
     angle = np.zeros((len(seen), 5, 4))
     for joint, place in enumerate((0, 2, 3)):
@@ -118,7 +126,7 @@ def initial_poses(skeleton: Skeleton, landmarks: Landmarks) -> Poses:
         angle[:, :, place] = np.arccos(np.clip((before * after).sum(-1), -1, 1))
     angle[:, 0, 0] = 0.0  # a thumb's first joint is bent to the palm at rest
     angle = np.clip(angle.reshape(-1, ANGLE_COUNT), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
-    joints = skeleton.joints(angle) @ np.swapaxes(turn, -1, -2)
+    joints = chain.joints(angle) @ np.swapaxes(turn, -1, -2)
     place = _placed(joints, landmarks.image_px[seen], landmarks.camera)
     return Poses(turn, place, angle).spread(seen, len(landmarks.image_px))
 
@@ -135,18 +143,18 @@ def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.nda
 # ---- the steps -------------------------------------------------------------------------------------------------------
 
 
-def _fit_part(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) -> Poses:
+def _fit_part(chain: JointChain, landmarks: Landmarks, poses: Poses, trust: Trust) -> Poses:
     """Frames that know of one another take each step together or not at all; frames alone each for itself."""
     steadiness = trust.steadiness(landmarks.fps)
     going = np.arange(len(poses))
     damping = np.full(len(poses) if steadiness is None else 1, FIT_DAMPING)
     for _ in range(FIT_STEPS):
         here = poses.part(going)
-        view = View.of(skeleton, landmarks.part(going), trust, here)
-        look = view.look(here)
-        gradient = look.gradient if steadiness is None else look.gradient + steadiness.gradient(here.steps())
-        there = here.moved(bounded(solve(damped(look.blocks, damping), gradient, steadiness)))
-        before, after = _costs(view, here, steadiness), _costs(view, there, steadiness)
+        costs = PoseCosts.of(chain, landmarks.part(going), trust, here)
+        change = costs.derivatives(here)
+        gradient = change.gradient if steadiness is None else change.gradient + steadiness.gradient(here.steps())
+        there = here.moved(bounded(solve(damped(change.blocks, damping), gradient, steadiness)))
+        before, after = _costs(costs, here, steadiness), _costs(costs, there, steadiness)
         better = after <= before
         moved = np.broadcast_to(better, len(going))
         poses = poses.replaced(going[moved], there.part(moved))
@@ -161,9 +169,9 @@ def _fit_part(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Tru
     return replace(poses, angle_rad=np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1]))
 
 
-def _costs(view: View, poses: Poses, steadiness: Steadiness | None) -> np.ndarray:
+def _costs(weighed: PoseCosts, poses: Poses, steadiness: Steadiness | None) -> np.ndarray:
     """(F,) of frames alone; (1,) of frames that know of one another."""
-    costs = view.costs(poses)
+    costs = weighed.costs(poses)
     return costs if steadiness is None else costs.sum(keepdims=True) + steadiness.cost(poses.steps())
 
 
@@ -181,3 +189,39 @@ def bounded(step: np.ndarray) -> np.ndarray:
     most = np.full(STATE_COUNT, FIT_STEP_RAD)
     most[3:6] = FIT_STEP_M
     return np.clip(step, -most, most)
+
+
+def solve(blocks: np.ndarray, gradient: np.ndarray, steadiness: Steadiness | None) -> np.ndarray:
+    """The step (F, n) that a Newton method takes: -(H + D)^-1 g, as one banded system.
+
+    It is what a Kalman filter with a Rauch-Tung-Striebel smoother finds for the same model: it looks as far ahead as
+    back, so it has no lag, and it closes gaps.
+
+    blocks: (F, n, n) second derivatives of what is measured in each frame, positive definite · gradient: (F, n) of
+    everything · steadiness: None for frames that know nothing of one another.
+    """
+    count, size = gradient.shape
+    if steadiness is None or count == 1:
+        return -np.linalg.solve(blocks, gradient[..., None])[..., 0]
+    band = np.zeros((2 * size + 1, count, size))
+    for row in range(size):
+        for column in range(row + 1):
+            band[row - column, :, column] = blocks[:, row, column]
+    first, second = steadiness.first, steadiness.second
+    band[0, 1:] += first
+    band[0, :-1] += first
+    band[size, :-1] -= first
+    if count > 2:
+        band[0, :-2] += second
+        band[0, 1:-1] += 4 * second
+        band[0, 2:] += second
+        band[size, :-2] -= 2 * second
+        band[size, 1:-1] -= 2 * second
+        band[2 * size, :-2] += second
+    flat = band.reshape(2 * size + 1, count * size)
+    try:
+        return -solveh_banded(flat, gradient.reshape(-1), lower=True, check_finite=False).reshape(count, size)
+    except LinAlgError:
+        # rounding made it indefinite: a longer diagonal is a shorter step, which is what the caller would try next
+        flat[0] *= 1 + 1e-3
+        return -solveh_banded(flat, gradient.reshape(-1), lower=True, check_finite=False).reshape(count, size)

@@ -13,17 +13,13 @@ import numpy as np
 
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import bone_directions
-from jghand_engine.track.detection import SeenHand
-from jghand_engine.track.look import SMOOTHING_FPS
+from jghand_engine.track.costs import SMOOTHING_FPS
+from jghand_engine.track.detection import HAND_LOST_S, SAME_HAND_PART, SeenHand
 
-# two detections nearer than this part of the hand's size are the same hand
-SAME_HAND_PART = 0.35
 # between frames a hand moves at most this part of its size per frame at 30 frames per second, else it is another one
 HAND_STEP_PART = 1.2
-# after so many seconds out of sight a hand's place says nothing any more
-HAND_LOST_S = 0.5
-# ... but up to so many seconds a hand that looks like it (difference in looks at most this, 0..1) is it again: it may
-# have been behind the other one
+# for so many seconds out of sight a hand that looks like it (difference in looks at most this, 0..1) is it again: it
+# may have been behind the other one
 HAND_HIDDEN_S = 2.0
 HAND_UNLIKE_MAX = 0.5
 # what a detection that looks surely like the other hand costs, in parts of the hand's size: more than a hand goes while
@@ -164,7 +160,7 @@ def _trails(detections: Detections, fps: float) -> list[_Trail]:
 def _step_cost(trail: _Trail, hand: SeenHand, frames: int, fps: float) -> float | None:
     """How far a hand that is seen so many frames after a trail's last one is from it, in parts of its size, more where
     it looks like the other hand, and more the longer it was away; None for one that cannot be it."""
-    way = distance(trail.hands[-1], hand)
+    way = trail.hands[-1].distance_to(hand)
     unlike = abs(trail.rightness - _rightness(hand)) / 2
     if way > HAND_STEP_PART * frames * max(1.0, SMOOTHING_FPS / fps):
         return None
@@ -197,17 +193,11 @@ def _parts_of_one_hand(trail: _Trail) -> Iterator[_Trail]:
         yield from _parts_of_one_hand(own)
 
 
-def distance(first: SeenHand, second: SeenHand) -> float:
-    """Between two hands, in parts of their size."""
-    size = max(first.size_px, second.size_px, 1e-6)
-    return float(np.linalg.norm(first.middle_px - second.middle_px)) / size
-
-
 def _distinct(found: Sequence[SeenHand]) -> list[SeenHand]:
     """Without detections that lie on another, surer one."""
     kept: list[SeenHand] = []
     for hand in sorted(found, key=lambda hand: -hand.score):
-        if all(distance(hand, other) > SAME_HAND_PART for other in kept):
+        if all(hand.distance_to(other) > SAME_HAND_PART for other in kept):
             kept.append(hand)
     return kept
 

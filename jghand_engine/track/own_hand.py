@@ -15,10 +15,9 @@ import numpy as np
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
+from jghand_engine.track.costs import Derivatives, PoseCosts, Trust
 from jghand_engine.track.fit import FIT_DAMPING, bounded, damped, fit
-from jghand_engine.track.look import Look, Trust, View
-from jghand_engine.track.poses import STATE_COUNT, Landmarks
-from jghand_engine.track.skeleton import Skeleton
+from jghand_engine.track.poses import STATE_COUNT, JointChain, Landmarks
 
 # proportions of the hand that is seen: how far a bone's length differs from the start's, relative; frames that are
 # looked at, as many of them as count as independent, and rounds of fitting poses and lengths in turn
@@ -48,17 +47,17 @@ def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, l
     pull, trust = OWN_HAND_SIGMA**-2 / share, Trust(smoothing=0.0)
     change, damping = np.zeros(BONE_COUNT), FIT_DAMPING
     joints, size = hand(change)
-    poses = fit(Skeleton.of(joints), shown, trust)
+    poses = fit(JointChain.of(joints), shown, trust)
     for _ in range(OWN_HAND_ROUNDS):
-        view = View.of(Skeleton.of(joints), shown, trust, poses)
-        step, longer = _step(view.look(poses, with_lengths=True), pull, change, damping)
+        costs = PoseCosts.of(JointChain.of(joints), shown, trust, poses)
+        step, longer = _step(costs.derivatives(poses, with_lengths=True), pull, change, damping)
         longer = change + longer
         joints_there, size_there = hand(longer)
         # a hand that is made larger to have its length stands so much farther away
         moved = poses.moved(bounded(step))
         moved = replace(moved, place_m=moved.place_m * (size_there / size))
-        before = view.costs(poses).sum() + 0.5 * pull * change @ change
-        after = replace(view, skeleton=Skeleton.of(joints_there)).costs(moved).sum() + 0.5 * pull * longer @ longer
+        before = costs.costs(poses).sum() + 0.5 * pull * change @ change
+        after = replace(costs, chain=JointChain.of(joints_there)).costs(moved).sum() + 0.5 * pull * longer @ longer
         if after > before:
             damping *= 10
             continue
@@ -66,7 +65,7 @@ def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, l
     return joints
 
 
-def _step(now: Look, pull: float, change: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+def _step(now: Derivatives, pull: float, change: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
     """Newton's step of all poses (F, 26) and of the lengths (20,) that they share: the poses are eliminated first."""
     blocks = damped(now.blocks, damping)
     of_poses, across = blocks[:, :STATE_COUNT, :STATE_COUNT], blocks[:, :STATE_COUNT, STATE_COUNT:]

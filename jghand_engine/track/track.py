@@ -13,20 +13,20 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M, check_joint_shape, hand_length
 from jghand_engine.hand.sequence import PoseSequence, bone_directions
 from jghand_engine.track import CAMERA_ANGLE_DEG
+from jghand_engine.track.costs import Trust
 from jghand_engine.track.detection import HandDetector, SeenHand
-from jghand_engine.track.figures import jitter_deg
 from jghand_engine.track.fit import fit
 from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
-from jghand_engine.track.look import Trust
 from jghand_engine.track.own_hand import own_canonical_joints
-from jghand_engine.track.poses import Landmarks, Pinhole
-from jghand_engine.track.skeleton import Skeleton
+from jghand_engine.track.poses import JointChain, Landmarks, Pinhole
 
 # ... and what can be said of one
 CAMERA_ANGLES_DEG = (1.0, 150.0)
 # beyond this a motion is hardly one any more
 SMOOTHING_MAX = 100.0
 
+# of the 20 bones those of the palm come first
+FINGER_BONES = slice(5, 20)
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 # from camera axes (x right, y down, z forward) to those of the motion: y up, z towards the viewer
 MOTION_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
@@ -70,7 +70,7 @@ class TrackedHand:
 
     sequence: the motion; y up, z towards the camera, which is the origin unless the wrist was kept in place; frames
     without the hand are filled and marked · in_view: (F, 21, 3) the same before the camera, camera axes, meters · seen:
-    (F,) bool · jitter_before_deg, jitter_after_deg: `figures.jitter_deg` of what the detector said and of the motion ·
+    (F,) bool · jitter_before_deg, jitter_after_deg: `jitter_deg` of what the detector said and of the motion ·
     hand: what was seen
     """
 
@@ -91,7 +91,7 @@ class Sightings:
     frames: list[list[SeenHand]] = field(default_factory=list)
 
 
-def look(
+def detect(
     pictures: Iterable[np.ndarray], fps: float, detector: HandDetector, tick: Callable[[int], None] = lambda done: None
 ) -> Sightings:
     """Looks for hands in pictures, one at a time; tick is told how many were looked at."""
@@ -137,8 +137,8 @@ def track_hand(
     length_m = options.hand_length_m or hand_length(canonical_joints_m)
     scaled = canonical_joints_m * (length_m / hand_length(canonical_joints_m))
     own = own_canonical_joints(scaled, landmarks, length_m)
-    poses = fit(Skeleton.of(own), landmarks, Trust(smoothing=options.smoothing))
-    in_view = poses.joints_m(Skeleton.of(own if options.own_bones else scaled))
+    poses = fit(JointChain.of(own), landmarks, Trust(smoothing=options.smoothing))
+    in_view = poses.joints_m(JointChain.of(own if options.own_bones else scaled))
     if hand.handedness is Handedness.LEFT:
         in_view = in_view * _MIRROR
     joints = in_view * MOTION_FROM_CAMERA
@@ -171,3 +171,23 @@ def landmarks_of(hand: HandOverTime, camera: Pinhole, fps: float) -> Landmarks:
         image = np.stack([2 * camera.cx - image[..., 0], image[..., 1]], -1)
         directions = directions * _MIRROR
     return Landmarks(image, directions, camera, fps)
+
+
+def angles_between_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(..., 3) and (..., 3) unit -> (...) degrees."""
+    # as exact for small angles as for large ones, which an arc cosine is not
+    return np.degrees(2 * np.arctan2(np.linalg.norm(first - second, axis=-1), np.linalg.norm(first + second, axis=-1)))
+
+
+def jitter_deg(joints_m: np.ndarray) -> float:
+    """By how much finger bones typically leave the middle between the frames before and after, degrees.
+
+    The median over frames and bones. A steady motion has little: its speed hardly changes in a frame. NaN for less than
+    three frames.
+    """
+    directions = bone_directions(joints_m)[:, FINGER_BONES]
+    middle = directions[:-2] + directions[2:]
+    length = np.linalg.norm(middle, axis=-1, keepdims=True)
+    if not len(middle):
+        return float("nan")
+    return float(np.nanmedian(angles_between_deg(directions[1:-1], middle / np.where(length > 0, length, 1.0))))

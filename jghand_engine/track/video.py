@@ -12,7 +12,7 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -55,10 +55,12 @@ _PIXEL_SHAPE = re.compile(r"\bSAR (\d{1,9}):(\d{1,9})\b")
 class Video:
     """A video file as its header describes it.
 
-    width, height: of the upright picture as it is read, pixels · fps: the even rate that it is read at ·
-    frames: how many pictures that makes, about; None when the header does not say; sound and subtitles that are longer
-    than the film count · lone: there are none, so that they do not · uneven: the times between its pictures vary ·
-    turned_deg: by how much it was turned upright
+    width, height: of the upright frames as they are read, pixels
+    fps:           the even rate that it is read at
+    frames:        how many that makes, about, by the longest stream; None when the header does not say
+    lone:          there is no sound and no subtitle, which might be longer than the film
+    uneven:        the times between its frames vary
+    turned_deg:    by how much it was turned upright
     """
 
     path: Path
@@ -69,13 +71,6 @@ class Video:
     lone: bool
     uneven: bool
     turned_deg: int
-
-
-@dataclass
-class ReadingNotes:
-    """What went wrong while pictures were read, in sentences; filled by `pictures`."""
-
-    sentences: list[str] = field(default_factory=list)
 
 
 def open_video(path: Path | str, fps: float | None = None, *, most: int | None = None) -> Video:
@@ -99,11 +94,11 @@ def open_video(path: Path | str, fps: float | None = None, *, most: int | None =
     return video
 
 
-def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | None = None) -> Iterator[np.ndarray]:
-    """The pictures of a video, (H, W, 3) uint8 sRGB, at most `most`, and never more than `TRACK_FRAMES_MAX`.
+def read_frames(video: Video, notes: list[str] | None = None, *, most: int | None = None) -> Iterator[np.ndarray]:
+    """The frames of a video, (H, W, 3) uint8 sRGB, at most `most`, and never more than TRACK_FRAMES_MAX.
 
-    A damaged video gives those before the damage, and a sentence in `notes`; so does one that turns out to be too long.
-    InputError when there is not one.
+    A damaged video gives those before the damage, and `notes` gets a sentence; so does one that turns out to be too
+    long. InputError when there is not one.
     """
     filters = [f"fps={video.fps:.9g}", f"scale={video.width}:{video.height}:flags=area", "setsar=1"]
     # one more than may be tells that there are more
@@ -133,7 +128,7 @@ def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | Non
             elif video.lone and video.frames and most is None and count < video.frames - max(2, video.fps):
                 sentence = f"{video.path} is cut off: {count} of about {video.frames} pictures could be read."
     if notes is not None and sentence:
-        notes.sentences.append(sentence)
+        notes.append(sentence)
 
 
 # ---- the header ------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.motion.read import read_motion_file
-from jghand_engine.track import hands_over_time, mediapipe_hands, model_file
+from jghand_engine.track import hands_over_time, mediapipe_hands
 from jghand_engine.track import track as module
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
@@ -263,7 +263,7 @@ def test_only_the_hand_that_is_wanted_is_fitted(film, sees, right, left, tmp_pat
 
 def test_without_the_package_nothing_is_fetched(film, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "mediapipe", None)
-    monkeypatch.setattr(model_file, "fetch_model", lambda: pytest.fail("fetched"))
+    monkeypatch.setattr(mediapipe_hands, "fetch_model", lambda: pytest.fail("fetched"))
     assert track(film, tmp_path / "motion.npz", "--fetch-model") == 2
     assert "the package MediaPipe" in capsys.readouterr().err
 

@@ -9,7 +9,7 @@ import pytest
 from jghand_engine.errors import InputError
 from jghand_engine.export.video import ffmpeg_program, write_video
 from jghand_engine.track import video
-from jghand_engine.track.video import ReadingNotes, open_video, pictures
+from jghand_engine.track.video import open_video, read_frames
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 
@@ -24,7 +24,7 @@ def film(tmp_path_factory):
 
 def refused(path, match):
     with pytest.raises(InputError, match=match) as told:
-        list(pictures(open_video(path)))
+        list(read_frames(open_video(path)))
     assert len(str(told.value)) < 600
     assert "\n" not in str(told.value)
 
@@ -77,7 +77,7 @@ def test_absurd_sizes_are_refused_before_a_picture_is_decoded(film, monkeypatch)
 def test_too_many_pictures(film, monkeypatch):
     monkeypatch.setattr(video, "TRACK_FRAMES_MAX", 5)
     refused(film, "at most 5 pictures")
-    assert len(list(pictures(open_video(film, most=4), most=4))) == 4, "its beginning can be had"
+    assert len(list(read_frames(open_video(film, most=4), most=4))) == 4, "its beginning can be had"
 
 
 def test_too_many_pictures_of_a_film_that_does_not_say_how_many(film, tmp_path, monkeypatch):
@@ -85,12 +85,12 @@ def test_too_many_pictures_of_a_film_that_does_not_say_how_many(film, tmp_path, 
     command = [ffmpeg_program(), "-loglevel", "error", "-i", str(film), "-c", "copy", str(raw)]
     subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
     monkeypatch.setattr(video, "TRACK_FRAMES_MAX", 5)
-    notes = ReadingNotes()
-    assert len(list(pictures(open_video(raw), notes))) == 5
-    assert "more than 5 pictures: its first 5 were read" in notes.sentences[0]
-    notes = ReadingNotes()
-    assert len(list(pictures(open_video(raw, most=3), notes, most=3))) == 3
-    assert notes.sentences == []
+    notes = []
+    assert len(list(read_frames(open_video(raw), notes))) == 5
+    assert "more than 5 pictures: its first 5 were read" in notes[0]
+    notes = []
+    assert len(list(read_frames(open_video(raw, most=3), notes, most=3))) == 3
+    assert notes == []
 
 
 @pytest.mark.parametrize(("width", "height"), [(512, 16), (16, 512)])
@@ -117,7 +117,7 @@ def test_flipped_bytes_give_pictures_or_a_sentence(film, tmp_path, seed):
     started = time.monotonic()
     read, sentence = [], ""
     try:
-        read += pictures(open_video(path))
+        read += read_frames(open_video(path))
     except InputError as error:
         sentence = str(error)
     assert read or sentence

@@ -15,15 +15,18 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset
-from jghand_engine.track.mediapipe_hands import MediaPipeHands
-from jghand_engine.track.model_file import has_detector
-from jghand_engine.track.second_look import SecondLook
-from jghand_engine.track.track import look, track
-from jghand_engine.track.video import open_video, pictures
+from jghand_engine.track.detection import SecondLook
+from jghand_engine.track.mediapipe_hands import MediaPipeHands, check_package, model_file
+from jghand_engine.track.track import detect, track
+from jghand_engine.track.video import open_video, read_frames
 
-pytestmark = pytest.mark.skipif(
-    not has_detector(), reason="MediaPipe or its networks are not here (extra `track`, jghand track --fetch-model)"
-)
+
+@pytest.fixture(autouse=True, scope="module")
+def detector_is_here():
+    try:
+        check_package(), model_file()
+    except InputError as error:
+        pytest.skip(str(error))
 
 
 def shown(handedness, joints_m):
@@ -90,7 +93,7 @@ def test_the_hand_of_a_real_video_is_found_in_every_picture(shared_data):
     video = open_video(shared_data / "real" / "human_hand_video.mp4")
     canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     with MediaPipeHands() as detector:
-        sightings = look(pictures(video, most=90), video.fps, detector)
+        sightings = detect(read_frames(video, most=90), video.fps, detector)
     hands = track(sightings, canonical)
     assert set(hands) == {Handedness.RIGHT}
     hand = hands[Handedness.RIGHT]

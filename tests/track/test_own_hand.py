@@ -6,8 +6,7 @@ from tracking_samples import CAMERA, CANONICAL_M, FPS, moving_poses
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.track.own_hand import own_canonical_joints
-from jghand_engine.track.poses import Landmarks
-from jghand_engine.track.skeleton import Skeleton
+from jghand_engine.track.poses import JointChain, Landmarks
 
 
 def another_hand(sigma=0.08, seed=2):
@@ -23,7 +22,7 @@ def off(joints, truth):
 
 def test_the_bones_of_another_hand_are_found_from_its_pictures():
     truth = another_hand()
-    joints = moving_poses(60).joints_m(Skeleton.of(truth))
+    joints = moving_poses(60).joints_m(JointChain.of(truth))
     seen = Landmarks(CAMERA.project(joints), bone_directions(joints), CAMERA, FPS)
     own = own_canonical_joints(CANONICAL_M, seen, 0.19)
     assert abs(hand_length(own) - 0.19) < 1e-12
@@ -31,7 +30,7 @@ def test_the_bones_of_another_hand_are_found_from_its_pictures():
 
 
 def test_of_the_same_hand_nothing_is_changed():
-    joints = moving_poses(60).joints_m(Skeleton.of(CANONICAL_M))
+    joints = moving_poses(60).joints_m(JointChain.of(CANONICAL_M))
     seen = Landmarks(CAMERA.project(joints), bone_directions(joints), CAMERA, FPS)
     own = own_canonical_joints(CANONICAL_M, seen, hand_length(CANONICAL_M))
     # the pull of the poses to rest costs a little; seen: 0.2 %

@@ -5,7 +5,7 @@ import pytest
 from tracking_samples import HEIGHT, WIDTH, right_joints_m, seen
 
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.track.second_look import SecondLook, _parts
+from jghand_engine.track.detection import SecondLook, _parts
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 JOINTS_M = right_joints_m(1)[0]
@@ -25,9 +25,6 @@ class Whole:
     def detect(self, rgb8, time_s):
         return list(next(self.frames))
 
-    def close(self):
-        pass
-
 
 class Part:
     """Sees the hands that are whole in the part that it is shown; remembers the parts."""
@@ -46,9 +43,6 @@ class Part:
             if (pixels > 4).all() and (pixels < np.array([width, height]) - 4).all():
                 inside.append(type(hand)(pixels, hand.space_m, hand.handedness, hand.score))
         return inside
-
-    def close(self):
-        pass
 
 
 def test_what_the_first_look_finds_needs_no_second_one():

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jghand_engine.track.smoother import Steadiness, solve
+from jghand_engine.track.costs import Steadiness
+from jghand_engine.track.fit import solve
 
 RANDOM = np.random.default_rng(0)
 STEADY = Steadiness(np.array([0.3, 2.0]), np.array([5.0, 0.7]))

@@ -7,9 +7,18 @@ from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, se
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
-from jghand_engine.hand.sequence import bone_directions
-from jghand_engine.track.figures import FINGER_BONES, angles_between_deg
-from jghand_engine.track.track import MOTION_FROM_CAMERA, Sightings, TrackOptions, look, track
+from jghand_engine.hand.rotations import vector_rotation
+from jghand_engine.hand.sequence import bone_directions, rebuilt
+from jghand_engine.track.track import (
+    FINGER_BONES,
+    MOTION_FROM_CAMERA,
+    Sightings,
+    TrackOptions,
+    angles_between_deg,
+    detect,
+    jitter_deg,
+    track,
+)
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 
@@ -159,14 +168,25 @@ class Counting:
         self.times_s.append(time_s)
         return []
 
-    def close(self):
-        pass
-
 
 def test_every_picture_is_looked_at_in_its_moment_and_none_is_kept():
     detector, told = Counting(), []
-    sightings = look((np.zeros((HEIGHT, WIDTH, 3), np.uint8) for _ in range(4)), FPS, detector, told.append)
+    sightings = detect((np.zeros((HEIGHT, WIDTH, 3), np.uint8) for _ in range(4)), FPS, detector, told.append)
     np.testing.assert_allclose(detector.times_s, np.arange(4) / FPS)
     assert told == [1, 2, 3, 4]
     assert sightings.frames == [[], [], [], []]
     assert sightings.size_px == (HEIGHT, WIDTH)
+
+
+def test_a_bone_that_swings_to_and_fro_has_that_jitter():
+    """Three degrees to either side in turn: six from the middle of where it was and will be."""
+    canonical = np.broadcast_to(bone_directions(CANONICAL_M[None]), (9, 20, 3))
+    side = np.radians(3.0) * (-1.0) ** np.arange(9)
+    across = np.cross(canonical[0], (0.3, 0.5, 0.8))
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    turn = vector_rotation(side[:, None, None] * across)
+    swinging = np.einsum("fbij,fbj->fbi", turn, canonical)
+    joints = rebuilt(np.zeros((9, 3)), swinging, np.full(20, 0.03))
+    assert abs(jitter_deg(joints) - 6.0) < 1e-9
+    assert jitter_deg(np.broadcast_to(CANONICAL_M, (9, 21, 3))) == 0.0
+    assert np.isnan(jitter_deg(joints[:2]))

@@ -1,4 +1,4 @@
-"""What frames say of poses, each of itself: how well a pose explains its landmarks, and how that changes with it.
+"""How well poses explain landmarks, frame by frame, how steady they are, and how both change with them.
 
 Landmarks in the picture, directions in space, joint limits and, where a hand was seen, a weak pull to rest. Wrong
 landmarks lose their weight (Cauchy). Of a frame without a hand nothing but the joint limits is left.
@@ -13,9 +13,7 @@ import numpy as np
 
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
 from jghand_engine.hand.rotations import cross_matrices
-from jghand_engine.track.poses import STATE_COUNT, Landmarks, Poses
-from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton
-from jghand_engine.track.smoother import Steadiness
+from jghand_engine.track.poses import ANGLE_COUNT, LIMITS_RAD, STATE_COUNT, JointChain, Landmarks, Poses
 
 # error of a landmark in the picture, part of the hand's length
 LANDMARK_SIGMA = 0.015
@@ -60,9 +58,38 @@ _REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[
 
 
 @dataclass(frozen=True)
+class Steadiness:
+    """How little the n numbers of a state may change: weights (1 / variance per frame) of the difference between
+    neighboring frames and of the difference of those. first, second: (n,)"""
+
+    first: np.ndarray
+    second: np.ndarray
+
+    def cost(self, steps: np.ndarray) -> float:
+        """Half the weighted square of everything unsteady. steps: (F - 1, n) from each frame to the next."""
+        return 0.5 * float((self.first * steps**2).sum() + (self.second * np.diff(steps, axis=0) ** 2).sum())
+
+    def gradient(self, steps: np.ndarray) -> np.ndarray:
+        """(F, n) derivative of the cost with respect to the states."""
+        pull = self.first * steps
+        change = self.second * np.diff(steps, axis=0)
+        pull[1:] += change
+        pull[:-1] -= change
+        gradient = np.zeros((len(steps) + 1, steps.shape[1]))
+        gradient[1:] += pull
+        gradient[:-1] -= pull
+        return gradient
+
+
+@dataclass(frozen=True)
 class Trust:
-    """How much is believed: standard deviations. smoothing: 1; more is smoother, 0
-    fits every frame alone."""
+    """How much is believed, as standard deviations.
+
+    landmark:  error of a landmark in the image, part of the hand's length
+    direction: error of the direction of a bone in the detector's estimate in space, radians
+    rest_rad:  pull of an angle to its rest
+    smoothing: more is smoother, 0 fits every frame alone
+    """
 
     landmark: float = LANDMARK_SIGMA
     direction: float = DIRECTION_SIGMA
@@ -83,36 +110,36 @@ class Trust:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """What poses are looked at with.
+class PoseCosts:
+    """What poses are weighed by.
 
-    skeleton · landmarks · trust · depth_m: (F,) how far away the hand is taken to be where errors in the picture are
-    weighed as errors on the hand: those of the poses that a step begins with. It is no part of what is sought: a hand
-    that came nearer would else make its errors smaller.
+    depth_m: (F,) how far away the hand is taken to be where errors in the image are weighed as errors on the hand:
+        those of the poses that a step begins with. It is no part of what is sought: a hand that came nearer would else
+        make its errors smaller
     """
 
-    skeleton: Skeleton
+    chain: JointChain
     landmarks: Landmarks
     trust: Trust
     depth_m: np.ndarray
 
     @classmethod
-    def of(cls, skeleton: Skeleton, landmarks: Landmarks, trust: Trust, poses: Poses) -> View:
+    def of(cls, chain: JointChain, landmarks: Landmarks, trust: Trust, poses: Poses) -> PoseCosts:
         """For a step that begins with these poses."""
-        return cls(skeleton, landmarks, trust, np.maximum(poses.place_m[:, 2], FIT_DEPTH_MIN_M))
+        return cls(chain, landmarks, trust, np.maximum(poses.place_m[:, 2], FIT_DEPTH_MIN_M))
 
     def costs(self, poses: Poses) -> np.ndarray:
         """(F,) half the weighted squares of what does not fit in each frame."""
         seen = self.landmarks.seen
         beyond, away = _off(poses, seen)
         costs = 0.5 * (LIMIT_SIGMA_RAD**-2 * beyond**2 + self.trust.rest_rad**-2 * away**2).sum(1)
-        points = poses.part(seen).joints_m(self.skeleton)
+        points = poses.part(seen).joints_m(self.chain)
         scale = ROBUST_SIGMAS**2
         for residual in (self._image_residual(points), self._direction_residual(points)):
             costs[seen] += 0.5 * scale * np.log1p(np.square(residual).sum(-1) / scale).sum(-1)
         return costs
 
-    def look(self, poses: Poses, *, with_lengths: bool = False) -> Look:
+    def derivatives(self, poses: Poses, *, with_lengths: bool = False) -> Derivatives:
         """How the costs change with the poses; with relative changes of the 20 bones' lengths too, if wanted."""
         seen = self.landmarks.seen
         size = STATE_COUNT + (BONE_COUNT if with_lengths else 0)
@@ -121,7 +148,7 @@ class View:
         limit, rest = LIMIT_SIGMA_RAD**-2, self.trust.rest_rad**-2
         gradient[:, 6:STATE_COUNT] = limit * beyond + rest * away
         np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] = limit * (beyond != 0) + rest * seen[:, None]
-        points, motion = _moving(self.skeleton, poses.part(seen), with_lengths)
+        points, motion = _moving(self.chain, poses.part(seen), with_lengths)
         scale = ROBUST_SIGMAS**2
         for residual, slope in self._slopes(points, motion):
             weight = 1 / (1 + np.square(residual).sum(-1) / scale)
@@ -129,7 +156,7 @@ class View:
             flat, weighted = (array.reshape(len(points), -1, size) for array in (slope, weighted))
             gradient[seen] += np.einsum("fks,fk->fs", weighted, residual.reshape(len(points), -1))
             blocks[seen] += np.swapaxes(weighted, -1, -2) @ flat
-        return Look(gradient, blocks)
+        return Derivatives(gradient, blocks)
 
     def _slopes(self, points: np.ndarray, motion: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Residuals and how they change with the state: in the picture (f, 21, 2, n), of directions (f, 20, 3, n)."""
@@ -148,7 +175,7 @@ class View:
     def _scale(self) -> np.ndarray:
         """(f,) of seen frames: standard deviations per unit of the ray, so that an error counts as it would on the
         hand itself."""
-        sigma_m = self.trust.landmark * float(self.skeleton.bone_lengths_m[[2, 7, 12, 17]].sum())
+        sigma_m = self.trust.landmark * float(self.chain.bone_lengths_m[[2, 7, 12, 17]].sum())
         return self.depth_m[self.landmarks.seen] / sigma_m
 
     def _image_residual(self, points: np.ndarray) -> np.ndarray:
@@ -165,7 +192,7 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Derivatives:
     """How costs change: gradient (F, n), second derivatives (F, n, n); n is 26, or 46 with the bones' lengths."""
 
     gradient: np.ndarray
@@ -179,9 +206,9 @@ def _off(poses: Poses, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return beyond, (poses.angle_rad - _REST_RAD) * seen[:, None]
 
 
-def _moving(skeleton: Skeleton, poses: Poses, with_lengths: bool) -> tuple[np.ndarray, np.ndarray]:
+def _moving(chain: JointChain, poses: Poses, with_lengths: bool) -> tuple[np.ndarray, np.ndarray]:
     """Joints (f, 21, 3), and how they move with the state (f, 21, 3, n)."""
-    inside, bends = skeleton.joints_and_motion(poses.angle_rad)
+    inside, bends = chain.joints_and_motion(poses.angle_rad)
     points = inside @ np.swapaxes(poses.turn, -1, -2) + poses.place_m[:, None]
     motion = np.zeros((len(poses), JOINT_COUNT, 3, STATE_COUNT + (BONE_COUNT if with_lengths else 0)))
     motion[..., :3] = -poses.turn[:, None] @ cross_matrices(inside)
