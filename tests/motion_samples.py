@@ -6,9 +6,7 @@ as its joints do. Skeletons are written as BVH, glTF 2.0 and UsdSkel; detections
 
 from __future__ import annotations
 
-import base64
 import json
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,63 +176,6 @@ def _rotations(order: str) -> str:
     return " ".join(f"{axis}rotation" for axis in order)
 
 
-def gltf_document(skeleton: Rig, interpolation: str = "LINEAR") -> tuple[dict, bytes]:
-    """A glTF document of nodes and one animation, and its binary buffer."""
-    binary, views, accessors = bytearray(), [], []
-
-    def accessor(array: np.ndarray, kind: str) -> int:
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": 4 * array.size})
-        accessors.append({"bufferView": len(views) - 1, "componentType": 5126, "count": len(array), "type": kind})
-        binary.extend(array.astype("<f4").tobytes())
-        return len(accessors) - 1
-
-    kept = [place for place in range(21) if skeleton.names[place] is not None]
-    node_of = {place: number + 1 for number, place in enumerate(kept)}
-    nodes = [{"name": "Armature", "children": [node_of[0]]}]
-    for place in kept:
-        node = {"name": skeleton.names[place], "translation": skeleton.offsets[place].tolist()}
-        children = [node_of[child] for child in skeleton.children[place] if child in node_of]
-        nodes.append({**node, "children": children} if children else node)
-    times = accessor(np.arange(len(skeleton.local)) / skeleton.fps, "SCALAR")
-    samplers, channels = [], []
-
-    def channel(place: int, path: str, values: np.ndarray, kind: str) -> None:
-        if interpolation == "CUBICSPLINE":
-            zero = np.zeros_like(values)
-            values = np.stack([zero, values, zero], axis=1).reshape(-1, values.shape[-1])
-        samplers.append({"input": times, "output": accessor(values, kind), "interpolation": interpolation})
-        channels.append({"sampler": len(samplers) - 1, "target": {"node": node_of[place], "path": path}})
-
-    channel(0, "translation", skeleton.wrist, "VEC3")
-    for place in kept:
-        channel(place, "rotation", Rotation.from_matrix(skeleton.local[:, place]).as_quat(), "VEC4")
-    document = {
-        "asset": {"version": "2.0"}, "nodes": nodes, "accessors": accessors, "bufferViews": views,
-        "buffers": [{"byteLength": len(binary)}],
-        "animations": [{"name": "Take 1", "samplers": samplers, "channels": channels}],
-    }  # fmt: skip
-    return document, bytes(binary)
-
-
-def write_glb(path: Path, document: dict, binary: bytes) -> None:
-    """Document and buffer in one file."""
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    parts = [struct.pack("<4sII", b"glTF", 2, size), struct.pack("<I4s", len(text), b"JSON"), text]
-    path.write_bytes(b"".join([*parts, struct.pack("<I4s", len(binary), b"BIN\0"), binary]))
-
-
-def write_gltf(path: Path, document: dict, binary: bytes, *, beside: bool) -> None:
-    """The buffer inside as base64, or in a file beside it."""
-    uri = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
-    if beside:
-        uri = "buffer 0.bin"
-        (path.parent / uri).write_bytes(binary)
-    path.write_text(json.dumps({**document, "buffers": [{"byteLength": len(binary), "uri": uri}]}))
-
-
 def write_usd(path: Path, skeleton: Rig, *, meters_per_unit: float = 1.0) -> None:
     """A stage with one skeleton and its animation, at one time code a frame."""
     from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
@@ -372,13 +313,11 @@ def interhand_document(sequence: PoseSequence, captures: tuple[str, ...] = ("0",
     }
 
 
-def freemocap_table(sequence: PoseSequence, names: Sequence[str] = MEDIAPIPE_NAMES, *, remark: bool = False) -> str:
-    """mediapipe_right_hand_3d_xyz.csv, millimeters; with a remark for a header what the add-on for Blender writes,
-    meters."""
+def freemocap_table(sequence: PoseSequence, names: Sequence[str] = MEDIAPIPE_NAMES) -> str:
+    """mediapipe_right_hand_3d_xyz.csv, millimeters."""
     side = f"{sequence.handedness.value}_hand"
-    columns = [f"{side}_{name}_{axis}" for name in names for axis in "xyz"]
-    header = "# " + ", ".join(columns) + "," if remark else ",".join(columns)
-    rows = (standard(sequence) * (1 if remark else 1000)).reshape(len(sequence), -1)
+    header = ",".join(f"{side}_{name}_{axis}" for name in names for axis in "xyz")
+    rows = (standard(sequence) * 1000).reshape(len(sequence), -1)
     return "\n".join([header, *(",".join("" if np.isnan(x) else repr(x) for x in row) for row in rows.tolist())]) + "\n"
 
 

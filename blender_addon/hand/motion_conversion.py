@@ -12,7 +12,7 @@ from .motion_files import MotionFile, read_motion
 
 # what this package reads by itself, and what needs the engine
 OWN_SUFFIXES = (".npz", ".json", ".csv")
-FOREIGN_SUFFIXES = (".npy", ".bvh", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
+FOREIGN_SUFFIXES = (".npy", ".bvh", ".usd", ".usda", ".usdc", ".usdz")
 # orders of joints: the engine's word, and what an artist reads
 ORDERS = (
     ("standard", "OpenPose, MediaPipe"),

@@ -84,7 +84,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     bl_idname = "jghand.import_motion"
     bl_label = "Import Motion"
     bl_description = (
-        "Key a motion on the active hand or on a new one: JGHand's own files, BVH, glTF, USD, and joints of OpenPose, "
+        "Key a motion on the active hand or on a new one: JGHand's own files, BVH, USD, and joints of OpenPose, "
         "MediaPipe, FreeMoCap and headsets. The action before it stays in the file. Esc cancels"
     )
 
@@ -245,7 +245,7 @@ CLASSES = (ImportMotion, MotionDrop)
 
 def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     """In Blender's own File > Import."""
-    self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv, .bvh, .glb, .usd, …)")
+    self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv, .bvh, .usd, …)")
 
 
 def register() -> None:

@@ -29,11 +29,9 @@ Examples:
   jghand info hand.0000.ply"""
 
 FINDINGS = "what_is_wrong"
-MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".gltf")
+MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh")
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
-# bytes of a .glb in which its description names what it holds
-GLB_DESCRIPTION_BYTES = 65_536
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class Info:
         suffix = path.suffix.lower()
         if suffix == ".jghand":
             facts = avatar_facts(self.file)
-        elif suffix in MOTION_SUFFIXES or (suffix == ".glb" and not _has_splats(path)):
+        elif suffix in MOTION_SUFFIXES:
             facts = motion_facts(path, self.format)
         elif suffix in USD_SUFFIXES:
             facts = usd_facts(path)
@@ -80,12 +78,6 @@ class Info:
             raise InputError(f"{path}", wanted=f"a file of the kind {wanted}", came=suffix or "no suffix")
         about = path.stat()
         return {**facts, "bytes": about.st_size, "written": time.strftime("%Y-%m-%d", time.localtime(about.st_mtime))}
-
-
-def _has_splats(path: Path) -> bool:
-    """Whether a .glb holds Gaussians, by the names in its description; else it may hold a skeleton that moves."""
-    with path.open("rb") as stream:
-        return b"KHR_gaussian_splatting" in stream.read(GLB_DESCRIPTION_BYTES)
 
 
 def _text(value: Any) -> str:

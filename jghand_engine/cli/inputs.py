@@ -16,7 +16,7 @@ from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.bone_names import BoneMap, bone_map
 from jghand_engine.motion.clocks import DEFAULT_FPS
-from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.content import MotionFormat
 from jghand_engine.motion.read import MotionRead, read_motion_file
 from jghand_engine.motion.repair import fill_gaps
 

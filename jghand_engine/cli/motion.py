@@ -17,13 +17,13 @@ from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
 if TYPE_CHECKING:
     from jghand_engine.hand.sequence import PoseSequence
 
-DESCRIPTION = """Convert a motion of another program: OpenPose, MediaPipe, FreeMoCap, headsets, BVH, glTF, USD.
+DESCRIPTION = """Convert a motion of another program: OpenPose, MediaPipe, FreeMoCap, headsets, BVH, USD.
 
 Examples:
   jghand motion dance.bvh --hand left --out left.npz
   jghand motion openpose_folder --out motion.npz --to-fps 24 --start 1.5 --end 4
   jghand motion capture.npy --unit mm --order interhand --hand right --mirror --out left.npz
-  jghand motion walk.glb --hand right --in-place --hand-length 185 --out right.npz"""
+  jghand motion walk.usda --hand right --in-place --hand-length 185 --out right.npz"""
 
 SECONDS = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="")
 

@@ -54,12 +54,12 @@ class FormatOptions:
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
-    """Frames per second of the file, whatever it says itself; an animation of glTF or USD, which has times in seconds,
+    """Frames per second of the file, whatever it says itself; an animation of USD, which has times in seconds,
     is taken at this rate. Left out: what the file says, else 30."""
     any_proportions: bool = False
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """Which of several skeletons, animations, people or captures of a file: its name, or a part of it."""
+    """Which of several skeletons, people or captures of a file: its name, or a part of it."""
     bones: File = None
     """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognized."""
     labels: Literal["auto", "true", "mirrored"] = "auto"
@@ -82,7 +82,7 @@ class MotionOptions:
     """Which hand does what."""
 
     motion: File = None
-    """A motion: joints of OpenPose, MediaPipe, FreeMoCap, headsets, InterHand; BVH, glTF, USD; or JGHand's own
+    """A motion: joints of OpenPose, MediaPipe, FreeMoCap, headsets, InterHand; BVH, USD; or JGHand's own
     .npz, .npy, .json, .csv (docs/MOTION.md)."""
     poses: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
     """Instead of a file: poses by name, with smooth ways between them, such as open,fist,point."""

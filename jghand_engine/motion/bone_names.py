@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
-from jghand_engine.motion.content import NoMotionError
 
 # bones of wrist and fingers, of 16, from which names count as a hand that lacks some
 BONES_RECOGNIZED_MIN = 8
@@ -31,10 +31,14 @@ _NEEDED = tuple(place for place in range(len(STANDARD_NAMES)) if place not in TI
 class Convention:
     """Templates of one way to name a hand.
 
-    title: what people are told · wrist: alternatives, the best first · fingers: its words, thumb first · bones: three
-    tuples of alternatives, from the knuckle outwards · thumb: the same for a thumb that is named otherwise · tips:
-    alternatives for a bone that begins at the finger's tip · prefixes: which of several sets of the same bones to take,
-    the best first · with_tips: names that only count with all five tips, because they mean other bones without
+    title:     what people are told
+    wrist:     alternatives, the best first
+    fingers:   its words, thumb first
+    bones:     three tuples of alternatives, from the knuckle outwards
+    thumb:     the same for a thumb that is named otherwise
+    tips:      alternatives for a bone that begins at the finger's tip
+    prefixes:  which of several sets of the same bones to take, the best first
+    with_tips: names that only count with all five tips, because they mean other bones without
     """
 
     title: str
@@ -194,23 +198,22 @@ CONVENTIONS = (
 
 @dataclass(frozen=True)
 class NamedHand:
-    """A hand among names. bones: for each of the 21 joints, standard order, the place of its name, None for a tip that
-    has none · convention: the title of what was recognized · part: what tells it from others of the same side ·
-    found: how many of wrist and finger bones there are, and how many tips."""
+    """A hand among names.
+
+    bones:      for each of the 21 joints, standard order, the place of its name, None for a tip that has none
+    convention: the title of what was recognized
+    part:       what tells it from others of the same side
+    """
 
     handedness: Handedness | None
     bones: tuple[int | None, ...]
     convention: str
     part: str
-    found: tuple[int, int]
 
-
-@dataclass(frozen=True)
-class _Set:
-    """The names of one prefix and copy under one convention."""
-
-    bones: tuple[int | None, ...]
-    found: tuple[int, int]
+    @property
+    def found(self) -> tuple[int, int]:
+        """How many of wrist and finger bones there are, and how many tips."""
+        return _found(self.bones)
 
 
 @dataclass(frozen=True)
@@ -222,11 +225,10 @@ class BoneMap:
     handedness: Handedness | None = None
 
     def hand_among(self, names: Sequence[str]) -> NamedHand | None:
-        """The hand, None where no name is among `names`. ValueError when only some are."""
+        """The hand, None where no name is among `names`. InputError when only some are."""
         places = {name: place for place, name in enumerate(names)}
         bones = tuple(places.get(self.bones.get(joint, "")) for joint in STANDARD_NAMES)
-        found = tuple(sum(bones[place] is not None for place in group) for group in (_NEEDED, TIPS))
-        if not any(found):
+        if not any(_found(bones)):
             return None
         absent = [
             f"{self.bones.get(STANDARD_NAMES[place], 'no name')} ({STANDARD_NAMES[place]})"
@@ -234,8 +236,8 @@ class BoneMap:
             if bones[place] is None
         ]
         if absent:
-            raise NoMotionError(f"no bone of the map is called {', '.join(absent)[:300]}")
-        return NamedHand(self.handedness, bones, "the map", "", (found[0], found[1]))
+            raise InputError("map of bones", wanted="names of bones of the file", came=", ".join(absent)[:300])
+        return NamedHand(self.handedness, bones, "the map", "")
 
 
 def bone_map(content: Any) -> BoneMap:
@@ -322,28 +324,31 @@ def _of_convention(
     hands = []
     for suffix, known in index.items():
         prefixes = {name[: -len(key)] for key in keys[0] for name in known if name.endswith(key)}
-        sets = {prefix: _set(keys, known, prefix) for prefix in sorted(prefixes)}
+        sets = {prefix: _bones(keys, known, prefix) for prefix in sorted(prefixes)}
         if convention.with_tips:
-            sets = {prefix: one for prefix, one in sets.items() if all(one.bones[tip] is not None for tip in TIPS)}
+            sets = {prefix: bones for prefix, bones in sets.items() if _found(bones)[1] == len(TIPS)}
         for prefix in _preferred(convention, sets):
             side = handedness if handedness is not None else _side_of_prefix(prefix)
             part = f"{convention.title}{f' {prefix}' if prefix else ''}{f' {suffix}' if suffix else ''}"
-            hands.append(NamedHand(side, sets[prefix].bones, convention.title, part, sets[prefix].found))
+            hands.append(NamedHand(side, sets[prefix], convention.title, part))
     return hands
 
 
-def _set(keys: list[list[str]], known: dict[str, int], prefix: str) -> _Set:
-    bones = tuple(next((known[prefix + key] for key in names if prefix + key in known), None) for names in keys)
+def _bones(keys: list[list[str]], known: dict[str, int], prefix: str) -> tuple[int | None, ...]:
+    return tuple(next((known[prefix + key] for key in names if prefix + key in known), None) for names in keys)
+
+
+def _found(bones: Sequence[int | None]) -> tuple[int, int]:
     needed, tips = (sum(bones[place] is not None for place in places) for places in (_NEEDED, TIPS))
-    return _Set(bones, (needed, tips))
+    return needed, tips
 
 
-def _preferred(convention: Convention, sets: dict[str, _Set]) -> list[str]:
+def _preferred(convention: Convention, sets: dict[str, tuple[int | None, ...]]) -> list[str]:
     """Of several sets that a convention ranks (DEF- before ORG-) the best that finds the most; all others."""
     ranked = [prefix for prefix in convention.prefixes if prefix in sets]
     if not ranked:
         return list(sets)
-    best = max(ranked, key=lambda prefix: (sets[prefix].found, -ranked.index(prefix)))
+    best = max(ranked, key=lambda prefix: (_found(sets[prefix]), -ranked.index(prefix)))
     return [best, *(prefix for prefix in sets if prefix not in ranked)]
 
 

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
+from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, MOTION_FRAMES_MAX
-from jghand_engine.motion.bone_names import BoneMap, hands_among
+from jghand_engine.motion.bone_names import hands_among
 from jghand_engine.motion.clocks import whole_rate
-from jghand_engine.motion.content import MotionContent, check_size
-from jghand_engine.motion.skeleton import hand_tracks, in_world, with_ancestors
+from jghand_engine.motion.content import MotionContent, MotionFormat, Reader, Source, check_size
+from jghand_engine.motion.skeleton import Skeleton, hand_tracks
 
 # positions of a joint smaller than this part of its offset are moves from there, not its place
 _ADDED_MAX = 0.25
@@ -32,139 +32,111 @@ _POSITIONS = {"xposition": 0, "yposition": 1, "zposition": 2}
 
 @dataclass
 class _Joint:
-    """A joint of the header. channels: their names, the first one's column in a line of motion is `column`."""
+    """A joint of the header.
+
+    parent:   its place, -1 for none; parents come first
+    channels: their names
+    columns:  of a line of motion, one for each channel
+    end:      where its bone ends, in its own frame
+    numbers:  (F, channels) the motion
+    added:    whether its positions are added to the offset
+    """
 
     name: str
     parent: int
-    offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
     channels: tuple[str, ...] = ()
-    column: int = 0
+    columns: range = range(0)
+    end: np.ndarray | None = None
+    numbers: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    added: bool = False
 
 
-@dataclass
-class _Header:
-    joints: list[_Joint] = field(default_factory=list)
-    ends: dict[int, np.ndarray] = field(default_factory=dict)
-    columns: int = 0
-    frames: int = 0
-    frame_time_s: float = 0.0
+def _recognizes(source: Source) -> bool:
+    return source.head[:9].upper() == b"HIERARCHY"
 
 
-def read(file: Path, bones: BoneMap | None = None, up: str | None = None) -> MotionContent:
-    """The hands of a BVH file, found by a map where there is one. up: the axis that points up, where it is known.
-    ValueError says what is wrong."""
-    check_size(file, text=True)
-    with open(file, encoding="utf-8-sig", errors="replace") as lines:
-        header = _header(lines)
-        # a number and the space behind it are two bytes
-        if header.frames * max(header.columns, 1) * 2 > file.stat().st_size + 2:
-            raise ValueError(f"{header.frames} frames of {header.columns} numbers, more than the file holds")
-        skeleton = _Bvh(header, lines, bones)
-    tracks, lacking = hand_tracks(skeleton, "", bones)
+def _read(source: Source, wanted: MotionFormat) -> MotionContent:
+    check_size(source.path, text=True)
+    with open(source.path, encoding="utf-8-sig", errors="replace") as lines:
+        joints = _joints(lines)
+        frames, frame_time_s = _frames_and_time(lines)
+        names = [joint.name for joint in joints]
+        found, _ = hands_among(names, wanted.bones)
+        moving = sorted(
+            {place for hand in found for bone in hand.bones if bone is not None for place in _path(joints, bone)}
+        )
+        _read_motion(lines, frames, joints, [joints[place] for place in moving])
+    rest = np.tile(np.eye(4), (len(joints), 1, 1))
+    for place, joint in enumerate(joints):
+        rest[place, :3, 3] = joint.offset + (rest[joint.parent, :3, 3] if joint.parent >= 0 else 0.0)
+
+    def world(bones: list[int], first: int, last: int) -> np.ndarray:
+        placed: dict[int, np.ndarray] = {}
+        for place in moving:
+            local, parent = _local(joints[place], first, last), joints[place].parent
+            placed[place] = placed[parent] @ local if parent >= 0 else local
+        return np.stack([placed[bone] for bone in bones], axis=1)
+
+    ends = {place: joint.end for place, joint in enumerate(joints) if joint.end is not None}
+    tracks, notes = hand_tracks(Skeleton(names, rest, frames, world, ends), "", wanted.bones)
+    added = [joint.name for joint in joints if joint.added]
+    if added:
+        notes.append(f"Positions of {', '.join(added[:3])}… are around zero: they were added to the offsets.")
+    up, said = (wanted.up, []) if wanted.up is not None else _up(names, rest)
     # frame times in text have six digits
-    fps = whole_rate(1 / header.frame_time_s)
-    if up is None:
-        up, said = _up(skeleton)
-        lacking = [*lacking, *said]
-    notes = (*skeleton.notes, *lacking)
-    return MotionContent("BVH", tuple(tracks), fps=fps, notes=notes, up=up, is_skeleton=True)
+    fps = whole_rate(1 / frame_time_s)
+    # what is said last stands in the refusal of a file without a hand
+    return MotionContent("BVH", tuple(tracks), fps=fps, notes=(*said, *notes), up=up)
 
 
-def _up(skeleton: _Bvh) -> tuple[str, list[str]]:
+def _up(names: list[str], rest: np.ndarray) -> tuple[str, list[str]]:
     """The axis along which a body stands at rest: z where it is by far longer that way than along y, as Blender writes
     BVH, else y. A hand alone does not tell it: y, as nearly everybody writes it, and a sentence."""
-    _, along_y, along_z = np.ptp(skeleton.rest[:, :3, 3], axis=0)
-    has_body = any(word in name.casefold() for name in skeleton.names for word in ("spine", "hips", "pelvis", "head"))
+    _, along_y, along_z = np.ptp(rest[:, :3, 3], axis=0)
+    has_body = any(word in name.casefold() for name in names for word in ("spine", "hips", "pelvis", "head"))
     if not has_body:
         return "y", ["It does not say which axis points up: y is taken; --file-up says otherwise."]
     return ("z" if along_z > _Z_UP_MIN * along_y else "y"), []
 
 
-class _Bvh:
-    """A skeleton of BVH whose motion is read for the joints that matter: the hands' and those above."""
-
-    def __init__(self, header: _Header, lines: Iterator[str], bones: BoneMap | None) -> None:
-        self._joints, self.ends = header.joints, header.ends
-        self.names = tuple(joint.name for joint in header.joints)
-        self._parents = [joint.parent for joint in header.joints]
-        self.rest = np.tile(np.eye(4), (len(self.names), 1, 1))
-        for place, joint in enumerate(header.joints):
-            above = self.rest[joint.parent, :3, 3] if joint.parent >= 0 else 0.0
-            self.rest[place, :3, 3] = above + np.array(joint.offset)
-        wanted = {bone for hand in hands_among(self.names, bones)[0] for bone in hand.bones if bone is not None}
-        self._kept = with_ancestors(wanted, self._parents)
-        columns = [header.joints[joint].column + at for joint in self._kept for at in range(self._channels(joint))]
-        self._numbers = np.concatenate([block[:, columns] for block in _blocks(lines, header)])
-        # where the columns of a joint begin among those that were kept
-        counts = [self._channels(joint) for joint in self._kept]
-        self._first = dict(zip(self._kept, np.cumsum([0, *counts]).tolist(), strict=False))
-        self._added = {joint for joint in self._kept if self._positions_are_added(joint)}
-        shown = ", ".join(self.names[joint] for joint in sorted(self._added)[:3])
-        self.notes = [f"Positions of {shown}… are around zero: they were added to the offsets."] if shown else []
-
-    @property
-    def frame_count(self) -> int:
-        return len(self._numbers)
-
-    def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
-        """See AnimatedSkeleton."""
-        world = in_world(self._kept, self._parents, lambda joint: self._local(joint, first, last))
-        return np.stack([world[joint] for joint in joints], axis=1)
-
-    def _channels(self, joint: int) -> int:
-        return len(self._joints[joint].channels)
-
-    def _local(self, joint: int, first: int, last: int) -> np.ndarray:
-        """Transforms (F, 4, 4) of a joint in its parent's frame."""
-        one = self._joints[joint]
-        result = np.tile(np.eye(4), (last - first, 1, 1))
-        result[:, :3, 3] = one.offset
-        for place, channel in enumerate(one.channels, self._first[joint]):
-            numbers = self._numbers[first:last, place]
-            if channel in _ROTATIONS:
-                result[:, :3, :3] = result[:, :3, :3] @ _turns(_ROTATIONS[channel], np.radians(numbers))
-            else:
-                added = one.offset[_POSITIONS[channel]] if joint in self._added else 0.0
-                result[:, _POSITIONS[channel], 3] = added + numbers
-        return result
-
-    def _positions_are_added(self, joint: int) -> bool:
-        """Whether the positions of a joint that is no root are around zero, and its offset is not."""
-        one = self._joints[joint]
-        places = {
-            at: _POSITIONS[name] for at, name in enumerate(one.channels, self._first[joint]) if name in _POSITIONS
-        }
-        if one.parent < 0 or not places:
-            return False
-        offset = np.array([one.offset[axis] for axis in places.values()])
-        middle = np.median(self._numbers[:, list(places)], axis=0)
-        return bool(np.linalg.norm(middle) < _ADDED_MAX * np.linalg.norm(offset))
+def _path(joints: list[_Joint], place: int) -> Iterator[int]:
+    """A joint and all above it."""
+    while place >= 0:
+        yield place
+        place = joints[place].parent
 
 
-def _turns(axis: int, angles_rad: np.ndarray) -> np.ndarray:
-    """Rotations (F, 3, 3) about x, y or z."""
-    cosine, sine = np.cos(angles_rad), np.sin(angles_rad)
-    turns = np.zeros((len(angles_rad), 3, 3))
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    turns[:, axis, axis] = 1.0
-    turns[:, a, a] = turns[:, b, b] = cosine
-    turns[:, a, b], turns[:, b, a] = -sine, sine
-    return turns
+def _local(joint: _Joint, first: int, last: int) -> np.ndarray:
+    """Transforms (F, 4, 4) in the parent's frame."""
+    result = np.tile(np.eye(4), (last - first, 1, 1))
+    result[:, :3, 3] = joint.offset
+    for channel, numbers in zip(joint.channels, joint.numbers[first:last].T, strict=True):
+        if channel in _ROTATIONS:
+            turns = axis_rotation(np.eye(3)[_ROTATIONS[channel]], np.radians(numbers))
+            result[:, :3, :3] = result[:, :3, :3] @ turns
+        else:
+            axis = _POSITIONS[channel]
+            result[:, axis, 3] = numbers + (joint.offset[axis] if joint.added else 0.0)
+    return result
 
 
-def _header(lines: Iterator[str]) -> _Header:
-    """Everything before the first frame. ValueError."""
-    header, path, opened, in_end = _Header(), [], -1, False
-    first = next((words for line in lines if (words := line.split())), [])
-    if [word.casefold() for word in first] != ["hierarchy"]:
-        raise ValueError("it does not begin with HIERARCHY")
+# ---- text ------------------------------------------------------------------------------------------------------------
+
+
+def _joints(lines: Iterator[str]) -> list[_Joint]:
+    """Everything before the motion."""
+    joints: list[_Joint] = []
+    path: list[int] = []
+    opened, columns, in_end = -1, 0, False
+    next((line for line in lines if line.strip()), "")
     for words in (words for line in lines for words in _statements(line)):
         word = words[0].casefold()
         if word in ("root", "joint"):
             if len(words) < 2 or (word == "joint") != bool(path):
                 raise ValueError(f"a {word.upper()} without a name, or in a wrong place")
-            header.joints.append(_Joint("_".join(words[1:]), path[-1] if path else -1))
-            opened = len(header.joints) - 1
+            joints.append(_Joint("_".join(words[1:]), path[-1] if path else -1))
+            opened = len(joints) - 1
         elif word == "end":
             in_end, opened = True, path[-1] if path else -1
         elif word == "{":
@@ -175,23 +147,20 @@ def _header(lines: Iterator[str]) -> _Header:
             path.pop()
             in_end = False
         elif word == "offset":
-            offset = tuple(float(number) for number in words[1:])
+            offset = np.array(words[1:], dtype=np.float64)
             if len(offset) != 3 or not path or not np.isfinite(offset).all():
                 raise ValueError("an OFFSET outside of a joint, or one that is not three numbers")
-            if in_end:
-                header.ends[path[-1]] = np.array(offset)
-            else:
-                header.joints[path[-1]].offset = offset
+            setattr(joints[path[-1]], "end" if in_end else "offset", offset)
         elif word == "channels":
             names = tuple(name.casefold() for name in words[2:])
             if not path or words[1:2] != [str(len(names))] or not set(names) <= {*_ROTATIONS, *_POSITIONS}:
                 raise ValueError(f"CHANNELS that are none: {' '.join(words)[:80]}")
-            header.joints[path[-1]].channels, header.joints[path[-1]].column = names, header.columns
-            header.columns += len(names)
+            joints[path[-1]].channels, joints[path[-1]].columns = names, range(columns, columns + len(names))
+            columns += len(names)
         elif word == "motion":
-            if path or not header.joints:
+            if path or not joints:
                 raise ValueError("MOTION before the end of the hierarchy")
-            return _with_frames(header, lines)
+            return joints
         else:
             raise ValueError(f"an unknown word {words[0][:40]!r}")
     raise ValueError("no MOTION in it")
@@ -203,43 +172,50 @@ def _statements(line: str) -> Iterator[list[str]]:
     return (statement for part in words if (statement := part.split()))
 
 
-def _with_frames(header: _Header, lines: Iterator[str]) -> _Header:
-    """Reads `Frames: n` and `Frame Time: seconds`."""
-    for line in lines:
-        key, _, value = line.partition(":")
-        if not line.strip():
-            continue
-        if key.strip().casefold() == "frames":
-            header.frames = int(value)
-        elif " ".join(key.split()).casefold() == "frame time":
-            header.frame_time_s = float(value)
-            break
-        else:
-            raise ValueError(f"{line.strip()[:60]!r} where frames and their time were wanted")
-    if not 1 <= header.frames <= MOTION_FRAMES_MAX:
-        raise ValueError(f"{header.frames} frames")
-    if not 1 / FPS_MAX <= header.frame_time_s <= 1 / FPS_MIN:
-        raise ValueError(f"a frame time of {header.frame_time_s:g} s")
-    return header
+def _frames_and_time(lines: Iterator[str]) -> tuple[int, float]:
+    """Of `Frames: n` and `Frame Time: seconds`."""
+    told = (line.partition(":") for line in lines if line.strip())
+    numbers = {" ".join(name.split()).casefold(): number for name, _, number in islice(told, 2)}
+    if set(numbers) != {"frames", "frame time"}:
+        raise ValueError(f"{', '.join(numbers)[:60]!r} where frames and their time were wanted")
+    frames, frame_time_s = int(numbers["frames"]), float(numbers["frame time"])
+    if not 1 <= frames <= MOTION_FRAMES_MAX:
+        raise ValueError(f"{frames} frames")
+    if not 1 / FPS_MAX <= frame_time_s <= 1 / FPS_MIN:
+        raise ValueError(f"a frame time of {frame_time_s:g} s")
+    return frames, frame_time_s
 
 
-def _blocks(lines: Iterator[str], header: _Header) -> Iterator[np.ndarray]:
-    """Blocks of whole frames (n, columns). What stands behind the last frame is not looked at. ValueError."""
-    rows = (line for line in lines if not line.isspace())
-    for first in range(0, header.frames, _LINES_AT_ONCE):
-        some = list(islice(rows, min(_LINES_AT_ONCE, header.frames - first)))
-        if not some:
-            raise ValueError(f"{header.frames} frames said, {first} there")
-        numbers = [line.split() for line in some]
-        wrong = next((first + place for place, row in enumerate(numbers) if len(row) != header.columns), None)
+def _read_motion(lines: Iterator[str], frames: int, joints: list[_Joint], moving: list[_Joint]) -> None:
+    """Gives the joints that matter their numbers. What stands behind the last frame is not looked at."""
+    columns, width = [column for joint in moving for column in joint.columns], sum(len(one.channels) for one in joints)
+    rows = (line.split() for line in lines if not line.isspace())
+    blocks = []
+    for first in range(0, frames, _LINES_AT_ONCE):
+        some = list(islice(rows, min(_LINES_AT_ONCE, frames - first)))
+        wrong = next((first + place for place, row in enumerate(some) if len(row) != width), None)
         if wrong is not None:
-            raise ValueError(f"frame {wrong} has not the {header.columns} numbers of its channels")
-        try:
-            block = np.array(numbers, dtype=np.float64)
-        except ValueError as error:
-            raise ValueError("a line of motion with something that is no number") from error
+            raise ValueError(f"frame {wrong} has not the {width} numbers of its channels")
+        if len(some) < min(_LINES_AT_ONCE, frames - first):
+            raise ValueError(f"{frames} frames said, {first + len(some)} there")
+        block = np.array(some, dtype=np.float64)
         if not np.isfinite(block).all():
             raise ValueError("angles or positions that are no finite numbers")
-        if len(some) < min(_LINES_AT_ONCE, header.frames - first):
-            raise ValueError(f"{header.frames} frames said, {first + len(some)} there")
-        yield block
+        blocks.append(block[:, columns])
+    table, first = np.concatenate(blocks), 0
+    for joint in moving:
+        joint.numbers = table[:, first : first + len(joint.columns)]
+        joint.added = _positions_are_added(joint)
+        first += len(joint.columns)
+
+
+def _positions_are_added(joint: _Joint) -> bool:
+    """Whether the positions of a joint that is no root are around zero, and its offset is not."""
+    places = {at: _POSITIONS[name] for at, name in enumerate(joint.channels) if name in _POSITIONS}
+    if joint.parent < 0 or not places:
+        return False
+    middle = np.median(joint.numbers[:, list(places)], axis=0)
+    return bool(np.linalg.norm(middle) < _ADDED_MAX * np.linalg.norm(joint.offset[list(places.values())]))
+
+
+READER = Reader((".bvh",), _recognizes, _read)

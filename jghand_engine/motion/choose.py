@@ -20,8 +20,7 @@ from jghand_engine.hand.orders import (
     hand_length,
     to_level,
 )
-from jghand_engine.motion.content import HandTrack, MotionContent
-from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat
 
 # frames in which joint order and the bend of the fingers are looked for: a hand's bones do not change
 _FRAMES = 500
@@ -38,11 +37,9 @@ def chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[Ha
     if not tracks:
         came = "none" if not content.tracks else "hands that are in no frame"
         remedy = content.notes[-1] if content.notes and not content.tracks else ""
-        if not content.tracks and content.is_skeleton:
-            remedy = f"{remedy} Name its bones with --bones.".strip()
         raise InputError(f"motion file {file} ({content.kind})", wanted="a hand of 21 joints", came=came, remedy=remedy)
     if wanted.part is not None:
-        tracks = _of_part(file, tracks, wanted.part, content.animations)
+        tracks = _of_part(file, tracks, wanted.part)
     notes = list(content.notes)
     # of one hand alone what the user says counts more than what it looks like
     if wanted.mirrored_labels is None and (len(tracks) > 1 or wanted.handedness is None):
@@ -127,16 +124,14 @@ def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[lis
     )
 
 
-def _of_part(file: Path, tracks: list[HandTrack], part: str, animations: tuple[str, ...]) -> list[HandTrack]:
-    """The tracks that a name means; all where it is that of an animation, which was chosen already. InputError."""
-    found = named(part, [track.part for track in tracks])
-    if found:
-        return [tracks[place] for place in found]
-    if not named(part, animations):
-        known = [name for name in (*(track.part for track in tracks), *animations) if name]
-        came = ", ".join(known[:6])[:300] + (", …" if len(known) > 6 else "") if known else "none that has a name"
+def _of_part(file: Path, tracks: list[HandTrack], part: str) -> list[HandTrack]:
+    """The tracks that a name means. InputError."""
+    names = [track.part for track in tracks]
+    found = named(part, names)
+    if not found:
+        came = ", ".join(name for name in names[:6] if name)[:300] or "none that has a name"
         raise InputError(f"motion file {file}", wanted=f"a part called {part!r}"[:100], came=came)
-    return tracks
+    return [tracks[place] for place in found]
 
 
 def _relabeled(tracks: list[HandTrack]) -> tuple[list[HandTrack], list[str]]:

@@ -1,25 +1,23 @@
-"""When the frames of a motion are: rates, clocks whose unit nobody says, keys of animations."""
+"""When the frames of a motion are: rates, and clocks whose unit nobody says."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
-from jghand_engine.motion.content import NoMotionError
 
 # frames per second of a motion that does not say them
 DEFAULT_FPS = 30.0
 # those of video that are not whole
 NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
-# rates of animations whose keys do not come evenly: the first on whose frames nearly all keys lie
+# rates that a few frames of a clock in whole milliseconds may mean
 USUAL_FPS = (30.0, 24.0, 25.0, 60.0, 50.0, 48.0, 90.0, 72.0, 120.0, 100.0, 144.0, 240.0)
 # frames per second of a clock whose unit is not said; they tell seconds from milliseconds and microseconds
 CLOCK_FPS_MIN, CLOCK_FPS_MAX = 1.5, 1000.0
-# part of a step by which frames may miss even times, either way, and still come evenly; steps between keys, their mean
+# part of a step by which frames may miss even times, either way, and still come evenly
 STEP_JITTER_MAX = 0.1
 # ... or this, where it is more: clocks in whole milliseconds round. And the part of it by which a time may miss a whole
 # one: round-off of seconds since 1970 in double precision
@@ -33,34 +31,18 @@ STEP_UNEVEN_MAX = 1.75
 CLOCK_KNOWN_MIN = 0.5
 # part by which a measured rate may miss a whole one: half of what 30000 / 1001 is from 30
 WHOLE_RATE_EPS = 5e-4
-# part of a frame by which a key may miss one (times in single precision), and part of the keys that may lie elsewhere
-KEY_FRAME_EPS, KEYS_OFF_MAX = 0.05, 0.05
-# seconds by which key times must differ to be two: single precision has 6e-5 after a quarter of an hour
-KEYS_APART_MIN_S = 2e-4
-# keys that come more seldom are poses, no frames; a rate above the other is none
-KEYS_FPS_MIN, KEYS_FPS_MAX = 6.0, 240.0
-# frames of a motion for each time of a key or a clock, and seconds beyond that: two an hour apart are a mistake
-KEYS_APART_MAX, KEYS_S_MAX = 64, 600.0
+# frames of a motion for each time of a clock, and seconds beyond that: two an hour apart are a mistake
+FRAMES_PER_TIME_MAX, PAUSE_MAX_S = 64, 600.0
 
 UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
-# names of a frame's time among those of its members, or of a column's, as `plain` has them
-_TIME_WORDS = "timestamp timestampms timestampus time timems times t seconds predicteddisplaytime"
-TIME_NAMES = tuple(_TIME_WORDS.split())
+# names of a frame's time among those of its members, or of a column's, as `plain` has them: time_s, timestamp_ms, …
+TIME_NAMES = ("timestamp", "timestampms", "time", "times", "timems")
 
 
 def plain(name: str) -> str:
     """A key without case and separators: `multiHandWorldLandmarks` and `multi_hand_world_landmarks` are the same."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())
-
-
-def time_in(frame: Mapping[str, Any]) -> float | None:
-    """The time among the members of a frame, whose names are `plain`; None without one."""
-    for name in TIME_NAMES:
-        value = frame.get(name)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-    return None
 
 
 def whole_rate(fps: float) -> float:
@@ -69,8 +51,8 @@ def whole_rate(fps: float) -> float:
     return best if abs(best - fps) < WHOLE_RATE_EPS * best else fps
 
 
-def clock_s(times: Sequence[float | None], units: Sequence[str] = ()) -> tuple[np.ndarray | None, str]:
-    """Times of frames in one of `units`, () for any, which their step tells -> seconds from the first, and a sentence.
+def clock_s(times: Sequence[float | None]) -> tuple[np.ndarray | None, str]:
+    """Times of frames, whose step tells their unit -> seconds from the first, and a sentence.
 
     A frame without a time, or with one that does not rise, lies evenly between its neighbors. None where no frame has
     a time, or where they are not used, which the sentence says.
@@ -85,12 +67,10 @@ def clock_s(times: Sequence[float | None], units: Sequence[str] = ()) -> tuple[n
     if known.sum() < max(2, CLOCK_KNOWN_MIN * len(values)):
         return None, "Too many of its frames have no time, or one that does not rise: the times are not used."
     step = float(np.median(steps))
-    for unit in units or UNITS:
-        seconds = UNITS[unit]
+    for unit, seconds in UNITS.items():
         if 1 / CLOCK_FPS_MAX <= step * seconds <= 1 / CLOCK_FPS_MIN:
             seen = _between(np.flatnonzero(known), values[known], len(values), step)
-            said = "" if len(units) == 1 else f"Its clock counts {unit}, by the step between its frames."
-            return (seen - seen[0]) * seconds, said
+            return (seen - seen[0]) * seconds, f"Its clock counts {unit}, by the step between its frames."
     return None, "The times of its frames are no clock that JGHand knows, so they are not used."
 
 
@@ -138,52 +118,5 @@ def _rounded_rates(times_s: np.ndarray, line: float) -> list[tuple[float, float]
 
 def is_one_motion(count: int, seconds: float, fps: float) -> bool:
     """Whether `count` times over so long can be those of one motion: a few hours apart would make a long one."""
-    most = min(MOTION_FRAMES_MAX, KEYS_APART_MAX * count + KEYS_S_MAX * fps)
+    most = min(MOTION_FRAMES_MAX, FRAMES_PER_TIME_MAX * count + PAUSE_MAX_S * fps)
     return 0 <= seconds * fps <= most
-
-
-def key_frames(times_s: np.ndarray, own: float | None = None) -> tuple[float, list[str]]:
-    """Frames per second at which keys at rising times (K,) are frames, and a sentence where not all of them are.
-
-    own: a rate that the file names. Keys that come evenly say their rate, unless they are poses rather than frames.
-    Else it is the first of the usual rates on which nearly all lie, else that of the smallest steps.
-    """
-    # channels may have the same times in different precision
-    times_s = times_s[np.diff(times_s, prepend=-np.inf) > KEYS_APART_MIN_S]
-    if len(times_s) < 2:
-        return DEFAULT_FPS, []
-    steps = np.diff(times_s)
-    mean = float(times_s[-1] - times_s[0]) / len(steps)
-    slowest, fastest = KEYS_FPS_MIN, KEYS_FPS_MAX
-    if (np.abs(steps - mean) <= STEP_JITTER_MAX * mean).all() and slowest * mean <= 1:
-        return whole_rate(1 / mean), []
-    finest = whole_rate(1 / float(np.quantile(steps, KEYS_OFF_MAX, method="lower")))
-    named = () if own is None or not slowest <= own <= fastest else (own,)
-    usable = (*named, *USUAL_FPS, min(max(finest, DEFAULT_FPS), fastest))
-    off = [_off_frames(times_s, fps) for fps in usable]
-    best = next((place for place, one in enumerate(off) if one.mean() <= KEYS_OFF_MAX), len(usable) - 1)
-    if not off[best].any():
-        return usable[best], []
-    return usable[best], [
-        f"{off[best].sum()} of its {len(times_s)} key times are between frames at {usable[best]:.4g} per second; --fps "
-        "takes it at another rate."
-    ]  # fmt: skip
-
-
-def _off_frames(times_s: np.ndarray, fps: float) -> np.ndarray:
-    """Which of some times (K,) are no frames of a rate, counted from the first."""
-    places = (times_s - times_s[0]) * fps
-    return np.abs(places - np.rint(places)) > KEY_FRAME_EPS
-
-
-def frame_times(times_s: np.ndarray, fps: float) -> np.ndarray:
-    """Even times from the first of some keys (K,) to the last, or the first frame behind it.
-
-    NoMotionError for keys so far apart that a few of them make a long motion.
-    """
-    if not len(times_s):
-        return np.zeros(1)
-    seconds = float(times_s[-1] - times_s[0])
-    if not is_one_motion(len(times_s), seconds, fps):
-        raise NoMotionError(f"{len(times_s)} keys over {seconds:g} s, which is no motion of a hand")
-    return times_s[0] + np.arange(math.ceil(seconds * fps - KEY_FRAME_EPS) + 1) / fps

@@ -1,4 +1,7 @@
-"""What every reader of a motion file gives: joints of the hands, as the file has them; and what is wrong with it."""
+"""What every reader of a motion file takes and gives, and how a damaged file is told.
+
+A format is a `Reader`: whether a source is one of its files, and the joints of the hands in it, as the file has them.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ import csv
 import json
 import struct
 import tokenize
-from collections.abc import Iterable, Iterator, Sequence
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +23,73 @@ from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
+from jghand_engine.motion.bone_names import BoneMap
 
 # a file larger than this, packed or unpacked, is refused: an hour at 120 frames per second has 220 MB
 MOTION_MAX_BYTES = 1 << 30
 # the same for text, whose numbers take ten times their characters while they are read: an hour of our own JSON at 30
 # frames per second has 128 MiB, of MediaPipe's results with the landmarks of the picture some times more
 MOTION_TEXT_MAX_BYTES = 1 << 29
+# names under which the frames of a JSON object may be listed
+_FRAME_LISTS = ("frames", "data", "samples", "recording", "results")
+
+
+@dataclass(frozen=True)
+class MotionFormat:
+    """What the user says about a motion file; None: the file itself says it.
+
+    order:           how the joints are listed
+    unit:            'm', 'cm' or 'mm'
+    handedness:      which hand it truly is, whatever a label says
+    fps:             frames per second; replaces the file's, whose frames stay; animations with times in seconds are
+                     taken at this rate. Neither: 30
+    check_hand:      refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it
+                     is what catches a wrong order or unit
+    part:            which of several skeletons, people, captures: its name, or a part of it
+    mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
+    hand_length_m:   scale the hand to this length, wrist to the middle finger's tip; a unit is not needed then
+    bones:           names of a rig's bones by joint, where they are those of no convention
+    up:              the axis that points up, "y" or "z"; replaces the file's
+    """
+
+    order: JointOrder | None = None
+    unit: str | None = None
+    handedness: Handedness | None = None
+    fps: float | None = None
+    check_hand: bool = True
+    part: str | None = None
+    mirrored_labels: bool | None = None
+    hand_length_m: float | None = None
+    bones: BoneMap | None = None
+    up: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file or a folder, as readers recognize it.
+
+    path:     of the file or folder
+    head:     the beginning of the file
+    document: what it holds where it is JSON
+    """
+
+    path: Path
+    head: bytes = b""
+    document: Any = None
+
+    @cached_property
+    def frames(self) -> list[Any]:
+        """The list of frames in JSON; a document without one is a frame itself."""
+        if not isinstance(self.document, dict):
+            return self.document if isinstance(self.document, list) else []
+        lists = {name.casefold(): value for name, value in self.document.items() if isinstance(value, list)}
+        return next((lists[name] for name in _FRAME_LISTS if name in lists), [self.document])
+
+    @property
+    def fps(self) -> float | None:
+        """Frames per second that JSON says beside its frames."""
+        fps = self.document.get("fps") if isinstance(self.document, dict) else None
+        return float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) else None
 
 
 @dataclass(frozen=True)
@@ -37,7 +103,7 @@ class HandTrack:
     labeled:    the side is the label of a detector, which a mirrored picture or an older package turns round: what the
                 user says counts more. A side that stands in names of bones is no label
     notes:      sentences about this hand
-    times:      of its frames, where they are not those of all hands of the file; as in MotionContent
+    times:      of its frames, where they are not those of all hands of the file
     """
 
     joints: np.ndarray
@@ -61,33 +127,39 @@ class MotionContent:
     kind:            the format, for people
     tracks:          its hands
     meters_per_unit: None where neither the file nor its format says it
-    declared_unit:   whether the file itself says the unit, so that another one is a contradiction
     fps:             frames per second, None where the file does not say
-    times:           of the frames (F,), which count more, as the file has them; () without
-    time_units:      in which they may be, () for any
+    times:           of the frames (F,), which count more, in any unit; () without
     notes:           sentences about what was read, and how
     up:              the axis that points up, "y", "z" or "-y"; None where neither the file nor its format says it
     filled:          (F,) bool, frames that nobody measured; None: none
     is_plain:        JGHand's own formats and plain arrays, whose defaults (meters, 30 fps) are documented
-    is_skeleton:     its hands were found by names of bones
     files:           all that it was read from, where that is not one file alone
-    animations:      names of the animations of which one was read
     """
 
     kind: str
     tracks: tuple[HandTrack, ...]
     meters_per_unit: float | None = None
-    declared_unit: bool = False
     fps: float | None = None
     times: Sequence[float | None] = ()
-    time_units: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     up: str | None = None
     filled: np.ndarray | None = None
     is_plain: bool = False
-    is_skeleton: bool = False
     files: tuple[Path, ...] = ()
-    animations: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A format.
+
+    suffixes:   what its files are called; content decides
+    recognizes: whether a source is one of them
+    read:       what stands in it. NoMotionError; any error that `told_damage` tells
+    """
+
+    suffixes: tuple[str, ...]
+    recognizes: Callable[[Source], bool]
+    read: Callable[[Source, MotionFormat], MotionContent]
 
 
 # ---- hands that are found frame by frame ----------------------------------------------------------------------------
@@ -95,8 +167,14 @@ class MotionContent:
 
 @dataclass(frozen=True)
 class FoundHand:
-    """A hand in one frame: its side, None where nothing says it; (n, 3) joints; how sure the detector was; their order,
-    None where nothing says it; whether they are meters."""
+    """A hand in one frame.
+
+    side:      None where nothing says it
+    joints:    (n, 3)
+    score:     how sure the detector was
+    order:     of the joints, None where nothing says it
+    in_meters: whether they are meters
+    """
 
     side: Handedness | None
     joints: np.ndarray
@@ -153,7 +231,7 @@ class NoMotionError(ValueError):
 # a broken program
 _DAMAGE = (
     *(ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, RecursionError, SyntaxError),
-    *(csv.Error, RuntimeError, AttributeError, tokenize.TokenError, struct.error),
+    *(csv.Error, RuntimeError, AttributeError, tokenize.TokenError, struct.error, zipfile.BadZipFile),
 )
 
 

@@ -14,35 +14,31 @@ import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder
-from jghand_engine.motion.content import HandTrack, MotionContent, check_frame_count
-
-KIND = "InterHand2.6M joints"
-
+from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat, Reader, Source, check_frame_count
 
 # frames that may be left out before it is another sequence: a second
 GAP_STEPS = 30
 
 
-def looks_like(document: Any) -> bool:
-    """Whether the first frame of the first capture is one of InterHand2.6M."""
-    capture = next(iter(document.values()), None) if isinstance(document, Mapping) else None
+def _recognizes(source: Source) -> bool:
+    """By the first frame of the first capture."""
+    capture = next(iter(source.document.values()), None) if isinstance(source.document, Mapping) else None
     frame = next(iter(capture.values()), None) if isinstance(capture, Mapping) else None
     return isinstance(frame, Mapping) and "world_coord" in frame
 
 
-def read(document: Mapping[str, Mapping[str, Any]]) -> MotionContent:
-    """Both hands of every sequence of every capture. ValueError says what is wrong."""
+def _read(source: Source, _wanted: MotionFormat) -> MotionContent:
+    """Both hands of every sequence of every capture."""
     tracks: list[HandTrack] = []
-    for capture, entries in document.items():
+    for capture, entries in source.document.items():
         check_frame_count(len(entries))
-        frames = {int(name): _frame(entry, f"capture {capture}, frame {name}") for name, entry in entries.items()}
+        frames = {int(name): _frame(entry) for name, entry in entries.items()}
         sequences = list(_sequences(frames))
         for first, joints in sequences:
             part = f"Capture{capture}" + (f", from {first}" if len(sequences) > 1 else "")
-            for side, start in ((Handedness.RIGHT, 0), (Handedness.LEFT, JOINT_COUNT)):
-                hand = joints[:, start : start + JOINT_COUNT]
+            for side, hand in zip((Handedness.RIGHT, Handedness.LEFT), np.split(joints, 2, axis=1), strict=True):
                 tracks.append(HandTrack(hand, side, JointOrder.INTERHAND, f"{part}, {side} hand"))
-    return MotionContent(KIND, tuple(tracks), METERS_PER_UNIT["mm"])
+    return MotionContent("InterHand2.6M joints", tuple(tracks), METERS_PER_UNIT["mm"])
 
 
 def _sequences(frames: dict[int, np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
@@ -61,12 +57,11 @@ def _sequences(frames: dict[int, np.ndarray]) -> Iterator[tuple[int, np.ndarray]
         yield int(some[0]), joints
 
 
-def _frame(entry: Any, where: str) -> np.ndarray:
+def _frame(entry: Mapping[str, Any]) -> np.ndarray:
     """Joints (42, 3), NaN where they are not valid."""
-    if not isinstance(entry, Mapping) or "world_coord" not in entry:
-        raise ValueError(f"{where} has no world_coord")
-    coordinates = np.array(entry["world_coord"], dtype=np.float64)
-    valid = np.array(entry.get("joint_valid", [1] * 2 * JOINT_COUNT), dtype=np.float64).reshape(-1)
-    if coordinates.shape != (2 * JOINT_COUNT, 3) or valid.shape != (2 * JOINT_COUNT,):
-        raise ValueError(f"{where}: {coordinates.shape} coordinates, {valid.shape} flags")
-    return np.where(valid[:, None] > 0, coordinates, np.nan)
+    coordinates = np.array(entry["world_coord"], dtype=np.float64).reshape(2 * JOINT_COUNT, 3)
+    valid = np.array(entry.get("joint_valid", [1] * 2 * JOINT_COUNT)).reshape(2 * JOINT_COUNT, 1)
+    return np.where(valid > 0, coordinates, np.nan)
+
+
+READER = Reader((".json",), _recognizes, _read)

@@ -16,27 +16,23 @@ from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_hand_si
 from jghand_engine.hand.sequence import FRAME_EPS, PoseSequence
 from jghand_engine.motion.choose import chosen, recognized_order, recognized_unit, warned
 from jghand_engine.motion.clocks import DEFAULT_FPS, clock_s, even_frames, is_one_motion
-from jghand_engine.motion.content import HandTrack, MotionContent, check_size, told_damage
-from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.recognize import reader_of
+from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat, check_size, told_damage
+from jghand_engine.motion.recognize import READERS, recognized
 from jghand_engine.motion.tools import retimed, with_hand_length
 
-# what files of motions are called, by the kinds that may be called so; content decides
-_KINDS = {
-    ".npz": ("JGHand", "plain npz"),
-    ".npy": ("plain npy", "FreeMoCap"),
-    ".json": ("JGHand", "plain json", "OpenPose", "MediaPipe", "joints", "a WebXR", "InterHand"),
-    ".csv": ("JGHand", "plain csv", "FreeMoCap", "a table"),
-    ".bvh": ("BVH",),
-    **dict.fromkeys((".glb", ".gltf"), ("glTF",)),
-    **dict.fromkeys((".usda", ".usdc", ".usd", ".usdz"), ("USD",)),
-}
+# what files of motions are called; what they are their content says
+_SUFFIXES = {suffix for reader in READERS for suffix in reader.suffixes}
 
 
 @dataclass(frozen=True)
 class MotionRead:
-    """A motion, the format it came in, for people, sentences about what was recognized or chosen, the axis that points
-    up, "y", "z" or "-y", None where nothing says it, and all files that it was read from."""
+    """A motion that was read.
+
+    kind:  the format it came in, for people
+    notes: sentences about what was recognized or chosen
+    up:    the axis that points up, "y", "z" or "-y", None where nothing says it
+    files: all that it was read from
+    """
 
     sequence: PoseSequence
     kind: str
@@ -89,9 +85,10 @@ def read_content(file: Path, wanted: MotionFormat) -> MotionContent:
     with told_damage(file):
         if file.is_file():
             check_size(file, text=False)
-        content = reader_of(file, wanted)()
+        reader, source = recognized(file)
+        content = reader.read(source, wanted)
     suffix = file.suffix.lower()
-    if file.is_file() and not content.kind.startswith(_KINDS.get(suffix, (content.kind,))):
+    if file.is_file() and suffix in _SUFFIXES and suffix not in reader.suffixes:
         note = f"It is called {suffix}, but by its content it is {content.kind}."
         content = replace(content, notes=(note, *content.notes))
     return content
@@ -116,7 +113,7 @@ def _meters(file: Path, content: MotionContent, level: np.ndarray, wanted: Motio
     if wanted.unit is not None:
         meters = METERS_PER_UNIT[wanted.unit]
         known = content.meters_per_unit
-        if content.declared_unit and known != meters:
+        if content.is_plain and known is not None and known != meters:
             inside = next(name for name, one in METERS_PER_UNIT.items() if one == known)
             raise InputError(
                 f"unit of {file}", wanted=f"'{inside}', which the file declares", came=f"'{wanted.unit}'",
@@ -140,7 +137,7 @@ def _evenly(
     filled = np.zeros(len(level_m), dtype=bool) if content.filled is None else content.filled
     if wanted.fps is not None:
         return level_m, filled, wanted.fps, []
-    times_s, said = clock_s(content.times, content.time_units)
+    times_s, said = clock_s(content.times)
     notes = [said] if said else []
     if times_s is not None:
         even_m, filled, fps, more = _by_clock(file, times_s, level_m, filled)

@@ -7,8 +7,8 @@ else straight on from the bone before it at rest; with the usual proportion of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,27 +26,25 @@ BONE_AXIS_MAX_DEG = 12.0
 FRAMES_AT_ONCE = 4096
 
 
-class AnimatedSkeleton(Protocol):
-    """A skeleton of a file. names: of its joints · rest: (N, 4, 4) world transforms at rest, unit of the file ·
-    ends: for some joints the end of their bone in their own frame, where the file says it."""
+@dataclass(frozen=True)
+class Skeleton:
+    """A skeleton of a file.
 
-    @property
-    def names(self) -> Sequence[str]: ...
-    @property
-    def rest(self) -> np.ndarray: ...
-    @property
-    def ends(self) -> dict[int, np.ndarray]: ...
-    @property
-    def frame_count(self) -> int: ...
+    names:       of its joints
+    rest:        (N, 4, 4) world transforms at rest, unit of the file
+    frame_count: of its animation
+    world:       (joints, first, last) -> (last - first, len(joints), 4, 4) world transforms in frames first to last - 1
+    ends:        for some joints the end of their bone in their own frame, where the file says it
+    """
 
-    def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
-        """(last - first, len(joints), 4, 4) world transforms of some joints in frames first to last - 1."""
-        ...
+    names: Sequence[str]
+    rest: np.ndarray
+    frame_count: int
+    world: Callable[[list[int], int, int], np.ndarray]
+    ends: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
-def hand_tracks(
-    skeleton: AnimatedSkeleton, part: str, bones: BoneMap | None = None
-) -> tuple[list[HandTrack], list[str]]:
+def hand_tracks(skeleton: Skeleton, part: str, bones: BoneMap | None = None) -> tuple[list[HandTrack], list[str]]:
     """The hands of a skeleton, which people call `part`, over all its frames; and sentences about hands that lack
     bones. [] when there are none. bones: a map made by hand."""
     hands, lacking = hands_among(skeleton.names, bones)
@@ -63,47 +61,10 @@ def hand_tracks(
             )
         joints = _joints(skeleton, hand, tips)
         tracks.append(HandTrack(joints, hand.handedness, JointOrder.STANDARD, name, notes=tuple(notes)))
-    return tracks, lacking
+    return tracks, lacking if hands else [" ".join([*lacking, "Name its bones with --bones."])]
 
 
-def with_ancestors(bones: Iterable[int], parents: Sequence[int]) -> list[int]:
-    """Some bones and all above them, parents first. ValueError for a ring of bones."""
-    order: dict[int, None] = {}
-    for bone in sorted(bones):
-        path: list[int] = []
-        while bone >= 0 and bone not in order:
-            path.append(bone)
-            if len(path) > len(parents):
-                raise ValueError("bones that are their own ancestors")
-            bone = parents[bone]
-        order |= dict.fromkeys(reversed(path))
-    return list(order)
-
-
-def in_world(bones: Sequence[int], parents: Sequence[int], local: Callable[[int], np.ndarray]) -> dict[int, np.ndarray]:
-    """Transforms (..., 4, 4) in the world of some bones, which are listed parents first. local: the transform of one in
-    its parent's frame; parents: of all bones, -1 for none."""
-    world: dict[int, np.ndarray] = {}
-    for bone in bones:
-        world[bone] = local(bone) if parents[bone] < 0 else world[parents[bone]] @ local(bone)
-    return world
-
-
-def rotation_matrices(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) of quaternions (..., 4) of any length but 0. ValueError."""
-    length = np.linalg.norm(quaternion_xyzw, axis=-1)
-    if not (length > 0).all():
-        raise ValueError("a rotation that is no quaternion")
-    x, y, z, w = np.moveaxis(quaternion_xyzw / length[..., None], -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _joints(skeleton: AnimatedSkeleton, hand: NamedHand, tips: dict[int, tuple[int, np.ndarray]]) -> np.ndarray:
+def _joints(skeleton: Skeleton, hand: NamedHand, tips: dict[int, tuple[int, np.ndarray]]) -> np.ndarray:
     """(F, 21, 3) joints in the standard order."""
     wanted = [tips[place][0] if bone is None else bone for place, bone in enumerate(hand.bones)]
     joints = np.empty((skeleton.frame_count, JOINT_COUNT, 3))
@@ -116,7 +77,7 @@ def _joints(skeleton: AnimatedSkeleton, hand: NamedHand, tips: dict[int, tuple[i
     return joints
 
 
-def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, tuple[int, np.ndarray]], list[str]]:
+def _tips(skeleton: Skeleton, hand: NamedHand) -> tuple[dict[int, tuple[int, np.ndarray]], list[str]]:
     """For the tips that have no bone of their own, by their places, the last bone and where it ends in its own frame;
     and the fingers whose tips the file does not say."""
     tips, made = {}, []
@@ -139,7 +100,7 @@ def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, tuple[
     return tips, made
 
 
-def _bone_axis(skeleton: AnimatedSkeleton, hand: NamedHand) -> np.ndarray | None:
+def _bone_axis(skeleton: Skeleton, hand: NamedHand) -> np.ndarray | None:
     """The direction in their own frames in which the bones of the hand lie, None when they lie in different ones."""
     directions = []
     for place in range(1, JOINT_COUNT):

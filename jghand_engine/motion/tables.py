@@ -1,4 +1,5 @@
-"""CSV whose columns are named after joints in a way that is not our own: `right_hand_wrist_x`, `INDEX_FINGER_TIP_z`."""
+"""CSV with a line for each frame: our own, plain numbers, and tables whose columns are named after joints in any way,
+`right_hand_wrist_x`, `INDEX_FINGER_TIP.z`."""
 
 from __future__ import annotations
 
@@ -7,119 +8,122 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES
+from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.motion.bone_names import NamedHand, hands_among
 from jghand_engine.motion.clocks import TIME_NAMES, plain
-from jghand_engine.motion.content import HandTrack, MotionContent, check_frame_count, check_size
+from jghand_engine.motion.content import (
+    HandTrack,
+    MotionContent,
+    MotionFormat,
+    Reader,
+    Source,
+    check_frame_count,
+    check_size,
+)
+from jghand_engine.motion.files import checked_joints, own_content
 
 # a joint's name, what parts it from its axis, the axis
 _COLUMN = re.compile(r"(.+?)[._ -]+([xyz])", re.IGNORECASE)
 # joints that have a number for a name, as FreeMoCap wrote them from 1.2 to 1.8: right_hand_0000
-_NUMBERED = re.compile(r"((?:right|left)_hand)_(\d{4})")
+_NUMBERED = re.compile(r"((?:right|left)_hand)_00([01]\d|20)")
 
 
 def joint_name(text: str) -> str:
     """The name of a joint in the header of a table; for one that is a number, in MediaPipe's order, ours."""
     match = _NUMBERED.fullmatch(text)
-    if match is None or int(match[2]) >= JOINT_COUNT:
-        return text
-    return f"{match[1]}_{STANDARD_NAMES[int(match[2])]}"
+    return text if match is None else f"{match[1]}_{STANDARD_NAMES[int(match[2])]}"
 
 
-def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int, int, int]], list[str]]:
-    """The hands among the columns of a header, the columns of x, y, z of every name, and the names in their order."""
+def header_of(file: Path) -> list[str]:
+    """The cells of the first line that is no comment, [] where there is none."""
+    with open(file, encoding="utf-8-sig", errors="replace", newline="") as stream:
+        return [cell.strip() for cell in next(rows_of(stream, {}), [])]
+
+
+def rows_of(lines: Iterable[str], declared: dict[str, Any]) -> Iterator[list[str]]:
+    """The cells of the lines that are neither comments nor blank; what comments declare is put into `declared`."""
+
+    def told(line: str) -> bool:
+        name, _, value = line[1:].partition(":")
+        if line.startswith("#"):
+            declared[name.strip()] = value.strip()
+        return bool(line.strip()) and not line.startswith("#")
+
+    return csv.reader(filter(told, lines))
+
+
+def named_hands(header: list[str]) -> tuple[list[NamedHand], list[tuple[int, int, int]]]:
+    """The hands among the columns of a header, and the columns of x, y, z of every name."""
     places: dict[str, dict[str, int]] = {}
     for place, cell in enumerate(header):
-        match = _COLUMN.fullmatch(cell.strip().strip('"'))
+        match = _COLUMN.fullmatch(cell.strip('"'))
         if match is not None:
             places.setdefault(joint_name(match[1]), {})[match[2].casefold()] = place
     columns = {name: (at["x"], at["y"], at["z"]) for name, at in places.items() if len(at) == 3}
-    names = list(columns)
-    return hands_among(names)[0], columns, names
+    return hands_among(list(columns))[0], list(columns.values())
 
 
-def cells_of(lines: Iterable[str]) -> Iterator[list[str]]:
-    """The cells of a table's header, stripped, and of every line below it, without remarks and blank lines.
-
-    The header may be a remark, as numpy's `savetxt` writes it: the last one above a line of numbers, if it names a hand
-    and no remark declares anything, which those of our own tables do.
-    """
-    lines = iter(lines)
-    remark, declares = "", False
-    for line in lines:
-        if line.startswith("#"):
-            remark, declares = line, declares or ":" in line
-        elif line.strip():
-            break
-    else:
-        return
-    below = (line for line in lines if line.strip() and not line.startswith("#"))
-    rows = csv.reader(itertools.chain([line], below))
-    first = next(rows)
-    if remark and not declares and all(map(is_number, first)):
-        header = _stripped(next(csv.reader([remark.lstrip("# ")])))
-        if named_hands(header)[0]:
-            yield header
-    yield _stripped(first)
-    yield from rows
+def _recognizes(source: Source) -> bool:
+    return source.path.is_file() and source.document is None and b"\x00" not in source.head and (
+        len(header_of(source.path)) > 2
+    )  # fmt: skip
 
 
-def _stripped(cells: list[str]) -> list[str]:
-    return [cell.strip() for cell in cells]
-
-
-def header_in(file: Path) -> list[str]:
-    """The cells of the header of a table, [] where there is no line but remarks. ValueError, OSError."""
-    with open(file, encoding="utf-8-sig", errors="replace", newline="") as stream:
-        return next(cells_of(stream), [])
-
-
-def read(file: Path) -> MotionContent:
-    """A table of no program's own."""
-    tracks, times = read_tracks(file)
-    return MotionContent("a table of joints", tracks, times=times)
-
-
-def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float]]:
-    """The hands of a table, one line for each frame, and its times in whatever unit, NaN where one is missing, []
-    without a column of them; no hand when its columns are named after none. ValueError."""
-    check_size(file, text=True)
-    with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = cells_of(stream)
-        header = next(rows, [])
-        hands, columns, names = named_hands(header)
-        if not hands:
-            return (), []
-        flat = [
-            column
-            for hand in hands
-            for place in hand.bones
-            for column in ((-1, -1, -1) if place is None else columns[names[place]])
-        ]
+def read(source: Source, _wanted: MotionFormat) -> MotionContent:
+    """The hands that the columns name; where they name none, the columns are the numbers of one."""
+    check_size(source.path, text=True)
+    declared: dict[str, Any] = {}
+    with open(source.path, encoding="utf-8-sig", newline="") as stream:
+        rows = rows_of(stream, declared)
+        first = next(rows, [])
+        header = [cell.strip() for cell in first]
         clock = [place for place, cell in enumerate(header) if plain(cell) in TIME_NAMES][:1]
-        table = np.array(list(_frames(rows, flat + clock)), dtype=np.float64).reshape(-1, len(flat) + len(clock))
-    joints = table[:, : len(flat)].reshape(-1, len(hands), JOINT_COUNT, 3)
-    tracks = tuple(
-        HandTrack(joints[:, number], hand.handedness, JointOrder.STANDARD, hand.part)
-        for number, hand in enumerate(hands)
+        hands, columns = named_hands(header)
+        if hands:
+            flat = [
+                at for hand in hands for bone in hand.bones for at in (columns[bone] if bone is not None else (-1,) * 3)
+            ]
+        else:
+            flat = [place for place, cell in enumerate(header) if plain(cell) not in ("frame", *TIME_NAMES)]
+            if len(flat) % 3:
+                raise ValueError(f"{len(flat)} columns of numbers are not x, y, z of joints")
+            if all(map(_is_number, header)):
+                rows = itertools.chain([first], rows)
+        table = np.array(list(_numbers(rows, flat + clock))).reshape(-1, len(flat) + len(clock))
+    joints = table[:, : len(flat)].reshape(len(table), -1, 3)
+    times = table[:, -1].tolist() if clock else []
+    if not hands or (hands[0].convention == "JGHand" and hands[0].handedness is None):
+        order = {"order": JointOrder.STANDARD} if hands else {}
+        content = own_content(source.path, "plain csv", checked_joints(joints), declared | order)
+        return replace(content, times=times if content.fps is None else ())
+    tracks = (
+        HandTrack(joints, hand.handedness, JointOrder.STANDARD, hand.part)
+        for hand, joints in zip(hands, np.split(joints, len(hands), axis=1), strict=True)
     )
-    return tracks, table[:, -1].tolist() if clock else []
+    return MotionContent("a table of joints", tuple(tracks), times=times)
 
 
-def _frames(rows: Iterator[list[str]], columns: list[int]) -> Iterator[np.ndarray]:
+def _numbers(rows: Iterable[list[str]], columns: list[int]) -> Iterator[np.ndarray]:
     """Numbers of some columns, NaN where the cell is empty or the column -1: a line of empty cells is a frame without a
     hand."""
     last = max(columns)
-    for number, row in enumerate(rows):
-        check_frame_count(number + 1)
+    for number, row in enumerate(rows, 1):
+        check_frame_count(number)
         if len(row) <= last:
-            raise ValueError(f"line {number + 2} ends after {len(row)} of {last + 1} columns")
-        yield np.array([number_in(row[place]) if place >= 0 else math.nan for place in columns])
+            raise ValueError(f"frame {number} ends after {len(row)} of {last + 1} columns")
+        try:
+            yield np.array([number_in(row[place]) if place >= 0 else math.nan for place in columns])
+        except ValueError as error:
+            place = next(place for place in columns if place >= 0 and not _is_number(row[place]))
+            text = f"frame {number}, column {place + 1}: {row[place].strip()[:30]!r} is no number"
+            raise ValueError(text) from error
 
 
 def number_in(cell: str) -> float:
@@ -127,10 +131,12 @@ def number_in(cell: str) -> float:
     return float(cell) if cell.strip() else math.nan
 
 
-def is_number(cell: str) -> bool:
-    """Whether a number stands in a cell, or nothing."""
+def _is_number(cell: str) -> bool:
     try:
         number_in(cell)
     except ValueError:
         return False
     return True
+
+
+READER = Reader((".csv",), _recognizes, read)

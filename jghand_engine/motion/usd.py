@@ -7,7 +7,9 @@ skeleton's own place in the world counts too. Only what UsdSkel binds to a skele
 from __future__ import annotations
 
 import contextlib
+import math
 import re
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,15 +17,18 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.motion.bone_names import BoneMap
-from jghand_engine.motion.clocks import DEFAULT_FPS, frame_times, key_frames
-from jghand_engine.motion.content import HandTrack, MotionContent
-from jghand_engine.motion.skeleton import hand_tracks
+from jghand_engine.motion.clocks import DEFAULT_FPS, STEP_JITTER_MAX, is_one_motion, whole_rate
+from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat, NoMotionError, Reader, Source
+from jghand_engine.motion.skeleton import Skeleton, hand_tracks
 
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 CRATE, TEXT = b"PXR-USDC", b"#usda"
 # a crate's first bytes: what it is, its version, and where its table of contents stands
 _CRATE_HEADER_BYTES = 88
+# samples that come more seldom, per second, are poses, no frames; a rate above the other is none
+_SAMPLES_FPS_MIN, _SAMPLES_FPS_MAX = 6.0, 240.0
+# part of a frame by which a sample may miss one: times in single precision
+_FRAME_EPS = 0.05
 
 
 @contextlib.contextmanager
@@ -60,17 +65,23 @@ def usd_reason(error: Exception) -> str:
     return (quoted.group(1) if quoted else text).strip()
 
 
-def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionContent:
-    """The hands of all skeletons of a stage at `fps`, else at the rate of its samples. ValueError says why not;
-    InputError where USD cannot read it."""
+def _recognizes(source: Source) -> bool:
+    if source.head.startswith(b"PK\x03\x04") and zipfile.is_zipfile(source.path):
+        with zipfile.ZipFile(source.path) as archive:
+            return any(name.casefold().endswith(SUFFIXES) for name in archive.namelist()[:1])
+    return source.head.startswith((CRATE, TEXT))
+
+
+def _read(source: Source, wanted: MotionFormat) -> MotionContent:
     from pxr import Usd
 
-    with reading(file):
-        return _content(Usd.Stage.Open(str(file)), fps, bones)
+    with reading(source.path):
+        return _content(Usd.Stage.Open(str(source.path)), wanted)
 
 
-def _content(stage: Any, fps: float | None, bones: BoneMap | None) -> MotionContent:
-    from pxr import Usd, UsdGeom, UsdSkel
+def _content(stage: Any, wanted: MotionFormat) -> MotionContent:
+    """The hands of all skeletons of a stage at the wanted rate, else at that of their samples."""
+    from pxr import Ar, Usd, UsdGeom, UsdSkel
 
     cache = UsdSkel.Cache()
     tracks: list[HandTrack] = []
@@ -81,12 +92,13 @@ def _content(stage: Any, fps: float | None, bones: BoneMap | None) -> MotionCont
         query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
         if not query:
             raise ValueError(f"{prim.GetPath()} is no whole skeleton")
-        skeleton = _UsdSkeleton(stage, query, fps)
-        found, lacking = hand_tracks(skeleton, str(prim.GetPath()) if len(prims) > 1 else "", bones)
+        codes, fps = _frames(query, wanted.fps)
+        found, said = hand_tracks(_skeleton(query, codes), str(prim.GetPath()) if len(prims) > 1 else "", wanted.bones)
         if found:
-            rate = skeleton.fps
-            notes += skeleton.notes
-        notes += lacking
+            rate = fps
+            if len(codes) == 1:
+                notes.append(f"No animation moves {prim.GetPath()}: its pose is one frame.")
+        notes += said
         tracks += found
     meters = UsdGeom.GetStageMetersPerUnit(stage)
     if not (np.isfinite(meters) and meters > 0):
@@ -94,76 +106,68 @@ def _content(stage: Any, fps: float | None, bones: BoneMap | None) -> MotionCont
     if not prims:
         notes.append("There is no UsdSkel skeleton in it.")
     up = "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
-    return MotionContent(
-        "USD", tuple(tracks), meters, fps=rate, notes=tuple(notes), up=up, files=_files(stage), is_skeleton=True
-    )
-
-
-def _files(stage: Any) -> tuple[Path, ...]:
-    """All files of a stage: of layers in a package the package. What is only in memory has none."""
-    from pxr import Ar
-
+    # of layers in a package the package; what is only in memory has none
     places = {Ar.SplitPackageRelativePathOuter(layer.realPath)[0] for layer in stage.GetUsedLayers()}
-    return tuple(Path(place) for place in sorted(places) if place)
+    files = tuple(Path(place) for place in sorted(places) if place)
+    return MotionContent("USD", tuple(tracks), meters, fps=rate, notes=tuple(notes), up=up, files=files)
 
 
-class _UsdSkeleton:
-    """A skeleton of a stage, at even times."""
+def _frames(query: Any, wanted_fps: float | None) -> tuple[list[float], float]:
+    """Time codes of even frames from the first sample to the last, and their rate per second: that of samples which
+    come evenly, else that of the stage's time codes."""
+    samples, per_second = _samples(query), query.GetPrim().GetStage().GetTimeCodesPerSecond()
+    if not (np.isfinite(per_second) and per_second > 0):
+        raise ValueError(f"{per_second} time codes per second")
+    fps = per_second if _SAMPLES_FPS_MIN <= per_second <= _SAMPLES_FPS_MAX else DEFAULT_FPS
+    if len(samples) < 2:
+        return [samples[0] if len(samples) else 0.0], wanted_fps or fps
+    steps_s = np.diff(samples) / per_second
+    mean_s = float(steps_s.mean())
+    if (np.abs(steps_s - mean_s) <= STEP_JITTER_MAX * mean_s).all() and _SAMPLES_FPS_MIN * mean_s <= 1:
+        fps = whole_rate(1 / mean_s)
+    fps, seconds = wanted_fps or fps, float(steps_s.sum())
+    if not is_one_motion(len(samples), seconds, fps):
+        raise NoMotionError(f"{len(samples)} samples over {seconds:g} s, which is no motion of a hand")
+    count = math.ceil(seconds * fps - _FRAME_EPS) + 1
+    return (samples[0] + np.arange(count) / fps * per_second).tolist(), fps
 
-    def __init__(self, stage: Any, query: Any, fps: float | None) -> None:
-        from pxr import UsdGeom
 
-        self._query, self._xforms = query, UsdGeom.XformCache()
-        self._prim = query.GetPrim()
-        tokens = [str(token) for token in query.GetJointOrder()]
-        self.names = tuple(token.rpartition("/")[2] for token in tokens)
-        self.ends: dict[int, np.ndarray] = {}
-        self.notes: list[str] = []
-        per_second = stage.GetTimeCodesPerSecond()
-        if not (np.isfinite(per_second) and per_second > 0):
-            raise ValueError(f"{per_second} time codes per second")
-        samples = np.array(self._samples())
-        self.fps, said = (fps, []) if fps is not None else key_frames(samples / per_second, per_second)
-        self.notes += said
-        self._codes = (frame_times(samples / per_second, self.fps) * per_second).tolist()
-        if not len(samples):
-            self.notes.append(f"No animation moves {self._prim.GetPath()}: its pose is one frame.")
-        self.rest = _columns(self._at_rest(), len(tokens))
+def _samples(query: Any) -> np.ndarray:
+    """The time codes at which a skeleton's joints, or it itself in the world, are said to be somewhere else."""
+    from pxr import UsdGeom
 
-    def _samples(self) -> list[float]:
-        """The time codes at which its joints, or it itself in the world, are said to be somewhere else."""
-        from pxr import UsdGeom
+    animation, prim = query.GetAnimQuery(), query.GetPrim()
+    codes = set(animation.GetJointTransformTimeSamples()) if animation else set()
+    while prim:
+        codes.update(UsdGeom.Xformable(prim).GetTimeSamples() if prim.IsA(UsdGeom.Xformable) else ())
+        prim = prim.GetParent()
+    return np.array(sorted(codes))
 
-        animation, prim = self._query.GetAnimQuery(), self._prim
-        codes = set(animation.GetJointTransformTimeSamples()) if animation else set()
-        while prim:
-            codes.update(UsdGeom.Xformable(prim).GetTimeSamples() if prim.IsA(UsdGeom.Xformable) else ())
-            prim = prim.GetParent()
-        return sorted(codes)
 
-    def _at_rest(self) -> Any:
-        """Where joints are at rest; a skeleton without a rest pose has one to which it is bound, or its first frame."""
-        if self._query.HasRestPose():
-            return self._query.ComputeJointSkelTransforms(self._codes[0], True)
-        if self._query.HasBindPose():
-            return self._query.GetJointWorldBindTransforms()
-        return self._query.ComputeJointSkelTransforms(self._codes[0])
+def _skeleton(query: Any, codes: list[float]) -> Skeleton:
+    """A skeleton without a rest pose has one to which it is bound, or its first frame."""
+    from pxr import UsdGeom
 
-    @property
-    def frame_count(self) -> int:
-        return len(self._codes)
+    tokens = [str(token) for token in query.GetJointOrder()]
+    if query.HasRestPose():
+        rest = query.ComputeJointSkelTransforms(codes[0], True)
+    elif query.HasBindPose():
+        rest = query.GetJointWorldBindTransforms()
+    else:
+        rest = query.ComputeJointSkelTransforms(codes[0])
+    xforms = UsdGeom.XformCache()
 
-    def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
-        """See AnimatedSkeleton."""
+    def world(joints: list[int], first: int, last: int) -> np.ndarray:
         result = np.empty((last - first, len(joints), 4, 4))
-        for row, code in enumerate(self._codes[first:last]):
-            transforms = _columns(self._query.ComputeJointSkelTransforms(code), len(self.names))
-            self._xforms.SetTime(code)
-            placed = np.array(self._xforms.GetLocalToWorldTransform(self._prim)).T
-            result[row] = placed @ transforms[joints]
+        for row, code in enumerate(codes[first:last]):
+            xforms.SetTime(code)
+            placed = np.array(xforms.GetLocalToWorldTransform(query.GetPrim())).T
+            result[row] = placed @ _columns(query.ComputeJointSkelTransforms(code), len(tokens))[joints]
         if not np.isfinite(result).all():
             raise ValueError("transforms that are no finite numbers")
         return result
+
+    return Skeleton([token.rpartition("/")[2] for token in tokens], _columns(rest, len(tokens)), len(codes), world)
 
 
 def _columns(transforms: Any, count: int) -> np.ndarray:
@@ -172,3 +176,6 @@ def _columns(transforms: Any, count: int) -> np.ndarray:
     if array.shape != (count, 4, 4):
         raise ValueError("a skeleton without a transform of each joint")
     return array.transpose(0, 2, 1)
+
+
+READER = Reader(SUFFIXES, _recognizes, _read)

@@ -11,7 +11,7 @@ WebXR and OpenXR have no file format; both have meters and y up.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,75 +19,49 @@ import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.clocks import plain, time_in
-from jghand_engine.motion.content import FoundHand, FrameHands, MotionContent, NoMotionError
-from jghand_engine.motion.points import named_points, points
-from jghand_engine.motion.skeleton import rotation_matrices
+from jghand_engine.hand.rotations import quaternion_rotation
+from jghand_engine.motion.content import (
+    FoundHand,
+    FrameHands,
+    MotionContent,
+    MotionFormat,
+    NoMotionError,
+    Reader,
+    Source,
+)
+from jghand_engine.motion.points import by_plain_name, named_points, points, time_in
 
-IWER_KIND, KIND = "a WebXR recording of IWER", "joints of a headset"
-_JOINT_NUMBERS = 8  # position, quaternion, radius
-_VIEWER_NUMBERS, _RAY_NUMBERS = 8, 8  # time or index, position, quaternion
-_LISTS = ("hands", "inputsources", "inputs", "sources", "controllers")
+# frames in which a hand is looked for before a file is given up: it may not be there from the beginning
+_FRAMES_LOOKED_AT = 5000
 _XR_COUNTS, _XR_CONVENTIONS = (25, 26), ("WebXR", "OpenXR")
+# in IWER's frames: numbers of the viewer (time, position, quaternion); of a source's index, position and quaternion of
+# its target ray; of a joint's position, quaternion and radius
+_VIEWER_NUMBERS, _RAY_NUMBERS, _JOINT_NUMBERS = 8, 8, 8
 
 
-def looks_like(frame: Any) -> bool:
-    """Whether one frame holds hands of a headset."""
+def _recognizes(source: Source) -> bool:
+    return any(map(_hands_or_none, source.frames[:_FRAMES_LOOKED_AT]))
+
+
+def _hands_or_none(frame: Any) -> list[FoundHand]:
     try:
-        return bool(_hands(frame))
+        return _hands(frame)
     except ValueError:
-        return False
+        return []
 
 
-def read(frames: Iterable[Any], fps: float | None) -> MotionContent:
-    """The hands in a row of frames. ValueError says what is wrong."""
+def _read(source: Source, _wanted: MotionFormat) -> MotionContent:
     collected = FrameHands()
-    for frame in frames:
-        collected.add(_hands(frame), time_in(_by_key(frame)))
-    tracks = collected.tracks(labeled=False)
+    for frame in source.frames:
+        collected.add(_hands(frame), time_in(by_plain_name(frame)))
     # a headset counts meters; of joints that are not a headset's nothing is known
-    kind, meters = (KIND, 1.0) if collected.in_meters else ("joints in JSON", None)
-    up = "y" if collected.in_meters else None
-    return MotionContent(kind, tracks, meters, fps=fps, times=collected.times, up=up)
-
-
-def read_iwer(schema: Any, frames: Iterable[Any]) -> MotionContent:
-    """A recording of IWER's action recorder. ValueError, TypeError or IndexError for one that is none."""
-    sources = {int(number): source for number, source in schema}
-    collected = FrameHands()
-    for number, frame in enumerate(frames):
-        if not isinstance(frame, list) or len(frame) < _VIEWER_NUMBERS:
-            raise ValueError(f"frame {number} is none of IWER's")
-        hands = [hand for entry in frame[_VIEWER_NUMBERS:] if (hand := _iwer_hand(entry, sources)) is not None]
-        collected.add(hands, float(frame[0]))
+    kind, meters, up = ("joints of a headset", 1.0, "y") if collected.in_meters else ("joints in JSON", None, None)
     tracks = collected.tracks(labeled=False)
-    if not tracks:
-        raise NoMotionError("none of its input sources is a hand")
-    notes = ("IWER rounds positions to a millimeter.",)
-    times = collected.times
-    return MotionContent(IWER_KIND, tracks, 1.0, times=times, time_units=("milliseconds",), notes=notes, up="y")
-
-
-def _iwer_hand(entry: list[Any], sources: Mapping[int, Mapping[str, Any]]) -> FoundHand | None:
-    """One input source of a frame: index, target ray (7), then a list each for grip, hand and gamepad."""
-    source = sources.get(entry[0], {})
-    place = _RAY_NUMBERS + bool(source.get("hasGrip"))
-    if not source.get("hasHand") or "jointSequence" not in source or place >= len(entry):
-        return None
-    names = [str(name) for name in source["jointSequence"]]
-    numbers = np.array(entry[place], dtype=np.float64)
-    if numbers.shape != (len(names) * _JOINT_NUMBERS,):
-        raise ValueError(f"{numbers.size} numbers of a hand where its schema has {len(names)} joints")
-    ray = np.array(entry[1:_RAY_NUMBERS], dtype=np.float64)
-    joints = numbers.reshape(-1, _JOINT_NUMBERS)[:, :3] @ rotation_matrices(ray[3:]).T + ray[:3]
-    found = named_points(dict(zip(names, joints.tolist(), strict=True)))
-    if not found:
-        raise NoMotionError("joints that are not named as WebXR does")
-    return FoundHand(_side(source.get("handedness")), found[0][1], order=JointOrder.STANDARD, in_meters=True)
+    return MotionContent(kind, tracks, meters, fps=source.fps, times=collected.times, up=up)
 
 
 def _hands(frame: Any) -> list[FoundHand]:
-    """The hands of a frame."""
+    """The hands of a frame. ValueError for points that are none."""
     if isinstance(frame, list):
         joints = points(frame)
         if joints is not None:
@@ -95,22 +69,22 @@ def _hands(frame: Any) -> list[FoundHand]:
                 return [FoundHand(None, joints, order=JointOrder.OPENXR, in_meters=True)]
             return [FoundHand(None, joints)] if len(joints) == JOINT_COUNT else []
         return [hand for one in frame if isinstance(one, Mapping) for hand in _hands(one)]
-    by_key = _by_key(frame)
-    if not by_key:
+    members = by_plain_name(frame)
+    if not members:
         return []
     sided = [
         replace(hand, side=side)
         for side in Handedness
-        for key in (side.value, f"{side.value}hand", f"hand{side.value}")
-        for hand in _hands(by_key.get(key))
+        for key in (side.value, f"{side.value}hand")
+        for hand in _hands(members.get(key))
     ]
     if sided:
         return sided
-    for name in _LISTS:
-        if isinstance(by_key.get(name), list | dict):
-            return _hands(by_key[name])
-    side = _side(by_key.get("handedness", by_key.get("hand", by_key.get("side"))))
-    inside = next((by_key[name] for name in ("joints", "hand", "points", "landmarks") if name in by_key), None)
+    if isinstance(members.get("hands"), list | dict):
+        return _hands(members["hands"])
+    said = str(members.get("handedness", members.get("hand"))).casefold()
+    side = next((side for side in Handedness if said == side.value), None)
+    inside = next((members[name] for name in ("joints", "hand", "points", "landmarks") if name in members), None)
     if isinstance(inside, list | dict):
         return [replace(hand, side=side if hand.side is None else hand.side) for hand in _hands(inside)]
     return [
@@ -119,11 +93,43 @@ def _hands(frame: Any) -> list[FoundHand]:
     ]
 
 
-def _by_key(frame: Any) -> dict[str, Any]:
-    """The members of a frame by their plain names; {} for one that has none."""
-    return {plain(str(key)): value for key, value in frame.items()} if isinstance(frame, Mapping) else {}
+# ---- recordings of IWER ----------------------------------------------------------------------------------------------
 
 
-def _side(value: Any) -> Handedness | None:
-    text = str(value).casefold()
-    return next((side for side in Handedness if text in (side.value, side.value[0])), None)
+def _is_recording(source: Source) -> bool:
+    about = source.document
+    return isinstance(about, dict) and "schema" in about and isinstance(about.get("frames"), list)
+
+
+def _read_recording(source: Source, _wanted: MotionFormat) -> MotionContent:
+    sources = {int(number): about for number, about in source.document["schema"]}
+    collected = FrameHands()
+    for frame in source.frames:
+        hands = [hand for entry in frame[_VIEWER_NUMBERS:] if (hand := _recorded(entry, sources)) is not None]
+        collected.add(hands, float(frame[0]))
+    tracks = collected.tracks(labeled=False)
+    if not tracks:
+        raise NoMotionError("none of its input sources is a hand")
+    notes = ("IWER rounds positions to a millimeter.",)
+    return MotionContent("a WebXR recording of IWER", tracks, 1.0, times=collected.times, notes=notes, up="y")
+
+
+def _recorded(entry: list[Any], sources: Mapping[int, Mapping[str, Any]]) -> FoundHand | None:
+    """One input source of a frame: index, target ray (7), then a list each for grip, hand and gamepad."""
+    source = sources.get(entry[0], {})
+    place = _RAY_NUMBERS + bool(source.get("hasGrip"))
+    if not source.get("hasHand") or "jointSequence" not in source or place >= len(entry):
+        return None
+    joints = np.array(entry[place], dtype=np.float64).reshape(-1, _JOINT_NUMBERS)[:, :3]
+    ray = np.array(entry[1:_RAY_NUMBERS], dtype=np.float64)
+    x, y, z, w = ray[3:] / np.linalg.norm(ray[3:])
+    joints = joints @ quaternion_rotation(np.array([w, x, y, z])).T + ray[:3]
+    found = named_points(dict(zip(source["jointSequence"], joints.tolist(), strict=True)))
+    if not found:
+        raise NoMotionError("joints that are not named as WebXR does")
+    side = next((side for side in Handedness if side.value == source.get("handedness")), None)
+    return FoundHand(side, found[0][1], order=JointOrder.STANDARD, in_meters=True)
+
+
+RECORDING = Reader((".json",), _is_recording, _read_recording)
+READER = Reader((".json",), _recognizes, _read)

@@ -35,7 +35,6 @@ import motion_samples as samples
 folder = Path(sys.argv[2])
 motion = samples.motion(frames=12)
 samples.write_bvh(folder / "sample.bvh", samples.rig(motion, scale=100))
-samples.write_glb(folder / "sample.glb", *samples.gltf_document(samples.rig(motion)))
 np.save(folder / "joints.npy", samples.standard(motion))
 (folder / "sample.json").write_text(json.dumps(samples.mediapipe_tasks(samples.standard(motion))))
 """
@@ -50,7 +49,7 @@ def engine(engine_python, monkeypatch):
 
 @pytest.fixture
 def samples(engine, tmp_path):
-    """A folder with sample.bvh (centimeters, y up), sample.glb, sample.json of MediaPipe, and their joints.npy."""
+    """A folder with sample.bvh (centimeters, y up), sample.json of MediaPipe, and their joints.npy."""
     subprocess.run([engine, "-c", _SAMPLES, str(TESTS), str(tmp_path)], check=True)
     return tmp_path
 
@@ -108,17 +107,6 @@ def test_bvh_of_blender_is_read_back(context, engine, tmp_path):
     np.testing.assert_allclose(motion.joints_m, joints, atol=5e-7)
 
 
-def test_glb_of_blender_is_read_back(context, engine, tmp_path):
-    _, joints = a_dance(context)
-    enable("io_scene_gltf2")
-    path = tmp_path / "dance.glb"
-    bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLB", export_animation_mode="SCENE")
-    motion, said = converted(engine, path, "--hand", "right", "--up", "z")
-    assert "no tips" in said
-    assert motion.fps == 24.0
-    _check_without_tips(motion, joints)
-
-
 @pytest.mark.parametrize("suffix", ["usda", "usdc"])
 def test_usd_of_blender_is_read_back(context, engine, tmp_path, suffix):
     _, joints = a_dance(context)
@@ -144,21 +132,6 @@ def test_blenders_importer_sees_the_joints_of_our_bvh(context, samples):
     enable("io_anim_bvh")
     bpy.ops.import_anim.bvh(filepath=str(samples / "sample.bvh"), global_scale=0.01, axis_forward="Y", axis_up="Z")
     _check_imported(context, np.load(samples / "joints.npy"), "RightHand{}")
-
-
-def test_blenders_importer_sees_the_joints_of_our_glb(context, samples):
-    enable("io_scene_gltf2")
-    context.scene.render.fps = 30
-    bpy.ops.import_scene.gltf(filepath=str(samples / "sample.glb"))
-    joints = np.load(samples / "joints.npy")
-    turned = np.stack([joints[..., 0], -joints[..., 2], joints[..., 1]], axis=-1)
-    found = {thing.name: thing for thing in bpy.data.objects if thing.name.startswith("RightHand")}
-    for frame in range(FRAMES):
-        context.scene.frame_set(frame)
-        for place, name in enumerate(NAMES):
-            thing = found["RightHand" if name == "wrist" else f"RightHand{name.title()}"]
-            seen = thing.evaluated_get(context.evaluated_depsgraph_get()).matrix_world.translation
-            np.testing.assert_allclose(seen, turned[frame, place], atol=2e-6)
 
 
 def _check_imported(context, joints, template):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 
 import motion_samples as samples
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion import content
-from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.content import MotionFormat
 from jghand_engine.motion.read import read_motion_file
 
 TOLD = MotionFormat(handedness=Handedness.RIGHT)
@@ -31,10 +30,6 @@ def _written(folder, kind):
     path = folder / f"motion.{kind.split()[0]}"
     if kind == "bvh":
         samples.write_bvh(path, rig)
-    elif kind == "glb":
-        samples.write_glb(path, *samples.gltf_document(rig))
-    elif kind == "gltf":
-        samples.write_gltf(path, *samples.gltf_document(rig), beside=False)
     elif kind in ("usda", "usdc"):
         samples.write_usd(path, rig)
     else:
@@ -50,7 +45,7 @@ def _written(folder, kind):
 
 
 KINDS = (
-    *("bvh", "glb", "gltf", "usda", "usdc", "json mediapipe", "json openpose", "json iwer", "json webxr"),
+    *("bvh", "usda", "usdc", "json mediapipe", "json openpose", "json iwer", "json webxr"),
     "json interhand",
 )
 
@@ -100,14 +95,14 @@ HEAD = (
         (HEAD, "no MOTION"),
         (HEAD + "MOTION\nFrames: -3\nFrame Time: 0.033\n", "-3 frames"),
         (HEAD + "MOTION\nFrames: 0\nFrame Time: 0.033\n", "0 frames"),
-        (HEAD + "MOTION\nFrames: 900000\nFrame Time: 0.033\n1 2 3\n", "more than the file holds"),
+        (HEAD + "MOTION\nFrames: 900000\nFrame Time: 0.033\n1 2 3\n", "1 there"),
         (HEAD + "MOTION\nFrames: 99999999999999999999\nFrame Time: 0.033\n", "99999999999999999999 frames"),
         (HEAD + "MOTION\nFrames: many\nFrame Time: 0.033\n", "many"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: nan\n1 2 3\n", "frame time"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0\n1 2 3\n", "frame time"),
         (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n1 2\n", "frame 1 has not the 3 numbers"),
         (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n         \n", "2 frames said, 1 there"),
-        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 x 3\n", "no number|numbers of its channels"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 x 3\n", "could not convert"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 nan 3\n", "no finite numbers"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 1e999 3\n", "no finite numbers"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 2 3\n", "a hand"),
@@ -126,67 +121,6 @@ def test_bvh_that_is_none_says_what_is_wrong(tmp_path, text, says):
     path.write_text(text)
     with pytest.raises(InputError, match=says):
         read_motion_file(path, TOLD)
-
-
-def _document(rig, **changes):
-    document, binary = samples.gltf_document(rig)
-    return {**document, **changes}, binary
-
-
-@pytest.mark.parametrize(
-    ("name", "entries", "says"),
-    [
-        ("nodes", [{"name": "a", "children": [0]}], "two parents"),
-        ("nodes", [{"name": "a", "children": [1]}, {"name": "b", "children": [0]}], "a hand"),
-        ("nodes", [{"name": "a", "children": [10**30]}], "no nodes of number"),
-        ("nodes", 7, "no list"),
-        ("accessors", [{"bufferView": 0, "componentType": 5126, "count": 10**12, "type": "SCALAR"}] * 99, "beyond"),
-        ("accessors", [{"bufferView": 0, "componentType": 5126, "count": -1, "type": "SCALAR"}] * 99, "count"),
-        ("accessors", [{"bufferView": 99999, "componentType": 5126, "count": 1, "type": "SCALAR"}] * 99, "bufferViews"),
-        ("accessors", [], "no accessors"),
-        ("bufferViews", [{"buffer": 0, "byteOffset": 2**39, "byteLength": 8}] * 99, "beyond"),
-        ("bufferViews", [{"buffer": 5, "byteLength": 8}] * 99, "no buffers"),
-        ("buffers", [{"uri": "../secret.bin", "byteLength": 8}], "outside"),
-        ("buffers", [{"uri": "/etc/passwd", "byteLength": 8}], "outside"),
-        ("buffers", [{"uri": "file:///etc/passwd", "byteLength": 8}], "outside"),
-        ("buffers", [{"uri": "data:x;base64,????", "byteLength": 8}], "base64"),
-        ("buffers", [{"uri": "absent.bin", "byteLength": 8}], "No such file"),
-    ],
-)
-def test_gltf_that_is_none_says_what_is_wrong(tmp_path, rig, name, entries, says):
-    document, binary = _document(rig, **{name: entries})
-    samples.write_glb(tmp_path / "motion.glb", document, binary)
-    with pytest.raises(InputError, match=says):
-        read_motion_file(tmp_path / "motion.glb", TOLD)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "says"),
-    [("translation", [1, 2], "3 numbers"), ("rotation", ["x"] * 4, "could not convert"), ("scale", [0, 0, 0], "flat")],
-)
-def test_a_bone_of_gltf_that_is_none_says_what_is_wrong(tmp_path, rig, name, value, says):
-    document, binary = samples.gltf_document(rig)
-    document["nodes"][0][name] = value
-    samples.write_glb(tmp_path / "motion.glb", document, binary)
-    with pytest.raises(InputError, match=says):
-        read_motion_file(tmp_path / "motion.glb", TOLD)
-
-
-def test_a_ring_of_bones_ends(tmp_path, rig):
-    document, binary = samples.gltf_document(rig)
-    document["nodes"][2]["children"] = [*document["nodes"][2].get("children", []), 0]
-    samples.write_glb(tmp_path / "motion.glb", document, binary)
-    with pytest.raises(InputError, match="their own ancestors"):
-        read_motion_file(tmp_path / "motion.glb", TOLD)
-
-
-def test_keys_a_thousand_years_apart_are_refused(tmp_path, rig):
-    document, binary = samples.gltf_document(rig)
-    broken = bytearray(binary)
-    broken[20:24] = struct.pack("<f", 3e10)
-    samples.write_glb(tmp_path / "motion.glb", document, bytes(broken))
-    with pytest.raises(InputError, match="keys over"):
-        read_motion_file(tmp_path / "motion.glb", TOLD)
 
 
 @pytest.mark.parametrize(
@@ -238,10 +172,11 @@ def test_json_that_is_no_motion_is_an_input_error(tmp_path, text):
         (b"BLENDER-v405", "blend"),
         (b"\x89PNG\r\n\x1a\n\x00\x00", "no motion file"),
         (b"just some text", "no motion file"),
-        (b"PK\x03\x04nothing behind it", "archive"),
+        (b"PK\x03\x04nothing behind it", "not a zip file"),
         (b"PXR-USDC" + b"\x00" * 100, "motion"),
         (b"#usda 1.0\n(((", "motion"),
-        (b"glTF" + b"\xff" * 100, "glTF"),
+        (b"glTF" + b"\xff" * 100, "glTF is not read: export BVH or USD"),
+        (b'{"asset": {"version": "2.0"}, "nodes": []}', "glTF is not read: export BVH or USD"),
     ],
 )
 def test_what_is_no_motion_at_all_is_named(tmp_path, content, says):

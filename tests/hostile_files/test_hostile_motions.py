@@ -14,7 +14,8 @@ from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion import content
-from jghand_engine.motion.files import MotionFormat, write_motion
+from jghand_engine.motion.content import MotionFormat
+from jghand_engine.motion.files import write_motion
 from jghand_engine.motion.read import read_motion_file
 
 TOLD = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, 30.0)
@@ -122,8 +123,8 @@ def test_memory_that_runs_out_is_no_damage(tmp_path, monkeypatch, suffix):
     def too_much(*_, **__):
         raise MemoryError
 
-    for name in ("_joints", "_csv_numbers"):
-        monkeypatch.setattr(f"jghand_engine.motion.files.{name}", too_much)
+    for name in ("files", "tables"):
+        monkeypatch.setattr(f"jghand_engine.motion.{name}.checked_joints", too_much)
     with pytest.raises(MemoryLimitError, match="shorter motions") as caught:
         read_motion_file(path, TOLD)
     assert caught.value.exit_code == 4

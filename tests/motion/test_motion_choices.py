@@ -12,7 +12,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion import points
 from jghand_engine.motion.choose import named
-from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.content import MotionFormat
 from jghand_engine.motion.read import read_motion_file
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
@@ -118,18 +118,6 @@ def test_a_damaged_file_is_called_so_in_words(tmp_path):
     with pytest.raises(InputError, match=r"\.any: wanted an undamaged file, got no MOTION in it\.") as caught:
         read_motion_file(tmp_path / "motion.any")
     assert "ValueError" not in str(caught.value)
-
-
-def test_an_animation_is_chosen_by_its_whole_name(tmp_path):
-    document, binary = samples.gltf_document(samples.rig(samples.motion()))
-    whole = document["animations"][0]
-    still = {"name": "Walk", "samplers": whole["samplers"][:1], "channels": whole["channels"][:1]}
-    document["animations"] = [still, {**whole, "name": "WalkFast"}]
-    samples.write_glb(tmp_path / "a.glb", document, binary)
-    read = read_motion_file(tmp_path / "a.glb", MotionFormat(part="walk"))
-    assert np.ptp(read.sequence.joints_m - read.sequence.joints_m[:, :1], axis=0).max() < 1e-6
-    with pytest.raises(InputError, match=r"a part called 'nonsense', got .*Walk, WalkFast"):
-        read_motion_file(tmp_path / "a.glb", MotionFormat(part="nonsense"))
 
 
 def test_a_part_that_is_in_no_file_of_one_hand_is_refused(tmp_path):
