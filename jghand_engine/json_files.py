@@ -32,14 +32,6 @@ def read_json_file(path: Path, remedy: str) -> Any:
         ) from error
 
 
-def read_object(path: Path, remedy: str) -> dict[str, Any]:
-    """The JSON object in a file; errors as in `read_json_file`, and InputError when it holds something else."""
-    content = read_json_file(path, remedy)
-    if not isinstance(content, dict):
-        raise InputError(f"{path}", wanted="a JSON object", came=type(content).__name__, remedy=remedy)
-    return content
-
-
 def numbers(values: Any, shape: tuple[int, ...], what: str, remedy: str = "") -> np.ndarray:
     """Nested lists of a file -> float64 of `shape`; a flat list, or one with axes of length 1, is as good.
 
@@ -64,6 +56,19 @@ class JsonObject:
             raise wrong(within.strip() or "its description", "an object", fields)
         self.fields: dict[str, Any] = fields
 
+    @classmethod
+    def of_file(cls, path: Path, remedy: str) -> JsonObject:
+        """The object in a file; errors name the file and end with `remedy`. Otherwise as `read_json_file`."""
+
+        def wrong(name: str, wanted: str, came: object) -> InputError:
+            shown = {type(None): "none", list: "a list", dict: "an object"}.get(type(came), str(came)[:200])
+            return InputError(f"{name} in {path}", wanted=wanted, came=shown, remedy=remedy)
+
+        content = read_json_file(path, remedy)
+        if not isinstance(content, dict):
+            raise InputError(f"{path}", wanted="a JSON object", came=type(content).__name__, remedy=remedy)
+        return cls(content, wrong)
+
     def wrong(self, name: str, wanted: str) -> InputError:
         """That the entry of that name is something else."""
         return self._wrong(f"{self._within}{name}", wanted, self.fields.get(name))
@@ -73,9 +78,26 @@ class JsonObject:
         value = self.fields.get(name)
         return None if value is None else self.inner(value, name)
 
+    def needed(self, name: str) -> JsonObject:
+        """The object of that name."""
+        return self.inner(self.fields.get(name), name)
+
     def inner(self, value: Any, name: str) -> JsonObject:
         """An object that stands within this one, which errors call `name`."""
         return JsonObject(value, self._wrong, f"{self._within}{name} ")
+
+    def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
+        """As `numbers`."""
+        try:
+            return numbers(self.fields.get(name), shape, name)
+        except InputError as error:
+            raise self._wrong(f"{self._within}{name}", error.wanted, error.came) from error
+
+    def entries(self, name: str) -> list[Any]:
+        value = self.fields.get(name)
+        if not isinstance(value, list) or not value:
+            raise self.wrong(name, "a list with entries")
+        return value
 
     def flag(self, name: str, left_out: bool | None = None) -> bool:
         value = self.fields.get(name, left_out)

@@ -16,17 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.captures.cameras import calibrated_camera
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
-from jghand_engine.captures.checks import Report, Sieve, check_joints
-from jghand_engine.captures.folders import find_roots, one_root, subfolders
 from jghand_engine.captures.masks import template_note
 from jghand_engine.captures.pictures_in import probe_sized
+from jghand_engine.captures.reading import (
+    Report,
+    Sieve,
+    calibrated_camera,
+    check_joints,
+    find_roots,
+    one_root,
+    subfolders,
+)
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.json_files import numbers, read_json_file, read_object
+from jghand_engine.json_files import JsonObject, numbers, read_json_file
 from jghand_engine.render.camera import Camera
 
 # width and height of HanCo's pictures
@@ -70,7 +76,7 @@ class _Reader:
         self.root, self.named, self.choice, self.sieve = root, named, choice, sieve
         self.handedness = choice.handedness or Handedness.RIGHT
         self.pictures = next(root / name for name in _PICTURES if (root / name).is_dir())
-        self.meta = read_object(root / "meta.json", _DOWNLOAD)
+        self.meta = JsonObject.of_file(root / "meta.json", _DOWNLOAD).fields
 
     def capture(self) -> Capture:
         sequences = self._sequences()
@@ -190,14 +196,9 @@ class _Reader:
 
     def _cameras(self, sequence: str, frame: int) -> list[Camera]:
         file = self.root / "calib" / sequence / f"{frame:08d}.json"
-        content = read_object(file, _DOWNLOAD)
-        matrices = [content.get(name) for name in ("K", "M")]
-        if not all(isinstance(one, list) and len(one) == HANCO_CAMERAS for one in matrices):
-            wanted = f"'K' and 'M' of {HANCO_CAMERAS} cameras"
-            raise InputError(f"{file}", wanted=wanted, came="something else", remedy=_DOWNLOAD)
-        return [_camera(f"camera {c} in {file}", k, m) for c, (k, m) in enumerate(zip(*matrices, strict=True))]
-
-
-def _camera(what: str, intrinsics: Any, camera_from_world: Any) -> Camera:
-    matrix = numbers(camera_from_world, (4, 4), f"M of {what}", _DOWNLOAD)
-    return calibrated_camera(what, HANCO_SIZE_PX, intrinsics, matrix[:3, :3], matrix[:3, 3])
+        content = JsonObject.of_file(file, _DOWNLOAD)
+        intrinsics, matrices = (content.array(name, (HANCO_CAMERAS, k, k)) for name, k in (("K", 3), ("M", 4)))
+        return [
+            calibrated_camera(f"camera {c} in {file}", HANCO_SIZE_PX, k, m[:3, :3], m[:3, 3])
+            for c, (k, m) in enumerate(zip(intrinsics, matrices, strict=True))
+        ]

@@ -16,17 +16,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
-from jghand_engine.captures.checks import Report, Sieve, check_joints
-from jghand_engine.captures.interhand_annotations import (
+from jghand_engine.captures.interhand_files import (
     INTERACTING,
     UNIT,
     CaptureTables,
+    InterHandFiles,
     InterHandPicture,
+    find_files,
     read_pictures,
 )
-from jghand_engine.captures.interhand_files import InterHandFiles, find_files
 from jghand_engine.captures.masks import template_note
 from jghand_engine.captures.pictures_in import probe_sized
+from jghand_engine.captures.reading import Report, Sieve, check_joints
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness

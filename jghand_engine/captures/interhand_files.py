@@ -1,19 +1,32 @@
-"""Where the files of an InterHand2.6M download lie, in any of the arrangements in which people have it."""
+"""The files of an InterHand2.6M download: where they lie, in any of the arrangements in which people have it, and the
+annotations in them, read entry by entry so that a damaged one is named. Layout: DATA 5."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
-from jghand_engine.captures.folders import find_roots, one_root, subfolders
+import numpy as np
+
+from jghand_engine.captures.reading import calibrated_camera, find_roots, one_root, subfolders
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import JOINT_COUNT, Handedness
+from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, to_level
+from jghand_engine.json_files import JsonObject, numbers
+from jghand_engine.render.camera import Camera
 
 SPLITS = ("train", "val", "test")
 # where a split's annotations are: version 1.0, and then the older drops, the most complete one first
 _DROPS = ("{split}", "all", "machine_annot", "human_annot", ".")
 _BATCH = "InterHand2.6M_*fps_batch*"
 _DATA_FILE = re.compile(r"InterHand2\.6M_(train|val|test)_(data|camera|joint_3d)\.json")
+# of the numbers in its files
+UNIT = "mm"
+INTERACTING = "interacting"
+_FIRST_JOINT = {Handedness.RIGHT: 0, Handedness.LEFT: JOINT_COUNT}
 _DOWNLOAD = "Download InterHand2.6M's annotations again, and unpack them as annotations/<split>/."
 
 
@@ -159,3 +172,125 @@ def _images(root: Path, split: str) -> Path:
             remedy="Put the folder images beside the folder annotations.",
         )
     return place
+
+
+# ---- what is in them -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class InterHandPicture:
+    """A picture as the annotations list it.
+
+    hand_type: 'right', 'left' or 'interacting' · joint_valid: (42,) bool, right hand first · bbox_px: x, y, width,
+    height of the hand, or nothing · where: names the entry in errors
+    """
+
+    file_name: str
+    width: int
+    height: int
+    capture: str
+    sequence: str
+    camera: str
+    frame: int
+    hand_type: str
+    hand_type_valid: bool
+    joint_valid: np.ndarray
+    bbox_px: tuple[float, ...]
+    where: str
+
+
+def read_pictures(files: InterHandFiles) -> Iterator[InterHandPicture]:
+    """Every annotated picture of a split. InputError names the first entry that is not as it should be."""
+    content = JsonObject.of_file(files.data, _DOWNLOAD)
+    images, annotations = content.entries("images"), content.entries("annotations")
+    try:
+        by_id = {image["id"]: image for image in images}
+    except (KeyError, TypeError) as error:
+        raise content.wrong("images", "an id each") from error
+    for number, annotation in enumerate(annotations):
+        where = f"annotation {number} in {files.data}"
+        try:
+            yield _picture(by_id[annotation["image_id"]], annotation, where)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            came = f"{type(error).__name__}: {error}"[:200]
+            raise InputError(where, wanted="an entry as InterHand2.6M has it", came=came, remedy=_DOWNLOAD) from error
+
+
+class CaptureTables:
+    """Cameras, joints and MANO fits of one person. Reading them raises InputError as `read_pictures` does."""
+
+    def __init__(self, files: InterHandFiles, capture: str) -> None:
+        self._files = files
+        self._cameras, self._joints = (
+            JsonObject.of_file(file, _DOWNLOAD).needed(capture) for file in (files.camera, files.joint_3d)
+        )
+        self._fits = JsonObject.of_file(files.mano, _DOWNLOAD).object(capture) if files.mano else None
+        self._has_fits = files.mano is not None
+        self._made: dict[tuple[str, int, int], Camera] = {}
+
+    def joints(self, picture: InterHandPicture, handedness: Handedness) -> tuple[np.ndarray, np.ndarray]:
+        """(21, 3) level order, world, meters, NaN where not known; (21,) bool, which are known."""
+        entry = self._joints.needed(str(picture.frame))
+        first = _FIRST_JOINT[handedness]
+        hand = slice(first, first + JOINT_COUNT)
+        coordinates = entry.array("world_coord", (2 * JOINT_COUNT, 3))
+        known = picture.joint_valid
+        if "joint_valid" in entry.fields:
+            known = known & (entry.array("joint_valid", (2 * JOINT_COUNT,)) > 0)
+        valid = to_level(np.repeat(known[hand, None], 3, axis=1), JointOrder.INTERHAND)[:, 0]
+        joints_m = to_level(coordinates[hand], JointOrder.INTERHAND) * METERS_PER_UNIT[UNIT]
+        if not np.isfinite(joints_m[valid]).all():
+            raise entry.wrong("world_coord", "finite numbers for joints that are marked as valid")
+        joints_m[~valid] = np.nan
+        return joints_m, valid
+
+    def camera(self, picture: InterHandPicture) -> Camera:
+        """The picture's camera; the same object for all pictures of a camera and a size."""
+        key = (picture.camera, picture.width, picture.height)
+        if key not in self._made:
+            self._made[key] = self._camera(picture)
+        return self._made[key]
+
+    def has_fit(self, picture: InterHandPicture, handedness: Handedness) -> bool | None:
+        """Whether there is a MANO fit of that hand; None where the set has no file of them."""
+        if not self._has_fits:
+            return None
+        hands = None if self._fits is None else self._fits.object(str(picture.frame))
+        return hands is not None and bool(hands.fields.get(handedness.value))
+
+    def _camera(self, picture: InterHandPicture) -> Camera:
+        what = f"camera {picture.camera} in {self._files.camera}"
+        rotation, position, focal, center = (
+            self._cameras.needed(name).array(picture.camera, shape)
+            for name, shape in (("camrot", (3, 3)), ("campos", (3,)), ("focal", (2,)), ("princpt", (2,)))
+        )
+        intrinsics = [[focal[0], 0, center[0]], [0, focal[1], center[1]], [0, 0, 1]]
+        # absurd numbers become infinite, and are refused as such
+        with np.errstate(over="ignore", invalid="ignore"):
+            translation_m = -rotation @ (position * METERS_PER_UNIT[UNIT])
+        return calibrated_camera(what, (picture.width, picture.height), intrinsics, rotation, translation_m)
+
+
+def _picture(image: dict[str, Any], annotation: dict[str, Any], where: str) -> InterHandPicture:
+    name = PurePosixPath(str(image["file_name"]).replace("\\", "/"))
+    if name.is_absolute() or ".." in name.parts or ":" in str(name):
+        raise ValueError(f"file_name {str(name)!r} leads out of the data set")
+    if len(name.parts) < 4:
+        raise ValueError(f"file_name {str(name)!r} is not Capture…/sequence/camera/picture")
+    hand_type = str(annotation["hand_type"])
+    if hand_type not in (*(hand.value for hand in Handedness), INTERACTING):
+        raise ValueError(f"hand_type {hand_type!r}")
+    return InterHandPicture(
+        file_name=str(name),
+        width=int(image["width"]),
+        height=int(image["height"]),
+        capture=str(image["capture"]),
+        sequence=str(image["seq_name"]),
+        camera=str(image["camera"]),
+        frame=int(image["frame_idx"]),
+        hand_type=hand_type,
+        hand_type_valid=bool(annotation.get("hand_type_valid", True)),
+        joint_valid=numbers(annotation["joint_valid"], (2 * JOINT_COUNT,), f"joint_valid in {where}", _DOWNLOAD) > 0,
+        bbox_px=tuple(float(number) for number in annotation.get("bbox", ())),
+        where=where,
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -111,3 +113,23 @@ def _check_size(sample: Sample, path: Path, pixels: np.ndarray) -> None:
             came=f"{width} x {height}",
             remedy="Pictures that were resized need their cameras scaled with them: take the originals.",
         )
+
+
+# ---- what tells two sets apart, wherever their folders lie -----------------------------------------------------------
+
+
+def picture_names(samples: Sequence[Sample]) -> list[str]:
+    """A line for each picture, in their order."""
+    return [f"{one.capture} {one.sequence} {one.frame} {one.camera_name}" for one in samples]
+
+
+def picture_digest(samples: Sequence[Sample]) -> str:
+    """16 hexadecimal digits that stand for these pictures, in whatever order: of their names and joints.
+
+    The joints, because our own captures name their pictures alike.
+    """
+    lines = [
+        f"{name} {np.rint(1e4 * one.joints_m[np.isfinite(one.joints_m)]).astype(int).tolist()}"
+        for name, one in zip(picture_names(samples), samples, strict=True)
+    ]
+    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()[:16]

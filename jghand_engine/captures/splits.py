@@ -14,7 +14,7 @@ from typing import Any
 from jghand_engine.captures.captures import Capture, sorted_samples
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.json_files import read_object
+from jghand_engine.json_files import JsonObject
 
 # the rule by which a set without a split of its own is split: every n-th pose and every n-th camera is for the test
 SPLIT_EVERY_POSE = 5
@@ -73,7 +73,11 @@ def split_by_rule(
     for what, every in (("every_pose", every_pose), ("every_camera", every_camera)):
         if every < 0 or every == 1:
             raise InputError(what, wanted="0 or at least 2", came=str(every))
-    poses = [pose for sequence in capture.sequences for pose in _nth(_of(capture, sequence), every_pose)]
+    poses = [
+        pose
+        for sequence in capture.sequences
+        for pose in _nth((pose for pose in capture.poses if pose[0] == sequence), every_pose)
+    ]
     cameras = _nth(capture.cameras, every_camera)
     origin = f"every {every_pose}th pose and every {every_camera}th camera held out"
     return _split(capture, set(poses), set(cameras), origin)
@@ -86,9 +90,19 @@ def split_from_file(capture: Capture, file: Path) -> Split:
     Names that the capture does not have are ignored: it may be a part of the one that was split. InputError for a file
     that is damaged, or that leaves nothing to learn from.
     """
-    content = _content(file)
-    poses = {(name, frame) for name, frames in content.get("test_frames", {}).items() for frame in frames}
-    return _split(capture, poses, set(content.get("test_cameras", [])), f"{SPLITS_FILE} of the capture")
+    content = JsonObject.of_file(file, "Write the split again.")
+    content.value("format", lambda value: value == SPLITS_FORMAT, str(SPLITS_FORMAT))
+    frames, cameras = content.fields.get("test_frames", {}), content.fields.get("test_cameras", [])
+    if not (isinstance(frames, dict) and all(_is_list_of(numbers, int) for numbers in frames.values())):
+        raise content.wrong("test_frames", "lists of frame numbers by sequence")
+    if not _is_list_of(cameras, str):
+        raise content.wrong("test_cameras", "names of cameras")
+    poses = {(name, frame) for name, numbers in frames.items() for frame in numbers}
+    return _split(capture, poses, set(cameras), f"{SPLITS_FILE} of the capture")
+
+
+def _is_list_of(value: object, kind: type) -> bool:
+    return isinstance(value, list) and all(isinstance(entry, kind) and not isinstance(entry, bool) for entry in value)
 
 
 def split_by_sequence(capture: Capture, train: Collection[str], test: Collection[str], origin: str) -> Split:
@@ -117,33 +131,5 @@ def _split(capture: Capture, test_poses: set[tuple[str, int]], test_cameras: set
     return Split(train, pictures(True, False), pictures(False, True), pictures(True, True), origin)
 
 
-def _of(capture: Capture, sequence: str) -> list[tuple[str, int]]:
-    return [pose for pose in capture.poses if pose[0] == sequence]
-
-
 def _nth(names: Iterable[Any], every: int) -> list[Any]:
     return list(names)[every - 1 :: every] if every else []
-
-
-def _content(file: Path) -> dict[str, Any]:
-    content = read_object(file, "Write the split again.")
-    if content.get("format") != SPLITS_FORMAT:
-        came = repr(content.get("format"))[:80]
-        raise InputError(f"{file}", wanted=f'a split with "format": {SPLITS_FORMAT}', came=came)
-    frames, cameras = content.get("test_frames", {}), content.get("test_cameras", [])
-    sound = (
-        isinstance(frames, dict)
-        and all(_is_list_of(numbers, int) for numbers in frames.values())
-        and _is_list_of(cameras, str)
-    )
-    if not sound:
-        raise InputError(
-            f"{file}",
-            wanted="'test_frames' with lists of frame numbers by sequence and 'test_cameras' with names of cameras",
-            came="something else",
-        )
-    return content
-
-
-def _is_list_of(value: object, kind: type) -> bool:
-    return isinstance(value, list) and all(isinstance(entry, kind) and not isinstance(entry, bool) for entry in value)

@@ -88,7 +88,7 @@ class CheckData:
 
     def _overlay(self, checked: DataReport) -> str | None:
         """Writes the picture and says so; its name, or None when there is nothing to show."""
-        from jghand_engine.captures.overlay import overlay
+        from jghand_engine.captures.projection import overlay
         from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, write_png
 
         pictures = checked.worst_and_typical(self.shown)

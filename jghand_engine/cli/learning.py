@@ -81,7 +81,7 @@ def material(
     by some that are learned. template: where the Gaussians start; None: on the built-in hand."""
     from jghand_engine.avatar.avatar import AvatarInfo, LearnedFrom
     from jghand_engine.avatar.validation import as_text
-    from jghand_engine.captures.picture_digest import picture_digest
+    from jghand_engine.captures.sample import picture_digest
     from jghand_engine.learn.step import Material
 
     choice = split.test or split.train

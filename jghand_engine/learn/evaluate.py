@@ -18,8 +18,7 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.captures.captures import Capture
-from jghand_engine.captures.picture_digest import picture_digest
-from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.sample import Sample, load_picture, picture_digest
 from jghand_engine.captures.splits import Split
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness

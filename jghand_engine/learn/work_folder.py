@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.captures.picture_digest import picture_names
-from jghand_engine.captures.sample import Sample
+from jghand_engine.captures.sample import Sample, picture_names
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import to_bytes, write_png
 from jghand_engine.files import check_place, file_error, make_folder, writing

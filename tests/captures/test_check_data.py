@@ -13,8 +13,7 @@ from PIL import Image
 
 from jghand_engine.captures.check_data import check_data, facts
 from jghand_engine.captures.masks import template_mask
-from jghand_engine.captures.overlay import overlay
-from jghand_engine.captures.projection import joints_on_mask, part_on_mask
+from jghand_engine.captures.projection import joints_on_mask, overlay, part_on_mask
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.motion.choose import curl_towards_palm

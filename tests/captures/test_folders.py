@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jghand_engine.captures.folders import find_roots
+from jghand_engine.captures.reading import find_roots
 
 
 def test_a_folder_that_cannot_be_looked_into_hides_no_data_set(tmp_path):

@@ -124,8 +124,8 @@ def test_joints_in_millimeters_and_in_another_order_are_refused(changeable):
         ("xyz", [[0, 0, 0]] * 20, r"shape \(21, 3\)"),
         ("xyz", "nothing", r"shape \(21, 3\)"),
         ("xyz", [[None, 0, 0]] * 21, "wanted finite numbers"),
-        ("calib", {"K": [], "M": []}, "8 cameras"),
-        ("calib", {"K": [0] * 8, "M": [0] * 8}, r"shape \(4, 4\)"),
+        ("calib", {"K": [], "M": []}, r"K in .*shape \(8, 3, 3\)"),
+        ("calib", {"K": [[[1] * 3] * 3] * 8, "M": [0] * 8}, r"M in .*shape \(8, 4, 4\)"),
         ("calib", [], "a JSON object"),
     ],
 )

@@ -92,7 +92,7 @@ def test_a_picture_with_an_unknown_joint_is_left_out_and_counted(changeable, kin
 def test_a_joint_that_is_marked_as_valid_but_no_number_is_refused_by_its_frame(changeable, value):
     with edited(changeable, "joint_3d") as content:
         content["0"]["2000"]["world_coord"][5][1] = value
-    with pytest.raises(InputError, match=r"world_coord in .*frame 2000: .*NaN"):
+    with pytest.raises(InputError, match=r"2000 world_coord in .*: wanted finite numbers"):
         read_interhand(changeable)
     told = []
     assert len(read_interhand(changeable, report=told.append)) == 2

@@ -12,9 +12,8 @@ import pytest
 from picture_sets import edited, recorded, write_hanco, write_set
 from PIL import Image
 
-from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.capture_folder import PROTOCOLS, open_capture
 from jghand_engine.captures.captures import CaptureChoice
-from jghand_engine.captures.protocols import PROTOCOLS
 from jghand_engine.captures.sample import MaskSource, load_picture
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError

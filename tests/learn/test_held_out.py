@@ -7,7 +7,7 @@ from dataclasses import replace
 from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import LearnedFrom
-from jghand_engine.captures.picture_digest import picture_digest
+from jghand_engine.captures.sample import picture_digest
 from jghand_engine.learn.evaluate import ALL_LEARNED, NOT_KNOWN, held_out
 
 
