@@ -24,7 +24,7 @@ from ..hand.motion_files import MotionFile, write_motion
 
 # names that Windows keeps for devices, whatever follows after a dot
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
-# bytes of one Gaussian and frame; as jghand_engine/export/usd/export.py and ply.py write them
+# bytes of one Gaussian and frame; as the engine's exporters write them
 _PLY_BYTES = 68
 _POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.export.rotations import quaternions_xyzw
 from jghand_engine.files import make_folder, writing
+from jghand_engine.hand.rotations import quaternions
 from jghand_engine.render.camera import Camera
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
@@ -42,7 +42,7 @@ def write_colmap(folder: Path | str, shots: Sequence[Shot]) -> Path:
         camera = shot.camera
         lens = " ".join(map(repr, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)))
         pose = camera.camera_from_world
-        turn = quaternions_xyzw(pose[:3, :3])[[3, 0, 1, 2]]
+        turn = quaternions(pose[:3, :3])
         numbers = " ".join(repr(float(value)) for value in (*turn, *pose[:3, 3]))
         # the second line of a picture lists points seen in it: none
         images.append(f"{number} {numbers} {lenses.setdefault(lens, len(lenses) + 1)} {shot.name}\n\n")

@@ -13,7 +13,7 @@ from usd_samples import engine_gaussians, lively_motion, small_avatar
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SH_C0
 from jghand_engine.export.splats.files import SplatOptions, export_splats
-from jghand_engine.export.splats.ply import BYTES_PER_GAUSSIAN
+from jghand_engine.export.splats.ply import PLY_BYTES
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.skinning import pose_gaussians
@@ -51,7 +51,7 @@ def test_there_is_a_file_for_every_frame_with_its_number(exported):
     report, avatar, _ = exported
     assert [path.name for path in report.files] == ["hand.0007.ply", "hand.0008.ply", "hand.0009.ply"]
     assert report.bytes == sum(path.stat().st_size for path in report.files)
-    assert 0 < report.files[0].stat().st_size - BYTES_PER_GAUSSIAN * len(avatar) < 1000
+    assert 0 < report.files[0].stat().st_size - PLY_BYTES * len(avatar) < 1000
 
 
 def test_positions_colors_opacities_and_sizes_are_the_engines(exported):

@@ -18,9 +18,9 @@ from usd_samples import engine_gaussians, lively_motion, small_avatar
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
-from jghand_engine.export.splats.dot_splat import splat_bytes
 from jghand_engine.export.splats.files import FORMATS, SplatMotion, SplatOptions, export_splats
 from jghand_engine.export.splats.gltf import EXTENSION, glb_bytes
+from jghand_engine.export.splats.ply import splat_bytes
 from jghand_engine.export.splats.spz import fractional_bits, spz_bytes
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of

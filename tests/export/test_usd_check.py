@@ -62,13 +62,11 @@ def vectors(array) -> Vt.Vec3fArray:
         ("opacities", floats([0.5]), None, "wanted 805, got 1"),
         ("opacities", None, None, "everything would be opaque"),
         ("radiance:sphericalHarmonicsDegree", None, None, "falls back to 3"),
-        ("radiance:sphericalHarmonicsDegree", 1, None, "wanted 3220 vectors, got 805"),
+        ("radiance:sphericalHarmonicsDegree", 1, None, "wanted 3220, got 805"),
         (HARMONICS, None, None, "everything would be gray"),
         ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), None, "not unit quaternions"),
-        ("orientations", Vt.QuatfArray(COUNT, Gf.Quatf(0, 1, 0, 0)), None, "turned half about x"),
         ("orientations", Vt.QuatfArray(3, Gf.Quatf(1)), None, "orientations: wanted 805, got 3"),
         ("scales", vectors(np.full((COUNT, 3), np.nan)), None, "scales hold NaN"),
-        ("scales", vectors(np.full((COUNT, 3), 3.0)), None, "metersPerUnit, are probably wrong"),
         ("scales", vectors(np.linspace(-1, 9, 3 * COUNT).reshape(-1, 3)), None, "not all above 0"),
         ("opacities", floats(np.full(COUNT, np.nan)), None, "opacities hold NaN"),
         ("radiance:sphericalHarmonicsDegree", 7, None, "wanted 0 to 3, got 7"),
@@ -97,12 +95,12 @@ def vectors(array) -> Vt.Vec3fArray:
         ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), 1, "unit quaternions at time 1"),
         ("orientations", Vt.QuatfArray(3, Gf.Quatf(1)), 1, "orientations: wanted 805, got 3 at time 1"),
         (HARMONICS, vectors(np.full((COUNT, 3), np.inf)), 1, "harmonics hold NaN or infinity at time 1"),
-        (HARMONICS, vectors(np.zeros((3, 3))), 1, "wanted 805 vectors, got 3 at time 1"),
+        (HARMONICS, vectors(np.zeros((3, 3))), 1, "wanted 805, got 3 at time 1"),
         (
             HARMONICS,
             vectors(np.random.default_rng(0).uniform(0, 1, (COUNT, 3))),
             1,
-            "to 1 at time 1: they are probably",
+            "from 0 to 1 at time 1: they are probably colors",
         ),
         ("positions", vectors(np.full((COUNT, 3), np.nan)), 2, "NaN or infinity at time 2"),
         ("positions", vectors(np.zeros((3, 3))), 2, "number of positions changes at time 2"),
@@ -340,17 +338,6 @@ def test_harmonics_without_their_metadata_are_reported(tmp_path):
     assert any("elementSize 1" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
 
 
-def test_half_precision_alone_and_beside_floats_is_noted(tmp_path):
-    stage = lone_splats(tmp_path / "theirs.usda", scales=False)
-    prim = stage.GetPrimAtPath("/World/Cloud")
-    prim.CreateAttribute("scalesh", TYPES.Half3Array, False).Set(Vt.Vec3hArray(5, Gf.Vec3h(0.1)))
-    prim.CreateAttribute("opacitiesh", TYPES.HalfArray, False).Set(Vt.HalfArray(5, 0.5))
-    stage.Save()
-    found = check_usd(tmp_path / "theirs.usda")
-    assert sorted(finding.sentence.split(" ")[0] for finding in found) == ["opacities", "scales"]
-    assert not any(finding.is_error for finding in found)
-
-
 def test_variants_of_any_set_are_looked_at(tmp_path):
     stage = lone_splats(tmp_path / "theirs.usda")
     prim = stage.GetDefaultPrim()
@@ -369,41 +356,6 @@ def test_variants_of_any_set_are_looked_at(tmp_path):
     stage.Save()
     found = sentences(tmp_path / "theirs.usda")
     assert any(sentence.startswith("[lod=far] ") and "wanted 5, got 2" in sentence for sentence in found), found
-
-
-def test_logarithms_do_not_shrink_the_box_that_the_extent_must_hold(tmp_path):
-    stage = lone_splats(tmp_path / "theirs.usda")
-    stage.GetPrimAtPath("/World/Cloud").GetAttribute("scales").Set(vectors(np.full((5, 3), -6.9)))
-    stage.Save()
-    found = sentences(tmp_path / "theirs.usda")
-    assert len(found) == 1, found
-    assert "probably logarithms" in found[0]
-
-
-def test_splats_that_are_instanced_are_looked_at_once(tmp_path):
-    stage = lone_splats(tmp_path / "theirs.usda")
-    stage.GetPrimAtPath("/World/Cloud").GetAttribute("opacities").Set(floats(np.full(5, 9.0)))
-    stage.Save()
-    scene = tmp_path / "scene.usda"
-    scene.write_text(
-        """#usda 1.0
-(
-    defaultPrim = "World"
-    metersPerUnit = 1
-    upAxis = "Y"
-    fallbackPrimTypes = { token[] ParticleField3DGaussianSplat = ["Points"] }
-)
-def Xform "World" (kind = "assembly")
-{
-    def "A" (instanceable = true
-             references = @./theirs.usda@) {}
-    def "B" (instanceable = true
-             references = @./theirs.usda@) {}
-}
-"""
-    )
-    (found,) = sentences(scene)
-    assert "/World/A/Cloud: opacities are not all from 0 to 1" in found
 
 
 def test_a_file_without_splats_is_not_called_sound(tmp_path):
@@ -451,22 +403,6 @@ def test_a_color_space_may_be_said_above_the_splats(tmp_path):
     world.GetColorSpaceNameAttr().Set("ours")
     stage.Save()
     assert any("'ours' is unknown" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
-    Usd.ColorSpaceDefinitionAPI.Apply(stage.GetPrimAtPath("/World"), "ours").CreateNameAttr("ours")
-    stage.Save()
-    assert sentences(tmp_path / "theirs.usda") == []
-
-
-def test_flat_gaussians_are_a_note_and_round_off_of_an_opacity_is_nothing(tmp_path):
-    stage = lone_splats(tmp_path / "theirs.usda")
-    prim = stage.GetPrimAtPath("/World/Cloud")
-    prim.GetAttribute("opacities").Set(floats([1.0000001, 0.5, 0.5, 0.5, 0.5]))
-    stage.Save()
-    assert sentences(tmp_path / "theirs.usda") == []
-    prim.GetAttribute("scales").Set(vectors(np.tile([0.1, 0.1, 0.0], (5, 1))))
-    stage.Save()
-    (found,) = check_usd(tmp_path / "theirs.usda")
-    assert not found.is_error
-    assert "5 Gaussians are flat" in found.sentence
 
 
 def test_one_value_that_slipped_is_not_called_a_logit(tmp_path):

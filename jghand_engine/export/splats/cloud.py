@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.export.rotations import quaternions_xyzw
+from jghand_engine.hand.rotations import quaternions
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -71,7 +71,7 @@ def _shapes(
     if covariance_m2 is None:
         return sigma_m[:, None], np.array([[1.0, 0.0, 0.0, 0.0]])
     scales_m, axes = _scales_and_axes(covariance_m2, axes_from_world)
-    return scales_m, quaternions_xyzw(axes)[:, [3, 0, 1, 2]]
+    return scales_m, quaternions(axes)
 
 
 def _scales_and_axes(
@@ -125,7 +125,7 @@ class SteadyAxes:
             numbered = _AXES_OF_AXES[nearness.argmax(axis=1)]
             axes = np.einsum("nij,njk->nik", axes, numbered)
             scales_m = np.einsum("nj,njk->nk", scales_m, np.abs(numbered))
-        turns_xyzw = quaternions_xyzw(axes)
+        turns_xyzw = quaternions(axes)[:, [1, 2, 3, 0]]
         if self._turns_xyzw is not None:
             turns_xyzw *= np.where((turns_xyzw * self._turns_xyzw).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
         self._axes, self._turns_xyzw = axes, turns_xyzw

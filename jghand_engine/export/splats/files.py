@@ -15,8 +15,8 @@ from typing import NamedTuple
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError
 from jghand_engine.export.motion import HandMotion
-from jghand_engine.export.splats import dot_splat, ply, sog, spz
 from jghand_engine.export.splats import gltf as gltf_splats
+from jghand_engine.export.splats import ply, spz
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
 from jghand_engine.files import check_room, make_folder, writing
 from jghand_engine.hand.sequence import PoseSequence
@@ -25,8 +25,13 @@ _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class SplatFormat(NamedTuple):
-    """encode: a cloud as the content of a file · bytes_each: of a Gaussian, at most · axes: of the numbers, first what
-    is written unless asked otherwise, then what may be asked for · check: raises where a package is missing."""
+    """How splats are written.
+
+    encode:     a cloud as the content of a file
+    bytes_each: of a Gaussian, at most
+    axes:       of the numbers, first what is written unless asked otherwise, then what may be asked for
+    check:      raises where a package is missing
+    """
 
     encode: Callable[[SplatCloud], bytes]
     bytes_each: int
@@ -36,19 +41,25 @@ class SplatFormat(NamedTuple):
 
 # name of the format and suffix of its files -> the format
 FORMATS = {
-    "ply": SplatFormat(ply.ply_bytes, ply.BYTES_PER_GAUSSIAN, ("rdf", "rub")),
-    "splat": SplatFormat(dot_splat.splat_bytes, dot_splat.BYTES_PER_GAUSSIAN, ("rdf", "rub")),
+    "ply": SplatFormat(ply.ply_bytes, ply.PLY_BYTES, ("rdf", "rub")),
+    "splat": SplatFormat(ply.splat_bytes, ply.SPLAT_BYTES, ("rdf", "rub")),
     "glb": SplatFormat(gltf_splats.glb_bytes, gltf_splats.BYTES_PER_GAUSSIAN, ("rub",)),
     "spz": SplatFormat(spz.spz_bytes, spz.BYTES_PER_GAUSSIAN, ("rub", "rdf")),
-    "sog": SplatFormat(sog.sog_bytes, sog.BYTES_PER_GAUSSIAN, ("rdf", "rub"), sog.converter),
+    "sog": SplatFormat(ply.sog_bytes, ply.SOG_BYTES, ("rdf", "rub"), ply.sog_converter),
 }
 
 
 @dataclass(frozen=True)
 class SplatOptions:
-    """format: a key of FORMATS · name: stem of the files · axes: of the numbers, rdf (x right, y down, z forward) or
-    rub (y up); None: as the format's readers expect it · first_frame: number of the motion's first frame · up: the axis
-    of the motion's world that points up · overwrite: also replace files that are there."""
+    """What files are written.
+
+    format:      a key of FORMATS
+    name:        stem of the files
+    axes:        of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
+    first_frame: number of the motion's first frame
+    up:          the axis of the motion's world that points up
+    overwrite:   also replace files that are there
+    """
 
     format: str = "ply"
     name: str = "hand"
@@ -61,9 +72,9 @@ class SplatOptions:
         if not _NAME.fullmatch(self.name):
             raise InputError("name of the splat files", wanted="letters, digits, - and _", came=repr(self.name))
         choices = (("format", self.format, FORMATS), ("up", self.up, RUB_FROM_UP))
-        for thing, value, wanted in choices:
+        for option, value, wanted in choices:
             if value not in wanted:
-                raise InputError(thing, wanted=" or ".join(wanted), came=repr(value))
+                raise InputError(option, wanted=" or ".join(wanted), came=repr(value))
         if self.axes is not None and self.axes not in self._format.axes:
             wanted = " or ".join(self._format.axes if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
             raise InputError(f"axes of {self.format} files", wanted=wanted, came=repr(self.axes))
@@ -84,8 +95,13 @@ class SplatOptions:
 
 @dataclass(frozen=True)
 class SplatReport:
-    """What an export did. files: one per frame written · axes: of their numbers · bytes: of all files together · kept:
-    other frames of that name that were there and stay; nothing tells whether they are of the same motion."""
+    """What an export did.
+
+    files: one per frame written
+    axes:  of their numbers
+    bytes: of all files together
+    kept:  other frames of that name that were there and stay; nothing tells whether they are of the same motion
+    """
 
     files: tuple[Path, ...]
     axes: str

@@ -1,16 +1,26 @@
-"""Gaussians as a PLY file, in the layout that splat viewers share (EXPORT 9).
+"""Gaussians in the two oldest layouts that splat viewers share (EXPORT 9), as they are and as SOG.
 
-    binary_little_endian, `element vertex N`, all `property float`:
+PLY, binary_little_endian, `element vertex N`, all `property float`; no field for axes or units, a comment says them:
+
     x y z · nx ny nz (0) · f_dc_0..2 = (rgb - 0.5) / SH_C0, display-referred sRGB · opacity as logit ·
     scale_0..2 as ln(sigma), meters · rot_0..3 = w, x, y, z
 
-The format has no field for axes or units; a comment says them.
+.splat, no header, 32 bytes each:
+
+    0: 3 float32 position · 12: 3 float32 sigma, meters, not its logarithm · 24: 4 bytes sRGB color and opacity times
+    255 · 28: 4 bytes quaternion w, x, y, z times 128, plus 128
+
+SOG: tables in WebP pictures, made of the PLY by the optional package gaussforge (extra `formats`).
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from jghand_engine.errors import InputError, install_extra
+from jghand_engine.export.pictures import to_bytes
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 PROPERTIES = (
@@ -19,11 +29,12 @@ PROPERTIES = (
 )
 # opacity is written as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
 OPACITY_MARGIN = 1e-6
-BYTES_PER_GAUSSIAN = 4 * len(PROPERTIES)
+SPLAT_ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
+# the last is about 10 for a hand; an estimate for the check of the disk
+PLY_BYTES, SPLAT_BYTES, SOG_BYTES = 4 * len(PROPERTIES), SPLAT_ROW.itemsize, 20
 
 
 def ply_bytes(cloud: SplatCloud) -> bytes:
-    """The content of a file."""
     table = np.zeros((len(cloud), len(PROPERTIES)), "<f4")
     opacity = np.clip(cloud.opacity.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     table[:, 0:3] = cloud.positions_m
@@ -40,3 +51,30 @@ def ply_bytes(cloud: SplatCloud) -> bytes:
         "end_header\n",
     )
     return "\n".join(lines).encode("ascii") + table.tobytes()
+
+
+def splat_bytes(cloud: SplatCloud) -> bytes:
+    rows = np.zeros(len(cloud), SPLAT_ROW)
+    rows["position"], rows["scale"] = cloud.positions_m, cloud.scales_m
+    rows["rgba"][:, :3], rows["rgba"][:, 3] = to_bytes(cloud.rgb), to_bytes(cloud.opacity)
+    # 1 would be 256: it becomes 255, and readers normalize
+    rows["rotation"] = np.clip(np.round(cloud.rotations_wxyz * 128 + 128), 0, 255)
+    return rows.tobytes()
+
+
+def sog_bytes(cloud: SplatCloud) -> bytes:
+    """The Gaussians come in another order. InputError where the package is missing."""
+    answer = sog_converter().convert(ply_bytes(cloud), "ply", "sog")
+    if "error" in answer:
+        raise InputError("SOG file", wanted="Gaussians that gaussforge can write", came=str(answer["error"])[:200])
+    return bytes(answer["data"])
+
+
+def sog_converter() -> Any:
+    """gaussforge's converter. InputError says how to get it."""
+    try:
+        import gaussforge  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        remedy = install_extra("formats")
+        raise InputError("SOG files", wanted="the package gaussforge", came="none", remedy=remedy) from error
+    return gaussforge.GaussForge()

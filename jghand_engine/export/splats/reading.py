@@ -1,4 +1,4 @@
-"""What is in a splat file, ours or anybody's: PLY, .splat, GLB with KHR_gaussian_splatting, SPZ 2 and 3.
+"""What is in a splat file, ours or anybody's: PLY, .splat, GLB with KHR_gaussian_splatting, SPZ 3.
 
 Of the harmonics only degree 0 is read. What can be read and is yet suspicious is told in sentences.
 """
@@ -18,8 +18,8 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.export.splats import spz
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
-from jghand_engine.export.splats.dot_splat import ROW
 from jghand_engine.export.splats.gltf import EXTENSION, MAGIC
+from jghand_engine.export.splats.ply import SPLAT_ROW
 
 # what parsing raises of files that lie; UnicodeDecodeError and JSONDecodeError are ValueErrors
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, struct.error,
@@ -28,17 +28,7 @@ _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, Overflow
 SPZ_RATIO_MAX = 16
 # a median size, and a distance between Gaussians, above which nobody meant meters
 SIGMA_SANE_M, SIZE_SANE_M = 1.0, 1000.0
-# of a normalized whole number in glTF: its type, and what stands for 1
-_GLTF_TYPES = {
-    5126: ("<f4", 1),
-    5121: ("u1", 2**8 - 1),
-    5123: ("<u2", 2**16 - 1),
-    5120: ("i1", 127),
-    5122: ("<i2", 2**15 - 1),
-}
-_PLY_TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
-              "char": "i1", "int8": "i1", "ushort": "<u2", "uint16": "<u2", "short": "<i2", "int16": "<i2",
-              "uint": "<u4", "uint32": "<u4", "int": "<i4", "int32": "<i4"}  # fmt: skip
+_PLY_TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "uchar": "u1", "uint8": "u1", "int": "<i4"}
 
 
 def read_splats(path: Path | str) -> SplatCloud:
@@ -77,8 +67,6 @@ def splat_findings(cloud: SplatCloud) -> Iterator[str]:
         yield "half of the Gaussians are wider than a meter: sizes are probably linear where logarithms are wanted"
     if cloud.opacity.min() < 0 or cloud.opacity.max() > 1:
         yield "opacities are not all from 0 to 1: they are probably logits"
-    elif cloud.opacity.min() >= 0.5 and cloud.opacity.max() <= 0.7311:
-        yield "opacities are all from 0.5 to 0.73: they are probably no logits where logits are wanted"
     if (np.linalg.norm(cloud.rotations_wxyz, axis=1) < 1e-6).any():
         yield "some rotations have no length: readers drop those Gaussians or draw nothing"
 
@@ -88,16 +76,13 @@ def _ply(content: bytes) -> SplatCloud:
     if not found:
         raise ValueError("no PLY header")
     lines = [line.split() for line in found[0].decode("ascii").splitlines()]
-    if ["format", "binary_little_endian", "1.0"] not in lines:
-        raise ValueError("another format than binary_little_endian 1.0")
-    elements = [words for words in lines if words[:1] == ["element"]]
-    if not elements or elements[0][1] != "vertex":
-        raise ValueError("no vertices at its beginning")
-    end = lines.index(elements[1]) if len(elements) > 1 else len(lines)
-    row = np.dtype([(words[2], _PLY_TYPES[words[1]]) for words in lines[:end] if words[:1] == ["property"]])
-    table = np.frombuffer(content, row, int(elements[0][2]), found.end())
-    if len(elements) == 1 and len(content) != found.end() + table.nbytes:
-        raise ValueError("more bytes than its header says")
+    (element, count), *others = [words[1:] for words in lines if words[:1] == ["element"]]
+    if ["format", "binary_little_endian", "1.0"] not in lines or element != "vertex" or others:
+        raise ValueError("another layout than vertices alone in binary_little_endian 1.0")
+    row = np.dtype([(words[2], _PLY_TYPES[words[1]]) for words in lines if words[:1] == ["property"]])
+    if len(content) != found.end() + int(count) * row.itemsize:
+        raise ValueError("not as many bytes as its header says")
+    table = np.frombuffer(content, row, int(count), found.end())
 
     def columns(*names: str) -> np.ndarray:
         return np.stack([table[name].astype(np.float32) for name in names], -1)
@@ -117,7 +102,7 @@ def _ply(content: bytes) -> SplatCloud:
 def _dot_splat(content: bytes) -> SplatCloud:
     if not content:
         raise ValueError("an empty file")
-    table = np.frombuffer(content, ROW)
+    table = np.frombuffer(content, SPLAT_ROW)
     rgba = table["rgba"] / np.float32(255)
     turns = (table["rotation"].astype(np.float32) - 128) / 128
     return SplatCloud(table["position"], table["scale"], turns, rgba[:, 3], rgba[:, :3], "")
@@ -128,12 +113,10 @@ def _glb(content: bytes) -> SplatCloud:
     if magic != MAGIC or version != 2 or size != len(content):
         raise ValueError("another header than that of a binary glTF 2")
     about = json.loads(content[20 : 20 + text_size])
-    primitives = [
-        one for mesh in about["meshes"] for one in mesh["primitives"] if EXTENSION in one.get("extensions", {})
-    ]
-    if len(primitives) != 1:
-        raise ValueError(f"{len(primitives)} primitives with {EXTENSION}")
-    binary, attributes = content[28 + text_size :], primitives[0]["attributes"]
+    meshes = [one for mesh in about["meshes"] for one in mesh["primitives"] if EXTENSION in one.get("extensions", {})]
+    if len(meshes) != 1:
+        raise ValueError(f"{len(meshes)} primitives with {EXTENSION}")
+    binary, attributes = content[28 + text_size :], meshes[0]["attributes"]
     names = ("POSITION", *(f"{EXTENSION}:{name}" for name in ("SCALE", "ROTATION", "OPACITY", "SH_DEGREE_0_COEF_0")))
     position, scale, turn, opacity, harmonics = (_gltf_rows(about, attributes[name], binary) for name in names)
     rgb = harmonics * np.float32(SH_C0) + np.float32(0.5)
@@ -144,29 +127,23 @@ def _gltf_rows(about: dict[str, Any], index: int, binary: bytes) -> np.ndarray:
     """(N, width) float32 of an accessor, in the file's own buffer."""
     accessor = about["accessors"][index]
     view = about["bufferViews"][accessor["bufferView"]]
-    if view["buffer"] != 0 or "uri" in about["buffers"][0]:
-        raise ValueError("numbers in another file")
-    kind, one = _GLTF_TYPES[accessor["componentType"]]
-    count, width = accessor["count"], {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-    start, item = view.get("byteOffset", 0) + accessor.get("byteOffset", 0), np.dtype(kind).itemsize
-    strides = (view.get("byteStride", width * item), item)
-    values = np.ndarray((count, width), kind, binary, start, strides).astype(np.float32)
-    return np.maximum(values / np.float32(one), -1) if accessor.get("normalized") else values
+    if view["buffer"] != 0 or "uri" in about["buffers"][0] or accessor["componentType"] != 5126:
+        raise ValueError("numbers in another file, or that are no floats")
+    shape = accessor["count"], {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    return np.ndarray(shape, "<f4", binary, start, (view.get("byteStride", 4 * shape[1]), 4)).copy()
 
 
 def _spz(content: bytes) -> SplatCloud:
-    if content.startswith(struct.pack("<I", spz.MAGIC)):
-        raise ValueError("version 4, whose parts are packed by zstd")
-    limit = SPZ_RATIO_MAX * len(content)
     unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
-    data = unpacker.decompress(content, limit)
+    data = unpacker.decompress(content, SPZ_RATIO_MAX * len(content))
     if not unpacker.eof or unpacker.unused_data:
         raise ValueError("a file that is cut off or too long, or unpacks to more than hands do")
     magic, version, count, _degree, bits, *_ = struct.unpack_from("<IIIBBBB", data)
-    if magic != spz.MAGIC or version not in (2, 3) or bits > spz.POSITION_BITS:
+    if magic != spz.MAGIC or version != spz.VERSION or bits > spz.POSITION_BITS:
         raise ValueError(f"a header of version {version}")
     tables, start = [], 16
-    for width in (9, 1, 3, 3, 4 if version == 3 else 3):
+    for width in (9, 1, 3, 3, 4):
         tables.append(np.frombuffer(data, np.uint8, count * width, start).reshape(count, width))
         start += count * width
     positions, alphas, colors, sizes, turns = tables
@@ -176,18 +153,11 @@ def _spz(content: bytes) -> SplatCloud:
     return SplatCloud(
         (whole.view("<i4")[..., 0] >> 8) / np.float32(2**bits),
         np.exp(sizes / np.float32(spz.STEPS_PER_LN) + np.float32(spz.LN_SIGMA_MIN)),
-        (spz.unpacked_smallest_three if version == 3 else _first_three)(np.ascontiguousarray(turns)),
+        spz.unpacked_smallest_three(np.ascontiguousarray(turns)),
         alphas[:, 0] / np.float32(255),
         harmonics * np.float32(SH_C0) + np.float32(0.5),
         "rub",
     )
-
-
-def _first_three(turns: np.ndarray) -> np.ndarray:
-    """(N, 4) w, x, y, z from the three bytes of SPZ 2."""
-    xyz = turns / np.float32(127.5) - 1
-    w = np.sqrt(np.maximum(0, 1 - np.square(xyz).sum(1, keepdims=True)))
-    return np.concatenate([w, xyz], 1)
 
 
 _READERS: dict[str, Callable[[bytes], SplatCloud]] = {

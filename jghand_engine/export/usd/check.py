@@ -30,11 +30,49 @@ NO_SPLATS = "there are no Gaussian splats in it: most of our rules are about tho
 EXTENT_TOLERANCE_M, QUATERNION_TOLERANCE, WEIGHT_TOLERANCE, OPACITY_TOLERANCE = 1e-5, 1e-3, 1e-3, 1e-6
 # share of the values that must be impossible before they are called logarithms or logits: a few are a slip
 GUESS_SHARE = 0.5
-# a median size above which nobody meant meters
-SIGMA_SANE_M = 1.0
-# variants of a stage that are looked at: each opens the stage anew
-VARIANTS_MAX = 32
-_STORED = ("positions", "orientations", "scales", "opacities", HARMONICS)
+# what is stored for every Gaussian, and what is shown where it is not there
+_STORED = {
+    "scales": "every Gaussian would be 1 unit wide",
+    "opacities": "everything would be opaque",
+    "orientations": "",
+    HARMONICS: "everything would be gray",
+}
+
+
+def _outside(opacities: np.ndarray) -> np.ndarray:
+    return (opacities < -OPACITY_TOLERANCE) | (opacities > 1 + OPACITY_TOLERANCE)
+
+
+# when values are wrong, and what is said then: the first that holds
+_RULES: dict[str, tuple[tuple[Callable[[np.ndarray], Any], str], ...]] = {
+    "scales": (
+        (
+            lambda scales: (scales < 0).mean() > GUESS_SHARE,
+            "scales are not all above 0 {when}, but {what}: they are probably logarithms, USD wants lengths",
+        ),
+        (lambda scales: (scales < 0).any(), "scales are not all above 0 {when}, but {what}: USD wants lengths"),
+    ),
+    "opacities": (
+        (
+            lambda opacities: _outside(opacities).mean() > GUESS_SHARE,
+            "opacities are not all from 0 to 1 {when}, but {what}: they are probably logits",
+        ),
+        (lambda opacities: _outside(opacities).any(), "opacities are not all from 0 to 1 {when}, but {what}"),
+    ),
+    "orientations": (
+        (
+            lambda turns: not np.abs(np.linalg.norm(turns, axis=1) - 1).max() <= QUATERNION_TOLERANCE,
+            "orientations are not unit quaternions {when}",
+        ),
+    ),
+    HARMONICS: (
+        (
+            lambda colors: colors.min() >= 0 and colors.max() <= 1 and colors.std() > 0,
+            "spherical harmonics are all from 0 to 1 {when}: they are probably colors, USD wants "
+            f"(color - 0.5) / {SH_C0:.4f}",
+        ),
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -75,9 +113,7 @@ class Examination:
 
 def check_usd(path: Path | str) -> list[Finding]:
     """Everything that is wrong with the stage at `path`, in each of its variants, errors first; empty when nothing is.
-
-    Raises InputError when the file cannot be opened as a stage.
-    """
+    InputError when the file cannot be opened as a stage."""
     return examine_usd(path).findings
 
 
@@ -86,21 +122,18 @@ def examine_usd(path: Path | str) -> Examination:
     path = Path(path)
     with reading(path):
         offered = _variants(_open(path))
-        looks = [_Look(path, *choice) for choice in list(offered.items())[:VARIANTS_MAX] or [(("", ""), [])]]
+        looks = [_Look(path, *choice) for choice in offered.items() or [(("", ""), [])]]
     several_sets = len({variant_set for variant_set, _ in offered}) > 1
     seen: dict[Finding, list[str]] = {}
     for look in looks:
-        label = f"{look.variant_set}={look.name}" if several_sets else look.name
         for finding in dict.fromkeys(look.findings):
-            seen.setdefault(finding, []).append(label)
+            seen.setdefault(finding, []).append(f"{look.variant_set}={look.name}" if several_sets else look.name)
     # what shows in every variant has nothing to do with them
     findings = [replace(one, variant="" if len(of) == len(looks) else ", ".join(of)) for one, of in seen.items()]
-    if len(offered) > len(looks):
-        findings.append(Finding("", "", f"only {len(looks)} of {len(offered)} variants were looked at", False))
-    if not any(look.splats for look in looks):
+    if not any(look.gaussians for look in looks):
         findings.append(Finding("", "", NO_SPLATS, False))
     return Examination(
-        max(look.gaussians for look in looks), min(len(offered), VARIANTS_MAX), max(look.frames for look in looks),
+        max(look.gaussians for look in looks), len(offered), max(look.frames for look in looks),
         sorted(findings, key=lambda finding: not finding.is_error),
     )  # fmt: skip
 
@@ -112,11 +145,10 @@ def stage_facts(path: Path) -> dict[str, Any]:
     with reading(path):
         stage = _open(path)
         names = [prim.GetTypeName() or "untyped" for prim in stage.TraverseAll()]
-        variants = {
-            f"{prim.GetPath()} {name}": list(prim.GetVariantSets().GetVariantSet(name).GetVariantNames())
-            for prim in stage.TraverseAll()
-            for name in prim.GetVariantSets().GetNames()
-        }
+        variants: dict[str, list[str]] = {}
+        for (variant_set, name), prims in _variants(stage).items():
+            for prim in prims:
+                variants.setdefault(f"{prim} {variant_set}", []).append(name)
         layers = {Path(one.realPath or one.identifier).name for one in stage.GetUsedLayers() if not one.anonymous}
         return {
             "default_prim": str(stage.GetDefaultPrim().GetPath()) if stage.HasDefaultPrim() else "none",
@@ -155,47 +187,38 @@ class _Look:
 
     def __init__(self, path: Path, choice: tuple[str, str], prims: list[Sdf.Path]) -> None:
         self.variant_set, self.name = choice
-        self.splats = self.gaussians = self.frames = 0
+        self.gaussians = self.frames = 0
         delegate = UsdUtils.CoalescingDiagnosticDelegate()
         stage = _open(path)
         stage.SetEditTarget(stage.GetSessionLayer())
         for prim in prims:
             stage.GetPrimAtPath(prim).GetVariantSet(self.variant_set).SetVariantSelection(self.name)
-        self.findings = [*_usd_findings(stage), *self._of_prims(stage), *self._of_stage(stage)]
+        self.findings = [*_usd_findings(stage), *self._of_prims(stage), *_of_stage(stage, bool(self.gaussians))]
         warnings = delegate.TakeUncoalescedDiagnostics()
         self.findings += [Finding("", "", f"USD warns: {item.commentary}") for item in warnings]
 
     def _of_prims(self, stage: Usd.Stage) -> Iterator[Finding]:
-        seen = set()
         for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
-            # what is instanced once, in the first of its instances
-            shared = prim.GetPrimInPrototype().GetPath() if prim.IsInstanceProxy() else prim.GetPath()
-            if shared in seen:
-                continue
-            seen.add(shared)
             notes = _Notes(str(prim.GetPath()))
             if prim.GetTypeName() == SPLAT_TYPE:
-                self.splats += 1
                 self.gaussians += _look_at_splats(prim, notes)
-                self.frames = max(self.frames, len(_times(prim, "positions")) - 1)
+                self.frames = max(self.frames, len(_times(prim, "positions")))
             if prim.IsA(UsdGeom.PointBased):
                 _look_at_points(prim, notes)
             yield from notes.findings()
 
-    def _of_stage(self, stage: Usd.Stage) -> Iterator[Finding]:
-        if self.splats and SPLAT_TYPE not in (stage.GetMetadata("fallbackPrimTypes") or {}):
-            text = f"the root layer names no fallbackPrimTypes for {SPLAT_TYPE}: a USD before 26.03 shows nothing"
-            yield Finding("", "", text, False)
-        root = stage.GetDefaultPrim()
-        if not root:
-            yield Finding("", "", "there is no default prim: a reference to this file brings nothing")
-        elif (
-            UsdGeom.BBoxCache(stage.GetStartTimeCode(), PURPOSES)
-            .ComputeWorldBound(root)
-            .ComputeAlignedRange()
-            .IsEmpty()
-        ):
-            yield Finding("", str(root.GetPath()), "the world bound is empty: viewers cannot frame the hand")
+
+def _of_stage(stage: Usd.Stage, has_splats: bool) -> Iterator[Finding]:
+    if has_splats and SPLAT_TYPE not in (stage.GetMetadata("fallbackPrimTypes") or {}):
+        text = f"the root layer names no fallbackPrimTypes for {SPLAT_TYPE}: a USD before 26.03 shows nothing"
+        yield Finding("", "", text, False)
+    root = stage.GetDefaultPrim()
+    if not root:
+        yield Finding("", "", "there is no default prim: a reference to this file brings nothing")
+        return
+    bound = UsdGeom.BBoxCache(stage.GetStartTimeCode(), PURPOSES).ComputeWorldBound(root)
+    if bound.ComputeAlignedRange().IsEmpty():
+        yield Finding("", str(root.GetPath()), "the world bound is empty: viewers cannot frame the hand")
 
 
 def _usd_findings(stage: Usd.Stage) -> Iterator[Finding]:
@@ -218,241 +241,168 @@ class _Notes:
 
     def __init__(self, site: str) -> None:
         self._site = site
-        self._seen: dict[tuple[str, bool], list[tuple[Usd.TimeCode | None, object]]] = {}
+        self._seen: dict[tuple[str, bool], list[tuple[Usd.TimeCode, object]]] = {}
 
-    def error(self, sentence: str, time: Usd.TimeCode | None = None, what: object = "") -> None:
-        self._seen.setdefault((sentence, True), []).append((time, what))
-
-    def advice(self, sentence: str, time: Usd.TimeCode | None = None, what: object = "") -> None:
-        self._seen.setdefault((sentence, False), []).append((time, what))
+    def add(self, text: str, time: Usd.TimeCode = DEFAULT, what: object = "", *, is_error: bool = True) -> None:
+        self._seen.setdefault((text, is_error), []).append((time, what))
 
     def findings(self) -> Iterator[Finding]:
-        for (sentence, is_error), moments in self._seen.items():
+        for (text, is_error), moments in self._seen.items():
             time, what = moments[0]
-            first = "Default time" if time is None or time.IsDefault() else f"time {time.GetValue():g}"
+            first = "Default time" if time.IsDefault() else f"time {time.GetValue():g}"
             when = f"at {first}" if len(moments) == 1 else f"at {len(moments)} times (first {first})"
-            text = sentence.replace("{when}", when).replace("{what}", str(what))
-            yield Finding("", self._site, text, is_error)
+            sentence = text.replace("{when}", when).replace("{what}", str(what))
+            yield Finding("", self._site, sentence, is_error)
+
+
+# ---- splats ----------------------------------------------------------------------------------------------------------
 
 
 def _look_at_splats(prim: Usd.Prim, notes: _Notes) -> int:
     """One ParticleField3DGaussianSplat at Default time and at every time sample; float attributes win over their half
     twins, as in USD. Gives how many Gaussians it has."""
     first = _values(prim, "positions")
-    if first is None:
-        notes.error("positions have no Default value: several readers show nothing")
+    if first is None or not len(first):
+        notes.add("positions have no Default value: several readers show nothing")
         return 0
-    if not len(first):
-        notes.advice("there are no Gaussians in it")
-        return 0
-    _look_at_prim(prim, notes)
+    _look_above(prim, notes)
     degree = _degree(prim, notes)
-    scale = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    rules: dict[str, tuple[str, Callable[[np.ndarray, Usd.TimeCode], None]]] = {
-        "scales": (
-            "every Gaussian would be 1 unit wide",
-            lambda values, time: _look_at_scales(values, scale, time, notes),
-        ),
-        "opacities": ("everything would be opaque", lambda values, time: _look_at_opacities(values, time, notes)),
-        "orientations": ("", lambda values, time: _look_at_orientations(values, time, notes)),
-    }
-    if degree is not None:
-        rules[HARMONICS] = (
-            "everything would be gray",
-            lambda values, time: _look_at_colors(values, degree, time, notes),
-        )
-    before, sampled = len(first), {name: set(_times(prim, name)) for name in (*_STORED, "extent")}
+    names = [name for name in _STORED if name != HARMONICS or degree is not None]
+    sampled = {name: {DEFAULT, *_times(prim, name)} for name in ("positions", "extent", *names)}
+    before = len(first)
     for time in sorted(set().union(*sampled.values())):
         positions = _values(prim, "positions", time)
         count = 0 if positions is None else len(positions)
         changes, before = count != before, count
         if changes:
-            notes.advice("the number of positions changes {when}: readers do not interpolate there", time)
-        for name, (instead, rule) in rules.items():
-            if not changes and time not in sampled[name]:
-                continue
-            values, label = _values(prim, name, time), "spherical harmonics" if name == HARMONICS else name
-            each = (degree + 1) ** 2 if name == HARMONICS and degree is not None else 1
-            if values is None:
-                if instead and time.IsDefault():
-                    notes.error(f"{label} have no Default value: {instead}")
-                elif instead:
-                    notes.error(f"{label} have no value {{when}}: {instead}", time)
-            elif len(values) != count * each:
-                label = f"{label} of degree {degree}" if name == HARMONICS else label
-                wanted = f"wanted {count * each}{' vectors' if name == HARMONICS else ''}, got {len(values)}"
-                notes.error(f"{label}: {{what}} {{when}}; readers drop them all", time, wanted)
-            elif not np.isfinite(values).all():
-                notes.error(f"{label} hold NaN or infinity {{when}}", time)
-            elif len(values):
-                rule(values, time)
-        if changes or any(time in sampled[name] for name in ("positions", "scales", "extent")):
+            text = "the number of positions changes {when}: readers do not interpolate there"
+            notes.add(text, time, is_error=False)
+        for name in names:
+            if changes or time in sampled[name]:
+                _look_at_values(prim, name, count * (((degree or 0) + 1) ** 2 if name == HARMONICS else 1), time, notes)
+        if count and (changes or any(time in sampled[name] for name in ("positions", "scales", "extent"))):
             _look_at_bound(prim, positions, time, notes)
     return len(first)
 
 
-def _look_at_scales(scales: np.ndarray, meters_per_unit: float, time: Usd.TimeCode, notes: _Notes) -> None:
-    if (scales < 0).any():
-        guess = "they are probably logarithms, USD wants lengths (exp of them)"
-        text = "scales are not all above 0 {when}, but {what}: "
-        notes.error(text + (guess if (scales < 0).mean() > GUESS_SHARE else "USD wants lengths"), time, _range(scales))
-        return
-    if not (scales > 0).all():
-        text = "scales hold 0 {when}: {what} Gaussians are flat, which NVIDIA's rule VG.035 refuses"
-        notes.advice(text, time, (scales <= 0).any(axis=1).sum())
-    if (median_m := float(np.median(scales)) * meters_per_unit) > SIGMA_SANE_M:
-        text = "half of the Gaussians are wider than {what} {when}: the scales, or metersPerUnit, are probably wrong"
-        notes.advice(text, time, f"{median_m:.3g} m")
-
-
-def _look_at_opacities(opacities: np.ndarray, time: Usd.TimeCode, notes: _Notes) -> None:
-    outside = (opacities < -OPACITY_TOLERANCE) | (opacities > 1 + OPACITY_TOLERANCE)
-    if outside.any():
-        guess = ": they are probably logits, USD wants 1 / (1 + exp(-x)) of them"
-        text = "opacities are not all from 0 to 1 {when}, but {what}"
-        notes.error(text + (guess if outside.mean() > GUESS_SHARE else ""), time, _range(opacities))
-
-
-def _look_at_orientations(orientations: np.ndarray, time: Usd.TimeCode, notes: _Notes) -> None:
-    if not np.abs(np.linalg.norm(orientations, axis=1) - 1).max() <= QUATERNION_TOLERANCE:
-        notes.error("orientations are not unit quaternions {when}", time)
-    elif len(orientations) > 1 and (np.abs(orientations - [1.0, 0.0, 0.0, 0.0]) < QUATERNION_TOLERANCE).all():
-        # numpy gives x, y, z, w
-        text = "every Gaussian is turned half about x {when}: w, x, y, z was probably written where x, y, z, w is read"
-        notes.advice(text, time)
+def _look_at_values(prim: Usd.Prim, name: str, wanted: int, time: Usd.TimeCode, notes: _Notes) -> None:
+    values, label = _values(prim, name, time), "spherical harmonics" if name == HARMONICS else name
+    if values is None:
+        if _STORED[name]:
+            notes.add(f"{label} have no value {{when}}: {_STORED[name]}", time)
+    elif len(values) != wanted:
+        notes.add(f"{label}: {{what}} {{when}}; readers drop them all", time, f"wanted {wanted}, got {len(values)}")
+    elif not np.isfinite(values).all():
+        notes.add(f"{label} hold NaN or infinity {{when}}", time)
+    elif len(values):
+        wrong = next((text for is_wrong, text in _RULES[name] if is_wrong(values)), None)
+        if wrong is not None:
+            notes.add(wrong, time, f"from {values.min():.7g} to {values.max():.7g}", is_error=name != HARMONICS)
 
 
 def _degree(prim: Usd.Prim, notes: _Notes) -> int | None:
     """The degree of the harmonics; None where it is missing or none."""
-    degree = prim.GetAttribute(DEGREE)
-    if not (degree and degree.HasAuthoredValue()):
-        notes.error(
+    if not _authored(prim, DEGREE):
+        notes.add(
             "the degree of the spherical harmonics is not authored: it falls back to 3 and the colors are dropped"
         )
         return None
-    number = degree.Get()
-    if number not in range(4):
-        notes.error(f"the degree of the spherical harmonics: wanted 0 to 3, got {number}")
+    degree = prim.GetAttribute(DEGREE).Get()
+    if degree not in range(4):
+        notes.add(f"the degree of the spherical harmonics: wanted 0 to 3, got {degree}")
         return None
-    attr, each = _attribute(prim, HARMONICS), (number + 1) ** 2
+    attr, each = _attribute(prim, HARMONICS), (degree + 1) ** 2
     if attr is not None and (attr.GetMetadata("interpolation"), attr.GetMetadata("elementSize")) != ("vertex", each):
-        notes.error(
-            f"spherical harmonics lack the metadata interpolation vertex and elementSize {each}: NVIDIA's rule VG.035 "
-            "wants them"
-        )
-    return number
+        notes.add(f"spherical harmonics lack interpolation vertex and elementSize {each}, which NVIDIA's VG.035 wants")
+    return degree
 
 
-def _look_at_colors(coefficients: np.ndarray, degree: int, time: Usd.TimeCode, notes: _Notes) -> None:
-    first = coefficients[:: (degree + 1) ** 2]
-    if first.min() >= 0 and first.max() <= 1 and float(first.std()) > 0:
-        notes.advice(
-            "all first coefficients of the spherical harmonics are from 0 to 1 {when}: they are probably colors, "
-            f"USD wants (color - 0.5) / {SH_C0:.4f}",
-            time,
-        )
-
-
-def _look_at_prim(prim: Usd.Prim, notes: _Notes) -> None:
-    """What does not change in time: color space, precision, what stands above the splats."""
-    both = [name for name in _STORED if _authored(prim, name) and _authored(prim, f"{name}h")]
-    halves = [name for name in _STORED if _authored(prim, f"{name}h") and not _authored(prim, name)]
-    if both:
-        notes.advice(f"{', '.join(both)} are there in float and in half precision: readers take the floats")
-    if halves:
-        notes.advice(f"{', '.join(halves)} are there in half precision alone: NVIDIA's rule VG.035 wants floats")
+def _look_above(prim: Usd.Prim, notes: _Notes) -> None:
+    """What does not change in time: skin, color space, and what stands above the splats."""
     if prim.HasAttribute("primvars:skel:jointWeights"):
-        notes.error(
-            "there are joint weights on the splats: nothing skins splats, they stay at rest (points are skinned)"
-        )
-    space, defined, above = None, set[str](), prim
+        notes.add("there are joint weights on the splats: nothing skins splats, they stay at rest (points are skinned)")
+    space, above = None, prim
     while above:
         if space is None and above.HasAPI(Usd.ColorSpaceAPI):
             space = Usd.ColorSpaceAPI(above).GetColorSpaceNameAttr().Get()
-        defined |= {str(one.GetNameAttr().Get()) for one in Usd.ColorSpaceDefinitionAPI.GetAll(above)}
         if above.GetTypeName() == "SkelRoot":
             text = (
                 f"the splats lie below the SkelRoot {above.GetPath()}, whose bound leaves them out: viewers cull them"
             )
-            notes.error(text)
+            notes.add(text)
         above = above.GetParent()
     if space is None:
-        notes.advice("no color space is said (ColorSpaceAPI): some readers take the colors for linear light")
-    elif not Gf.ColorSpace.IsValid(space) and space not in defined:
-        notes.error(f"the color space {space!r} is unknown to USD: readers have to guess")
+        text = "no color space is said (ColorSpaceAPI): some readers take the colors for linear light"
+        notes.add(text, is_error=False)
+    elif not Gf.ColorSpace.IsValid(space):
+        notes.add(f"the color space {space!r} is unknown to USD: readers have to guess")
 
 
-def _look_at_bound(prim: Usd.Prim, positions: np.ndarray | None, time: Usd.TimeCode, notes: _Notes) -> None:
-    extent = prim.GetAttribute("extent").Get(time)
-    if positions is None or not len(positions):
-        return  # there is nothing to bound
+def _look_at_bound(prim: Usd.Prim, positions: np.ndarray, time: Usd.TimeCode, notes: _Notes) -> None:
     if not np.isfinite(positions).all():
-        notes.error("positions hold NaN or infinity {when}", time)
-    if extent is None:
-        notes.error("there is no extent {when}: no viewer can compute one for splats", time)
-        return
-    if not _is_box(extent, time, notes):
+        notes.add("positions hold NaN or infinity {when}", time)
+    box = _box(prim, time, notes)
+    if box is None:
         return
     scales = _values(prim, "scales", time)
-    sound = scales is not None and len(scales) == len(positions) and bool((scales >= 0).all())
-    radii = EXTENT_SIGMA * scales.max(axis=1, keepdims=True) if scales is not None and sound else 0.0
-    low, high = np.asarray(extent, np.float32)
+    is_sound = scales is not None and len(scales) == len(positions) and bool((scales >= 0).all())
+    radii = EXTENT_SIGMA * scales.max(axis=1, keepdims=True) if scales is not None and is_sound else 0.0
 
-    def sticks_out(points: np.ndarray) -> bool:
+    def sticks_out(low: np.ndarray, high: np.ndarray) -> bool:
         # not >: an extent of NaN holds nothing
-        return not max((low - points.min(axis=0)).max(), (points.max(axis=0) - high).max()) <= EXTENT_TOLERANCE_M
+        return not max((box[0] - low.min(axis=0)).max(), (high.max(axis=0) - box[1]).max()) <= EXTENT_TOLERANCE_M
 
-    if sticks_out(positions):
-        notes.error("the extent {when} does not hold the Gaussians: they get culled", time)
-    elif sticks_out(positions - radii) or sticks_out(positions + radii):
-        notes.advice("the extent {when} holds the centers, not 3 standard deviations: edges may get culled", time)
+    if sticks_out(positions, positions):
+        notes.add("the extent {when} does not hold the Gaussians: they get culled", time)
+    elif sticks_out(positions - radii, positions + radii):
+        text = "the extent {when} holds the centers, not 3 standard deviations: edges may get culled"
+        notes.add(text, time, is_error=False)
 
 
-def _is_box(extent: Any, time: Usd.TimeCode, notes: _Notes) -> bool:
-    if len(extent) != 2:
-        notes.error("the extent {when} has {what} vectors: wanted 2, the corners of a box", time, len(extent))
-    return len(extent) == 2
+# ---- points, meshes and curves ---------------------------------------------------------------------------------------
 
 
 def _look_at_points(prim: Usd.Prim, notes: _Notes) -> None:
-    """Points, meshes and curves, and their skin."""
     attr = UsdGeom.PointBased(prim).GetPointsAttr()
     if attr.GetNumTimeSamples() and attr.Get() is None:
-        notes.error("points have time samples but no Default value: several readers show nothing")
+        notes.add("points have time samples but no Default value: several readers show nothing")
     for time in (DEFAULT, *map(Usd.TimeCode, attr.GetTimeSamples())):
-        points, extent = attr.Get(time), UsdGeom.Boundable(prim).GetExtentAttr().Get(time)
-        if points is None or not len(points):
-            continue
-        if not np.isfinite(np.asarray(points)).all():
-            notes.error("points hold NaN or infinity {when}", time)
-        if extent is None:
-            notes.error("there is no extent {when}", time)
-        else:
-            _is_box(extent, time, notes)
+        points = attr.Get(time)
+        if points is not None and len(points):
+            if not np.isfinite(np.asarray(points)).all():
+                notes.add("points hold NaN or infinity {when}", time)
+            _box(prim, time, notes)
     if not prim.HasAPI(UsdSkel.BindingAPI):
         return
     binding = UsdSkel.BindingAPI(prim)
     if not binding.GetInheritedSkeleton():
-        notes.error("skel:skeleton has no target: the skeleton got lost, the skin will not move")
+        notes.add("skel:skeleton has no target: the skeleton got lost, the skin will not move")
         return
     weights = binding.GetJointWeightsPrimvar().Get()
     size = binding.GetJointWeightsPrimvar().GetElementSize()
-    if weights is None:
-        return
-    if size < 1 or len(weights) % size:
-        notes.error(f"{len(weights)} joint weights are not {size} for every point: readers drop them all")
-    elif not np.abs(np.asarray(weights).reshape(-1, size).sum(axis=1) - 1).max(initial=0) <= WEIGHT_TOLERANCE:
-        notes.error("joint weights of a point do not sum to 1: it will shrink towards the origin")
+    if weights is not None and (size < 1 or len(weights) % size):
+        notes.add(f"{len(weights)} joint weights are not {size} for every point: readers drop them all")
+    elif weights is not None:
+        sums = np.asarray(weights).reshape(-1, size).sum(axis=1)
+        if not np.abs(sums - 1).max(initial=0) <= WEIGHT_TOLERANCE:
+            notes.add("joint weights of a point do not sum to 1: it will shrink towards the origin")
 
 
-def _range(values: np.ndarray) -> str:
-    return f"from {values.min():.7g} to {values.max():.7g}"
+def _box(prim: Usd.Prim, time: Usd.TimeCode, notes: _Notes) -> np.ndarray | None:
+    """Both corners of a prim's bound, None where it has none."""
+    extent = prim.GetAttribute("extent").Get(time)
+    if extent is None:
+        notes.add("there is no extent {when}: viewers cannot know how large it is", time)
+    elif len(extent) != 2:
+        notes.add("the extent {when} has {what} vectors: wanted 2, the corners of a box", time, len(extent))
+    else:
+        return np.asarray(extent, np.float32)
+    return None
 
 
 def _times(prim: Usd.Prim, name: str) -> list[Usd.TimeCode]:
-    """Default time and every time sample of an attribute."""
     attr = _attribute(prim, name)
-    return [DEFAULT, *map(Usd.TimeCode, attr.GetTimeSamples() if attr is not None else ())]
+    return [] if attr is None else [Usd.TimeCode(time) for time in attr.GetTimeSamples()]
 
 
 def _authored(prim: Usd.Prim, name: str) -> bool:

@@ -30,7 +30,6 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
 from jghand_engine.export.motion import BonePoses
-from jghand_engine.export.rotations import quaternions_xyzw
 from jghand_engine.export.usd.splats import Cloud
 from jghand_engine.export.usd.stage import (
     PROXY_PATH,
@@ -49,6 +48,7 @@ from jghand_engine.export.usd.stage import (
 )
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
 from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL
+from jghand_engine.hand.rotations import quaternions
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import vertex_normals
 
@@ -129,7 +129,7 @@ def _local_poses(poses: BonePoses) -> LocalPoses:
     rotations, positions_m = _local(*_world(poses.joints_m, poses.axes))
     coarse, fine = split_scales(poses.scales[:, LEVEL_OF_STANDARD])
     scales = np.concatenate([np.ones_like(coarse), coarse, fine], axis=1)
-    return LocalPoses(positions_m, same_hemisphere(quaternions_xyzw(rotations)), scales)
+    return LocalPoses(positions_m, same_hemisphere(quaternions(rotations)[..., [1, 2, 3, 0]]), scales)
 
 
 def split_scales(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
