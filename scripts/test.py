@@ -74,10 +74,12 @@ class Selection:
 
 @dataclass(frozen=True)
 class Lane:
-    """Where what is run shows its lines, and what its processes find in their environment besides."""
+    """Where what is run shows its lines, what its processes find in their environment besides, and the processors that
+    they may use; none: all."""
 
     show: Callable[[str], object]
     variables: dict[str, str]
+    processors: frozenset[int] = frozenset()
 
 
 def show_now(text: str) -> None:
@@ -93,6 +95,8 @@ def run(name: str, command: list[str], lane: Lane) -> tuple[Result, str]:
         command, cwd=ROOT, env=environments.clean_variables() | lane.variables, text=True, encoding="utf-8",
         errors="replace", stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )  # fmt: skip
+    if lane.processors:
+        os.sched_setaffinity(process.pid, lane.processors)
     lines = []
     assert process.stdout is not None
     for line in process.stdout:
@@ -169,13 +173,18 @@ def run_lanes(selection: Selection, require_blender: bool) -> tuple[list[Result]
     if processors < len(LANES):
         return run_lane(PARTS, selection, require_blender, Lane(show_now, {}))
     environments.ensure(DEVELOPER)  # both lanes want it
-    # threads that wait for each other while another lane has their processor cost more than they bring
+    # threads that wait for each other while another lane has their processor cost more than they bring: each lane has
+    # processors of its own, where the system can say so, and the engine takes as many threads
     variables = {"OMP_NUM_THREADS": str(processors // len(LANES))}
+    own = [frozenset[int]()] * len(LANES)
+    if hasattr(os, "sched_setaffinity") and len(allowed := sorted(os.sched_getaffinity(0))) >= len(LANES):
+        half = len(allowed) // 2
+        own = [frozenset(allowed[:half]), frozenset(allowed[half:])]
     kept: list[str] = []
     with ThreadPoolExecutor(len(LANES)) as pool:
         shown, hidden = (
-            pool.submit(run_lane, parts, selection, require_blender, Lane(show, variables))
-            for parts, show in zip(LANES, (show_now, kept.append), strict=True)
+            pool.submit(run_lane, parts, selection, require_blender, Lane(show, variables, cpus))
+            for parts, show, cpus in zip(LANES, (show_now, kept.append), own, strict=True)
         )
         results, summaries = shown.result()
         more_results, more_summaries = hidden.result()

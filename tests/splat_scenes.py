@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from jghand_engine.learn.covariance import posed_covariance
-from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.native.library import runnable_variants

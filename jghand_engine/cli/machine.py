@@ -4,7 +4,7 @@ With --progress-json every line of standard error that begins with `{` is one ob
 
     {"jghand": "progress", "text": "Writing USD", "done": 3, "total": 12, "eta_s": 1.5}   eta_s: null while unknown
     {"jghand": "training", "text": "step 40 of 900 · …", "done": 40, "total": 900, "eta_s": 3100.0}
-    {"jghand": "note", "text": "Going on at step 40."}
+    {"jghand": "note", "text": "Resuming at step 40."}
     {"jghand": "error", "kind": "retry", "text": "…", "exit_code": 3}
 
 Results stay on standard output. The end of standard input stops the command as Ctrl-C does, on every system and also

@@ -20,7 +20,6 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     from jghand_engine.learn.run import Outcome, RunOptions
     from jghand_engine.learn.schedule import Budget
-    from jghand_engine.learn.trainable import Trainable
 
 # how long `jghand train` trains when it is not told, minutes; with the paper's configuration rounds of all pictures
 TRAINING_MINUTES = 60.0
@@ -80,8 +79,6 @@ class Train:
     template: File = None
     """Your own MANO_RIGHT.pkl or MANO_LEFT.pkl: the hand is learned on MANO's surface and joints. Left out: on
     JGHand's own. MANO's texture layout (MANO_UV_right.obj) counts where it lies beside it."""
-    replay: File = None
-    """Instead of training: repeat a step that gave values that are not finite, from its folder in failures/."""
     start: StartOptions = field(default_factory=StartOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
@@ -102,8 +99,7 @@ class Train:
         device = device_called(self.device)
         options, perceptual = train_options(self.preset, self.seed, device)
         template = hand_template(self.template)
-        if self.replay is None:
-            check_places(run)
+        check_places(run)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
         split = split.all_learned() if self.all_pictures else split
@@ -117,8 +113,6 @@ class Train:
             say("Placing the Gaussians …")
             return HandTraining(material(self.out.stem, capture.name, split, perceptual, template), options, device)
 
-        if self.replay is not None:
-            return self._replayed(build(), run)
         lines = json_lines()
         with nullcontext(JsonTraining(lines)) if lines else display(err()) as shown_progress:
             outcome = train(build, run, shown_progress)
@@ -180,24 +174,11 @@ class Train:
             say(f"How good it is: jghand evaluate {run.out} {self.folder}")
         else:
             say(f"Stopped after {done}. Nothing is lost: the same command with --resume goes on.")
-        if course.recoveries:
-            what = "step" if course.recoveries == 1 else "steps"
-            say(f"{course.recoveries} {what} gave values that are not finite, left out: {run.work / 'failures'}")
+        if course.skipped:
+            say(f"Left out, because they gave values that are not finite: steps {course.skipped}")
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "train", "folder": str(self.folder), "out": str(run.out), "work": str(run.work),
                 "finished": outcome.finished, "steps": course.step, "seconds": course.seconds,
                 "fixed_view_psnr_db": outcome.psnr, "skipped_steps": course.skipped, "stamp": dict(run.stamp),
             })  # fmt: skip
-
-    def _replayed(self, training: Trainable, run: RunOptions) -> int:
-        from jghand_engine.learn.guard import replay
-
-        again = replay(Path(str(self.replay)), training, run.stamp)
-        first = "; ".join(str(finding) for finding in again.first_time)
-        say(f"When it happened, step {again.first_step}: {first}")
-        if again.step is None:
-            say("Repeated: everything stayed finite. What damaged it came from outside of the arithmetic.")
-        else:
-            say(f"Repeated, step {again.step}: {'; '.join(str(finding) for finding in again.findings)}")
-        return 0

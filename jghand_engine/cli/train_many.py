@@ -58,7 +58,7 @@ REQUEUE_WAIT_S = 300.0
 # how often a job may come to the end of its time: each time it goes on
 TIMEOUTS_MAX = 1000
 # options of `jghand train` that a list may not give
-OF_THE_LIST = {"out", "work", "resume", "fresh", "replay", "json", "traceback", "progress_json"}
+OF_THE_LIST = {"out", "work", "resume", "fresh", "json", "traceback", "progress_json"}
 PROGRAM = (sys.executable, "-m", "jghand_engine")
 # seconds between two looks at the process of a training
 POLL_S = 0.2

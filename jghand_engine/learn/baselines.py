@@ -28,9 +28,8 @@ def transform_called(
     scale_mode: ScaleMode = "axial",
 ) -> JointTransform:
     """The transform `kind`; the rest as `JointTransform` takes it. A HALO-like one has no use for the scale mode."""
-    if kind is Transform.HALO_LIKE:
-        return HaloLikeTransform(canonical_joints_m, handedness=handedness, swing=swing)
-    return JointTransform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
+    transform = HaloLikeTransform if kind is Transform.HALO_LIKE else JointTransform
+    return transform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
 
 
 def transform_of(avatar: HandAvatar | HandTensors) -> JointTransform:
@@ -45,14 +44,7 @@ def transform_of(avatar: HandAvatar | HandTensors) -> JointTransform:
     )
 
 
-class _RigidTransform(JointTransform):
-    """Bones that turn and never stretch: they keep the lengths of the canonical hand."""
-
-    def __init__(self, canonical_joints_m: np.ndarray, *, handedness: Handedness, swing: str = Swing.MINIMAL) -> None:
-        super().__init__(canonical_joints_m, handedness=handedness, swing=swing)
-
-
-class HaloLikeTransform(_RigidTransform):
+class HaloLikeTransform(JointTransform):
     """The canonical skeleton in the angles of the given joints: its own bone lengths, one rotation for the whole palm.
 
     The palm moves as one rigid piece by its frame S_0, each phalanx by its angles in the frame of its parent, and bones
@@ -78,7 +70,7 @@ class HaloLikeTransform(_RigidTransform):
         return torch.cat([palm, turn], 2), torch.cat(placed, 1), torch.ones_like(frames.size)
 
 
-class NaiveTransform(_RigidTransform):
+class NaiveTransform(JointTransform):
     """Every bone by itself: the smallest rotation from its canonical direction to the posed one, start on start.
 
     A direction says nothing of the twist about it, so the skin tears where the hand as a whole has turned; the lengths

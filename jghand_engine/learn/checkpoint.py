@@ -10,7 +10,7 @@ import copy
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +26,9 @@ from jghand_engine.learn.trainable import Trainable
 # checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
 CHECKPOINTS_KEPT = 2
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 METADATA_KEY = "jghand_training"
-START_ANEW = "Start anew with --fresh."
+RESTART = "Restart with --fresh."
 
 Stamp = Mapping[str, Any]
 
@@ -52,42 +52,21 @@ def load_checkpoint(path: Path) -> tuple[Snapshot, Stamp]:
     """What `save_checkpoint` wrote. InputError names the file and what is wrong with it."""
     try:
         with safetensors.safe_open(path, framework="pt") as content:
-            description = _description(path, (content.metadata() or {}).get(METADATA_KEY))
-            tensors: dict[str, torch.Tensor] = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
-    except (safetensors.SafetensorError, OSError) as error:
-        raise _damaged(path, str(error)[:200]) from error
-    return Snapshot(tensors, description["scalars"], _course(path, description["course"])), description["stamp"]
+            description = json.loads((content.metadata() or {})[METADATA_KEY])
+            _check_version(path, description)
+            tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
+        return Snapshot(tensors, description["scalars"], Course(**description["course"])), description["stamp"]
+    except (safetensors.SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
+        came = f"{type(error).__name__}: {error}"[:200]
+        raise InputError(f"{path}", wanted="a checkpoint of a training", came=came, remedy=RESTART) from error
 
 
-def _description(path: Path, text: str | None) -> dict[str, Any]:
-    try:
-        description = json.loads(text) if text is not None else None
-    except (ValueError, RecursionError) as error:
-        raise _damaged(path, str(error)) from error
-    if not isinstance(description, dict):
-        raise _damaged(path, "a file without the description of a training")
-    version = description.get("format_version")
-    if version != FORMAT_VERSION:
+def _check_version(path: Path, description: Mapping[str, Any]) -> None:
+    if description["format_version"] != FORMAT_VERSION:
         raise InputError(
-            f"{path}: format version", wanted=str(FORMAT_VERSION), came=repr(version)[:50],
-            remedy=f"It was written by JGHand {str(description.get('jghand_version'))[:50]}: go on with that one. "
-            + START_ANEW,
+            f"{path}: format version", wanted=str(FORMAT_VERSION), came=repr(description["format_version"])[:50],
+            remedy=f"Resume with JGHand {description['jghand_version']}, which wrote it, or restart with --fresh.",
         )  # fmt: skip
-    for name in ("stamp", "scalars", "course"):
-        if not isinstance(description.get(name), dict):
-            raise _damaged(path, f"no {name}")
-    return description
-
-
-def _course(path: Path, values: dict[str, Any]) -> Course:
-    known = {field.name for field in fields(Course)}
-    if values.keys() != known or not isinstance(values["step"], int) or values["step"] < 0:
-        raise _damaged(path, "another description of where the loop stands")
-    return Course(**values)
-
-
-def _damaged(path: Path, came: str) -> InputError:
-    return InputError(str(path), wanted="a checkpoint of a training", came=came, remedy=START_ANEW)
 
 
 def check_stamp(found: Stamp, wanted: Stamp, thing: str) -> None:
@@ -97,7 +76,7 @@ def check_stamp(found: Stamp, wanted: Stamp, thing: str) -> None:
         if before.get(name) != now.get(name):
             raise InputError(
                 f"{thing}: {name}", wanted=f"{before.get(name)!r}, as this training began", came=repr(now.get(name)),
-                remedy="Go on with the options it began with, or start anew with --fresh.",
+                remedy="Resume with the options it began with, or restart with --fresh.",
             )  # fmt: skip
 
 
@@ -122,8 +101,8 @@ class CheckpointFolder:
         self._forget_old(snapshot.course)
         return path
 
-    def newest(self) -> tuple[Snapshot | None, list[str]]:
-        """The newest checkpoint that can be read, None without any, and a sentence for each one that cannot.
+    def newest(self) -> tuple[Snapshot | None, list[InputError]]:
+        """The newest checkpoint that can be read, None without any, and an error for each newer one that cannot.
 
         InputError when there are some and none is whole, or when the options differ from those of this run.
         """
@@ -135,7 +114,7 @@ class CheckpointFolder:
                 damaged.append(error)
                 continue
             check_stamp(stamp, self._stamp, str(path))
-            return snapshot, [str(error) for error in damaged]
+            return snapshot, damaged
         if damaged:
             raise damaged[0]
         return None, []
@@ -169,7 +148,6 @@ class Course:
     planned_steps: steps that the whole training is expected to have
     seconds:       time spent so far, over all sessions
     skipped:       numbers of steps that are left out because they gave values that are not finite
-    recoveries:    how often the guard had to go back
     best_step, best_psnr: the checkpoint with the best fixed views, dB
     sums, summed:  the figures since the last line of the log, added up, and how many steps they are of
     """
@@ -178,7 +156,6 @@ class Course:
     planned_steps: int = 1
     seconds: float = 0.0
     skipped: list[int] = field(default_factory=list)
-    recoveries: int = 0
     best_step: int | None = None
     best_psnr: float | None = None
     sums: dict[str, float] = field(default_factory=dict)
@@ -225,4 +202,4 @@ def _form(tensor: torch.Tensor) -> str:
 
 
 def _other_model(thing: str, wanted: str, came: str) -> InputError:
-    return InputError(thing, wanted=wanted, came=came, remedy="It belongs to another model: start anew with --fresh.")
+    return InputError(thing, wanted=wanted, came=came, remedy="It belongs to another model: restart with --fresh.")

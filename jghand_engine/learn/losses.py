@@ -50,18 +50,6 @@ def offset_loss(*offsets_m: Tensor, hand_size_m: float) -> Tensor:
     return torch.stack(lengths).sum() / hand_size_m
 
 
-def isotropy_loss(scales: Tensor, ratio: float = 1.0) -> Tensor:
-    """Mean (smallest / largest scale - ratio)^2 of the Gaussians.
-
-    scales: (N, 3) positive, any unit, or (N,) or (N, 1) of one radius shared by the axes: then the term is the
-    constant (1 - ratio)^2 without gradient, and training says so (METHOD 4.3). ratio 1 asks for round Gaussians; MANUS,
-    which the paper cites, has 0.4.
-    """
-    if scales.dim() < 2 or scales.shape[-1] == 1:
-        return scales.new_tensor((1.0 - ratio) ** 2)
-    return (scales.amin(-1) / scales.amax(-1) - ratio).square().mean()
-
-
 def _check_alike(name: str, ours: Tensor, truth: Tensor) -> None:
     """Unlike shapes would broadcast silently."""
     if ours.shape != truth.shape:

@@ -66,15 +66,6 @@ class OffsetFrame(StrEnum):
     WORLD = "world"
 
 
-class Shape(StrEnum):
-    """Of the Gaussians (METHOD 4.3): iso, one radius each; soft-iso, three that a term of the loss keeps alike; aniso,
-    three without that term."""
-
-    ISO = "iso"
-    SOFT_ISO = "soft-iso"
-    ANISO = "aniso"
-
-
 @dataclass(frozen=True)
 class ModelOptions:
     """What is learned; METHOD 4.2 has the two configurations.
@@ -83,7 +74,7 @@ class ModelOptions:
     swing, scale_mode: as `JointTransform` takes them · offset_frame: of the pose's offsets · pose: the shape of the
     pose's network · plane_texels, depth_texels: of the identity planes · hidden: width of the identity decoder
     identity_reach_m: longest identity offset along an axis · opacity_bias: before the sigmoid, at the start
-    shape: of the Gaussians
+    anisotropic: whether a Gaussian has three radii and a rotation instead of one radius (METHOD 4.3)
     lit: whether the light of the capture is learned apart from the colors · glossy: whether reflections are
     cast_shadow: whether its lamps are, which the fingers hide from the palm
     """
@@ -100,7 +91,7 @@ class ModelOptions:
     hidden: int = 128
     identity_reach_m: float = 0.008
     opacity_bias: float = 2.0
-    shape: Shape = Shape.ISO
+    anisotropic: bool = False
     lit: bool = True
     glossy: bool = True
     cast_shadow: bool = True
@@ -131,7 +122,7 @@ class LearnedHand(nn.Module):
         # one layer for all heads: offset 3, color 3, opacity 1, normal 3, shine 1
         self.heads = nn.Linear(options.hidden, 11)
         self.log_sigma = nn.Parameter(points.sigma_m.log())
-        if options.shape is not Shape.ISO:
+        if options.anisotropic:
             self.log_stretch = nn.Parameter(torch.zeros(len(points), 3))
             self.quaternion = nn.Parameter(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(points), 1))
         self.pose_net = PoseNet(points.bone_weights, points.uvd, options.pose)
@@ -197,7 +188,7 @@ class LearnedHand(nn.Module):
 
     def ellipsoid(self, count: int) -> EllipsoidTensors | None:
         """Of the first `count` Gaussians, with gradients; None for spheres."""
-        if self.options.shape is Shape.ISO:
+        if not self.options.anisotropic:
             return None
         return EllipsoidTensors(self.log_stretch[:count], self.quaternion[:count])
 
@@ -246,7 +237,7 @@ class LearnedHand(nn.Module):
         with torch.no_grad():
             self.log_sigma.clamp_(math.log(SIGMA_MIN_M), math.log(SIGMA_MAX_M))
             self.lobe_log_sharpness.clamp_(max=math.log(LOBE_SHARPNESS_MAX))
-            if self.options.shape is not Shape.ISO:
+            if self.options.anisotropic:
                 self.log_stretch.clamp_(-LOG_STRETCH_MAX, LOG_STRETCH_MAX)
 
     def spread_radii(self, known: int, nearest: Tensor) -> None:

@@ -6,20 +6,18 @@ from dataclasses import dataclass, field, replace
 
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.hand.skeleton import Transform
-from jghand_engine.learn.model import ModelOptions, OffsetFrame, Shape
+from jghand_engine.learn.model import ModelOptions, OffsetFrame
 
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2). The isotropy counts only
-    where a Gaussian has three radii that should be alike, `Shape.SOFT_ISO`: of one radius it is constant."""
+    """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2)."""
 
     l1: float = 1.0
     ssim: float = 0.2
     perceptual: float = 0.0
     mask: float = 0.2
     offset: float = 0.1
-    isotropy: float = 0.05
     roughness: float = 1e-4
 
 
@@ -80,7 +78,7 @@ PAPER_FAITHFUL = TrainOptions(
         glossy=False,
         cast_shadow=False,
     ),
-    loss=LossWeights(perceptual=0.2, offset=1.0, isotropy=0.05, roughness=0.0),
+    loss=LossWeights(perceptual=0.2, offset=1.0, roughness=0.0),
     schedule=Schedule(
         views=1, rate=1e-3, plane_rate=1e-3, last_part=1.0, levels=((0.0, 1.0),), strides=((0.0, 1),), waves=None,
         perceptual_from=0.0,
@@ -102,8 +100,6 @@ def ablations(options: TrainOptions) -> dict[str, TrainOptions]:
     return {
         "w/o trans": replace(options, transform=Transform.HALO_LIKE),
         "w/o shadow": replace(options, shadow=False, model=replace(options.model, cast_shadow=False)),
-        "w/o iso": replace(
-            options, model=replace(options.model, shape=Shape.ANISO), loss=replace(options.loss, isotropy=0.0)
-        ),
+        "w/o iso": replace(options, model=replace(options.model, anisotropic=True)),
         "full": options,
     }

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from jghand_engine.avatar.pose_range import angle_name
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import check_joint_shape
@@ -162,3 +163,14 @@ def _linear_parts(frames: ComponentFrames, canonical: CanonicalTensors, exponent
     bones = radial * turn + rot.outer(axial, canonical.direction)
     palm = whole * rot.mat_mul(frames.S0, canonical.S0.transpose(0, 1))
     return torch.cat([palm, bones], 2), whole
+
+
+def angle_ranges(transform: JointTransform, joints_m: Tensor) -> dict[str, tuple[float, float]]:
+    """Least and greatest flexion and abduction of every joint that bends, radians, by "joint flexion"."""
+    angles = transform.bones(joints_m).frames.angles
+    low, high = angles.amin(0), angles.amax(0)
+    return {
+        angle_name(bone, kind): (float(low[bone - 6, kind]), float(high[bone - 6, kind]))
+        for bone in range(6, 21)
+        for kind in (0, 1)
+    }

@@ -15,8 +15,7 @@ from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIG
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
-from jghand_engine.learn.covariance import posed_covariance
-from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.light import gloss, lit, unit
 from jghand_engine.learn.pose_features import PoseAngles
 from jghand_engine.learn.pose_net import Correction
@@ -24,10 +23,7 @@ from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors
 
 
 class PoseTransforms(Protocol):
-    """What skinning needs to know of `learn.skeleton.BoneTransforms` of one pose.
-
-    linear (21, 3, 3) and offset_m (21, 3): x_posed - root = linear @ (x - canonical root) + offset.
-    """
+    """What skinning needs of `learn.skeleton.BoneTransforms` of one pose; the study of others' formulas has its own."""
 
     @property
     def linear(self) -> torch.Tensor: ...
@@ -92,30 +88,33 @@ class SkinMaps:
     """How the skin of one pose moves: what skinning needs of the bones for every Gaussian, and nothing of the avatar
     that training changes.
 
-    linear (N, 3, 3), offset_m (N, 3): root-relative blended maps · radius (N,): posed over canonical radius ·
-    turning (N, 3, 3): see `turning`; None when nothing is attached to the skin
+    linear:   (N, 3, 3) root-relative blended maps
+    offset_m: (N, 3) meters, theirs
+    radius:   (N,) posed over canonical radius
+    turning:  (N, 3, 3) see `turning`
     """
 
     linear: torch.Tensor
     offset_m: torch.Tensor
     radius: torch.Tensor
-    turning: torch.Tensor | None
+    turning: torch.Tensor
 
 
-def skin_maps(bone_weights: torch.Tensor, bones: PoseTransforms, *, turned: bool) -> SkinMaps:
-    """The maps of Gaussians with `bone_weights` (N, 21) under `bones` of one pose; `turned`: with `turning`."""
+def skin_maps(bone_weights: torch.Tensor, bones: PoseTransforms) -> SkinMaps:
+    """The maps of Gaussians with `bone_weights` (N, 21) under `bones` of one pose."""
     with torch.autocast(bones.linear.device.type, enabled=False):
         linear, offset_m = blend(bone_weights, bones)
         radius = posed_radius_scale(linear, bones.scale)
-        return SkinMaps(linear, offset_m, radius, turning(linear, bones) if turned else None)
+        return SkinMaps(linear, offset_m, radius, turning(linear, bones))
 
 
 @dataclass(frozen=True)
 class PosedSkin:
     """One pose of an avatar before anybody looks at it.
 
-    matt: Gaussians with the color that is the same from everywhere · normal: (N, 3) unit, world, and shine: (N,) of a
-    trained avatar, else None
+    matt:   Gaussians with the color that is the same from everywhere
+    normal: (N, 3) unit, world, of a trained avatar
+    shine:  (N,) of a trained avatar
     """
 
     matt: Gaussians
@@ -128,11 +127,11 @@ def see_lamps(shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: Pose
     of a shadow is wide. canonical_joints_m: (21, 3) of the avatar."""
     anchors = shadow.anchors
     with torch.autocast(bones.linear.device.type, enabled=False):
-        maps = skin_maps(anchors.bone_weights, bones, turned=True)
+        maps = skin_maps(anchors.bone_weights, bones)
         dtype = bones.linear.dtype
         root_m = bones.canonical_root_m.to(dtype)
         position_m = apply(maps.linear, anchors.position_m.to(dtype) - root_m) + maps.offset_m
-        normal = unit(apply(_turned(maps), anchors.normal.to(dtype)))
+        normal = unit(apply(maps.turning, anchors.normal.to(dtype)))
         # bone i ends at joint i
         joints_m = apply(bones.linear, canonical_joints_m.to(dtype) - root_m) + bones.offset_m
         return lamps_seen(shadow, position_m, normal, joints_m, bones.scale)
@@ -157,18 +156,18 @@ def pose_skin(
     learned = avatar.learned
     with torch.autocast(bones.linear.device.type, enabled=False):
         dtype = bones.linear.dtype
-        maps = maps or skin_maps(avatar.bone_weights, bones, turned=learned is not None or correction is not None)
+        maps = maps or skin_maps(avatar.bone_weights, bones)
         relative_m = avatar.position_m.to(dtype) - bones.canonical_root_m.to(dtype)
         position_m = apply(maps.linear, relative_m) + maps.offset_m
         if correction is not None:
             offset_m = correction.offset_m.to(dtype)
             in_world = learned is not None and learned.world_offsets
             position_m = position_m + (
-                _of_hand(avatar.handedness, offset_m) if in_world else bones.scale * apply(_turned(maps), offset_m)
+                _of_hand(avatar.handedness, offset_m) if in_world else bones.scale * apply(maps.turning, offset_m)
             )
         rgb, normal, shine = avatar.rgb.to(dtype), None, None
         if learned is not None:
-            normal = unit(apply(_turned(maps), learned.normal.to(dtype)))
+            normal = unit(apply(maps.turning, learned.normal.to(dtype)))
             shade = None if correction is None else correction.shade.to(dtype)
             if learned.cast is not None:
                 fallen = exponent(learned.cast, seen or see_lamps(learned.cast, avatar.canonical_joints_m, bones))
@@ -236,9 +235,3 @@ def _covariance(sigma_m: torch.Tensor, ellipsoid: EllipsoidTensors | None, linea
 def _of_hand(handedness: Handedness, vectors: torch.Tensor) -> torch.Tensor:
     """Vectors (N, 3) in the axes of the right-hand model -> those of the hand: a left one is its mirror image in x."""
     return vectors if handedness is Handedness.RIGHT else vectors * vectors.new_tensor([-1.0, 1.0, 1.0])
-
-
-def _turned(maps: SkinMaps) -> torch.Tensor:
-    if maps.turning is None:
-        raise InputError("maps of the skin", wanted="those with `turned`", came="none")
-    return maps.turning

@@ -20,21 +20,21 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.learn.bake import bake
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.cast_shadow import LampsSeen
-from jghand_engine.learn.losses import isotropy_loss, l1_loss, mask_loss, offset_loss, ssim_loss
-from jghand_engine.learn.model import LearnedHand, Shape
+from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss
+from jghand_engine.learn.model import LearnedHand
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import LruCache, Pictures, View
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
-from jghand_engine.learn.skeleton import BoneTransforms
+from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS
@@ -81,10 +81,8 @@ class _PosedBones:
 
     def nbytes(self) -> int:
         """Memory of the maps, bytes; the rest is small."""
-        maps = self.maps
-        tensors = [maps.linear, maps.offset_m, maps.radius, maps.turning]
-        tensors += [] if self.seen is None else [self.seen.open, self.seen.seen]
-        return sum(tensor.nbytes for tensor in tensors if tensor is not None)
+        tensors = [*vars(self.maps).values(), *([] if self.seen is None else vars(self.seen).values())]
+        return sum(tensor.nbytes for tensor in tensors)
 
 
 class HandTraining:
@@ -209,9 +207,15 @@ class HandTraining:
         return float(-10 * torch.log10(errors.clamp_min(1e-10)).mean())
 
     def avatar(self) -> HandAvatar:
-        """See Trainable."""
-        waves = self._wave_weight(self._part)
-        return bake(self.hand, self._info, self._transform, self._joints_m(), self.options.shadow, waves)
+        """See Trainable: plain numbers, apart from what goes on learning; its angle ranges are those of the poses."""
+        with torch.no_grad():
+            info = replace(self._info, pose_statistics=angle_ranges(self._transform, self._joints_m()))
+            avatar = self.hand.avatar(info, handedness=self._handedness).avatar()
+        learned, waves = avatar.learned, self._wave_weight(self._part)
+        assert learned is not None
+        if waves is not None and isinstance(learned.correctives, PoseNetwork):
+            learned.correctives.weights["encoding_in.weight"] *= waves.cpu().numpy()
+        return avatar if self.options.shadow else replace(avatar, learned=replace(learned, shadow=None))
 
     # ---- what a step does --------------------------------------------------------------------------------------------
 
@@ -259,12 +263,6 @@ class HandTraining:
         mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
         moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
         mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
-        if (
-            self.options.model.shape is Shape.SOFT_ISO
-            and avatar.learned is not None
-            and avatar.learned.ellipsoid is not None
-        ):
-            mean["isotropy"] = weights.isotropy * isotropy_loss(avatar.learned.ellipsoid.log_stretch.exp())
         if weights.roughness:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
         return mean
@@ -275,7 +273,7 @@ class HandTraining:
     def _pose(self, avatar: HandTensors, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
         """The skin of a pose, and its offsets (N, 3) meters."""
         correction = self.hand.pose_net(posed.bones.frames, len(avatar), self._wave_weight(part))
-        maps = _first(posed.maps, len(avatar))
+        maps = mapped(posed.maps, lambda tensor: tensor[: len(avatar)])
         return pose_skin(avatar, posed.bones, correction, maps=maps, seen=posed.seen), correction.offset_m
 
     def _wave_weight(self, part: float) -> Tensor | None:
@@ -306,7 +304,7 @@ class HandTraining:
 
     def _new_posed_bones(self, joints_m: np.ndarray) -> _PosedBones:
         bones = self._transform.bones(torch.from_numpy(joints_m).float())
-        maps = skin_maps(self._points.bone_weights, bones, turned=True)
+        maps = skin_maps(self._points.bone_weights, bones)
         with torch.no_grad():
             seen = None if self._cast is None else see_lamps(self._cast, self._points.joints_m, bones)
         posed = _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
@@ -352,8 +350,3 @@ def _by_pose(samples: Sequence[Sample]) -> dict[tuple[str, int], list[Sample]]:
     for sample in samples:
         poses.setdefault(sample.pose, []).append(sample)
     return poses
-
-
-def _first(maps: SkinMaps, count: int) -> SkinMaps:
-    turning = None if maps.turning is None else maps.turning[:count]
-    return SkinMaps(maps.linear[:count], maps.offset_m[:count], maps.radius[:count], turning)

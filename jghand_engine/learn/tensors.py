@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.avatar.learned import Anchors, CastShadow, Ellipsoid, Learned, Light, ShadowLook
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import AnchorTensors, CastTensors
@@ -72,17 +73,47 @@ class HandTensors:
         """A copy of a finished avatar, without gradients; tensors as they are."""
         if isinstance(avatar, HandTensors):
             return avatar
-        arrays = {f.name: getattr(avatar, f.name) for f in fields(cls) if f.name != "learned"}
-        values: dict[str, Any] = {
-            name: _tensor(value) if isinstance(value, np.ndarray) else value for name, value in arrays.items()
-        }
-        hand = cls(**values)
-        return hand if avatar.learned is None else replace(hand, learned=_learned_tensors(avatar.learned, hand))
+        hand: HandTensors = _as_tensors(avatar)
+        correctives = None if avatar.learned is None else avatar.learned.correctives
+        if hand.learned is None or correctives is None:
+            return hand
+        kind = LinearNet if isinstance(correctives, LinearCorrectives) else PoseNet
+        net = kind.of(correctives, hand.bone_weights, hand.uvd)  # type: ignore[arg-type]
+        return replace(hand, learned=replace(hand.learned, correctives=net))
 
     def avatar(self) -> HandAvatar:
         """The numbers of now, apart from what goes on learning."""
-        values = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "learned"}
-        return HandAvatar(**values, learned=None if self.learned is None else _learned(self.learned))
+        return _as_arrays(self)
+
+
+_TENSORS_OF = {
+    HandAvatar: HandTensors,
+    Learned: LearnedTensors,
+    Light: LightTensors,
+    Ellipsoid: EllipsoidTensors,
+    CastShadow: CastTensors,
+    Anchors: AnchorTensors,
+}
+_ARRAYS_OF = {tensors: arrays for arrays, tensors in _TENSORS_OF.items()}
+
+
+def _as_tensors(value: Any) -> Any:
+    """A record of arrays as that of tensors, copied, for an array may be read-only; all else as it is."""
+    if isinstance(value, np.ndarray):
+        return torch.tensor(value)
+    kind: Any = _TENSORS_OF.get(type(value))
+    return value if kind is None else kind(**{f.name: _as_tensors(getattr(value, f.name)) for f in fields(kind)})
+
+
+def _as_arrays(value: Any) -> Any:
+    """The reverse."""
+    if isinstance(value, Tensor):
+        return value.detach().cpu().numpy().copy()
+    if isinstance(value, PoseNet | LinearNet):
+        return value.plain()
+    kind: Any = _ARRAYS_OF.get(type(value))
+    names = [] if kind is None else [f.name for f in fields(type(value))]
+    return value if kind is None else kind(**{name: _as_arrays(getattr(value, name)) for name in names})
 
 
 def mapped(record: Record, change: Callable[[Tensor], Tensor]) -> Record:
@@ -95,59 +126,3 @@ def mapped(record: Record, change: Callable[[Tensor], Tensor]) -> Record:
         elif is_dataclass(value) and not isinstance(value, type):
             values[f.name] = mapped(value, change)
     return replace(record, **values)  # type: ignore[type-var]
-
-
-def _tensor(array: np.ndarray) -> Tensor:
-    """A copy: an array may be read-only."""
-    return torch.tensor(array)
-
-
-def _plain(value: Any) -> Any:
-    """A tensor as an array of its own; all else as it is."""
-    return value.detach().cpu().numpy().copy() if isinstance(value, Tensor) else value
-
-
-def _converted(kind: type[Record], record: Any, change: Callable[[Any], Any]) -> Record:
-    return kind(**{f.name: change(getattr(record, f.name)) for f in fields(kind)})  # type: ignore[arg-type]
-
-
-def _learned_tensors(learned: Learned, hand: HandTensors) -> LearnedTensors:
-    correctives, ellipsoid, cast = learned.correctives, learned.ellipsoid, learned.cast
-    net = None if correctives is None else _net(correctives, hand)
-    cast_tensors = None
-    if cast is not None:
-        anchors = _converted(AnchorTensors, cast.anchors, _tensor)
-        cast_tensors = CastTensors(_tensor(cast.lamp_rgb), _tensor(cast.bounced_rgb), anchors, _tensor(cast.own))
-    return LearnedTensors(
-        normal=_tensor(learned.normal),
-        shine=_tensor(learned.shine),
-        light=_converted(LightTensors, learned.light, _tensor),
-        correctives=net,
-        shadow=learned.shadow,
-        world_offsets=learned.world_offsets,
-        ellipsoid=None if ellipsoid is None else _converted(EllipsoidTensors, ellipsoid, _tensor),
-        cast=cast_tensors,
-    )
-
-
-def _net(correctives: Any, hand: HandTensors) -> PoseNet | LinearNet:
-    kind = LinearNet if hasattr(correctives, "direction") else PoseNet
-    return kind.of(correctives, hand.bone_weights, hand.uvd)
-
-
-def _learned(learned: LearnedTensors) -> Learned:
-    net, ellipsoid, cast = learned.correctives, learned.ellipsoid, learned.cast
-    shadows = None
-    if cast is not None:
-        anchors = _converted(Anchors, cast.anchors, _plain)
-        shadows = CastShadow(_plain(cast.lamp_rgb), _plain(cast.bounced_rgb), anchors, _plain(cast.own))
-    return Learned(
-        normal=_plain(learned.normal),
-        shine=_plain(learned.shine),
-        light=_converted(Light, learned.light, _plain),
-        correctives=None if net is None else net.plain(),
-        shadow=learned.shadow,
-        world_offsets=learned.world_offsets,
-        ellipsoid=None if ellipsoid is None else _converted(Ellipsoid, ellipsoid, _plain),
-        cast=shadows,
-    )

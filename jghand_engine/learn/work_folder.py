@@ -5,7 +5,7 @@ lock            held while a training runs here
 checkpoints/    step_00000500.safetensors: the last two and the best
 log.jsonl       figures, a line per interval (see log.py); tensorboard/ the same for TensorBoard
 pictures/       the first fixed view over time, truth beside ours; preview.jghand is the newest avatar
-failures/       steps that gave values that are not finite, to be repeated (see guard.py)
+output.json     digest of the finished avatar that this training wrote, and may replace
 """
 
 from __future__ import annotations
@@ -25,25 +25,22 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.captures.sample import Sample, picture_names
 from jghand_engine.errors import InputError
-from jghand_engine.export.pictures import to_bytes, write_png
 from jghand_engine.files import check_place, file_error, make_folder, writing
 from jghand_engine.learn.checkpoint import CheckpointFolder, Stamp
-from jghand_engine.learn.trainable import Trainable
 from jghand_engine.lock import locked
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-# held while a training runs in the folder; says with which options it began
-LOCK, MARK = "lock", "training.json"
+LOCK, MARK, OUTPUT = "lock", "training.json", "output.json"
 
 
 class Start(StrEnum):
-    """new: the folder must hold no training · resume: go on where it stands · fresh: forget what it holds."""
+    """What the folder must hold."""
 
-    NEW = "new"
-    RESUME = "resume"
-    FRESH = "fresh"
+    NEW = "new"  # no training
+    RESUME = "resume"  # one, which goes on
+    FRESH = "fresh"  # anything a training left, which is forgotten
 
 
 def check_folder(path: Path, start: Start) -> None:
@@ -60,11 +57,11 @@ def check_folder(path: Path, start: Start) -> None:
             remedy="Name another folder with --work.",
         )  # fmt: skip
     if start is Start.RESUME and not names:
-        raise InputError(f"{path}", wanted="a training to go on with", came="none", remedy="Leave out --resume.")
+        raise InputError(f"{path}", wanted="a training to resume", came="none", remedy="Leave out --resume.")
     if start is Start.NEW and names:
         raise InputError(
             f"{path}", wanted="a folder without a training", came="one that holds a training",
-            remedy="Go on with it by --resume, forget it by --fresh, or name another folder with --work.",
+            remedy="Resume it with --resume, restart it with --fresh, or name another folder with --work.",
         )  # fmt: skip
 
 
@@ -74,7 +71,8 @@ class WorkFolder:
     def __init__(self, path: Path, stamp: Stamp) -> None:
         self.path, self._stamp = path, stamp
         self.checkpoints = CheckpointFolder(path / "checkpoints", stamp)
-        self.log, self.board, self.failures = path / "log.jsonl", path / "tensorboard", path / "failures"
+        self.log, self.board = path / "log.jsonl", path / "tensorboard"
+        self.pictures, self.preview = path / "pictures", path / "preview.jghand"
 
     @contextmanager
     def opened(self, start: Start) -> Iterator[None]:
@@ -103,13 +101,12 @@ class WorkFolder:
             path.unlink(missing_ok=True)
 
     def _clear(self) -> None:
-        """Removes what a training leaves and nothing else, except the record of the output, which stays its own."""
+        """Removes what a training leaves and nothing else, but for output.json: the avatar stays its own."""
         # the checkpoints first: should this break off, what is left goes on from its own beginning or not at all
         self.checkpoints.clear()
-        for path in (self.log, self.path / "preview.jghand", *(self.path / "pictures").glob("step_*.png")):
+        for path in (self.log, self.preview, *self.pictures.glob("step_*.png")):
             path.unlink(missing_ok=True)
-        for folder in (self.board, self.failures):
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(self.board, ignore_errors=True)
 
 
 def stamp_of(options: DataclassInstance, pictures: Sequence[Sample]) -> dict[str, Any]:
@@ -120,67 +117,27 @@ def stamp_of(options: DataclassInstance, pictures: Sequence[Sample]) -> dict[str
     return json.loads(json.dumps({"pictures": len(lines), "which pictures": digest, "options": asdict(options)}))
 
 
-class Output:
-    """The file `path`. `record` remembers what this training wrote there, so that it may replace its own work.
+def check_output(path: Path, work: Path, *, overwrite: bool) -> None:
+    """InputError when a file is in the way that the training in `work` did not write, unless overwriting was asked for;
+    errors as `check_place` where nothing can be written."""
+    ours = path.is_file() and _hash(path) in _written(work / OUTPUT)
+    check_place(path, overwrite=overwrite or ours, wanted="a new file, or the result of this very training")
 
-    The record is written first and names both the file to come and the one before: whenever a process is killed, what
-    lies at `path` is known.
-    """
 
-    def __init__(self, path: Path, record: Path, *, overwrite: bool = False) -> None:
-        self.path, self._record, self._overwrite = path, record, overwrite
+def write_output(path: Path, work: Path, avatar: HandAvatar) -> None:
+    """Saves the finished avatar, and what it is known by when the training writes it again."""
+    save_avatar(path, avatar)
+    with writing(work / OUTPUT) as temporary:
+        temporary.write_text(json.dumps({"sha256": [_hash(path)]}) + "\n", encoding="utf-8")
 
-    def check(self) -> None:
-        """InputError when a file is in the way that this training did not write, unless overwriting was asked for;
-        errors as `check_place` where nothing can be written."""
-        ours = self.path.is_file() and _hash(self.path) in self._recorded()
-        wanted = "a new file, or the result of this very training"
-        check_place(self.path, overwrite=self._overwrite or ours, wanted=wanted)
 
-    def write(self, avatar: HandAvatar) -> None:
-        """Saves `avatar`. Errors as `check`, which looks again: hours may have passed."""
-        self.check()
-        staged = self._record.with_name("finished.jghand")
-        try:
-            save_avatar(staged, avatar)
-            content = staged.read_bytes()
-            before = [_hash(self.path)] if self.path.is_file() else []
-            self._remember([hashlib.sha256(content).hexdigest(), *before])
-            with writing(self.path) as temporary:
-                temporary.write_bytes(content)
-        finally:
-            staged.unlink(missing_ok=True)
-
-    def _remember(self, hashes: list[str]) -> None:
-        with writing(self._record) as temporary:
-            temporary.write_text(json.dumps({"sha256": hashes}) + "\n", encoding="utf-8")
-
-    def _recorded(self) -> list[str]:
-        try:
-            hashes = json.loads(self._record.read_text(encoding="utf-8"))["sha256"]
-        except (OSError, ValueError, KeyError, TypeError):
-            return []
-        return hashes if isinstance(hashes, list) else [hashes]
+def _written(record: Path) -> list[str]:
+    try:
+        return list(json.loads(record.read_text(encoding="utf-8"))["sha256"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
 
 
 def _hash(path: Path) -> str:
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-class Previews:
-    """pictures/step_00000500.png for every preview, and preview.jghand, always the newest, in one folder."""
-
-    def __init__(self, folder: Path) -> None:
-        self.pictures, self.avatar = folder / "pictures", folder / "preview.jghand"
-
-    def write_picture(self, step: int, trainable: Trainable) -> Path:
-        """Writes the first fixed view. InputError or RetryError when the disk does not let it."""
-        path = self.pictures / f"step_{step:08d}.png"
-        write_png(path, to_bytes(trainable.preview()))
-        return path
-
-    def write_avatar(self, trainable: Trainable) -> Path:
-        """Writes the avatar over the last preview of it; errors as `write_picture`."""
-        save_avatar(self.avatar, trainable.avatar())
-        return self.avatar

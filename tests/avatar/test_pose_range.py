@@ -13,8 +13,8 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.pose_range import angle_name, range_report, trained_range
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.learn.bake import angle_ranges
 from jghand_engine.learn.baselines import transform_of
+from jghand_engine.learn.skeleton import angle_ranges
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 

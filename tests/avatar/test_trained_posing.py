@@ -259,7 +259,7 @@ def flattened(bones: Bones) -> Bones:
 def test_where_a_blend_collapses_the_palm_turns_what_is_attached(library, name):
     avatar = KINDS[name]
     bones = flattened(bones_of_hand(avatar, joints_of("fist")))
-    maps = skin_maps(torch.from_numpy(avatar.bone_weights), RootRelative.of(avatar, bones, np.zeros(3)), turned=False)
+    maps = skin_maps(torch.from_numpy(avatar.bone_weights), RootRelative.of(avatar, bones, np.zeros(3)))
     collapsed = torch.linalg.det(maps.linear.double()).abs() < 1e-3 * bones.scale**3
     assert 0.01 < float(collapsed.double().mean()) < 0.99
     check(avatar, bones, natively(library, avatar, bones))

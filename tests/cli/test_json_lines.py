@@ -46,10 +46,10 @@ def test_a_training_tells_its_step_its_sentence_and_what_happened():
     stream = io.StringIO()
     display = JsonTraining(JsonLines(stream))
     display.update(Status(step=0, steps=90, seconds_left=None))
-    display.note("Going on at step 40.")
+    display.note("Resuming at step 40.")
     first, second = told(stream)
     assert (first["jghand"], first["total"], first["eta_s"]) == ("training", 90, None)
-    assert second == {"jghand": "note", "text": "Going on at step 40."}
+    assert second == {"jghand": "note", "text": "Resuming at step 40."}
 
 
 @pytest.mark.parametrize(

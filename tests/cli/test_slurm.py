@@ -57,7 +57,7 @@ def wait_for(out: Path, text: str) -> None:
 
 def ends_as_if_undisturbed(out: Path, undisturbed: bytes) -> None:
     wait_until((out / "one.training" / "finished.json").is_file, "the end", most_s=WAIT_S)
-    assert "Going on at step" in (out / "one.log").read_text()
+    assert "Resuming at step" in (out / "one.log").read_text()
     assert (out / "one.jghand").read_bytes() == undisturbed
 
 

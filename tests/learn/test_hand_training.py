@@ -40,8 +40,8 @@ def build(small_capture, tiny):
 def options(small_capture, tiny, tmp_path):
     stamp = stamp_of(tiny, open_capture(small_capture).samples)
     return RunOptions(
-        tmp_path / "hand.jghand", tmp_path / "work", stamp, Budget(steps=40), log_steps=1,
-        checkpoint=Every(steps=10), preview=Every(steps=30),
+        tmp_path / "hand.jghand", tmp_path / "work", stamp, Budget(steps=24), log_steps=1,
+        checkpoint=Every(steps=10), preview=Every(steps=1000),
     )  # fmt: skip
 
 
@@ -57,12 +57,11 @@ def newest(options: RunOptions) -> Snapshot:
 # ---- determinism -----------------------------------------------------------------------------------------------------
 
 
-def test_the_same_seed_gives_identical_losses_for_200_steps(build):
-    assert losses(build(), 200) == losses(build(), 200)
-
-
-def test_another_seed_gives_other_losses(build, tiny):
-    assert losses(build(), 3) != losses(build(replace(tiny, seed=1)), 3)
+def test_the_same_seed_gives_identical_losses_and_another_seed_others(build, tiny):
+    """Over all levels of detail, and twice round the poses."""
+    first = losses(build(), 30)
+    assert losses(build(), 30) == first
+    assert losses(build(replace(tiny, seed=1)), 3) != first[:3]
 
 
 def test_a_resumed_training_equals_an_uninterrupted_one_bit_for_bit(build, options, tmp_path):
@@ -82,8 +81,8 @@ def test_a_resumed_training_equals_an_uninterrupted_one_bit_for_bit(build, optio
 
     straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
     train(build, straight)
-    assert not train(lambda: stopped(13), options).finished
-    assert not train(lambda: stopped(27), replace(options, start=Start.RESUME)).finished
+    assert not train(lambda: stopped(7), options).finished
+    assert not train(lambda: stopped(15), replace(options, start=Start.RESUME)).finished
     assert train(build, replace(options, start=Start.RESUME)).finished
     a, b = newest(straight), newest(options)
     assert a.scalars == b.scalars
@@ -106,7 +105,7 @@ def test_it_learns_and_leaves_an_avatar(build, options):
 def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, small_capture, tmp_path, shadow):
     """By the renderer that users have, from a file, in front of every camera; of bent fingers, where the shadow is."""
     training = build(replace(tiny, shadow=shadow))
-    losses(training, 60)
+    losses(training, 20)
     save_avatar(tmp_path / "hand.jghand", training.avatar())
     # the pictures are too small for a shadow that is only drawn where it is seen
     settings = RenderSettings(shadow=ShadowMode.ALWAYS, shadow_samples=tiny.shadow_samples)
@@ -152,7 +151,7 @@ def test_the_gradient_that_was_not_finite_first_is_named(build, options):
     step = training.step
 
     def poisoned(number):
-        if number != 13:
+        if number != 5:
             return step(number)
         handle = training.hand.raw_rim.register_hook(lambda gradient: gradient * math.nan)
         try:
@@ -162,26 +161,8 @@ def test_the_gradient_that_was_not_finite_first_is_named(build, options):
 
     training.step = poisoned
     outcome = train(lambda: training, options)
-    assert outcome.course.skipped == [13]
+    assert outcome.course.skipped == [5]
     (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
     assert "gradient raw_rim (1 NaN)" in line["not_finite"]
     assert "gradient trunk" not in line["not_finite"]
-
-
-def test_a_training_goes_on_after_a_damaged_moment(build, options):
-    training = build()
-    step = training.step
-    numbers = []
-
-    def damaged(number):
-        figures = step(number)
-        if number == 25 and 25 not in numbers:
-            training.tensors()["adam.log_sigma.exp_avg_sq"][7] = math.inf
-        numbers.append(number)
-        return figures
-
-    training.step = damaged
-    outcome = train(lambda: training, options)
-    assert outcome.course.skipped == [25]
-    assert numbers == [*range(26), *range(20, 25), *range(26, 40)]
     assert all(tensor.isfinite().all() for tensor in newest(options).tensors.values())

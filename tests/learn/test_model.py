@@ -20,7 +20,6 @@ from jghand_engine.learn.model import (
     LearnedHand,
     ModelOptions,
     OffsetFrame,
-    Shape,
 )
 from jghand_engine.learn.tensors import HandTensors, LearnedTensors
 
@@ -99,7 +98,7 @@ def test_the_avatar_has_the_conventions_it_is_trained_with():
 
 
 def test_no_weight_carries_anything_out_of_its_range():
-    hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
+    hand = small_hand(replace(SMALL_MODEL, anisotropic=True))
     stirred(hand, by=50.0)
     hand.keep_in_range()
     avatar, learned = avatar_of(hand), learned_of(hand)
@@ -126,7 +125,7 @@ def test_no_weight_carries_anything_out_of_its_range():
 
 
 def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_return():
-    hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
+    hand = small_hand(replace(SMALL_MODEL, anisotropic=True))
     with torch.no_grad():
         hand.log_sigma[0], hand.log_sigma[1] = math.log(1e-6), math.log(0.1)
         hand.log_stretch[0], hand.log_stretch[1] = -9.0, 9.0
@@ -150,8 +149,8 @@ def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_re
 
 def test_what_is_in_its_range_is_left_alone():
     hand, same = (
-        small_hand(replace(SMALL_MODEL, shape=Shape.ANISO)),
-        small_hand(replace(SMALL_MODEL, shape=Shape.ANISO)),
+        small_hand(replace(SMALL_MODEL, anisotropic=True)),
+        small_hand(replace(SMALL_MODEL, anisotropic=True)),
     )
     hand.keep_in_range()
     assert equal(hand, same)
@@ -180,12 +179,12 @@ def test_the_axes_of_the_offsets_are_told_to_the_avatar(frame):
     assert learned_of(hand).world_offsets is (frame is OffsetFrame.WORLD)
 
 
-@pytest.mark.parametrize("shape", list(Shape))
-def test_only_ellipsoids_have_axes(shape):
-    hand = small_hand(replace(SMALL_MODEL, shape=shape), moved=False)
+@pytest.mark.parametrize("anisotropic", [False, True])
+def test_only_ellipsoids_have_axes(anisotropic):
+    hand = small_hand(replace(SMALL_MODEL, anisotropic=anisotropic), moved=False)
     ellipsoid = learned_of(hand, 120).ellipsoid
     names = {name for name, _ in hand.named_parameters()}
-    if shape is Shape.ISO:
+    if not anisotropic:
         assert ellipsoid is None
         assert not names & {"log_stretch", "quaternion"}
         return
@@ -220,9 +219,9 @@ def everything(avatar: HandTensors) -> torch.Tensor:
     return torch.stack([(part * torch.randn(part.shape, generator=g)).sum() for part in parts]).sum()
 
 
-@pytest.mark.parametrize("shape", list(Shape))
-def test_gradients_reach_every_parameter(shape):
-    hand = small_hand(replace(SMALL_MODEL, shape=shape))
+@pytest.mark.parametrize("anisotropic", [False, True])
+def test_gradients_reach_every_parameter(anisotropic):
+    hand = small_hand(replace(SMALL_MODEL, anisotropic=anisotropic))
     everything(avatar_of(hand)).backward()
     missed = [n for n, p in hand.named_parameters() if n not in OF_THE_SHADOW and (p.grad is None or not p.grad.any())]
     assert missed == []
@@ -259,7 +258,7 @@ def deep_and_wide(hand: LearnedHand) -> None:
 
 @pytest.mark.parametrize("count", [30, 120, 299, 300])
 def test_a_prefix_is_what_the_finished_avatar_gives_as_prefix(count):
-    hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
+    hand = small_hand(replace(SMALL_MODEL, anisotropic=True))
     deep_and_wide(hand)
     live, wanted = avatar_of(hand, count).avatar(), avatar_of(hand).avatar().prefix(count)
     assert len(live) == count

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from jghand_engine.learn.model import OffsetFrame, Shape
+from jghand_engine.learn.model import OffsetFrame
 from jghand_engine.learn.options import (
     PAPER_FAITHFUL,
     PRESETS,
@@ -31,7 +31,7 @@ def test_the_paper_is_followed_where_it_says_something():
     paper = PAPER_FAITHFUL
     assert (paper.model.gaussians, paper.model.swing, paper.model.scale_mode) == (60_000, "euler", "uniform")
     assert paper.model.offset_frame is OffsetFrame.WORLD
-    assert paper.model.shape is Shape.ISO
+    assert not paper.model.anisotropic
     assert paper.model.area_power == 0  # as many for every bone
     model = paper.model
     assert (model.lit, model.glossy, model.pose.shaded, model.pose.level1) == (False, False, False, False)
@@ -46,7 +46,7 @@ def test_the_paper_is_followed_where_it_says_something():
 
 
 def test_the_terms_have_the_papers_weights():
-    wanted = LossWeights(l1=1.0, ssim=0.2, perceptual=0.2, mask=0.2, offset=1.0, isotropy=0.05, roughness=0.0)
+    wanted = LossWeights(l1=1.0, ssim=0.2, perceptual=0.2, mask=0.2, offset=1.0, roughness=0.0)
     assert PAPER_FAITHFUL.loss == wanted
 
 
@@ -83,7 +83,7 @@ def test_every_stage_begins_with_the_training_and_ends_with_all(name):
         ("full", set()),
         ("w/o trans", {"transform"}),
         ("w/o shadow", {"shadow"}),
-        ("w/o iso", {"model.shape", "loss.isotropy"}),
+        ("w/o iso", {"model.anisotropic"}),
     ],
 )
 @pytest.mark.parametrize("preset", list(PRESETS))
@@ -100,7 +100,7 @@ def test_the_rows_are_those_of_the_papers_table():
     assert rows["w/o trans"].transform is Transform.HALO_LIKE
     assert rows["w/o shadow"].shadow is False
     assert rows["w/o shadow"].model.cast_shadow is False
-    assert rows["w/o iso"].model.shape is Shape.ANISO
+    assert rows["w/o iso"].model.anisotropic
 
 
 @pytest.mark.parametrize(

@@ -249,9 +249,9 @@ def in_a_process(options: RunOptions) -> Iterator[tuple[int, int]]:
 def test_kill_9_at_any_moment_loses_at_most_one_interval(options, tmp_path):
     """Killed again and again at random moments; the course ends as if nothing had happened."""
     every = 10
-    options = replace(options, budget=Budget(steps=300), checkpoint=Every(steps=every), log_steps=3)
+    options = replace(options, budget=Budget(steps=120), checkpoint=Every(steps=every), log_steps=3)
     rng, start, reached = random.Random(3), Start.NEW, 0
-    for _ in range(12):
+    for _ in range(5):
         with in_a_process(replace(options, start=start)) as (child, pipe), os.fdopen(os.dup(pipe)) as lines:
             wanted = reached + rng.randrange(1, 25)
             for line in lines:

@@ -195,7 +195,7 @@ def test_correctives_read_the_same_angles_of_a_left_hand():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_maps_that_are_known_already_change_no_bit(dtype):
     bones = bones_of(torch.from_numpy(joints_of("fist")).to(dtype))
-    maps = skin_maps(AVATAR.bone_weights, bones, turned=True)
+    maps = skin_maps(AVATAR.bone_weights, bones)
     fresh, known = pose_skin(elliptic(), bones, correction()), pose_skin(elliptic(), bones, correction(), maps=maps)
     for name in ("position_m", "sigma_m", "rgb", "covariance_m2"):
         assert torch.equal(getattr(fresh.matt, name), getattr(known.matt, name))
@@ -205,25 +205,13 @@ def test_maps_that_are_known_already_change_no_bit(dtype):
 
 def test_maps_say_how_the_skin_moves():
     bones = bones_of(joints_of("fist"))
-    maps = skin_maps(AVATAR.bone_weights, bones, turned=True)
+    maps = skin_maps(AVATAR.bone_weights, bones)
     plain = small_tensors(150)
     posed = pose_gaussians(plain, bones)
     relative_m = plain.position_m.double() - bones.canonical_root_m
     torch.testing.assert_close(apply(maps.linear, relative_m) + maps.offset_m + bones.root_m, posed.position_m)
     torch.testing.assert_close(plain.sigma_m.double() * maps.radius, posed.sigma_m)
-    assert maps.turning is not None
     assert torch.equal(maps.turning, turning(maps.linear, bones))
-    assert skin_maps(AVATAR.bone_weights, bones, turned=False).turning is None
-
-
-def test_maps_without_turning_are_refused_where_something_is_attached_to_the_skin():
-    bones = bones_of(joints_of("fist"))
-    maps = skin_maps(AVATAR.bone_weights, bones, turned=False)
-    with pytest.raises(InputError, match="turned"):
-        pose_skin(AVATAR, bones, correction(), maps=maps)
-    with pytest.raises(InputError, match="turned"):
-        pose_skin(small_tensors(150), bones, correction(), maps=maps)
-    pose_skin(small_tensors(150), bones, None, maps=maps)
 
 
 def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():
@@ -231,8 +219,7 @@ def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():
     size = 1.3
     bones = bones_of(size * torch.from_numpy(joints_of("claw")) @ R.T)
     bare = pose_skin(AVATAR, bones, replace(more, offset_m=torch.zeros_like(more.offset_m)))
-    maps = skin_maps(AVATAR.bone_weights, bones, turned=True)
-    assert maps.turning is not None
+    maps = skin_maps(AVATAR.bone_weights, bones)
     with_hand = pose_skin(AVATAR, bones, more).matt.position_m - bare.matt.position_m
     torch.testing.assert_close(with_hand, bones.scale * apply(maps.turning, more.offset_m), atol=1e-15, rtol=0)
     world = replace(AVATAR, learned=replace(learned_of(AVATAR), world_offsets=True))
@@ -267,7 +254,7 @@ def test_round_gaussians_have_no_covariance_and_round_ellipsoids_that_of_their_m
     around = EllipsoidTensors(torch.zeros(count, 3), torch.tensor([[2.0, 0.0, 0.0, 0.0]]).expand(count, 4))
     avatar = replace(AVATAR, learned=replace(learned_of(AVATAR), ellipsoid=around))
     got = matrices(pose_skin(avatar, bones).matt.covariance_m2)
-    L = skin_maps(AVATAR.bone_weights, bones, turned=False).linear
+    L = skin_maps(AVATAR.bone_weights, bones).linear
     wanted = AVATAR.sigma_m.double()[:, None, None] ** 2 * L @ L.transpose(1, 2)
     # sigma goes through a logarithm in float32; worst seen 5e-7
     torch.testing.assert_close(got, wanted, atol=0, rtol=8e-7)

@@ -30,8 +30,7 @@ from splat_scenes import (
 )
 
 from jghand_engine.errors import InputError
-from jghand_engine.learn.covariance import posed_covariance
-from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera

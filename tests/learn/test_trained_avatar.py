@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 import torch
 from painted_samples import mirrored, painted_samples
-from small_hands import INFO, SMALL_MODEL, joints_of, small_hand
+from small_hands import SMALL_MODEL, joints_of
 from small_trainings import SMALL, small_training
 
 from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, Handedness
-from jghand_engine.learn.bake import angle_ranges, bake
-from jghand_engine.learn.model import Shape
-from jghand_engine.learn.skeleton import JointTransform
+from jghand_engine.learn.skeleton import JointTransform, angle_ranges
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.template.builtin import load_template
 
-ANISO = replace(SMALL, model=replace(SMALL_MODEL, shape=Shape.ANISO))
+ANISO = replace(SMALL, model=replace(SMALL_MODEL, anisotropic=True))
 TRANSFORM = JointTransform(load_template().joints_m, handedness=Handedness.RIGHT)
 
 
@@ -65,14 +63,11 @@ def arrays_in(record: object) -> dict[str, np.ndarray]:
 # ---- apart from the training -----------------------------------------------------------------------------------------
 
 
-def test_a_baked_avatar_has_no_history(training):
-    assert len(arrays_in(training.avatar())) > 20
-    assert tensors_in(training.avatar()) == {}
-
-
-def test_learning_on_does_not_change_a_baked_avatar(training):
+def test_learning_on_does_not_change_a_finished_avatar(training):
     avatar = training.avatar()
+    assert tensors_in(avatar) == {}
     before = {name: array.copy() for name, array in arrays_in(avatar).items()}
+    assert len(before) > 20
     for number in range(3):
         training.step(number)
     with torch.no_grad():
@@ -86,7 +81,7 @@ def test_learning_on_does_not_change_a_baked_avatar(training):
     assert [name for name in before if not np.array_equal(after[name], before[name])] == []
 
 
-def test_nothing_of_the_training_can_be_changed_through_a_baked_avatar(training):
+def test_nothing_of_the_training_can_be_changed_through_a_finished_avatar(training):
     avatar = training.avatar()
     hand = training.hand
     state = {**dict(hand.named_parameters()), **dict(hand.named_buffers()), **tensors_in(hand.points)}
@@ -97,27 +92,18 @@ def test_nothing_of_the_training_can_be_changed_through_a_baked_avatar(training)
     assert all(parameter.requires_grad for parameter in hand.parameters())
 
 
-def test_baking_changes_no_gradient_and_no_step(training):
-    training.step(0)
-    gradients = {name: gradient.clone() for name, gradient in training.gradients().items()}
-    training.avatar()
-    assert all(torch.equal(gradient, gradients[name]) for name, gradient in training.gradients().items())
-    assert training.hand.log_sigma.grad is not None
-    training.step(1)
-
-
 # ---- what it holds ---------------------------------------------------------------------------------------------------
 
 
-def test_a_baked_avatar_is_the_hand_that_was_learned(training):
-    baked, live = training.avatar(), training._live()
-    ours, theirs = arrays_in(baked), arrays_in(live.avatar())
+def test_a_finished_avatar_is_the_hand_that_was_learned(training):
+    saved, live = training.avatar(), training._live()
+    ours, theirs = arrays_in(saved), arrays_in(live.avatar())
     assert set(ours) == set(theirs)
     assert [name for name in ours if not np.array_equal(ours[name], theirs[name])] == []
-    assert (baked.learned.shadow, baked.learned.world_offsets) == (live.learned.shadow, live.learned.world_offsets)
+    assert (saved.learned.shadow, saved.learned.world_offsets) == (live.learned.shadow, live.learned.world_offsets)
 
 
-def test_all_gaussians_are_baked_whatever_the_training_has_reached(training):
+def test_all_gaussians_are_saved_whatever_the_training_has_reached(training):
     training.load_scalars({"count": 40})
     assert len(training.avatar()) == 300
 
@@ -159,10 +145,3 @@ def test_ranges_of_a_left_hand_are_those_of_its_mirror_image(monkeypatch, sample
 def test_one_pose_has_ranges_of_no_width():
     ranges = angle_ranges(TRANSFORM, torch.from_numpy(joints_of("claw"))[None])
     assert all(low == high for low, high in ranges.values())
-
-
-def test_the_name_and_license_are_those_that_were_given():
-    joints_m = torch.from_numpy(joints_of("claw"))[None]
-    avatar = bake(small_hand(), replace(INFO, name="Ada", license="CC0"), TRANSFORM, joints_m, True)
-    assert (avatar.info.name, avatar.info.license, avatar.info.template) == ("Ada", "CC0", "small")
-    assert avatar.handedness is Handedness.RIGHT
