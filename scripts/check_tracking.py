@@ -31,7 +31,7 @@ from jghand_engine.hand.poses import MotionOptions, named_pose, pose_sequence_of
 from jghand_engine.hand.rotations import alignment, vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.track.detection import SecondLook, SeenHand
 from jghand_engine.track.hands_over_time import HandOverTime

@@ -38,8 +38,8 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import ShadowMode, preset
 
 POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]

@@ -42,8 +42,8 @@ from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.native.contract import ALPHA_MIN, BLUR_PX2
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 
 BLACK = (0.0, 0.0, 0.0)

@@ -28,23 +28,15 @@ STAGES = {
     "shadow + compose": "Shadow",
     "compose": "Compose",
     "enlarge": "Enlarge",
-    "normals": "Normals",
-    "ids": "Ids",
 }
 EFFECTS = {
     "skin": "Skin",
     "correctives": "Learned Skin Detail",
     "cast-shadow": "Shadows in the Light",
-    "anisotropy": "Long Splats",
     "filter": "Small Hand Filter",
     "self-shadow": "Self-Shadow",
-    "hand-shadow": "Shadow on Other Hand",
-    "depth": "Depth",
-    "normals": "Normals",
-    "ids": "Ids",
     "motion-blur": "Motion Blur",
     "depth-of-field": "Depth of Field",
-    "faint-tail": "Faint Edges",
     "whole-picture": "Whole Image",
 }
 # `OutOfRange.sentence()` of the engine: index1 flexion 105°: 12° outside the 0° to 93° that was trained

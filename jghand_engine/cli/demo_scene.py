@@ -43,7 +43,7 @@ from jghand_engine.files import file_error, make_folder, writing
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"

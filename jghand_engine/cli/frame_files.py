@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from jghand_engine.cli.render_passes import PassWriter
     from jghand_engine.cli.timings import Receipts, Timings
     from jghand_engine.render.camera import Camera
-    from jghand_engine.render.frame import HandRenderer
+    from jghand_engine.render.renderer import HandRenderer
     from jghand_engine.render.settings import RenderSettings
 
 STAMP = "made_from.json"

@@ -84,7 +84,7 @@ class Render:
         from jghand_engine.cli.timings import Receipts, Timings
         from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
-        from jghand_engine.render.frame import HandRenderer
+        from jghand_engine.render.renderer import HandRenderer
 
         # what can be refused is refused before anything is written
         size, background = pixels(self.picture.size), self.picture.background_rgb()

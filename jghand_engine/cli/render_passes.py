@@ -26,14 +26,13 @@ from jghand_engine.export.exr import exr_package, probe_exr, write_exr
 from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
 from jghand_engine.files import file_error
 from jghand_engine.hand.joints import STANDARD_NAMES
-from jghand_engine.render.effect_plan import Effect
 
 if TYPE_CHECKING:
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.render.camera import Camera
-    from jghand_engine.render.frame import Frame, HandRenderer
+    from jghand_engine.render.renderer import Frame, HandRenderer
     from jghand_engine.render.settings import RenderSettings
 
 
@@ -59,14 +58,8 @@ class PassWriter:
             exr_package()
 
     def settings(self, settings: RenderSettings) -> RenderSettings:
-        """The same with the maps that the passes need, in whole resolution. InputError where --effects forbids one."""
-        wanted = {Effect.DEPTH: set(self.names) != {"alpha"}, Effect.NORMALS: "normal" in self.names}
-        forbidden = [effect for effect, needed in wanted.items() if needed and not settings.effects.allows(effect)]
-        if forbidden:
-            raise InputError(
-                "--effects", wanted=f"also {' and '.join(forbidden)}, for --passes", came=str(settings.effects)
-            )
-        return replace(settings, depth=wanted[Effect.DEPTH], normals=wanted[Effect.NORMALS], half=False)
+        """The same with the maps that the passes need, in whole resolution."""
+        return replace(settings, depth=set(self.names) != {"alpha"}, normals="normal" in self.names, half=False)
 
     def start(self, avatar: HandAvatar, renderer: HandRenderer, joints_m: np.ndarray, camera: Camera) -> None:
         """What is drawn. joints_m: (F, 21, 3) level order"""

@@ -24,7 +24,6 @@ class Timings:
 
     def __init__(self) -> None:
         self._stages: dict[str, list[float]] = {}
-        self._skips: dict[str, list[str]] = {}
         self._totals: list[float] = []
         self._backends: dict[str, None] = {}
         self._others: dict[str, list[float]] = {}
@@ -42,11 +41,7 @@ class Timings:
     def add(self, report: dict[str, Any]) -> None:
         """Adds one `FrameReport.as_dict()`."""
         for stage in report["stages"]:
-            ran = self._stages.setdefault(stage["name"], [])
-            if stage["ran"]:
-                ran.append(stage["milliseconds"])
-            else:
-                self._skips.setdefault(stage["name"], []).append(stage["reason"])
+            self._stages.setdefault(stage["name"], []).append(stage["milliseconds"])
         self._totals.append(report["total_ms"])
         if report.get("backend"):
             self._backends[report["backend"]] = None
@@ -56,32 +51,29 @@ class Timings:
         self._others.setdefault(name, []).append(milliseconds)
 
     def figures(self) -> dict[str, dict[str, Any]]:
-        """By stage: frames it ran on, frames it was skipped on (and the last reason why), median_ms and p95_ms.
+        """By stage: frames it ran on, median_ms and p95_ms.
 
         The stages in the order in which they were first seen, the whole frame after them, what is no part of it last.
         """
         result: dict[str, dict[str, Any]] = {}
         for name, values in {**self._stages, TOTAL: self._totals, **self._others}.items():
-            skips = self._skips.get(name, [])
-            entry: dict[str, Any] = {"ran": len(values), "skipped": len(skips)}
+            entry: dict[str, Any] = {"ran": len(values)}
             if values:
                 measured = values[self.WARM_UP :] if len(values) >= self.ENOUGH else values
                 entry |= {"median_ms": float(np.median(measured)), "p95_ms": float(np.percentile(measured, 95))}
-            if skips:
-                entry["reason"] = skips[-1]
             result[name] = entry
         return result
 
     def show(self, title: str) -> None:
         """Prints `figures` as a table. What drew is added to the title: the slow fallback must be seen."""
         drawn = f", drawn by backend {self.backend}" if self.backend else ""
-        say_table(title + drawn, ("stage", "median ms", "p95 ms", "ran", "skipped"), self._rows())
+        say_table(title + drawn, ("stage", "median ms", "p95 ms", "ran"), self._rows())
 
     def _rows(self) -> list[tuple[str, ...]]:
         rows: list[tuple[str, ...]] = []
         for name, entry in self.figures().items():
             times = [f"{entry[key]:.2f}" if key in entry else "-" for key in ("median_ms", "p95_ms")]
-            rows.append((name, *times, str(entry["ran"]), str(entry["skipped"] or "")))
+            rows.append((name, *times, str(entry["ran"])))
         return rows
 
 

@@ -23,7 +23,7 @@ from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL, hand_length
 from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import Frame
+from jghand_engine.render.renderer import Frame
 
 # the skin around a joint is what lies in a slab of this half thickness across its bone: thin beside the shortest bone
 JOINT_SLAB_M = 0.004

@@ -31,10 +31,9 @@ from jghand_engine.learn.trainable import Trainable
 from jghand_engine.native.library import load
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.gate import ShadowGate, fade
+from jghand_engine.render.gate import ShadowGate, extent_px, fade, fade_with_size
 from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_effects import extent_px, fade_with_size
 
 Build = Callable[[TrainOptions], Trainable]
 

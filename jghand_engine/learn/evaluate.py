@@ -1,6 +1,6 @@
 """How good an avatar is on pictures that it did not learn from: every metric of every picture, and their means.
 
-Avatars are drawn by the renderer that users have (`render.frame`), with settings that are said beside the figures.
+Avatars are drawn by the renderer that users have (`render.renderer`), with settings that are said beside the figures.
 A mean over pictures is the mean of their values, decibels included, as the papers do it.
 """
 
@@ -26,7 +26,7 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.metrics import compare, mask_box
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
 

@@ -34,12 +34,12 @@ _JOB_NAMES = {
 }
 
 
-def check_picture_size(width: int, height: int) -> None:
-    """InputError for a picture that no kernel draws."""
+def check_image_size(width: int, height: int) -> None:
+    """InputError for an image that no kernel draws."""
     largest = contract.IMAGE_MAX_PX
     if not (1 <= width <= largest and 1 <= height <= largest):
         came = f"{width} x {height}"
-        raise InputError("picture size", wanted=f"1 to {largest} pixels along each side", came=came)
+        raise InputError("image size", wanted=f"1 to {largest} pixels along each side", came=came)
 
 
 class _Job(ctypes.Structure):
@@ -240,7 +240,7 @@ class NativeRasterizer:
         self._prepared = gaussians
 
     def _set_view(self, view: View) -> None:
-        check_picture_size(view.width, view.height)
+        check_image_size(view.width, view.height)
         job = self._job
         job.width, job.height = view.width, view.height
         job.tiles_x, job.tiles_y = -(-view.width // contract.TILE_PX), -(-view.height // contract.TILE_PX)

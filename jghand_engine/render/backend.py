@@ -1,6 +1,6 @@
 """What draws a frame: skin, raster, shadow and composition by the kernels, in buffers that live as long as the backend.
 
-`frame.py` decides what is drawn, the backend obeys.
+`renderer.py` says what is drawn, the backend obeys.
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
 # names of the stages
 SKIN, GLOSS, RASTER, SHADOW, COMPOSE = "skin", "gloss", "raster", "shadow + compose", "compose"
-# why the raster was skipped
-SAME_IMAGE = "same pose, camera and settings"
 
 
 @dataclass(frozen=True)
@@ -220,8 +218,6 @@ class _Work:
             report.ran(SKIN, skin_ms)
         if self._shining:
             report.ran(GLOSS, gloss_ms)
-        if self._rasterizer is None:
-            report.skipped(RASTER, SAME_IMAGE, "0")
-        else:
+        if self._rasterizer is not None:
             report.ran(RASTER, raster_ms)
         report.ran(last, shade_ms)

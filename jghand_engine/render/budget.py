@@ -22,7 +22,6 @@ from jghand_engine.color import decibels
 from jghand_engine.errors import InputError
 from jghand_engine.native.machine import FREE_PART, FreeCores
 from jghand_engine.native.threads import thread_count
-from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.profile import (
     NO_CORRECTIVES,
     Profile,
@@ -33,6 +32,7 @@ from jghand_engine.render.profile import (
     read_profile,
     write_profile,
 )
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
 

@@ -1,41 +1,39 @@
-"""What may be done for a picture beyond the least, which of it was asked for, and what was decided: plain data."""
+"""What may be done for an image beyond the least, which of it was requested, and what was decided: plain data."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 from jghand_engine.errors import InputError
 
 
 class Effect(StrEnum):
-    """A pass over the hand or the picture that a scene may do without."""
+    """A pass over the hand or the image that a scene may do without."""
 
     SKIN = "skin"
     CORRECTIVES = "correctives"
     CAST = "cast-shadow"
-    ANISOTROPY = "anisotropy"
     FILTER = "filter"
     SHADOW = "self-shadow"
-    BETWEEN = "hand-shadow"
-    DEPTH = "depth"
-    NORMALS = "normals"
-    IDS = "ids"
     MOTION = "motion-blur"
     FOCUS = "depth-of-field"
-    TAIL = "faint-tail"
     WHOLE = "whole-picture"
 
 
-# without a skin there is no picture; it is only reused
+# without a skin there is no image; it is only reused
 CHOOSABLE = tuple(effect for effect in Effect if effect is not Effect.SKIN)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Which effects may run. None in `named`: all of them · forced: those that run on every frame, called for or not;
-    the forced skin and correctives are never reused"""
+    """Which effects may run.
+
+    named:  None: all of them
+    forced: those that run on every frame, called for or not; the forced skin and correctives are never reused
+    """
 
     named: frozenset[Effect] | None = None
     forced: frozenset[Effect] = frozenset()
@@ -75,22 +73,34 @@ class Choice:
 
 
 AUTO = Choice()
-# the reason for what does not run because of it
-NOT_ALLOWED = "not among the chosen effects"
 
 
 @dataclass(frozen=True)
 class Decision:
-    """About one effect. reason: why · bound: in words, how far the picture may be from one with (or, of what runs,
-    without) the effect · worst: the same as the largest difference of a channel, 0..1, None where none is known ·
-    estimated_ms: of running it, on one core"""
+    """About one effect. Its words are put together when somebody reads them, which few frames meet.
+
+    why:          template of the reason
+    lost:         template of how far the image may be from one with (or, of what runs, without) the effect
+    worst:        the same as the largest difference of a channel, 0..1; None where none is known
+    estimated_ms: of running it, on one core
+    figures:      the numbers of the templates
+    """
 
     effect: Effect
     runs: bool
-    reason: str
-    bound: str = ""
+    why: str
+    lost: str = ""
     worst: float | None = None
     estimated_ms: float = 0.0
+    figures: tuple[float, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        return self.why.format(*self.figures)
+
+    @property
+    def bound(self) -> str:
+        return self.lost.format(*self.figures)
 
     def line(self, measured_ms: float | None = None) -> str:
         """One line of the receipt: `self-shadow   skipped  gate 0.21; at most …; would be about 0.4 ms`."""
@@ -98,27 +108,29 @@ class Decision:
             cost = f"{measured_ms:.2f} ms" if measured_ms is not None else f"about {self.estimated_ms:.2g} ms"
         else:
             cost = f"saved about {self.estimated_ms:.2g} ms" if self.estimated_ms else ""
-        bound = f"{'without' if self.runs else 'off by'}: {self.bound}" if self.bound else ""
-        told = "; ".join(part for part in (self.reason, bound, cost) if part)
-        return f"{self.effect:<15}{'ran' if self.runs else 'skipped':<9}{told}"
+        bound = f"{'without' if self.runs else 'off by'}: {self.bound}" if self.lost else ""
+        words = "; ".join(part for part in (self.reason, bound, cost) if part)
+        return f"{self.effect:<15}{'ran' if self.runs else 'skipped':<9}{words}"
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON and for the wire."""
-        return vars(self) | {"effect": str(self.effect)}
+        numbers = {"worst": self.worst, "estimated_ms": self.estimated_ms}
+        return {"effect": str(self.effect), "runs": self.runs, "reason": self.reason, "bound": self.bound} | numbers
 
 
 @dataclass(frozen=True)
 class EffectPlan:
-    """How one picture is made.
+    """How one image is made.
 
-    decisions: one per effect · strength: of the shadow pass, 0..1 · alpha_min: cut-off of the blend · enlarged: times
-    that a small hand is drawn larger and averaged, 1 = not · plain: share, 0..1, of the picture that is not ·
-    exposures: pictures that are averaged for motion and focus
+    decisions: one per effect
+    strength:  of the shadow pass, 0..1
+    enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not
+    plain:     share, 0..1, of the image that is not
+    exposures: images that are averaged for motion and focus
     """
 
     decisions: tuple[Decision, ...]
     strength: float
-    alpha_min: float
     enlarged: int
     plain: float
     exposures: int

@@ -7,17 +7,23 @@ in with it and is never switched, so nothing pops.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+from jghand_engine.native.contract import Z_NEAR_M
+from jghand_engine.render.camera import Camera
 
 # radius of influence, meters, and the score over which the pass fades in
 GATE_RADIUS_M = 0.060
 GATE_LOW = 0.5
 GATE_HIGH = 1.0
+# hands smaller than this on the image get no shadow pass, px; it fades in up to the second size
+SHADOW_HAND_MIN_PX = 64.0
+SHADOW_HAND_FULL_PX = 96.0
 # samples along each capsule's axis: 5 x 5 distances per pair of bones; penetration is capped (a deep overlap of two
 # bones must not hide the others)
 GATE_SAMPLES = 5
@@ -88,6 +94,20 @@ def gap_between(hands_m: Sequence[np.ndarray]) -> float:
 def fade(score: float) -> float:
     """Strength of the shadow, 0..1, by the gate's score."""
     return smoothstep(score, GATE_LOW, GATE_HIGH)
+
+
+def fade_with_size(size_px: float) -> float:
+    """0..1: how much of the shadow the largest hand, of that extent, gets."""
+    return smoothstep(size_px, SHADOW_HAND_MIN_PX, SHADOW_HAND_FULL_PX)
+
+
+def extent_px(pixels: np.ndarray, depth_m: np.ndarray, camera: Camera) -> float:
+    """The longer side of the box around a hand on the image, of joints that `camera.project` put there; infinite when
+    the camera is inside the hand."""
+    if not (depth_m > Z_NEAR_M).all():
+        return math.inf
+    flesh_px = 2e-3 * max(CAPSULE_RADII_MM) * camera.px_per_meter(float(depth_m.min()))
+    return float((pixels.max(0) - pixels.min(0)).max()) + flesh_px
 
 
 def smoothstep(value: float, low: float, high: float) -> float:

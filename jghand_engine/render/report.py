@@ -1,4 +1,4 @@
-"""What a frame did: stages run and skipped, why, how long each took, and how wrong a skip can be."""
+"""What a frame did: stages that ran and how long each took, effects that ran or did not, why, and what that loses."""
 
 from __future__ import annotations
 
@@ -9,40 +9,26 @@ from typing import Any
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 
 # effects that are stages of their own; the others are parts of stages
-STAGE_OF_EFFECT = {
-    Effect.SKIN: "skin",
-    Effect.SHADOW: "shadow + compose",
-    Effect.NORMALS: "normals",
-    Effect.IDS: "ids",
-}
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One stage of a frame. `bound` says in words how far the picture can differ because of a skip."""
-
-    name: str
-    ran: bool
-    milliseconds: float = 0.0
-    reason: str = ""
-    bound: str = ""
-
-    def line(self) -> str:
-        """One line of the receipt: `skin skipped: joints moved 0.01 mm (0.2 mm of skin)`."""
-        if self.ran:
-            return f"{self.name} ran, {self.milliseconds:.2f} ms" + (f": {self.reason}" if self.reason else "")
-        return f"{self.name} skipped: {self.reason}" + (f" ({self.bound})" if self.bound else "")
+STAGE_OF_EFFECT = {Effect.SKIN: "skin", Effect.SHADOW: "shadow + compose"}
 
 
 @dataclass
 class FrameReport:
-    """The receipt that comes with every picture.
+    """The receipt that comes with every image.
 
-    invalid_gaussians: not drawable, left out · visible_gaussians: drawn · gaussians: posed · notes: what was unusual
-    about the hand · backend: the variant of the kernels · plan: which effects were decided to run
+    stages:            milliseconds of what ran, by name, in its order
+    total_ms:          the whole frame
+    invalid_gaussians: not drawable, left out
+    visible_gaussians: drawn
+    gaussians:         posed
+    notes:             what was unusual about the hand
+    backend:           the variant of the kernels
+    threads:           how many drew
+    tier:              which correctives were used, in words; empty without any
+    plan:              which effects were decided to run
     """
 
-    stages: list[Stage] = field(default_factory=list)
+    stages: dict[str, float] = field(default_factory=dict)
     total_ms: float = 0.0
     invalid_gaussians: int = 0
     visible_gaussians: int = 0
@@ -50,67 +36,44 @@ class FrameReport:
     notes: list[str] = field(default_factory=list)
     backend: str = ""
     threads: int = 1
+    tier: str = ""
     plan: EffectPlan | None = None
 
-    def ran(self, name: str, milliseconds: float, reason: str = "") -> None:
+    def ran(self, name: str, milliseconds: float) -> None:
         """Adds a stage, or the time of running it again."""
-        for place, one in enumerate(self.stages):
-            if one.name == name:
-                again = one.milliseconds + milliseconds
-                self.stages[place] = Stage(name, True, again, reason or (one.reason if one.ran else ""))
-                return
-        self.stages.append(Stage(name, True, milliseconds, reason))
-
-    def skipped(self, name: str, reason: str, bound: str) -> None:
-        """Adds a stage, unless it is there already: what was skipped once may have run before or after."""
-        if self.stage(name) is None:
-            self.stages.append(Stage(name, False, 0.0, reason, bound))
-
-    def explain(self, name: str, reason: str) -> None:
-        """Gives a stage that ran a reason; a stage that did not keeps its own."""
-        self.stages = [replace(one, reason=reason) if one.name == name and one.ran else one for one in self.stages]
-
-    def stage(self, name: str) -> Stage | None:
-        """The stage of that name, if the frame came to it."""
-        return next((stage for stage in self.stages if stage.name == name), None)
+        self.stages[name] = self.stages.get(name, 0.0) + milliseconds
 
     def lines(self) -> list[str]:
         """The receipt in words."""
         total = f"frame {self.total_ms:.2f} ms, {self.backend}, {self.threads} thread{'s' if self.threads > 1 else ''}"
         counts = f"{self.visible_gaussians} of {self.gaussians} Gaussians drawn, {self.invalid_gaussians} invalid"
         planned = [] if self.plan is None else [one.line(self.effect_ms(one.effect)) for one in self.plan.decisions]
-        return [total, counts, *planned, *(stage.line() for stage in self.stages), *self.notes]
+        stages = [f"{name} ran, {spent_ms:.2f} ms" for name, spent_ms in self.stages.items()]
+        return [total, counts, *([self.tier] if self.tier else []), *planned, *stages, *self.notes]
 
     def effect_ms(self, effect: Effect) -> float | None:
         """What the effect took, where it is a stage of its own; None else."""
-        stage = self.stage(STAGE_OF_EFFECT.get(effect, ""))
-        return stage.milliseconds if stage is not None and stage.ran else None
+        return self.stages.get(STAGE_OF_EFFECT.get(effect, ""))
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON and for the wire."""
-        return {
-            "total_ms": self.total_ms,
-            "backend": self.backend,
-            "threads": self.threads,
-            "gaussians": self.gaussians,
-            "visible_gaussians": self.visible_gaussians,
-            "invalid_gaussians": self.invalid_gaussians,
-            "notes": list(self.notes),
-            "stages": [vars(stage) for stage in self.stages],
-            "effects": [] if self.plan is None else [one.as_dict() for one in self.plan.decisions],
-        }
+        reasons = {"skin": self.tier}
+        stages = [
+            {"name": name, "ran": True, "milliseconds": spent_ms, "reason": reasons.get(name, "")}
+            for name, spent_ms in self.stages.items()
+        ]
+        effects = [] if self.plan is None else [one.as_dict() for one in self.plan.decisions]
+        plain = {name: value for name, value in vars(self).items() if name not in ("tier", "plan")}
+        return plain | {"notes": list(self.notes), "stages": stages, "effects": effects}
 
 
 def summed(reports: Sequence[FrameReport], plan: EffectPlan | None) -> FrameReport:
     """One receipt of all images of a mean: times are added, notes said once, the rest is that of the last one."""
-    whole = replace(reports[-1], stages=[], notes=[], plan=plan)
+    notes = dict.fromkeys(note for report in reports for note in report.notes)
+    whole = replace(reports[-1], stages={}, notes=list(notes), plan=plan)
     for report in reports:
-        for stage in report.stages:
-            if stage.ran:
-                whole.ran(stage.name, stage.milliseconds, stage.reason)
-            else:
-                whole.skipped(stage.name, stage.reason, stage.bound)
-    whole.notes = list(dict.fromkeys(note for report in reports for note in report.notes))
+        for name, spent_ms in report.stages.items():
+            whole.ran(name, spent_ms)
     whole.total_ms = sum(report.total_ms for report in reports)
     return whole
 

@@ -31,7 +31,7 @@ BUDGET_ASPECT = 1.5
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.render.blur import Moment
-    from jghand_engine.render.frame import SceneRenderer
+    from jghand_engine.render.renderer import SceneRenderer
     from jghand_engine.render.settings import RenderSettings
 
 
@@ -96,7 +96,7 @@ class EngineHands:
         """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
         with self._telling("Loading the renderer"):
-            import jghand_engine.render.frame  # noqa: F401
+            import jghand_engine.render.renderer  # noqa: F401
 
         moments = [_moment(exposure, picture) for exposure in picture.exposures]
         weights = [exposure.weight for exposure in picture.exposures]
@@ -126,7 +126,7 @@ class EngineHands:
             self.doing = ""
 
     def _renderer(self, picture: PictureRequest) -> SceneRenderer:
-        from jghand_engine.render.frame import SceneRenderer
+        from jghand_engine.render.renderer import SceneRenderer
 
         asked = replace(picture.settings, **{name: getattr(PictureSettings, name) for name in _LIVE})
         size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None

@@ -13,7 +13,7 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.native.threads import thread_count
-from jghand_engine.render.frame import SceneRenderer
+from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.subject import Subject, moving_subject

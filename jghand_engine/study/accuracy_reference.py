@@ -16,7 +16,7 @@ from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.learn.shadow import shade
 from jghand_engine.learn.skinning import pose_gaussians
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.subject import Subject

@@ -27,8 +27,8 @@ from jghand_engine.native.library import load
 from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice, Effect
-from jghand_engine.render.frame import Frame, HandRenderer
 from jghand_engine.render.gate import GATE_LOW, ShadowGate, fade
+from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.subject import Subject
@@ -40,7 +40,7 @@ POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch
 # a picture of a capture, or a name with joints (21, 3), meters, and a camera
 GateSample = Sample | tuple[str, np.ndarray, Camera]
 # effects that can be forced on every frame of a hand
-FORCED = (Effect.SKIN, Effect.CORRECTIVES, Effect.SHADOW, Effect.TAIL, Effect.WHOLE)
+FORCED = (Effect.SKIN, Effect.CORRECTIVES, Effect.SHADOW, Effect.WHOLE)
 # frames on which shutter and lens are opened
 OPENED_FRAMES = 8
 # the gate: every so many frames of the motion, and at most so many pictures of a capture, evenly spread

@@ -33,7 +33,7 @@ from jghand_engine.native.rasterizer import NativeRasterizer
 from jghand_engine.native.threads import shared_pool, thread_count
 from jghand_engine.render.backend import view_of
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import NativeShade, ShadowStyle

@@ -15,7 +15,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.hand.poses import named_pose, pose_names
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.study.effects_study import gate_row
 

@@ -21,7 +21,7 @@ from jghand_engine.hand.poses import MotionOptions, pose_names, pose_sequence_of
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.evaluate import avatar_picturer, categories_of, means, measure_pictures
 from jghand_engine.learn.pose_features import flat_angles
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.study.frame_time import Subject, builtin_subject
 

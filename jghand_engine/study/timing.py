@@ -93,7 +93,7 @@ def _take(case: Case, sample: _Samples, control: FreeCores) -> None:
     sample.wall.append(1e3 * wall)
     sample.cpu.append(1e3 * cpu)
     sample.free.append(free)
-    sample.stages.append({stage.name: stage.milliseconds for stage in report.stages} if report else {})
+    sample.stages.append(dict(report.stages) if report else {})
 
 
 def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:

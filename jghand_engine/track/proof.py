@@ -12,7 +12,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import SceneRenderer
+from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.track.poses import Pinhole
 from jghand_engine.track.track import TrackedHand

@@ -18,7 +18,7 @@ from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import apply, blend, pose_gaussians
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
 

@@ -16,7 +16,7 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.skeleton import angle_ranges
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 
 
 def trained_on(*poses: str, handedness: Handedness = Handedness.RIGHT) -> HandAvatar:
@@ -102,5 +102,5 @@ def test_the_frame_notes_what_it_never_saw_also_when_it_is_reused():
     for _ in range(2):
         report = renderer.render(joints_of(avatar, "fist"), camera).report
         assert any("index2 flexion" in note and "trained" in note for note in report.notes)
-    assert not report.stage("transform").ran
+    assert "transform" not in report.stages
     assert renderer.render(joints_of(avatar, "open"), camera).report.notes == []

@@ -23,7 +23,7 @@ from jghand_engine.learn.pose_features import Angles, flat_angles
 from jghand_engine.learn.pose_net import LinearNet, PoseNet, numbers_of
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 
 SHAPE = PoseNetShape(octaves=(3, 3, 2), angle_channels=6, angle_texels=5, hidden=24)
@@ -164,7 +164,7 @@ def test_the_frame_says_what_it_took_and_what_that_costs():
     camera = Camera(60, 60, 100.0, 100.0, 30.0, 30.0, view)
     for settings, told in ((RenderSettings(), "linear-6 (0.04 dB lost)"), (preset("final"), "exact (0.00 dB lost)")):
         report = HandRenderer(avatar, settings).render(joints, camera).report
-        assert told in report.stage("skin").reason
+        assert told in report.tier
 
 
 # ---- the file --------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 
 SMALL = ("--size", "32x24", "--preset", "draft")
 

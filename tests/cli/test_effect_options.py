@@ -24,7 +24,7 @@ def test_explain_prints_a_line_for_every_effect_and_the_sum(tmp_path, capsys):
     for name in ("skin", "correctives", "self-shadow", "motion-blur", "depth-of-field", "whole-picture"):
         assert shown.count(f"{name} ") >= 2, name
     effects = json.loads((tmp_path / "f.json").read_text())["effects"]
-    assert effects["depth"]["skipped"] == 2
+    assert effects["correctives"]["skipped"] == 2
     assert effects["filter"]["ran"] == 2
 
 

@@ -96,7 +96,6 @@ def test_maps_are_channels_of_an_exr_file(tmp_path):
         (("--passes", "color"), "wanted names of depth"),
         (("--passes", "joints", "--shutter", "0.5"), "a moment through a pinhole"),
         (("--passes", "joints", "--aperture", "5"), "a moment through a pinhole"),
-        (("--passes", "joints", "--effects", "none"), "also depth, for --passes"),
     ],
 )
 def test_what_cannot_be_true_is_refused_before_anything_is_written(tmp_path, capsys, words, sentence):

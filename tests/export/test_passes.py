@@ -20,8 +20,8 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import Frame, HandRenderer
 from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.template.builtin import load_template
 

@@ -24,7 +24,7 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
+from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import ShadowMode, preset
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT

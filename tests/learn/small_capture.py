@@ -13,7 +13,7 @@ from jghand_engine.export.pictures import write_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 
 SIDES = {"400001": (1.0, 0.2, 0.3), "400002": (-1.0, 0.1, 0.3), "400003": (0.2, 1.0, 0.2), "400004": (0.6, -0.6, 0.5)}

@@ -27,7 +27,7 @@ from jghand_engine.learn.ablation import LiveHand, chosen_variants, variant_fold
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 
 COUNT = 3000

@@ -23,7 +23,7 @@ from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
 from jghand_engine.learn.step import HandTraining, Material
 from jghand_engine.learn.work_folder import Start, stamp_of
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.template.builtin import load_template
 

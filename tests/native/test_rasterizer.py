@@ -95,7 +95,7 @@ def test_memory_that_may_only_be_read_is_refused_for_results():
 
 
 def test_a_picture_too_large_is_refused():
-    with pytest.raises(InputError, match="picture size"):
+    with pytest.raises(InputError, match="image size"):
         rasterizer().forward(hand_arrays(1), View(contract.IMAGE_MAX_PX + 1, 1, 1.0, 1.0, 0, 0, np.eye(3, 4)))
 
 
@@ -134,7 +134,7 @@ def test_a_picture_that_was_refused_has_no_backward_pass():
     one, gradient = rasterizer(), np.ones((5, 12, 20), np.float32)
     one.forward(arrays, view)
     want = one.backward(gradient)
-    with pytest.raises(InputError, match="picture size"):
+    with pytest.raises(InputError, match="image size"):
         one.forward(hand_arrays(90), view_for(contract.IMAGE_MAX_PX + 1, 1))
     with pytest.raises(InputError, match="forward"):
         one.backward(gradient)

@@ -22,19 +22,20 @@ from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
-from jghand_engine.render import backend, blur, effects, shadow_effects
+from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Shutter
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
-from jghand_engine.render.effects import CROP_SHADOW, REUSE_ANGLE_RAD, REUSE_CORRECTION_M, TAIL_ALPHA_MIN, TAIL_PSNR_DB
-from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
-from jghand_engine.render.image import Box
+from jghand_engine.render.effects import CROP_SHADOW, REUSE_ANGLE_RAD, REUSE_CORRECTION_M
+from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
 RIGHT = load_painted(handedness=Handedness.RIGHT)
 TRAINED = trained_avatar(3000)
 SMALL = RenderSettings(gaussians=4000)
 ALL = Choice.parse("all")
+# cut-off of preset final: contributions between this and 1/255 are the faint tail
+TAIL_ALPHA_MIN = 1 / 1024
 pytestmark = pytest.mark.skipif(not native_library.runnable_variants(), reason="no native variant runs here")
 
 
@@ -65,19 +66,19 @@ def test_a_choice_is_read_as_it_is_written():
     assert Choice.parse("auto") == Choice()
     assert all(Choice.parse("all").forces(effect) for effect in CHOOSABLE)
     assert not any(Choice.parse("none").allows(effect) for effect in CHOOSABLE)
-    some = Choice.parse("self-shadow, depth")
+    some = Choice.parse("self-shadow, filter")
     assert some.allows(Effect.SHADOW)
-    assert not some.allows(Effect.TAIL)
+    assert not some.allows(Effect.CAST)
     assert not some.forces(Effect.SHADOW)
 
 
-@pytest.mark.parametrize("text", ["auto", "all", "none", "depth", "depth,self-shadow"])
+@pytest.mark.parametrize("text", ["auto", "all", "none", "filter", "filter,self-shadow"])
 def test_a_choice_is_written_as_it_is_read(text: str):
     assert str(Choice.parse(text)) == text
     assert json.loads(json.dumps(replace(SMALL, effects=Choice.parse(text)).as_dict()))["effects"] == text
 
 
-@pytest.mark.parametrize("text", ["", "shadows", "all,depth", "skin"])
+@pytest.mark.parametrize("text", ["", "shadows", "all,filter", "skin"])
 def test_an_unknown_effect_is_refused_by_name(text: str):
     with pytest.raises(InputError, match=r"effects: wanted auto \| all \| none"):
         Choice.parse(text)
@@ -143,14 +144,14 @@ def test_but_for_the_gate_auto_is_all_to_the_cut_off(name: str, avatar):
     assert difference(auto, everything) <= bound
 
 
-def test_the_faint_tail_is_worth_what_the_receipt_says():
+def test_preset_viewport_keeps_50_db_without_the_faint_tail():
     joints, view = pose("relaxed"), camera(300, 240, focal_px=500.0)
     short, long = (
         HandRenderer(RIGHT, RenderSettings(shadow=ShadowMode.OFF, alpha_min=cut)).render(joints, view).rgba
         for cut in (contract.ALPHA_MIN, TAIL_ALPHA_MIN)
     )
     lost_db = -10 * np.log10(float(((short - long) ** 2).mean()))
-    assert lost_db > TAIL_PSNR_DB  # observed 51.1 on the painted hand, 54.9 on the trained one
+    assert lost_db > 50  # observed 51.1 on the painted hand, 54.9 on the trained one
 
 
 # ---- what is skipped costs nothing ----------------------------------------------------------------------------------
@@ -215,17 +216,13 @@ def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
     assert bare is not None
     assert bare.correctives is None
     assert bare.cast is None
-    assert bare.ellipsoid is None
-    for choice, none in (("none", True), ("auto", False)):
-        drawing = SceneRenderer([avatar], replace(SMALL, effects=Choice.parse(choice)))._backend
-        assert (drawing._gaussians.covariance_m2 is None) == none
 
 
 def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
     def never(*_arguments, **_named):
         raise AssertionError("not asked for")
 
-    monkeypatch.setattr("jghand_engine.render.frame.surface_normals", never)
+    monkeypatch.setattr("jghand_engine.render.renderer.surface_normals", never)
     monkeypatch.setattr(backend.Backend, "hand_weights", never)
     frame = SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("fist") + 0.1], camera())
     assert frame.normal is None
@@ -234,24 +231,9 @@ def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
 
 def test_normals_come_without_depth():
     frame = HandRenderer(RIGHT, replace(SMALL, depth=False, normals=True)).render(pose("open"), camera())
-    assert plan_of(frame).runs(Effect.NORMALS)
     assert frame.normal is not None
     assert float(np.abs(frame.normal).max()) > 0.9
     assert not frame.depth_m.any()
-
-
-def test_depth_that_may_not_be_made_is_not_made(monkeypatch):
-    wanted, real = [], backend.NativeShade.prepare
-
-    def noted(self, *arguments, **named):
-        wanted.append(named["depth_m"])
-        real(self, *arguments, **named)
-
-    monkeypatch.setattr(backend.NativeShade, "prepare", noted)
-    for choice in ("none", "auto"):
-        HandRenderer(RIGHT, replace(SMALL, effects=Choice.parse(choice))).render(pose("open"), camera())
-    assert wanted[0] is None
-    assert wanted[1] is not None
 
 
 def test_the_shadow_does_not_pop_when_a_hand_comes_nearer():
@@ -266,13 +248,11 @@ def test_the_shadow_does_not_pop_when_a_hand_comes_nearer():
 
 
 def test_a_learned_shadow_that_may_not_be_drawn_is_no_loss_of_nothing():
-    hands, joints = [TRAINED, TRAINED], [pose("fist", TRAINED), pose("fist", TRAINED) + np.array([0.1, 0.0, 0.0])]
-    for allowed, missing in (("hand-shadow", Effect.SHADOW), ("self-shadow", Effect.BETWEEN)):
-        settings = replace(SMALL, effects=Choice.parse(allowed))
-        decision = plan_of(SceneRenderer(hands, settings).render(joints, camera()))[missing]
-        assert not decision.runs
-        assert decision.worst is not None
-        assert decision.worst >= 0.5  # the tint of the small avatar's shadow is 0.7
+    settings = replace(SMALL, effects=Choice.parse("filter"))
+    decision = plan_of(HandRenderer(TRAINED, settings).render(pose("fist", TRAINED), camera()))[Effect.SHADOW]
+    assert not decision.runs
+    assert decision.worst is not None
+    assert decision.worst >= 0.5  # the tint of the small avatar's shadow is 0.7
 
 
 def test_a_tiny_hand_without_the_filter_is_not_said_to_be_right():
@@ -313,9 +293,7 @@ def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
         frame = scene.render([pose(name, avatar)], view)
         posed = scene._posed
         assert posed is not None
-        box = effects.hand_box(
-            posed.kept.joints_m, [one.bones for one in posed.poses], scene._facts, view, contract.ALPHA_MIN
-        ) or Box(0, 0, 640, 480)
+        box = posed.scene(view).box(scene._facts, contract.ALPHA_MIN)
         outside = frame.rgba[..., 3].copy()
         outside[box.top : box.top + box.height, box.left : box.left + box.width] = 0
         assert float(outside.max()) == 0
@@ -326,11 +304,10 @@ def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
 
 def test_hands_apart_cost_no_sum_over_their_bones(monkeypatch):
     asked = []
-    monkeypatch.setattr(shadow_effects, "contact_between", lambda hands: asked.append(1) or 0.0)
+    monkeypatch.setattr(effects, "contact_between", lambda hands: asked.append(1) or 0.0)
     far = [pose("open"), pose("open") + np.array([0.6, 0.0, 0.0])]
-    frame = SceneRenderer([RIGHT, RIGHT], SMALL).render(far, camera())
+    SceneRenderer([RIGHT, RIGHT], SMALL).render(far, camera())
     assert asked == []
-    assert plan_of(frame)[Effect.BETWEEN].reason.startswith("next hand ")
     SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("open") + 0.05], camera())
     assert asked == [1]
 

@@ -30,7 +30,7 @@ from jghand_engine.learn.shadow import normalized_depth, visibility
 from jghand_engine.native import library as native_library
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice, Effect
-from jghand_engine.render.frame import HandRenderer, SceneRenderer
+from jghand_engine.render.renderer import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 from jghand_engine.render.shadow import NativeShade, ShadowStyle
 

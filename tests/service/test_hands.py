@@ -21,7 +21,7 @@ from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.native import contract
 from jghand_engine.render import blur, budget
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service.commands import Canceled
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, EngineHands
@@ -291,7 +291,7 @@ def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and
     assert not came.covered_depth_m[~anywhere].any()
     told = {effect["effect"]: effect for effect in came.report["effects"]}
     assert told["motion-blur"]["runs"]
-    assert "3 pictures" in told["motion-blur"]["reason"]
+    assert "3 images" in told["motion-blur"]["reason"]
 
 
 def test_moments_that_are_far_apart_are_filled_in(source, right):
@@ -303,7 +303,7 @@ def test_moments_that_are_far_apart_are_filled_in(source, right):
     # worst observed 0.019, of the moments as they are 0.38: the promise of blur.motion_count is 1/64 of an edge
     assert np.abs(came.rgba[..., 3] - wanted).max() < 0.025
     told = {effect["effect"]: effect for effect in came.report["effects"]}
-    assert "28 pictures" in told["motion-blur"]["reason"]
+    assert "28 images" in told["motion-blur"]["reason"]
 
 
 def test_a_camera_that_turns_is_filled_in_too(source, right):

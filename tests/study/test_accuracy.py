@@ -11,7 +11,7 @@ from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.errors import InputError
 from jghand_engine.native.library import runnable_variants
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants

@@ -16,7 +16,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect
-from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.subject import Subject
 from jghand_engine.study import effects_study as study

@@ -13,7 +13,7 @@ from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.frame import HandRenderer, SceneRenderer
+from jghand_engine.render.renderer import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.track.detection import SecondLook
 from jghand_engine.track.mediapipe_hands import MediaPipeHands, check_package, model_file

@@ -1,4 +1,4 @@
-"""The frame: 21 joints and a camera to a finished picture, with a receipt of what was done and what was left out.
+"""From 21 joints and a camera to a finished image, with a receipt of what was done and what was left out.
 
     renderer = HandRenderer(load_builtin(handedness=Handedness.RIGHT), preset("viewport"))
     frame = renderer.render(joints_m, camera)
@@ -25,8 +25,8 @@ from jghand_engine.hand.skeleton import Skeleton, describe_flags
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.native.enlarge import native_enlarged
-from jghand_engine.native.rasterizer import check_picture_size
-from jghand_engine.render.backend import SHADOW, SKIN, Backend, Canvas, Pose
+from jghand_engine.native.rasterizer import check_image_size
+from jghand_engine.render.backend import Backend, Canvas, Pose
 from jghand_engine.render.blur import (
     LinearMean,
     Moment,
@@ -36,20 +36,17 @@ from jghand_engine.render.blur import (
     exposures,
     filled,
     focus_count,
-    focus_error,
-    motion_error,
     pinholes,
     way_px,
 )
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.crop import HandFacts
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 from jghand_engine.render.effects import (
     REUSE_BENT_MAX,
-    HandFacts,
     Kept,
     Scene,
     averaged,
-    hand_box,
     plan_effects,
     reusable,
     same_shape,
@@ -61,12 +58,12 @@ from jghand_engine.render.report import FrameReport, summed
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
 
-TRANSFORM, PLAN, ENLARGE = "transform", "plan", "enlarge"
+TRANSFORM, PLAN, NORMALS, IDS, ENLARGE = "transform", "plan", "normals", "ids", "enlarge"
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A finished picture. It belongs to the caller; the renderer keeps nothing of it.
+    """A finished image. It belongs to the caller; the renderer keeps nothing of it.
 
     rgba:    (H, W, 4) float32, premultiplied, display-referred sRGB, row 0 at the top
     depth_m: (H, W) float32, meters along the view axis, 0 where there is nothing (everywhere with settings.depth off)
@@ -82,16 +79,16 @@ class Frame:
 
 
 class SceneRenderer:
-    """Renders any number of hands into one picture, each driven by its own joints. One picture at a time.
+    """Renders any number of hands into one image, each driven by its own joints. One image at a time.
 
-    avatars: one per hand, each with its handedness · settings: how (splat.settings); `settings.gaussians` is per hand.
+    avatars: one per hand, each with its handedness · settings: how; `settings.gaussians` is per hand.
     InputError for an avatar whose bones do not follow the joints by `Skeleton`.
     """
 
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None) -> None:
         self.settings = settings or RenderSettings()
         if not avatars:
-            raise InputError("hands of a picture", wanted="at least one avatar", came="none")
+            raise InputError("hands of an image", wanted="at least one avatar", came="none")
         for avatar in avatars:
             check_follows_joints(avatar)
         allowed = [strip_disabled(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
@@ -124,7 +121,7 @@ class SceneRenderer:
         *,
         check_canceled: Callable[[], None] = lambda: None,
     ) -> Frame:
-        """One picture. joints_m: per hand (21, 3), level order, meters, in the frame the camera is given in.
+        """One image. joints_m: per hand (21, 3), level order, meters, in the frame the camera is given in.
         shutter: how the hands move around these joints while it is open; None for a moment. check_canceled: called
         between the parts of the image that take long; may raise to end it.
 
@@ -132,7 +129,7 @@ class SceneRenderer:
         (`PoseSequence.with_gaps_held`).
         """
         # what is drawn may be the hand's box alone
-        check_picture_size(camera.width, camera.height)
+        check_image_size(camera.width, camera.height)
         if not self.settings.half:
             return self._render(joints_m, camera, shutter, check_canceled)
         return _enlarged(self._render(joints_m, camera.halved(), shutter, check_canceled), camera)
@@ -151,19 +148,19 @@ class SceneRenderer:
         if shutter is not None:
             shutter = Shutter(self._checked(shutter.opens_m), self._checked(shutter.closes_m))
         shot = self._pose(hands, report)
+        report.tier = self._tiers if shot.moved_m is None else ""
         report.plan = plan = self._plan(shot, camera, shutter, report)
         report.notes += shot.posed.notes + shot.posed.unseen
         if plan.exposures == 1:
-            drawn = self._picture(shot, replace(camera, lens=None), plan, report, check_canceled)
+            drawn = self._draw(shot, replace(camera, lens=None), plan, report, check_canceled)
         else:
             mean = LinearMean(camera.width, camera.height)
             for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
                 shot = self._pose(moment_m, report)
-                mean.add(self._picture(shot, pinhole, plan, report, check_canceled), 1 / plan.exposures)
+                mean.add(self._draw(shot, pinhole, plan, report, check_canceled), 1 / plan.exposures)
             drawn = mean.image()
-        report.explain(SKIN, self._tiers)
         check_canceled()
-        frame = self._finished(drawn, camera, plan, report)
+        frame = self._finished(drawn, camera, report)
         report.total_ms = 1e3 * (time.perf_counter() - started)
         return frame
 
@@ -208,15 +205,9 @@ class SceneRenderer:
         reports.append(last.report)
         plan, count = last.report.plan, len(seen) * each
         if plan is not None:
-            averages = []
-            if len(seen) > 1:
-                length_px = way_px(seen)
-                missed = motion_error(length_px, len(seen))
-                averages.append(averaged(Effect.MOTION, len(seen), f"joints travel {length_px:.1f} px", missed))
-            if blurred:
-                missed = focus_error(wide_px, count)
-                averages.append(averaged(Effect.FOCUS, count, f"discs of {wide_px:.1f} px", missed))
-            plan = plan.with_averages(averages, count)
+            motion = [averaged(Effect.MOTION, len(seen), way_px(seen))] if len(seen) > 1 else []
+            focus = [averaged(Effect.FOCUS, count, wide_px)] if blurred else []
+            plan = plan.with_averages(motion + focus, count)
         image = mean.image()
         assert image.depth_m is not None
         return Frame(image.rgba, last.depth_m, summed(reports, plan)), image.depth_m
@@ -227,9 +218,9 @@ class SceneRenderer:
 
         InputError when nothing was drawn yet.
         """
-        check_picture_size(camera.width, camera.height)
+        check_image_size(camera.width, camera.height)
         if self._posed is None:
-            raise InputError("bones of a picture", wanted="a picture drawn before", came="none")
+            raise InputError("bones of an image", wanted="an image drawn before", came="none")
         if self._bones is None:
             self._bones = [bone_numbers(avatar) for avatar in self._avatars]
         canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, contract.ALPHA_MIN)
@@ -237,7 +228,7 @@ class SceneRenderer:
 
     def _checked(self, joints_m: Sequence[np.ndarray]) -> list[np.ndarray]:
         if len(joints_m) != len(self._avatars):
-            raise InputError("hands of a picture", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
+            raise InputError("hands of an image", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
         return [_checked_hand(joints) for joints in joints_m]
 
     # ---- the pose ----------------------------------------------------------------------------------------------------
@@ -274,45 +265,26 @@ class SceneRenderer:
         return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
 
     def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
-        started, posed = time.perf_counter(), shot.posed
-        scene = Scene(
-            posed.kept.joints_m,
-            [pose.bones for pose in posed.poses],
-            camera,
-            shutter,
-            shot.moved_m,
-            reshaped=not all(pose.keep_correctives for pose in posed.poses),
-        )
-        plan = plan_effects(scene, self._facts, self.settings)
-        skin = plan[Effect.SKIN]
-        if not skin.runs:
-            report.skipped(TRANSFORM, skin.reason, skin.bound)
+        started = time.perf_counter()
+        plan = plan_effects(shot.posed.scene(camera, shutter, shot.moved_m), self._facts, self.settings)
         report.ran(PLAN, 1e3 * (time.perf_counter() - started))
-        if not skin.runs:
-            report.skipped(SKIN, "same transforms", skin.bound)
-        if plan.strength == 0:
-            report.skipped(SHADOW, plan[Effect.SHADOW].reason, plan[Effect.SHADOW].bound)
-        if not plan.runs(Effect.DEPTH):
-            report.skipped(str(Effect.DEPTH), plan[Effect.DEPTH].reason, plan[Effect.DEPTH].bound)
         return plan
 
-    # ---- the picture -------------------------------------------------------------------------------------------------
+    # ---- the image -------------------------------------------------------------------------------------------------
 
-    def _picture(
+    def _draw(
         self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, check_canceled: Callable[[], None]
     ) -> Image:
-        """One moment through one pinhole: of the whole picture or of the hands' box in it."""
-        posed, box = shot.posed, None
+        """One moment through one pinhole: of the whole image or of the hands' box in it."""
+        posed, box = shot.posed, Box(0, 0, camera.width, camera.height)
         if plan.enlarged > 1 or not plan.runs(Effect.WHOLE):
-            bones = [pose.bones for pose in posed.poses]
-            box = hand_box(posed.kept.joints_m, bones, self._facts, camera, plan.alpha_min)
-        box = box or Box(0, 0, camera.width, camera.height)
+            box = posed.scene(camera).box(self._facts, self.settings.alpha_min)
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
             check_canceled()
             drawn.append((self._painted(shot, part, box, plan, report), plan.plain))
         if plan.plain < 1:
-            # what was posed for the picture above stays
+            # what was posed for the image above stays
             again = shot if plan.plain == 0 else _Shot(posed, 0.0)
             check_canceled()
             large = self._painted(again, part.scaled(plan.enlarged), box, plan, report)
@@ -326,15 +298,16 @@ class SceneRenderer:
         return mean.image()
 
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Image:
+        settings = self.settings
         # normals are those of the depth
-        depth = plan.runs(Effect.DEPTH) or plan.runs(Effect.NORMALS)
-        canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min, depth=depth)
+        depth = settings.depth or settings.normals
+        canvas = self._canvas(shot.posed, camera, plan.strength, settings.alpha_min, depth=depth)
         poses = None if shot.moved_m is not None else shot.posed.poses
-        keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
-        # a picture that fails half way may leave the backend with half of these Gaussians: then the next one poses anew
+        keeps = poses is None and not settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
+        # an image that fails half way may leave the backend with half of these Gaussians: then the next one poses anew
         self._posed = self._drawn = None
         rgba, depth_m = self._backend.draw(poses, canvas, report, keep_image=keeps)
-        weights = self._hand_weights(rgba, canvas, report) if plan.runs(Effect.IDS) else None
+        weights = self._hand_weights(rgba, canvas, report) if settings.ids else None
         self._posed, self._drawn = shot.posed, canvas
         return Image(box, rgba, depth_m, weights)
 
@@ -342,7 +315,7 @@ class SceneRenderer:
         """(H, W, hands) how much of the pixel each hand covers."""
         started = time.perf_counter()
         weights = rgba[..., 3:] if len(self._avatars) == 1 else self._backend.hand_weights(canvas)
-        report.ran(str(Effect.IDS), 1e3 * (time.perf_counter() - started))
+        report.ran(IDS, 1e3 * (time.perf_counter() - started))
         return weights
 
     def _canvas(
@@ -361,31 +334,31 @@ class SceneRenderer:
         radius_m = self.settings.shadow_radius_m
         return ShadowStyle(self.settings.shadow_samples, strength, radius_m, gain=gain, tint=(red, green, blue))
 
-    def _finished(self, drawn: Image, camera: Camera, plan: EffectPlan, report: FrameReport) -> Frame:
-        whole = drawn.laid_out(camera.width, camera.height)
+    def _finished(self, drawn: Image, camera: Camera, report: FrameReport) -> Frame:
+        whole, settings = drawn.laid_out(camera.width, camera.height), self.settings
         normal = ids = None
-        if plan.runs(Effect.NORMALS) and whole.depth_m is not None:
+        if settings.normals and whole.depth_m is not None:
             started = time.perf_counter()
             normal = surface_normals(whole.depth_m, camera)
-            report.ran(str(Effect.NORMALS), 1e3 * (time.perf_counter() - started))
-        if plan.runs(Effect.IDS) and whole.weights is not None:
+            report.ran(NORMALS, 1e3 * (time.perf_counter() - started))
+        if settings.ids and whole.weights is not None:
             covered = whole.weights.sum(-1) > contract.DEPTH_ALPHA_MIN
             ids = np.where(covered, 1 + whole.weights.argmax(-1), 0).astype(np.uint8)
-        depth_m = whole.depth_m if plan.runs(Effect.DEPTH) else None
+        depth_m = whole.depth_m if settings.depth else None
         if depth_m is None:
             depth_m = np.zeros(whole.rgba.shape[:2], np.float32)
         return Frame(whole.rgba, depth_m, report, normal, ids)
 
 
 class HandRenderer:
-    """Renders one hand. avatar: which, with its handedness · settings: how (splat.settings)."""
+    """Renders one hand. avatar: which, with its handedness · settings: how."""
 
     def __init__(self, avatar: HandAvatar, settings: RenderSettings | None = None) -> None:
         self._scene = SceneRenderer([avatar], settings)
         self.settings = self._scene.settings
 
     def render(self, joints_m: np.ndarray, camera: Camera, shutter: Shutter | None = None) -> Frame:
-        """One picture. joints_m: (21, 3), level order, meters, in the frame the camera is given in. shutter: as for
+        """One image. joints_m: (21, 3), level order, meters, in the frame the camera is given in. shutter: as for
         SceneRenderer, of one hand.
 
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
@@ -419,13 +392,23 @@ def _enlarged(frame: Frame, camera: Camera) -> Frame:
 
 @dataclass(frozen=True)
 class _Posed:
-    """Hands in a pose: what the next picture may keep of it, transforms, notes for the report: of what is wrong with a
-    hand, and of what its avatar never saw."""
+    """Hands in a pose.
+
+    kept:   what the next image may keep of it
+    poses:  transforms
+    notes:  of what is wrong with a hand
+    unseen: of what its avatar never saw
+    """
 
     kept: Kept
     poses: list[Pose]
     notes: list[str]
     unseen: list[str]
+
+    def scene(self, camera: Camera, shutter: Shutter | None = None, moved_m: float | None = None) -> Scene:
+        """As it is seen by a camera."""
+        reshaped = not all(pose.keep_correctives for pose in self.poses)
+        return Scene(self.kept.joints_m, [pose.bones for pose in self.poses], camera, shutter, moved_m, reshaped)
 
 
 @dataclass(frozen=True)
