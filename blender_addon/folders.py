@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the extension may write: its own folder of this user, which Blender names."""
+"""Where the extension may write, and paths of hands: `//` is the folder of the file that a text was written for."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import tempfile
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 
 from .errors import JGHandFailure
+
+# properties of a hand that are paths
+_PATHS = ("avatar", "bake")
 
 
 def user_folder(name: str, *, make: bool = True) -> Path:
@@ -67,3 +71,34 @@ def relative(path: str) -> str:
         return bpy.path.relpath(path)
     except ValueError:
         return path
+
+
+# ---- hands that are appended from another file: Blender adapts only paths of its own ---------------------------------
+
+
+@persistent
+def _appended(context: bpy.types.BlendImportContext, *_: object) -> None:
+    for item in context.import_items:
+        thing, source = item.id, item.source_library
+        if isinstance(thing, bpy.types.Object) and thing.library is None and source is not None:
+            for name in _PATHS:
+                _adapt(thing, name, source)
+
+
+def _adapt(thing: bpy.types.Object, name: str, source: bpy.types.Library) -> None:
+    text = getattr(thing.jghand, name)
+    if text.startswith("//"):
+        whole = bpy.path.abspath(text, library=source)
+        setattr(thing.jghand, name, relative(whole) if bpy.data.filepath else whole)
+
+
+def register() -> None:
+    """Begins to look."""
+    if _appended not in bpy.app.handlers.blend_import_post:
+        bpy.app.handlers.blend_import_post.append(_appended)
+
+
+def unregister() -> None:
+    """Ends it."""
+    if _appended in bpy.app.handlers.blend_import_post:
+        bpy.app.handlers.blend_import_post.remove(_appended)

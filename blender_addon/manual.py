@@ -12,11 +12,8 @@ PAGE = Path(__file__).resolve().parent / "assets" / "help.html"
 # the page's section about what a module adds
 _SECTIONS = {
     "hand.ops": "hand",
-    "hand.ops_bones": "rigs",
     "hand.ops_pose": "pose",
-    "hand.ops_controls": "pose",
     "hand.ops_motion": "motion",
-    "hand.ops_track": "motion",
     "renderer.ops": "engine",
     "renderer.install": "engine",
     "render.ops": "view",

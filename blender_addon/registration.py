@@ -11,21 +11,12 @@ from types import ModuleType
 
 import bpy
 
-from . import manual, preferences, properties
+from . import folders, manual, preferences, properties
 from .export import ops as export_ops
 from .export import ops_bake, usd_hook
 from .export import panel as export_panel
-from .hand import (
-    appended,
-    kept,
-    ops_bones,
-    ops_controls,
-    ops_motion,
-    ops_pose,
-    ops_track,
-    pose_library,
-)
 from .hand import ops as hand_ops
+from .hand import ops_motion, ops_pose
 from .hand import panel as hand_panel
 from .render import command, left_out, ops_composite, pages
 from .render import engine as render_engine
@@ -40,14 +31,14 @@ from .viewport import handlers
 # a class comes after those that it uses; Blender shows panels in the order in which they come
 WITH_CLASSES = (
     *(preferences, properties, render_engine, renderer_ops, install),
-    *(hand_ops, ops_bones, ops_pose, ops_controls, ops_motion, ops_track),
+    *(hand_ops, ops_pose, ops_motion),
     *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
     *(hand_panel, render_panel, export_panel, train_panel, pages),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(manual, properties, runtime, pose_library, job_watch, kept, usd_hook),
-    *(appended, handlers, left_out, render_engine, command, hand_ops, ops_motion),
+    *(manual, properties, runtime, job_watch, usd_hook),
+    *(folders, handlers, left_out, render_engine, command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(
     [each for module in WITH_CLASSES for each in module.CLASSES]

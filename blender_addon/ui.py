@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
+from typing import Any, TypeVar
 
 import blf
 import bpy
@@ -12,7 +13,8 @@ import bpy.utils.previews
 import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 
-from .core import limits, panel_text
+from . import clock
+from .core import panel_text
 from .core.panel_text import Line
 from .hand import armature, seen_hands
 
@@ -23,8 +25,20 @@ CLOSED = {"DEFAULT_CLOSED"}
 _FONT = 0
 # pixels, at the interface's scale of one, that a panel keeps free at its sides, and that an icon takes
 _MARGIN_PX, _ICON_PX = 76, 20
+# letters of a line of a menu that says something: the window of a picture is often small
+POPUP_LETTERS = 48
 # a sidebar without a window
 _WIDTH_PX = 240
+
+
+_Found = TypeVar("_Found")
+_Key = tuple[Callable[..., Any], int, tuple[Hashable, ...]]
+# What was looked up on a timer, for panels are drawn at every frame of playback, and what was asked for since: values
+# alone; a look is given names and numbers, never what belongs to Blender's data.
+_kept: dict[_Key, Any] = {}
+_wanted: set[_Key] = set()
+# how often it is looked up, while panels ask, seconds
+_LOOK_S = 0.5
 
 
 class Sidebar:
@@ -117,7 +131,7 @@ def show_message(text: str, *, icon: str, operators: Iterable[tuple[str, str]] =
     windows = bpy.context.window_manager.windows
     if bpy.app.background or not windows:
         return
-    lines, buttons = panel_text.wrapped(text, limits.POPUP_LETTERS), tuple(operators)
+    lines, buttons = panel_text.wrapped(text, POPUP_LETTERS), tuple(operators)
 
     def draw(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
         # not as the title, which is cut where the window ends: that of a picture is small
@@ -161,3 +175,44 @@ def one_step(message: str) -> Iterator[bpy.types.Context]:
         yield context
         if not bpy.app.background and bpy.ops.ed.undo_push.poll():
             bpy.ops.ed.undo_push(message=message)
+
+
+# ---- what panels show of disks and of evaluated scenes ---------------------------------------------------------------
+
+
+def kept(context: bpy.types.Context, look: Callable[..., _Found], *about: Hashable) -> _Found | None:
+    """What `look(context, *about)` found last for this scene, None before the first time; asks for a new look. Without
+    a window, where timers never fire, it looks at once."""
+    if bpy.app.background:
+        return look(context, *about)
+    key = (look, context.scene.session_uid, about)
+    _wanted.add(key)
+    if not bpy.app.timers.is_registered(_look_up):
+        bpy.app.timers.register(_look_up, first_interval=_LOOK_S if key in _kept else 0.0)
+    return _kept.get(key)
+
+
+def forget_kept() -> None:
+    """The next panel looks anew."""
+    _kept.clear()
+    _wanted.clear()
+
+
+@clock.guarded(None)
+def _look_up() -> None:
+    """One look at all that was asked for since the last one; what nobody asks for any more is forgotten, and what
+    cannot be looked at is not known. Panels that show something new are drawn, and ask again."""
+    asked = set(_wanted)
+    _wanted.clear()
+    before = dict(_kept)
+    _kept.clear()
+    for key in asked:
+        look, scene_uid, about = key
+        with in_a_window(scene_uid) as context:
+            if context.scene.session_uid == scene_uid:
+                try:
+                    _kept[key] = look(context, *about)
+                except Exception as error:  # the other looks go on
+                    clock.tell_once(error)
+    if _kept != before:
+        redraw()

@@ -41,31 +41,6 @@ def new_action(
     return action
 
 
-def keep_action(owner: bpy.types.ID) -> Callable[[], None]:
-    """What gives `owner` the action back that it has now, and removes the one that took its place."""
-    animation = owner.animation_data
-    animated = animation is not None
-    before, slot = (animation.action, animation.action_slot) if animation is not None else (None, None)
-    fake_user = before is not None and before.use_fake_user
-
-    def put_back() -> None:
-        now = owner.animation_data
-        taken = now.action if now is not None else None
-        if now is None or taken == before:
-            return
-        now.action = before
-        if before is not None:
-            now.action_slot = slot
-            if before.library is None:
-                before.use_fake_user = fake_user
-        if not animated:
-            owner.animation_data_clear()
-        if taken is not None:
-            bpy.data.actions.remove(taken)
-
-    return put_back
-
-
 def new_fcurve(owner: bpy.types.ID, data_path: str, index: int, group: str) -> bpy.types.FCurve:
     """A curve in the action of `owner` made by `new_action`, in the named group."""
     animation = owner.animation_data

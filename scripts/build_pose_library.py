@@ -27,7 +27,7 @@ from blender_addon.core import poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, LEFT, RIGHT
 from blender_addon.core.poses import HandPose
-from blender_addon.hand import pose_library
+from blender_addon.hand import poses as pose_library
 from blender_addon.hand.motion_files import MotionFile, write_motion
 
 # pixels: Blender shows assets at up to 128, and a quarter less than that keeps the file small

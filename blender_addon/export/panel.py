@@ -11,7 +11,6 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import ui, versions
 from ..errors import JGHandFailure
 from ..hand import avatar_files
-from ..hand.kept import kept
 from ..hand.seen_hands import avatar_of
 from ..renderer import job_watch, runtime
 from ..renderer.job_state import Phase
@@ -103,7 +102,7 @@ def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.ty
 
 def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> bool:
     """What the bake of a hand holds, and why it does not show what is seen now. Returns whether it is stale."""
-    seen = kept(context, _look_at_bake, hand.session_uid)
+    seen = ui.kept(context, _look_at_bake, hand.session_uid)
     if seen is None:
         return False
     if seen.problem:
@@ -170,7 +169,7 @@ _SILENT_S = 120.0
 
 def _draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, written: Written) -> None:
     """What the chosen hands and frames take, before the click."""
-    size = kept(context, _look_at_size, folder, written)
+    size = ui.kept(context, _look_at_size, folder, written)
     if size is not None:
         layout.label(text=size.sentence(iface_), icon="NONE" if size.fits else "ERROR", translate=False)
 

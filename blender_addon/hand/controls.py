@@ -73,7 +73,7 @@ def add_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
 def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     """Takes the control layer away. The 21 bones and every key stay. Raises JGHandFailure: not_editable.
 
-    The hand falls back to the keys of its 21 bones; `bake_controls` keeps what is seen instead.
+    The hand falls back to the keys of its 21 bones; `bake_steps` keeps what is seen instead.
     """
     check_editable(context, hand)
     _own_bones(hand)
@@ -87,20 +87,13 @@ def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
             hand.data.collections.remove(hand.data.collections[name])
 
 
-def bake_controls(context: bpy.types.Context, hand: bpy.types.Object, frames: Sequence[int]) -> bpy.types.Action:
-    """Keys what is seen at every frame on the 21 bones, in a new action, and takes the control layer away.
-
-    Raises JGHandFailure: not_editable, constrained (something else than the controls moves the bones), and what reading
-    a hand raises; before anything is changed.
-    """
-    for _ in bake_steps(context, [hand], frames):
-        pass
-    return hand.animation_data.action
-
-
 def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], frames: Sequence[int]) -> Iterator[float]:
-    """The same for several hands in steps, each with the part of the frames that is read; whoever stops half-way
-    changes nothing."""
+    """Keys what is seen at every frame on the 21 bones of hands, in new actions, and takes their control layers away.
+
+    In steps, each with the part of the frames that is read; whoever stops half-way changes nothing. Raises
+    JGHandFailure: not_editable, constrained (something else than the controls moves the bones), and what reading a hand
+    raises; before anything is changed.
+    """
     for hand in hands:
         check_editable(context, hand)
         motion.check_free(hand, but=RULES)
@@ -116,7 +109,7 @@ def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], fr
         armature.at_frame(scene, before)
     for hand, moves in zip(hands, np.stack(joints, axis=1), strict=True):
         remove_controls(context, hand)
-        motion.key_motion(hand, moves, scene, key_frames=frames)
+        motion.key_motion(hand, moves, scene, frames)
 
 
 def mute_controls(hand: bpy.types.Object, muted: bool) -> None:

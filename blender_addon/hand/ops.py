@@ -171,7 +171,6 @@ class UseArmature(Reporting, bpy.types.Operator):
             sources.store_map(rig, bone_map)
         sources.prepare(rig)
         rig.jghand.map_hand = maps[0].handedness
-        rig.update_tag()
         if nothing:
             self.warn(rpt_("No bones of a hand were recognized: choose them in the list."))
         elif doubts or not all(bone_map.complete for bone_map in maps):
@@ -231,6 +230,57 @@ class UseObjects(Reporting, bpy.types.Operator):
         holder.location = joints[0].matrix_world.translation
         sources.store_objects(holder, joints, bone_map.handedness)
         return holder
+
+
+def _poll_rig(operator: type, context: bpy.types.Context) -> bool:
+    rig = context.object
+    if rig is None or rig.type != "ARMATURE" or not armature.is_foreign(rig):
+        return missing(operator, "Select an armature that is used as a hand")
+    if context.mode == "EDIT_ARMATURE":
+        return missing(operator, "Leave edit mode first")
+    if not rig.is_editable:
+        return missing(operator, "This armature is linked from another file: make it local, or an override, first")
+    return True
+
+
+class FillBoneMap(Reporting, bpy.types.Operator):
+    """Operator: the names of the bones are looked at again."""
+
+    bl_idname = "jghand.fill_bone_map"
+    bl_label = "Find Bones Again"
+    bl_description = "Look for this hand's bones by their names again"
+    bl_options = UNDOABLE
+
+    only_missing: bpy.props.BoolProperty(
+        name="Only Missing",
+        description="Keep the bones that were chosen and are there, and look for the others only",
+        default=True,
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _poll_rig(cls, context)
+
+    def run(self, context: bpy.types.Context) -> None:
+        rig = context.object
+        side = rig.jghand.map_hand
+        found = sources.recognize(rig, side)
+        before = sources.shown_map(rig)
+        if found.bone_map is None:
+            raise JGHandFailure("bad_bone_map", " ".join(found.sentences))
+        chosen = before.sources if before is not None and self.only_missing else [None] * len(NAMES)
+        known = rig.data.bones
+        kept = [old if old is not None and old.bone in known else None for old in chosen]
+        filled = [old or new for old, new in zip(kept, found.bone_map.sources, strict=True)]
+        bone_map = bone_maps.by_hand(side, filled)
+        sources.store_map(rig, bone_map)
+        sources.prepare(rig)
+        count = sum(old is None and new is not None for old, new in zip(kept, filled, strict=True))
+        told = rpt_("{count} of 21 bones found by name.").format(count=count)
+        if bone_map.complete:
+            self.tell(told)
+        else:
+            self.warn(told, *bone_map.missing)
 
 
 class Forget(Reporting, bpy.types.Operator):
@@ -336,13 +386,7 @@ def _look_at(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     framing.turn_view_to(context.area, joints_m, context.scene.unit_settings.scale_length)
 
 
-CLASSES = (
-    AddHand,
-    UseArmature,
-    UseObjects,
-    Forget,
-    SelectHand,
-)
+CLASSES = (AddHand, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand)
 
 
 def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:

@@ -1,38 +1,48 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Motion files as keys of a hand, chosen or dropped into the viewport. The engine reads those of other programs."""
+"""Motion files and videos as keys of a hand: one is chosen or dropped, the renderer reads it as a job, hands are keyed.
+
+While the renderer works Blender stays free; given up meanwhile, nothing is changed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
-from dataclasses import replace
-from functools import partial
+import contextlib
+import math
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
+from bpy_extras.io_utils import ImportHelper
 
+from .. import folders, ui
 from .. import ops as common
-from ..core import limits
-from ..core.aside import aside
 from ..core.joints import LEFT, RIGHT
 from ..errors import JGHandFailure
-from ..renderer import runtime
-from . import armature
-from .motion_conversion import (
-    FOREIGN_SUFFIXES,
+from ..export.ops_common import refuse_second
+from ..ops import CANCELLED, UNDOABLE_IMPORT, Elsewhere, InTurns, missing
+from ..renderer import job_watch, runtime
+from ..renderer.jobs import JobSpec
+from . import armature, controls, motion
+from .motion_files import FPS_MAX, MotionFile, read_motion
+from .motion_jobs import (
+    FETCH,
+    MOTION_SUFFIXES,
     ORDERS,
-    OWN_SUFFIXES,
+    VIDEO_SUFFIXES,
     WANTS_HAND,
-    ConversionChoices,
     read_converted,
+    read_tracked,
     words,
 )
-from .motion_files import MotionFile, read_motion
-from .ops_import import KeysFile
+from .seen_hands import avatar_of
+
+_Result = TypeVar("_Result")
 
 # Blender's own importers take glTF and USD that are dropped
-DROPPED_SUFFIXES = (*OWN_SUFFIXES, ".npy", ".bvh")
+DROPPED_SUFFIXES = (".npz", ".json", ".csv", ".npy", ".bvh")
 _TARGETS = (
     ("AUTO", "Active or New", "The active hand, where it is of the motion's side; else a new one", "NONE", 0),
     ("ACTIVE", "Active Hand", "The active hand only", "NONE", 1),
@@ -71,11 +81,170 @@ _LABELS = (
     ("mirrored", "Mirrored", "A right hand is labeled left, as in a mirror", "NONE", 2),
 )
 
-# options that go to the engine; where one of them is chosen, it reads jghand's own files too
+# what the renderer calls its options -> what stands beside the file; the longer first
+_LABELS_OF = {
+    **{"--hand-length": "Hand Length", "--hand": "Hand", "--file-up": "Up", "--unit": "Unit", "--order": "Order"},
+    **{"--fps": "Frame Rate", "--part": "Part", "--bones": "Bone Names", "--labels": "Labels"},
+}
+# options that go to the renderer; where one of them is chosen, it reads jghand's own files too
 _OF_OTHERS = (
     *("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones"),
     *("mirror", "in_place"),
 )
+
+
+_TRACKED_HANDS = (
+    ("auto", "All Detected", "Every hand in the video, at most one of each side", "NONE", 0),
+    ("right", "Right", "The right hand", "NONE", 1),
+    ("left", "Left", "The left hand", "NONE", 2),
+    ("both", "Both", "Both, or none", "NONE", 3),
+)
+
+
+class KeysFile(InTurns, ImportHelper):
+    """An operator that makes keys of a file. `verb`: its name among Blender's operators · `choices`: its properties
+    beside the files · `headings`: what stands above some of them · `learns`: whether
+    the engine needs PyTorch for it."""
+
+    bl_options = UNDOABLE_IMPORT
+    verb = ""
+    learns = False
+    choices: tuple[str, ...] = ()
+    headings: Mapping[str, str] = MappingProxyType({})
+    # whether the file browser calls `execute`
+    _asked = False
+
+    filename_ext = ""
+    # not remembered: a file that is named when the operator is called was dropped, or is a script's, and is taken
+    # without asking; so is whatever was chosen in the file browser
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    hand_length: bpy.props.FloatProperty(
+        name="Hand Length",
+        description="From the wrist to the middle finger's tip; 0: as in the file, or of a video the avatar's",
+        min=0.0,
+        soft_max=250.0,
+        precision=0,
+        subtype="DISTANCE_CAMERA",  # Blender's word for millimeters, whatever the scene's unit is
+    )  # type: ignore[valid-type]
+    first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene is None or not context.scene.is_editable:
+            return missing(cls, "This scene is linked from another file")
+        return True
+
+    def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
+        """The hand that takes a motion: the active one, where it is of the motion's side; None for a new one."""
+        active = common.active_hand(context)
+        fits = active is not None and active.is_editable and armature.handedness_of(active) == content.handedness
+        return active if fits else None
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Asks for a file, unless one is named."""
+        if self.chosen or (self.filepath and Path(self.filepath).is_file()):
+            return super().invoke(context, event)
+        self._asked = True
+        return ImportHelper.invoke(self, context, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """All at once; after the file browser, which forgets an operator that is not done, another one in turns."""
+        if not self._asked or context.window is None:
+            return super().execute(context)
+        self._asked = False
+        values = {name: getattr(self, name) for name in ("filepath", *self.choices)}
+        getattr(bpy.ops.jghand, self.verb)("INVOKE_DEFAULT", chosen=True, **values)
+        return CANCELLED
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """The options beside the files."""
+        column = ui.settings(self.layout)
+        for name in self.choices:
+            if name in self.headings:
+                column.separator()
+                column.label(text=self.headings[name])
+            column.prop(self, name)
+
+    def made_by_engine(
+        self, said: Callable[[Path], Sequence[str]], read: Callable[[Path], _Result]
+    ) -> Generator[float, None, _Result]:
+        """What `read` finds in a folder, after the renderer has done there what it is `said` to. Closed half-way, the
+        renderer is asked to end and leaves nothing. JGHandFailure: why it failed."""
+        refuse_second(job_watch.IMPORT)
+        program, folder = runtime.program(learns=self.learns), folders.job_folder()
+        results: list[_Result] = []
+        spec = JobSpec(
+            "import",
+            self.working,
+            (*program, *said(folder)),
+            folder,
+            on_done=lambda: results.append(read(folder)),
+            on_over=lambda: folders.remove_job_folder(folder),
+        )
+        job = runtime.jobs().start(job_watch.IMPORT, spec)
+        job_watch.start()
+        try:
+            while not job.is_over:
+                yield Elsewhere(job.state.fraction or 0.0)
+                job.tick()
+        finally:
+            if not job.is_over:
+                job.cancel()
+                if not job_watch.timers_fire():
+                    job.kill()
+        if job.state.failure is not None:
+            raise job.state.failure
+        if not results:
+            raise JGHandFailure("canceled")
+        return results[0]
+
+    def keying(self, context: bpy.types.Context, contents: Sequence[tuple[MotionFile, str]]) -> None:
+        """Keys motions, each with its name, and tells what was done; where one of them is refused, none is keyed."""
+        common.object_mode(context)
+        wanted = [motion.WantedMotion(content, name, self.hand_for(context, content)) for content, name in contents]
+        controlled = [one.hand for one in wanted if one.hand is not None and controls.has_controls(one.hand)]
+        with common.wait_cursor(context):
+            hands = motion.import_motions(context, wanted, first_frame=self.first_frame)
+        for one, hand in zip(wanted, hands, strict=True):
+            if one.hand is None:
+                common.link_to_active_collection(context, hand)
+            common.make_active(context, hand)
+        for hand in controlled:
+            controls.reset_controls(hand)
+            controls.mute_controls(hand, False)
+            controls.use_joint_limits(hand, False)
+        self._tell(context, wanted, hands, controlled=bool(controlled))
+
+    def _tell(
+        self,
+        context: bpy.types.Context,
+        wanted: Sequence[motion.WantedMotion],
+        hands: Sequence[bpy.types.Object],
+        *,
+        controlled: bool,
+    ) -> None:
+        """What was keyed; the scene's range follows where that is wanted."""
+        scene = context.scene
+        scene_fps = scene.render.fps / scene.render.fps_base
+        lines, lasts = [], [self.first_frame]
+        for one, hand in zip(wanted, hands, strict=True):
+            frames = len(one.motion.joints_m)
+            lasts.append(self.first_frame + round((frames - 1) * scene_fps / one.motion.fps))
+            lines.append(
+                rpt_("{count} frames from {first} to {last} on {name}.").format(
+                    count=frames, first=self.first_frame, last=lasts[-1], name=hand.name
+                )
+            )
+        if self.use_scene_range:
+            scene.frame_start, scene.frame_end = self.first_frame, max(lasts)
+        if controlled:
+            lines.append(rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly."))
+        notes = list(dict.fromkeys(note for one in wanted for note in one.motion.notes))
+        if notes:
+            self.warn(*lines, *notes)
+        else:
+            self.tell(*lines)
 
 
 class ImportMotion(KeysFile, bpy.types.Operator):
@@ -94,7 +263,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
     filter_glob: bpy.props.StringProperty(
-        default=";".join(f"*{suffix}" for suffix in (*OWN_SUFFIXES, *FOREIGN_SUFFIXES)), options={"HIDDEN"}
+        default=";".join(f"*{suffix}" for suffix in MOTION_SUFFIXES), options={"HIDDEN"}
     )  # type: ignore[valid-type]
     target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
     use_scene_range: bpy.props.BoolProperty(
@@ -110,7 +279,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         name="Frame Rate",
         description="Frames per second of the file; 0: as it says, else 30",
         min=0.0,
-        max=limits.FPS_MAX,
+        max=FPS_MAX,
         soft_max=240.0,
         precision=2,
     )  # type: ignore[valid-type]
@@ -132,12 +301,26 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     )  # type: ignore[valid-type]
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
-        """The file is read in a thread, or by the engine, then curve by curve is keyed."""
         path = Path(bpy.path.abspath(self.filepath))
-        choices = _choices(self)
-        started = 0.0 if _is_plain(path, choices) else limits.CONVERSION_PART
-        content = yield from self._content(context, path, choices)
-        yield from self.keying(context, [(content, path.stem)], started)
+        content = yield from self._content(context, path)
+        self.keying(context, [(content, path.stem)])
+
+    def said(self) -> dict[str, str | bool]:
+        """What was chosen beside the file, in the renderer's words."""
+        chosen = {
+            "--hand": self.hand,
+            "--unit": self.unit,
+            "--order": self.order,
+            "--file-up": self.up,
+            "--labels": self.labels,
+            "--fps": f"{self.fps:g}" if self.fps else "",
+            "--hand-length": f"{self.hand_length:g}" if self.hand_length else "",
+            "--part": self.part,
+            "--bones": bpy.path.abspath(self.bones),
+            "--mirror": self.mirror,
+            "--in-place": self.in_place,
+        }
+        return {option: "" if value == "AUTO" else value for option, value in chosen.items()}
 
     def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
         """As `target` says."""
@@ -148,82 +331,110 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             raise JGHandFailure("not_a_hand", rpt_("no hand is active"))
         return active if self.target == "ACTIVE" else None
 
-    def _content(
-        self, context: bpy.types.Context, path: Path, choices: ConversionChoices
-    ) -> Generator[float, None, MotionFile]:
-        """The motion of a file. One that is not as jghand writes it goes through the engine, where there is one, and so
-        does one that shall become something else than it is."""
-        if _is_plain(path, choices):
-            try:
-                return (yield from aside(partial(read_motion, path)))
-            except JGHandFailure as failure:
-                if failure.kind != "bad_motion" or not path.is_file() or not _has_engine():
-                    raise
-        return (yield from self._converted(context, path, choices))
-
-    def _converted(
-        self, context: bpy.types.Context, path: Path, choices: ConversionChoices
-    ) -> Generator[float, None, MotionFile]:
-        """The engine's conversion."""
+    def _content(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
+        """The motion of a file. One that is not as jghand writes it goes through the renderer, and so does one that
+        shall become something else than it is."""
+        options = self.said()
+        if path.suffix.lower() == ".npz" and not any(options.values()):
+            with contextlib.suppress(JGHandFailure):  # the renderer reads more, and says what it cannot
+                return read_motion(path)
         try:
-            return (yield from self._asked_of_engine(path, choices))
+            return (yield from self._converted(path, options))
         except JGHandFailure as failure:
             active = common.active_hand(context)
-            if failure.kind != "bad_motion" or WANTS_HAND not in failure.detail or active is None:
+            if failure.kind != "bad_motion" or WANTS_HAND not in failure.log or active is None:
                 raise
         # a file that shows both hands, or says nothing of its one: that which becomes one of the active hand's side
         side = armature.handedness_of(active)
-        if choices.mirror:
+        if self.mirror:
             side = LEFT if side == RIGHT else RIGHT
-        again = replace(choices, hand=side)
-        return (yield from self._asked_of_engine(path, again))
+        return (yield from self._converted(path, {**options, "--hand": side}))
 
-    def _asked_of_engine(self, path: Path, choices: ConversionChoices) -> Generator[float, None, MotionFile]:
-        """The engine's conversion with these choices. JGHandFailure (bad_motion) where the file is refused."""
+    def _converted(self, path: Path, options: dict[str, str | bool]) -> Generator[float, None, MotionFile]:
+        """What the renderer makes of it. JGHandFailure (bad_motion) where the file is refused, in the words of what
+        stands beside it."""
         try:
             return (
-                yield from self.made_by_engine(
-                    lambda folder: words(path, folder, choices), read_converted, limits.CONVERSION_PART
-                )
+                yield from self.made_by_engine(lambda folder: words("motion", path, folder, options), read_converted)
             )
         except JGHandFailure as failure:
             if failure.kind != "bad_input":
                 raise
-            raise JGHandFailure("bad_motion", failure.detail, log=failure.log) from failure
+            detail = failure.detail
+            for option, label in _LABELS_OF.items():
+                detail = detail.replace(option, label)
+            raise JGHandFailure("bad_motion", detail, log=f"{failure.detail}\n{failure.log}") from failure
 
 
-def _is_plain(path: Path, choices: ConversionChoices) -> bool:
-    """Whether a file is to be taken as it is, and may be one of jghand's own."""
-    return path.suffix.lower() in OWN_SUFFIXES and choices == ConversionChoices()
+class TrackVideo(KeysFile, bpy.types.Operator):
+    """Operator: the hands in a video, keyed."""
 
-
-def _choices(chosen: ImportMotion) -> ConversionChoices:
-    """What was chosen beside the files."""
-    return ConversionChoices(
-        hand=_said(chosen.hand),
-        unit=_said(chosen.unit),
-        order=_said(chosen.order),
-        fps=chosen.fps,
-        hand_length_mm=chosen.hand_length,
-        part=chosen.part,
-        in_place=chosen.in_place,
-        up=_said(chosen.up),
-        labels=_said(chosen.labels),
-        bones=bpy.path.abspath(chosen.bones),
-        mirror=chosen.mirror,
+    bl_idname = "jghand.track_video"
+    bl_label = "Track Video"
+    bl_description = (
+        "Find the hands in a video and key their motion, the active hand's or that of new ones. This needs the "
+        "training tools; once, where Blender may go online, it downloads 35 MB. Nothing of the video leaves this "
+        "machine. Esc cancels"
     )
 
+    working = "Tracking the video"
+    verb = "track_video"
+    learns = True
+    choices = ("hand", "hand_length", "camera_angle", "smoothing", "in_place", "first_frame", "use_scene_range")
 
-def _said(choice: str) -> str:
-    """A choice in the engine's words, "" where the file says it."""
-    return "" if choice == "AUTO" else choice
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{suffix}" for suffix in VIDEO_SUFFIXES), options={"HIDDEN"}
+    )  # type: ignore[valid-type]
+    hand: bpy.props.EnumProperty(name="Hands", description="Which hands are wanted", items=_TRACKED_HANDS)  # type: ignore[valid-type]
+    camera_angle: bpy.props.FloatProperty(
+        name="Camera Angle",
+        description="Angle of view across the longer edge of the video; 60° to 70° of most telephones",
+        default=math.radians(60.0),
+        min=math.radians(1.0),
+        max=math.radians(150.0),
+        precision=3,
+        subtype="ANGLE",
+    )  # type: ignore[valid-type]
+    smoothing: bpy.props.FloatProperty(
+        name="Smoothing",
+        description="More is smoother, less is livelier; it never lags",
+        default=1.0,
+        min=0.0,
+        max=100.0,
+    )  # type: ignore[valid-type]
+    in_place: bpy.props.BoolProperty(
+        name="In Place", description="Keep the wrist at the origin; else the hand moves as before the camera"
+    )  # type: ignore[valid-type]
+    use_scene_range: bpy.props.BoolProperty(
+        name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True
+    )  # type: ignore[valid-type]
 
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        path = Path(bpy.path.abspath(self.filepath))
+        found = yield from self._tracked(context, path)
+        many = len(found) > 1
+        named = [(content, f"{path.stem} {content.handedness}" if many else path.stem) for content in found]
+        self.keying(context, named)
 
-def _has_engine() -> bool:
-    try:
-        return bool(runtime.program())
-    except JGHandFailure:
-        return False
+    def _tracked(self, context: bpy.types.Context, path: Path) -> Generator[float, None, tuple[MotionFile, ...]]:
+        """The motions of the hands in a video."""
+        active = common.active_hand(context)
+        wanted = ("auto", "both", armature.handedness_of(active)) if active is not None else ()
+        options = {
+            "--hand": self.hand,
+            "--smoothing": f"{self.smoothing:g}",
+            "--camera-angle": f"{math.degrees(self.camera_angle):g}",
+            "--hand-length": f"{self.hand_length:g}" if self.hand_length else "",
+            "--avatar": avatar_of(active) if active is not None and self.hand in wanted else "",
+            "--in-place": self.in_place,
+            FETCH: bpy.app.online_access,
+        }
+        try:
+            return (yield from self.made_by_engine(lambda folder: words("track", path, folder, options), read_tracked))
+        except JGHandFailure as failure:
+            if FETCH in failure.detail and not options[FETCH]:
+                raise JGHandFailure("offline", log=failure.log) from failure
+            raise
 
 
 class MotionDrop(bpy.types.FileHandler):
@@ -240,7 +451,7 @@ class MotionDrop(bpy.types.FileHandler):
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-CLASSES = (ImportMotion, MotionDrop)
+CLASSES = (ImportMotion, TrackVideo, MotionDrop)
 
 
 def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:

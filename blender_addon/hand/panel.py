@@ -17,7 +17,7 @@ from ..renderer import job_watch, runtime
 from ..renderer.panel import draw_status
 from ..ui import Sidebar
 from ..viewport import views
-from . import armature, avatar_files, controls, pose_library, sources
+from . import armature, avatar_files, controls, poses, sources
 from .seen_hands import avatar_of
 
 # the controls that curl and spread
@@ -209,9 +209,6 @@ def _draw_map(layout: bpy.types.UILayout, context: bpy.types.Context, rig: bpy.t
         return
     for line in panel_text.map_lines(bone_map.sources, rig.data.bones.keys(), iface_):
         ui.paragraph(layout, context, line.text, icon="CHECKMARK" if line.good else "ERROR")
-    if not sources.is_prepared(rig):
-        layout.operator("jghand.edit_bone_map", icon="GREASEPENCIL")
-        return
     layout.template_list("JGHAND_UL_joints", "", settings, "joints", settings, "active_joint", rows=_ROWS)
     _draw_joint(layout, rig)
     row = layout.row(align=True)
@@ -259,7 +256,7 @@ class PosePanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        library = "jghand.show_pose_shelf" if pose_library.is_used() else "jghand.make_pose_assets"
+        library = "jghand.show_pose_shelf" if poses.is_used() else "jghand.make_pose_assets"
         layout.operator(library, icon="ASSET_MANAGER")
         row = layout.row(align=True)
         row.operator_menu_enum("jghand.apply_pose", "pose", icon="ARMATURE_DATA")

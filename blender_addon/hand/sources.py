@@ -158,11 +158,6 @@ def prepare(rig: bpy.types.Object) -> None:
             rows.add().name = name
 
 
-def is_prepared(rig: bpy.types.Object) -> bool:
-    """Whether the rows are there."""
-    return len(rig.jghand.joints) == len(NAMES)
-
-
 def shown_map(rig: bpy.types.Object) -> BoneMap | None:
     """The map that the rows show; None where the object has none for that hand, or one that nobody can read."""
     text = rig.get(armature.MAP_PROPERTIES[rig.jghand.map_hand])

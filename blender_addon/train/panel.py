@@ -10,7 +10,6 @@ from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
 from ..export.panel import draw_job
-from ..hand.kept import kept
 from ..preferences import preferences
 from ..renderer import job_watch, runtime
 from ..renderer.job_state import Phase
@@ -39,7 +38,7 @@ class TrainPanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "preset")
         column.prop(settings, "time_s")
         column.prop(settings, "all_pictures")
-        if kept(context, _look_in_the_way, settings.avatar_file):
+        if ui.kept(context, _look_in_the_way, settings.avatar_file):
             column.prop(settings, "overwrite")
         draw_job(layout, context, job_watch.TRAINING)
         seen = _training_folder(context)

@@ -39,7 +39,7 @@ def moving_hand_m(handedness: str, frames: int = 5, seed: int = 0) -> np.ndarray
 
 def keyed_hand(context: bpy.types.Context, handedness: str, joints_m: np.ndarray) -> bpy.types.Object:
     hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness, joints_m), handedness)
-    motion.key_motion(hand, joints_m, context.scene)
+    motion.key_motion(hand, joints_m, context.scene, range(1, 1 + len(joints_m)))
     return hand
 
 

@@ -177,7 +177,7 @@ def test_an_armature_without_all_joints_is_refused(context):
     with pytest.raises(JGHandFailure, match="ring3"):
         armature.read_hand(hand, context.evaluated_depsgraph_get())
     with pytest.raises(JGHandFailure):
-        motion.key_motion(hand, hands.moving_hand_m("right"), context.scene)
+        motion.key_motion(hand, hands.moving_hand_m("right"), context.scene, range(1, 6))
 
 
 def test_an_armature_that_does_not_say_which_hand_it_is_is_refused(context):
@@ -227,7 +227,7 @@ def test_keying_again_starts_a_new_action_and_keeps_the_old_one(context):
     hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right", seed=1))
     first = hand.animation_data.action
     joints = hands.moving_hand_m("right", seed=2)
-    second = motion.key_motion(hand, joints, context.scene)
+    second = motion.key_motion(hand, joints, context.scene, range(1, 1 + len(joints)))
     assert hand.animation_data.action is second
     assert first.name in bpy.data.actions
     seen = armature.read_hand(hand, armature.at_frame(context.scene, 4))
@@ -241,7 +241,7 @@ def test_a_hand_that_was_posed_by_hand_takes_a_motion_exactly(context):
     bone.scale, bone.rotation_mode, bone.rotation_euler = (2, 2, 2), "XYZ", (0.3, 0, 0)
     hand.data.bones["ring2"].use_inherit_rotation = False
     hand.data.bones["thumb1"].use_local_location = False
-    motion.key_motion(hand, joints, context.scene)
+    motion.key_motion(hand, joints, context.scene, range(1, 1 + len(joints)))
     for place in range(len(joints)):
         seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
         np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=2e-7)
@@ -259,12 +259,13 @@ def test_a_hand_that_something_else_moves_takes_no_motion_until_that_is_muted(co
     else:
         rule = bone.driver_add("location", 0)
         rule.driver.expression = "0.01"
+    wanted = motion.WantedMotion(MotionFile(joints, 24.0, "right"), "wave", hand)
     with pytest.raises(JGHandFailure, match="index1") as caught:
-        motion.key_motion(hand, joints, context.scene)
+        motion.import_motions(context, [wanted])
     assert caught.value.kind == "constrained"
     assert bone.scale[0] == 2
     rule.mute = True
-    motion.key_motion(hand, joints, context.scene)
+    motion.import_motions(context, [wanted])
     seen = armature.read_hand(hand, armature.at_frame(context.scene, 3))
     np.testing.assert_allclose(seen.joints_world_m, joints[2], atol=2e-7)
 
@@ -296,8 +297,9 @@ def test_the_rig_survives_saving_and_loading(context, tmp_path):
 def test_keys_of_frames_that_were_filled_in_are_marked(context):
     joints = hands.moving_hand_m("left")
     filled = np.arange(len(joints)) % 3 == 1
-    imported = motion.import_motion(context, MotionFile(joints, 24.0, "left", (), filled), "Wave")
-    curves = list(versions.fcurves(imported.hand))
+    wanted = motion.WantedMotion(MotionFile(joints, 24.0, "left", (), filled), "Wave")
+    (hand,) = motion.import_motions(context, [wanted])
+    curves = list(versions.fcurves(hand))
     assert len(curves) == 21 * 7
     for curve in curves:
         assert [key.type for key in curve.keyframe_points] == ["JITTER" if mark else "KEYFRAME" for mark in filled]
@@ -306,19 +308,18 @@ def test_keys_of_frames_that_were_filled_in_are_marked(context):
 def test_a_motion_file_becomes_keys_at_the_scenes_frame_rate(context):
     context.scene.render.fps, context.scene.render.fps_base = 30, 1.001
     joints = hands.moving_hand_m("left")
-    read = MotionFile(joints, 60.0, "left", ("a note",))
-    imported = motion.import_motion(context, read, "Wave", first_frame=10)
-    assert (imported.action.name, imported.notes) == ("Wave", ("a note",))
-    assert imported.hand.animation_data.action is imported.action
+    read = MotionFile(joints, 60.0, "left")
+    (hand,) = motion.import_motions(context, [motion.WantedMotion(read, "Wave")], first_frame=10)
+    first = hand.animation_data.action
+    assert first.name == "Wave"
     for place in range(len(joints)):
         frame = 10 + place * 30 / 1.001 / 60
-        seen = armature.read_hand(imported.hand, armature.at_frame(context.scene, frame))
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, frame))
         # worst observed 3.3e-8 m
         np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=2e-7)
-    again = motion.import_motion(context, read, "Again", hand=imported.hand)
-    assert again.hand is imported.hand
-    assert imported.action.use_fake_user
+    assert motion.import_motions(context, [motion.WantedMotion(read, "Again", hand)]) == [hand]
+    assert first.use_fake_user
     right = armature.build_armature(context, "Right", posing.rest_joints_m("right"), "right")
     with pytest.raises(JGHandFailure) as caught:
-        motion.import_motion(context, read, "Other", hand=right)
+        motion.import_motions(context, [motion.WantedMotion(read, "Other", right)])
     assert caught.value.kind == "other_hand"

@@ -19,7 +19,6 @@ from blender_addon import folders
 from blender_addon.core.joints import NAMES, TIPS
 from blender_addon.hand import armature
 from blender_addon.hand import ops_motion as motion_operator
-from blender_addon.hand.motion_conversion import ConversionChoices
 from blender_addon.hand.motion_files import read_motion
 from blender_addon.renderer.engine_command import VARIABLE
 
@@ -186,6 +185,18 @@ def test_rate_and_order_of_joints_alone_are_said_beside_them(extension, samples,
         np.testing.assert_allclose(seen.joints_world_m, joints[frame], atol=3e-6)
 
 
+def test_a_motion_with_gaps_is_filled_which_is_told(extension, samples, capfd):
+    joints = np.load(samples / "joints.npy").tolist()
+    joints[2][5] = None
+    content = {"format": "jghand motion", "version": 1, "order": "standard", "unit": "m", "fps": 24}
+    path = samples / "gap.json"
+    path.write_text(json.dumps({**content, "handedness": "right", "joints": joints}))
+    assert bpy.ops.jghand.import_motion(filepath=str(path)) == {"FINISHED"}
+    assert "1 " in capfd.readouterr().out
+    seen = armature.read_hand(extension.object, armature.at_frame(extension.scene, 1))
+    np.testing.assert_allclose(seen.joints_world_m, joints[0], atol=3e-6)
+
+
 def test_what_the_engine_cannot_read_is_told_in_its_words(extension, engine, tmp_path):
     path = tmp_path / "broken.bvh"
     path.write_text("HIERARCHY\n")
@@ -206,17 +217,12 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
     path.write_text("HIERARCHY\n")
     with pytest.raises(RuntimeError, match="No renderer was found"):
         bpy.ops.jghand.import_motion(filepath=str(path))
-    path = tmp_path / "text.csv"
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(RuntimeError, match="no motion that JGHand can read"):
-        bpy.ops.jghand.import_motion(filepath=str(path))
 
 
 def test_a_conversion_that_is_given_up_ends_the_engine(extension, samples):
     operator = SimpleNamespace(working="x", learns=False)
-    for name in ("made_by_engine", "_asked_of_engine"):
-        setattr(operator, name, partial(getattr(motion_operator.ImportMotion, name), operator))
-    steps = motion_operator.ImportMotion._converted(operator, extension, samples / "sample.bvh", ConversionChoices())
+    operator.made_by_engine = partial(motion_operator.ImportMotion.made_by_engine, operator)
+    steps = motion_operator.ImportMotion._converted(operator, samples / "sample.bvh", {})
     next(steps)
     (folder,) = folders.user_folder("jobs").glob("job_*")
     steps.close()
@@ -263,7 +269,7 @@ def test_bones_of_no_convention_and_the_axis_that_points_up_are_said_beside_the_
     for place, name in sorted(enumerate(names), key=lambda one: -len(one[1])):
         text = text.replace(f"JOINT {name}\n", f"JOINT knochen{place}\n")
     path.write_text(text)
-    with pytest.raises(RuntimeError, match="--bones"):
+    with pytest.raises(RuntimeError, match="Bone Names"):
         bpy.ops.jghand.import_motion(filepath=str(path))
     bones = samples / "map.json"
     bones.write_text(json.dumps({name: f"knochen{place}" for place, name in enumerate(NAMES)}))

@@ -23,7 +23,7 @@ from blender_addon.export import bake_folders, baked_points, bakes, record, usd_
 from blender_addon.export import panel as output
 from blender_addon.export.ops import ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
-from blender_addon.hand import kept, sources
+from blender_addon.hand import sources
 from blender_addon.hand.motion_files import read_motion
 from blender_addon.renderer import job_watch, runtime
 from blender_addon.renderer.engine_command import VARIABLE
@@ -498,14 +498,14 @@ def test_panels_look_at_disks_on_a_timer_and_not_when_they_are_drawn(extension, 
     registry = SimpleNamespace(is_registered=timers.__contains__, register=lambda one, **_: timers.add(one))
     registry.unregister = timers.remove
     app = SimpleNamespace(background=False, timers=registry)
-    monkeypatch.setattr(kept, "bpy", SimpleNamespace(app=app))
+    monkeypatch.setattr(ui, "bpy", SimpleNamespace(app=app, context=bpy.context))
     for _ in range(3):
-        assert kept.kept(extension, look, 7) is None
-    assert (looked, timers) == ([], {kept._tick})
-    kept._tick()
-    assert [kept.kept(extension, look, 7) for _ in range(3)] == [7, 7, 7]
+        assert ui.kept(extension, look, 7) is None
+    assert (looked, timers) == ([], {ui._look_up})
+    ui._look_up()
+    assert [ui.kept(extension, look, 7) for _ in range(3)] == [7, 7, 7]
     assert looked == [7]
-    kept.unregister()
+    ui.forget_kept()
 
 
 # ---- Blender's own USD export ----------------------------------------------------------------------------------------

@@ -9,8 +9,9 @@ import pytest
 from blender_addon.core import poses, posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls, pose_library
+from blender_addon.hand import armature, controls
 from blender_addon.hand import poses as hand_poses
+from blender_addon.hand import poses as pose_library
 
 
 def joints_of(context: bpy.types.Context, hand: bpy.types.Object) -> np.ndarray:

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from blender_addon import clock
+from blender_addon import clock, ui
 from blender_addon.core import limits
-from blender_addon.hand import kept, pose_library
+from blender_addon.hand import poses as pose_library
 from blender_addon.renderer import job_watch, runtime
 
 
@@ -36,15 +36,17 @@ def test_what_cannot_be_looked_at_does_not_hide_the_rest(context, monkeypatch, t
         raise RuntimeError("no such disk")
 
     registry = SimpleNamespace(is_registered=lambda _: False, register=lambda *_, **__: None)
-    monkeypatch.setattr(kept, "bpy", SimpleNamespace(app=SimpleNamespace(background=False, timers=registry)))
+    context = bpy.context
+    app = SimpleNamespace(background=False, timers=registry)
+    monkeypatch.setattr(ui, "bpy", SimpleNamespace(app=app, context=bpy.context))
     for look in (bad, lambda _: 7, bad):
-        kept.kept(context, look)
-    good = next(key[0] for key in kept._asked if key[0] is not bad)
-    kept._tick()
-    assert kept.kept(context, good) == 7
-    assert kept.kept(context, bad) is None
+        ui.kept(context, look)
+    good = next(key[0] for key in ui._wanted if key[0] is not bad)
+    ui._look_up()
+    assert ui.kept(context, good) == 7
+    assert ui.kept(context, bad) is None
     assert [str(error) for error in told] == ["no such disk"]
-    kept.unregister()
+    ui.forget_kept()
 
 
 def test_a_shelf_that_cannot_be_shown_is_left(context, monkeypatch, told):

@@ -1,0 +1,105 @@
+"""What extension and renderer hand to each other as motions: files that say what they hold, and words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_addon.core.posing import rest_joints_m
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import motion_files
+from blender_addon.hand.motion_jobs import WANTS_HAND, read_converted, words
+
+SAID = {"order": "standard", "unit": "m", "fps": 25.0, "handedness": "left"}
+
+
+def motion_m(frames: int = 5) -> np.ndarray:
+    return rest_joints_m("left") + 0.01 * np.arange(frames)[:, None, None]
+
+
+@pytest.mark.parametrize("filled", [np.array([False, True, False, False, True]), None])
+def test_a_written_motion_is_read_again_with_what_was_filled_in(tmp_path, filled):
+    motion_files.write_motion(tmp_path / "a.npz", motion_files.MotionFile(motion_m(), 30.0, "left", (), filled))
+    motion = motion_files.read_motion(tmp_path / "a.npz")
+    np.testing.assert_array_equal(motion.joints_m, motion_m())
+    np.testing.assert_array_equal(motion.filled, filled)
+    assert (motion.fps, motion.handedness) == (30.0, "left")
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        *({name: None} for name in SAID),
+        {"order": "mano"},
+        {"unit": "mm"},
+        {"handedness": "both"},
+        {"fps": 0.0},
+        {"fps": float("nan")},
+        {"joints_m": np.zeros((3, 20, 3))},
+        {"joints_m": np.zeros((0, 21, 3))},
+        {"joints_m": np.full((3, 21, 3), np.nan)},
+        {"filled": np.zeros(3, bool)},
+        {"valid": np.zeros((5, 21), bool)},
+        {"joints_m": np.array([None])},
+    ],
+)
+def test_what_is_not_as_we_write_it_is_left_to_the_renderer(tmp_path, said):
+    content = {**SAID, "joints_m": motion_m(), **said}
+    np.savez(tmp_path / "a.npz", **{name: np.array(value) for name, value in content.items() if value is not None})
+    with pytest.raises(JGHandFailure) as caught:
+        motion_files.read_motion(tmp_path / "a.npz")
+    assert caught.value.kind == "bad_motion"
+
+
+@pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04 no archive"])
+def test_damaged_files_are_refused(tmp_path, content):
+    path = tmp_path / "a.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(JGHandFailure) as caught:
+        motion_files.read_motion(path)
+    assert caught.value.kind == "bad_motion"
+
+
+def test_files_larger_than_a_motion_are_refused(tmp_path, monkeypatch):
+    motion_files.write_motion(tmp_path / "a.npz", motion_files.MotionFile(motion_m(), 30.0, "left"))
+    monkeypatch.setattr(motion_files, "MAX_BYTES", 100)
+    with pytest.raises(JGHandFailure, match="larger than a motion"):
+        motion_files.read_motion(tmp_path / "a.npz")
+
+
+def test_what_was_not_chosen_is_not_said():
+    said = words(
+        "motion", Path("dance.bvh"), Path("work"), {"--hand": "", "--fps": "25", "--mirror": True, "--in-place": False}
+    )
+    assert said[:2] == ("motion", "dance.bvh")
+    assert said[-5:] == ("--up", "z", "--fps", "25", "--mirror")
+
+
+def test_the_renderers_advice_to_choose_a_hand_is_understood(tmp_path, capsys):
+    cli = pytest.importorskip("jghand_engine.cli", reason="needs the engine's packages")
+    np.save(tmp_path / "motion.npy", np.tile(rest_joints_m("left"), (3, 1, 1)))
+    options = {"--unit": "m", "--order": "standard", "--fps": "25", "--mirror": True}
+    assert cli.main(list(words("motion", tmp_path / "motion.npy", tmp_path, options))) == 2
+    assert WANTS_HAND in " ".join(capsys.readouterr().err.split())
+    assert cli.main(list(words("motion", tmp_path / "motion.npy", tmp_path, {**options, "--hand": "left"}))) == 0
+    assert read_converted(tmp_path).handedness == "right"
+
+
+def test_the_renderers_sentences_become_notes(tmp_path):
+    motion_files.write_motion(tmp_path / "motion.npz", motion_files.MotionFile(motion_m(), 25.0, "left"))
+    (tmp_path / "figures.json").write_text(json.dumps({"notes": ["Its unit is not said."]}))
+    assert read_converted(tmp_path).notes == ("Its unit is not said.",)
+
+
+@pytest.mark.parametrize("figures", [None, "", "[]", '{"notes": 5}'])
+def test_an_answer_that_is_none_is_a_failure(tmp_path, figures):
+    motion_files.write_motion(tmp_path / "motion.npz", motion_files.MotionFile(motion_m(), 25.0, "left"))
+    if figures is not None:
+        (tmp_path / "figures.json").write_text(figures)
+    with pytest.raises(JGHandFailure) as caught:
+        read_converted(tmp_path)
+    assert caught.value.kind == "bad_motion"
