@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import pickle
 from collections import OrderedDict, defaultdict
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -46,66 +45,30 @@ WEIGHT_SUM_TOLERANCE = 1e-3
 PARENTS = (-1, *(parent for finger in range(5) for parent in (0, 1 + 3 * finger, 2 + 3 * finger)))
 
 
-class TipVertices(StrEnum):
-    """Whose choice of the five vertices that serve as finger tips. It moves tips by millimeters: store it with data."""
-
-    MANOPTH = "manopth"
-    SMPLX = "smplx"
+# vertices that serve as tips of thumb, index, middle, ring, pinky: those of manopth; others are millimeters away
+TIP_VERTICES = {Handedness.RIGHT: (745, 317, 444, 556, 673), Handedness.LEFT: (745, 317, 445, 556, 673)}
 
 
-# thumb, index, middle, ring, pinky
-TIP_VERTICES = {
-    (TipVertices.MANOPTH, Handedness.RIGHT): (745, 317, 444, 556, 673),
-    (TipVertices.MANOPTH, Handedness.LEFT): (745, 317, 445, 556, 673),
-    (TipVertices.SMPLX, Handedness.RIGHT): (744, 320, 443, 554, 671),
-    (TipVertices.SMPLX, Handedness.LEFT): (744, 320, 443, 554, 671),
-}
+def load_mano(path: Path | str) -> HandTemplate:
+    """The user's own MANO file as a template: a right hand of mean shape, in MANO's mean pose and the canonical frame,
+    closed at the wrist. A left one, recognized by the way its fingers bend, is mirrored: one right-hand model serves
+    both.
 
+    The texture layout is MANO_UV_right.obj or MANO_UV_left.obj of MANO's download page beside the file, and where
+    neither lies there a projection (`layout.projected_uv`): good for experiments, with squeezed finger sides and a seam
+    around the hand.
 
-class ManoPose(StrEnum):
-    """The pose in which MANO becomes the canonical hand."""
-
-    MEAN = "mean"
-    FLAT = "flat"
-
-
-def load_mano(
-    path: Path | str,
-    *,
-    handedness: Handedness | None = None,
-    tips: TipVertices = TipVertices.MANOPTH,
-    pose: ManoPose = ManoPose.MEAN,
-    uv_path: Path | str | None = None,
-) -> HandTemplate:
-    """The user's own MANO file as a template: a right hand of mean shape in the canonical frame, closed at the wrist.
-
-    handedness: which hand the file holds; None: the one whose fingers bend towards the palm in MANO's mean pose. A left
-                one is mirrored, since one right-hand model serves both
-    tips, pose: whose tip vertices, and which of MANO's poses becomes the canonical one
-    uv_path:    the .obj file of MANO's texture layout from its download page; None: MANO_UV_right.obj or
-                MANO_UV_left.obj beside the file, and where neither lies there a projection (`layout.projected_uv`):
-                good for experiments, with squeezed finger sides and a seam around the hand
-
-    Raises InputError for a file that is not MANO's, that is of the other hand, or that asks for anything but arrays.
+    Raises InputError for a file that is not MANO's or that asks for anything but arrays.
     """
     fields = read_mano(path)
-    sides = [Handedness(handedness)] if handedness is not None else list(Handedness)
-    found = next((hand for side in sides if (hand := _bent_to_palm(fields, side, tips)) is not None), None)
-    if found is None:
-        raise InputError(
-            f"MANO file {path}",
-            wanted="fingers that bend towards the palm",
-            came="fingers that bend backwards",
-            remedy="Is it the file of the other hand?",
-        )
-    handedness, posed = found
+    handedness = Handedness.RIGHT
+    (flat_m, _), (vertices_m, joints_m) = _canonical_poses(fields, handedness)
+    if (joints_m[17:21, 2] - joints_m[2:6, 2]).mean() < 0:
+        handedness = Handedness.LEFT
+        (flat_m, _), (vertices_m, joints_m) = _canonical_poses(fields, handedness)
     faces = fields["f"] if handedness is Handedness.RIGHT else fields["f"][:, ::-1]
-    flat_m, _ = posed[ManoPose.FLAT]
-    vertices_m, joints_m = posed[ManoPose(pose)]
-
-    beside = Path(path).with_name(f"MANO_UV_{handedness}.obj")
-    uv_path = beside if uv_path is None and beside.is_file() else uv_path
-    skin_uv = projected_uv(flat_m, faces) if uv_path is None else obj_uv(uv_path, faces)
+    uv_path = Path(path).with_name(f"MANO_UV_{handedness}.obj")
+    skin_uv = obj_uv(uv_path, faces) if uv_path.is_file() else projected_uv(flat_m, faces)
     loop = boundary_loop(faces)
     cap_uv = disk_uv(len(loop), *room_for_disk(skin_uv))
     weights = np.concatenate([fields["weights"], np.zeros((VERTICES, 5))], axis=1)
@@ -113,7 +76,7 @@ def load_mano(
     vertices_m = np.concatenate([vertices_m, vertices_m[loop].mean(axis=0, keepdims=True)])
     return check_template(
         HandTemplate(
-            identifier=f"mano-{handedness}-{pose}-{tips}-{'projected' if uv_path is None else 'obj'}",
+            identifier=f"mano-{handedness}-mean-manopth-{'obj' if uv_path.is_file() else 'projected'}",
             vertices_m=vertices_m,
             faces=np.concatenate([faces, fan_faces(loop, VERTICES)]),
             face_uv=np.concatenate([skin_uv, cap_uv]),
@@ -149,11 +112,6 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
     return fields
 
 
-def mean_pose(fields: dict[str, np.ndarray]) -> np.ndarray:
-    """(16, 3) axis-angle rotations of MANO's mean hand; the wrist's is 0."""
-    return np.concatenate([np.zeros((1, 3)), fields["hands_mean"].reshape(-1, 3)])
-
-
 def _posed(fields: dict[str, np.ndarray], pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (778, 3) and joints (16, 3) of the mean shape in `pose` (16, 3) axis-angle, by MANO's skinning."""
     rotation = rotations(pose)
@@ -179,7 +137,8 @@ def rotations(axis_angle: np.ndarray) -> np.ndarray:
 
 
 def _canonical(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (3, 3) as rows of the canonical frame, and all joints (21, 3) in MANO's order in the file's frame."""
+    """Axes (3, 3) as rows of the canonical frame (+y wrist to middle MCP, +x to the index side, +z out of the palm),
+    and joints (21, 3) in level order in the file's frame; given in MANO's order."""
     level = to_level(joints, JointOrder.MANO16_TIPS)
     y = unit(level[3] - level[0])
     x = level[2] - level[5]
@@ -187,27 +146,15 @@ def _canonical(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x, y, np.cross(x, y)]), level
 
 
-def _move(points: np.ndarray, frame: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Points and joints in the canonical frame: +y wrist to middle MCP, +x to the index side, +z out of the palm."""
-    axes, joints = frame
-    return (points - joints[0]) @ axes.T, (joints - joints[0]) @ axes.T
-
-
-def _bent_to_palm(
-    fields: dict[str, np.ndarray], handedness: Handedness, tips: TipVertices
-) -> tuple[Handedness, dict[ManoPose, tuple[np.ndarray, np.ndarray]]] | None:
-    """The hand in both poses, vertices and joints in the canonical frame, taken for a `handedness` one; None where its
-    fingers then bend backwards. The mean pose tells that, whichever pose is wanted; the flat one does not."""
+def _canonical_poses(fields: dict[str, np.ndarray], handedness: Handedness) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Vertices and joints of the flat and of the mean hand in the canonical frame, taken for a `handedness` one."""
     mirror = np.array([-1.0 if handedness is Handedness.LEFT else 1.0, 1.0, 1.0])
-    tip_vertices = list(TIP_VERTICES[TipVertices(tips), handedness])
-    posed = {}
-    for pose, rotation in ((ManoPose.FLAT, np.zeros((JOINTS, 3))), (ManoPose.MEAN, mean_pose(fields))):
-        points, centers = _posed(fields, rotation)
-        frame = _canonical(np.concatenate([centers, points[tip_vertices]]) * mirror)
-        posed[pose] = _move(points * mirror, frame)
-    joints_m = posed[ManoPose.MEAN][1]
-    bends_forward = (joints_m[17:21, 2] - joints_m[2:6, 2]).mean() >= 0
-    return (handedness, posed) if bends_forward else None
+    poses = []
+    for pose in (np.zeros((JOINTS, 3)), np.concatenate([np.zeros((1, 3)), fields["hands_mean"].reshape(-1, 3)])):
+        points, centers = _posed(fields, pose)
+        axes, joints = _canonical(np.concatenate([centers, points[list(TIP_VERTICES[handedness])]]) * mirror)
+        poses.append(((points * mirror - joints[0]) @ axes.T, (joints - joints[0]) @ axes.T))
+    return poses
 
 
 # ---- the pickle -----------------------------------------------------------------------------------------------------

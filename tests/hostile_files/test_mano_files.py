@@ -44,7 +44,7 @@ def test_the_trap_itself_works(trap):
     assert trap[1].exists()
 
 
-@pytest.mark.parametrize("protocol", range(5))
+@pytest.mark.parametrize("protocol", [0, 2, 4])
 def test_a_file_that_runs_a_command_is_refused_by_name(tmp_path, trap, protocol):
     content = pickle.dumps({**mano_fields(), "hands_mean": Calls(os.system, trap[0])}, protocol=protocol)
     with pytest.raises(InputError, match=r"got the global (posix|nt)\.system.*Nothing in it was executed"):
@@ -78,7 +78,7 @@ def test_every_way_to_mention_another_global_is_watched(tmp_path, content):
 @pytest.mark.parametrize("protocol", [0, 2])
 def test_a_cut_file_is_refused_wherever_it_is_cut(tmp_path, protocol):
     whole = python2_pickle(mano_objects(mano_fields()), protocol)
-    for length in np.linspace(0, len(whole) - 1, 40).astype(int):
+    for length in np.linspace(0, len(whole) - 1, 12).astype(int):
         with pytest.raises(InputError):
             read(tmp_path, whole[:length])
 
@@ -86,7 +86,7 @@ def test_a_cut_file_is_refused_wherever_it_is_cut(tmp_path, protocol):
 @pytest.mark.filterwarnings("ignore")
 def test_damaged_files_give_one_kind_of_error(tmp_path):
     whole, rng = python2_pickle(mano_objects(mano_fields())), random.Random(0)
-    for _ in range(200):
+    for _ in range(50):
         damaged = bytearray(whole)
         for _ in range(rng.randint(1, 4)):
             damaged[rng.randrange(2000)] = rng.randrange(256)

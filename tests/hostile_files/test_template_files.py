@@ -126,27 +126,20 @@ def changed(array, place, value):
 @pytest.mark.parametrize(
     ("field", "change", "message"),
     [
-        ("faces", lambda t: changed(t.faces, 0, 5000), "vertex numbers 0..1609"),
         ("faces", lambda t: changed(t.faces, 0, -1), "vertex numbers"),
         ("faces", lambda t: changed(t.faces, 0, t.faces[0, ::-1]), "closed surface"),
         ("faces", lambda t: t.faces[:, ::-1], "inside-out"),
-        ("face_uv", lambda t: t.face_uv * 2, "coordinates 0..1"),
         ("face_uv", lambda t: t.face_uv * np.inf, "finite"),
         ("skin_face_count", lambda t: 4000, "skin faces"),
         ("vertices_m", lambda t: changed(t.vertices_m, 7, np.nan), "vertices: wanted finite"),
         ("bone_weights", lambda t: t.bone_weights * 0.5, "sum to 1"),
         ("bone_weights", lambda t: t.bone_weights[:, :20], "weights: wanted shape"),
         ("vertices_m", lambda t: t.vertices_m[:, :2], r"vertices: wanted shape \(any, 3\)"),
-        ("vertices_m", lambda t: t.vertices_m[None], r"vertices: wanted shape \(any, 3\)"),
-        ("faces", lambda t: t.faces[:, :2], r"faces: wanted shape \(any, 3\)"),
         ("face_uv", lambda t: t.face_uv[:-1], r"UV: wanted shape \(3216, 3, 2\)"),
         ("joints_m", lambda t: t.joints_m[:20], r"joints: wanted shape \(21, 3\)"),
         ("joints_m", lambda t: changed(t.joints_m, (3, 1), np.inf), "joints: wanted finite"),
-        ("bone_weights", lambda t: t.bone_weights[:-1], r"weights: wanted shape \(1610, 21\)"),
         ("faces", lambda t: changed(t.faces, 0, 1610), "vertex numbers 0..1609"),
         ("face_uv", lambda t: changed(t.face_uv, (5, 1, 0), -1e-9), "coordinates 0..1"),
-        ("face_uv", lambda t: changed(t.face_uv, (5, 1, 0), 1 + 1e-9), "coordinates 0..1"),
-        ("skin_face_count", lambda t: 0, r"skin faces: wanted 1\.\.3216"),
         ("skin_face_count", lambda t: 3217, r"skin faces: wanted 1\.\.3216"),
         ("vertices_m", lambda t: t.vertices_m * [1, 1, 0], "inside-out"),
         ("joints_m", lambda t: t.joints_m * 1000, "millimeters"),
@@ -164,10 +157,3 @@ def test_a_surface_without_faces_is_refused():
     nothing = replace(template, faces=template.faces[:0], face_uv=template.face_uv[:0])
     with pytest.raises(InputError, match="vertex numbers"):
         check_template(nothing)
-
-
-def test_the_ends_of_what_a_surface_may_be_are_allowed():
-    template = load_template()
-    uv = changed(changed(template.face_uv, (0, 0), [0.0, 1.0]), (1, 0), [1.0, 0.0])
-    for count in (1, len(template.faces)):
-        check_template(replace(template, face_uv=uv, skin_face_count=count))

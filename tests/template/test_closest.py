@@ -5,11 +5,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import trimesh
 
 from jghand_engine.template import closest
 from jghand_engine.template.builtin import load_template
-from jghand_engine.template.closest import ClosestPoints, Surface, closest_on_triangle
+from jghand_engine.template.closest import Surface, closest_on_triangle
 
 OCTAHEDRON_M = 0.01 * np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]])
 
@@ -115,108 +114,6 @@ def test_the_distance_to_an_octahedron_is_that_to_its_planes_inside_and_to_its_c
 # ---- the search -----------------------------------------------------------------------------------------------------
 
 
-def recursive_pieces(corners: np.ndarray, radius_m: float) -> list[tuple[np.ndarray, float]]:
-    """Center and radius of the pieces of one triangle, cut at the middle of the longest edge."""
-    center = corners.mean(0)
-    radius = float(np.linalg.norm(corners - center, axis=1).max())
-    if radius <= radius_m:
-        return [(center, radius)]
-    lengths = [np.linalg.norm(corners[(k + 1) % 3] - corners[k]) for k in range(3)]
-    first = int(np.argmax(lengths))
-    a, b, c = (corners[(first + k) % 3] for k in range(3))
-    middle = (a + b) / 2
-    return recursive_pieces(np.array([a, middle, c]), radius_m) + recursive_pieces(np.array([middle, b, c]), radius_m)
-
-
-def test_faces_are_searched_in_small_pieces_of_themselves(monkeypatch):
-    monkeypatch.setattr(closest, "CLOSEST_PIECE_RADIUS_M", 0.2)
-    random = np.random.default_rng(5)
-    corners = random.normal(size=(6, 3, 3)) * np.array([0.05, 0.3, 0.7, 1, 1.5, 0.1]).reshape(6, 1, 1)
-    centers, faces, radii = closest._pieces(corners)
-    assert len(centers) == len(faces) == len(radii)
-    for face in range(6):
-        expected = sorted(
-            ((*center, radius) for center, radius in recursive_pieces(corners[face], 0.2)), key=lambda p: p[:3]
-        )
-        here = faces == face
-        got = sorted(
-            ((*center, radius) for center, radius in zip(centers[here], radii[here], strict=True)), key=lambda p: p[:3]
-        )
-        np.testing.assert_allclose(got, expected, atol=1e-14)
-
-
-def test_halves_of_a_triangle_keep_its_side_and_share_its_area():
-    corners = np.random.default_rng(6).normal(size=(50, 3, 3))
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    halves = closest._halved(corners)
-    assert halves.shape == (100, 3, 3)
-    parts = np.cross(halves[:, 1] - halves[:, 0], halves[:, 2] - halves[:, 0])
-    np.testing.assert_allclose(parts, np.repeat(area / 2, 2, axis=0), atol=1e-14)
-
-
-def test_there_are_never_more_pieces_than_allowed(monkeypatch):
-    monkeypatch.setattr(closest, "CLOSEST_PIECE_RADIUS_M", 1e-6)
-    for allowed in (1, 2, 64, 100):
-        monkeypatch.setattr(closest, "CLOSEST_PIECES_MAX", allowed)
-        centers, faces, _ = closest._pieces(np.eye(3)[None])
-        # every round doubles their number
-        assert len(centers) == 2 ** int(np.log2(allowed))
-        assert (faces == 0).all()
-
-
-def test_each_possible_face_of_a_row_is_tried_once_in_order():
-    random = np.random.default_rng(7)
-    faces, possible = random.integers(9, size=(40, 12)), random.random((40, 12)) < 0.4
-    possible[:, 0] = True
-    expected = []
-    for row in range(40):
-        there = [int(face) for face, good in zip(faces[row], possible[row], strict=True) if good]
-        expected += [(row, face) for face in dict.fromkeys(there)]
-    assert list(zip(*(side.tolist() for side in closest._each_once(faces, possible)), strict=True)) == expected
-
-
-def test_few_pieces_are_asked_for_and_more_only_where_that_is_not_enough(monkeypatch):
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
-    surface = Surface(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int64))
-    asked, best_of = [], surface._best_of
-
-    def noted(points_m, candidates):
-        asked.append((len(points_m), candidates))
-        return best_of(points_m, candidates)
-
-    monkeypatch.setattr(surface, "_best_of", noted)
-    points = np.concatenate([np.random.default_rng(8).normal(scale=0.02, size=(100, 3)), np.zeros((2, 3))])
-    surface.closest(points)
-    numbers, candidates = zip(*asked, strict=True)
-    assert numbers[0] == 102
-    assert numbers[-1] >= 2
-    assert all(np.diff(numbers) < 0)
-    pieces = surface._tree.n
-    assert list(candidates) == [min(closest.CLOSEST_FIRST_CANDIDATES * 4**k, pieces) for k in range(len(asked))]
-    assert candidates[-1] == pieces
-
-
-def test_many_points_are_searched_in_batches_and_found_as_one_by_one(monkeypatch):
-    hand = load_template()
-    surface = Surface(hand.vertices_m, hand.faces)
-    points = hand.vertices_m[::16] + np.random.default_rng(9).normal(scale=0.004, size=(101, 3))
-    whole = surface.closest(points)
-    sizes, best_of = [], surface._best_of
-    monkeypatch.setattr(closest, "CLOSEST_BATCH", 320)
-
-    def noted(points_m, candidates):
-        sizes.append(len(points_m) * candidates)
-        return best_of(points_m, candidates)
-
-    monkeypatch.setattr(surface, "_best_of", noted)
-    parts = surface.closest(points)
-    for name, values in vars(whole).items():
-        np.testing.assert_array_equal(getattr(parts, name), values)
-    first = sizes[: next(k for k, size in enumerate(np.cumsum(sizes)) if size == 101 * 32) + 1]
-    assert len(first) == 1 + 101 * 32 // 320
-    assert max(first) <= 320
-
-
 def test_a_rough_distance_is_too_large_by_a_piece_at_most():
     hand = load_template()
     surface = Surface(hand.vertices_m, hand.faces)
@@ -228,20 +125,3 @@ def test_a_rough_distance_is_too_large_by_a_piece_at_most():
     assert surface.piece_radius_m <= closest.CLOSEST_PIECE_RADIUS_M
     _, squared = closest_on_triangle(points, surface.corners_m[face])
     assert (np.sqrt(squared) <= rough + 1e-15).all()
-
-
-def test_points_are_chosen_and_joined_in_order():
-    parts = [
-        ClosestPoints(
-            *(
-                np.arange(n * width).reshape(n, width).squeeze(1 if width == 1 else ()) + 100.0 * n
-                for width in (3, 1, 3, 1)
-            )
-        )
-        for n in (2, 3)
-    ]
-    joined = ClosestPoints.joined(parts)
-    for name in vars(joined):
-        both = np.concatenate([getattr(part, name) for part in parts])
-        np.testing.assert_array_equal(getattr(joined, name), both)
-        np.testing.assert_array_equal(getattr(joined.rows(np.array([4, 0])), name), both[[4, 0]])

@@ -3,6 +3,8 @@ passed on."""
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from mano_samples import (
@@ -17,13 +19,10 @@ from mano_samples import (
 )
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.template.builtin import load_template
-from jghand_engine.template.mano import ManoPose, TipVertices, load_mano, read_mano
+from jghand_engine.template.mano import load_mano, read_mano
 from jghand_engine.template.surface import is_closed
-
-RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,10 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def flat(folder):
-    return load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, pose=ManoPose.FLAT)
+    """Of a file whose mean hand is flat."""
+    fields = mano_fields()
+    (folder / "flat.pkl").write_bytes(python2_pickle(mano_objects(fields | {"hands_mean": np.zeros(45)})))
+    return load_mano(folder / "flat.pkl")
 
 
 @pytest.mark.parametrize("protocol", [0, 2])
@@ -49,28 +51,15 @@ def test_every_array_comes_back_exactly(tmp_path, protocol):
         np.testing.assert_allclose(read[name], array, rtol=1e-14, atol=0, err_msg=name)
 
 
-def test_later_pickle_protocols_are_read_too(tmp_path):
-    import pickle
-
+def test_arrays_of_any_order_written_by_any_python_are_read(tmp_path):
     fields = mano_fields()
+    other = {name: np.asfortranarray(array).astype(array.dtype.newbyteorder(">")) for name, array in fields.items()}
     for protocol in range(5):
         path = tmp_path / f"protocol{protocol}.pkl"
-        path.write_bytes(pickle.dumps(fields, protocol=protocol))
+        path.write_bytes(pickle.dumps(other, protocol=protocol))
         read = read_mano(path)
         for name, array in fields.items():
             np.testing.assert_allclose(read[name], array, rtol=1e-14, atol=0, err_msg=f"{name}, protocol {protocol}")
-
-
-def test_column_major_and_big_endian_arrays_are_read(tmp_path):
-    import pickle
-
-    fields = mano_fields()
-    path = tmp_path / "other.pkl"
-    other = {name: np.asfortranarray(array).astype(array.dtype.newbyteorder(">")) for name, array in fields.items()}
-    path.write_bytes(pickle.dumps(other, protocol=2))
-    read = read_mano(path)
-    for name, array in fields.items():
-        np.testing.assert_allclose(read[name], array, rtol=1e-14, atol=0, err_msg=name)
 
 
 def test_the_flat_hand_lies_in_the_canonical_frame(flat):
@@ -94,42 +83,24 @@ def test_a_joint_s_weight_goes_to_the_bone_that_starts_there(flat):
 
 
 def test_a_left_hand_becomes_the_same_right_hand(folder):
-    right = load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT)
-    left = load_mano(folder / "MANO_LEFT.pkl", handedness=LEFT)
+    right = load_mano(folder / "MANO_RIGHT.pkl")
+    left = load_mano(folder / "MANO_LEFT.pkl")
     np.testing.assert_allclose(left.joints_m, right.joints_m, atol=1e-15)
     np.testing.assert_allclose(left.vertices_m, right.vertices_m, atol=1e-15)
     assert np.array_equal(left.faces, right.faces)
-
-
-@pytest.mark.parametrize("pose", list(ManoPose))
-@pytest.mark.parametrize(("file", "handedness"), [("MANO_LEFT.pkl", RIGHT), ("MANO_RIGHT.pkl", LEFT)])
-def test_the_file_of_the_other_hand_is_noticed(folder, file, handedness, pose):
-    with pytest.raises(InputError, match="the other hand"):
-        load_mano(folder / file, handedness=handedness, pose=pose)
-
-
-def test_the_mean_hand_tells_the_side_even_where_the_flat_one_looks_right(tmp_path):
-    """The flat hand's own slight bend must not decide."""
-    fields = mano_fields()
-    fields["hands_mean"] = -fields["hands_mean"]
-    path = tmp_path / "MANO_RIGHT.pkl"
-    path.write_bytes(python2_pickle(mano_objects(fields)))
-    for pose in ManoPose:
-        with pytest.raises(InputError, match="the other hand"):
-            load_mano(path, handedness=RIGHT, pose=pose)
 
 
 def test_what_rounding_left_of_a_row_of_weights_does_not_move_the_skin(folder, tmp_path):
     fields = mano_fields()
     fields["weights"] = fields["weights"] * (1 + 9e-4 * np.linspace(-1, 1, 778))[:, None]
     (tmp_path / "rounded.pkl").write_bytes(python2_pickle(mano_objects(fields)))
-    one, other = (load_mano(p, handedness=RIGHT) for p in (tmp_path / "rounded.pkl", folder / "MANO_RIGHT.pkl"))
+    one, other = (load_mano(p) for p in (tmp_path / "rounded.pkl", folder / "MANO_RIGHT.pkl"))
     # worst observed 1e-16 m; not normalized it would be 1e-4 m
     np.testing.assert_allclose(one.vertices_m, other.vertices_m, atol=1e-15)
 
 
 def test_the_mean_pose_bends_the_fingers(folder, flat):
-    mean = load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT)
+    mean = load_mano(folder / "MANO_RIGHT.pkl")
     bones = [mean.joints_m[20 - k] - mean.joints_m[15 - k] for k in range(4)]
     straight = [flat.joints_m[20 - k] - flat.joints_m[15 - k] for k in range(4)]
     turn = 3 * FLEXION_RAD
@@ -145,26 +116,23 @@ def test_pose_corrections_move_the_skin_of_a_bent_hand_only(tmp_path):
     path.write_bytes(python2_pickle(mano_objects(fields)))
     plain = tmp_path / "plain.pkl"
     plain.write_bytes(python2_pickle(mano_objects(mano_fields())))
-    bent, bent_plain = (load_mano(p, handedness=RIGHT).vertices_m for p in (path, plain))
+    bent, bent_plain = (load_mano(p).vertices_m for p in (path, plain))
     # the entry is (R - 1)[1, 1] of a rotation about the file's z axis, which is our +x
     moved = np.linalg.norm(bent - bent_plain, axis=1)
     assert np.flatnonzero(moved > 1e-12).tolist() == [100]
     assert moved[100] == pytest.approx(1e-3 * (1 - np.cos(FLEXION_RAD)), rel=1e-6)
-    flat, flat_plain = (load_mano(p, handedness=RIGHT, pose=ManoPose.FLAT).vertices_m for p in (path, plain))
-    np.testing.assert_allclose(flat, flat_plain, atol=1e-15)
 
 
-def test_the_choice_of_pose_tips_and_layout_is_part_of_the_identifier(folder, flat):
-    assert flat.identifier == "mano-right-flat-manopth-projected"
-    with pytest.raises(ValueError, match="another"):
-        load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, tips=TipVertices("another"))
+def test_the_identifier_names_hand_pose_tips_and_layout(folder):
+    for name, hand in (("MANO_RIGHT.pkl", "right"), ("MANO_LEFT.pkl", "left")):
+        assert load_mano(folder / name).identifier == f"mano-{hand}-mean-manopth-projected"
 
 
-def test_the_hand_of_a_file_is_recognized_by_the_way_its_fingers_bend(folder):
-    for name, handedness in (("MANO_RIGHT.pkl", RIGHT), ("MANO_LEFT.pkl", LEFT)):
-        told, recognized = (load_mano(folder / name, handedness=one) for one in (handedness, None))
-        assert recognized.identifier == told.identifier == f"mano-{handedness}-mean-manopth-projected"
-        assert np.array_equal(recognized.vertices_m, told.vertices_m)
+@pytest.fixture
+def beside(folder, tmp_path):
+    """A file of MANO's, and where its texture layout is looked for."""
+    (tmp_path / "MANO_RIGHT.pkl").write_bytes((folder / "MANO_RIGHT.pkl").read_bytes())
+    return tmp_path / "MANO_RIGHT.pkl", tmp_path / "MANO_UV_right.obj"
 
 
 def write_obj(path, faces, uv):
@@ -173,12 +141,14 @@ def write_obj(path, faces, uv):
     path.write_text("\n".join(lines))
 
 
-def test_an_obj_file_gives_the_texture_layout(folder, tmp_path):
+def test_the_layout_of_the_download_page_is_found_beside_the_file(beside):
+    mano, layout = beside
     uv = np.random.default_rng(0).uniform(0, 0.5, (778, 2)).round(9)
     faces = sock()[1]
     shuffled = np.roll(faces[np.random.default_rng(1).permutation(len(faces))], 1, axis=1)
-    write_obj(tmp_path / "uv.obj", shuffled, uv)
-    template = load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, uv_path=tmp_path / "uv.obj")
+    write_obj(layout, shuffled, uv)
+    template = load_mano(mano)
+    assert template.identifier == "mano-right-mean-manopth-obj"
     np.testing.assert_allclose(template.face_uv[:1538], uv[faces], atol=1e-12)
     cap = template.face_uv[1538:]
     assert cap.min() >= 0
@@ -187,23 +157,19 @@ def test_an_obj_file_gives_the_texture_layout(folder, tmp_path):
     assert (cap.max(axis=-1) > 0.5).all()
 
 
-def test_the_layout_of_the_download_page_is_found_beside_the_file(tmp_path):
-    (tmp_path / "MANO_RIGHT.pkl").write_bytes(python2_pickle(mano_objects(mano_fields())))
-    write_obj(tmp_path / "MANO_UV_right.obj", sock()[1], np.random.default_rng(0).uniform(0, 0.5, (778, 2)))
-    assert load_mano(tmp_path / "MANO_RIGHT.pkl").identifier == "mano-right-mean-manopth-obj"
-
-
-def test_an_obj_file_of_another_mesh_is_refused(folder, tmp_path):
-    write_obj(tmp_path / "uv.obj", sock()[1][:-1], np.zeros((778, 2)))
+def test_an_obj_file_of_another_mesh_is_refused(beside):
+    mano, layout = beside
+    write_obj(layout, sock()[1][:-1], np.zeros((778, 2)))
     with pytest.raises(InputError, match="wanted a face with the vertices"):
-        load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, uv_path=tmp_path / "uv.obj")
+        load_mano(mano)
 
 
-@pytest.mark.parametrize("line", ["f 1/1 2/2", "f 1/1 2/2 3/9999", "f 1 2 3", "vt 0.5", "vt x y", "f 1/1 2/2 3/-1"])
-def test_a_broken_obj_file_names_the_line(folder, tmp_path, line):
-    (tmp_path / "uv.obj").write_text("vt 0 0\nvt 0 0\nvt 0 0\n" + line)
+@pytest.mark.parametrize("line", ["f 1/1 2/2", "f 1/1 2/2 3/9999", "f 1 2 3", "vt x y", "f 1/1 2/2 3/-1"])
+def test_a_broken_obj_file_names_the_line(beside, line):
+    mano, layout = beside
+    layout.write_text("vt 0 0\nvt 0 0\nvt 0 0\n" + line)
     with pytest.raises(InputError, match="line 4"):
-        load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, uv_path=tmp_path / "uv.obj")
+        load_mano(mano)
 
 
 def test_the_projected_layout_keeps_palm_and_back_apart(flat):
@@ -236,11 +202,11 @@ def test_a_wrong_field_is_named(tmp_path, name, value, message):
     path = tmp_path / "MANO_RIGHT.pkl"
     path.write_bytes(python2_pickle({**mano_objects(mano_fields()), name: value}))
     with pytest.raises(InputError, match=message):
-        load_mano(path, handedness=RIGHT)
+        load_mano(path)
 
 
 def test_missing_fields_are_listed(tmp_path):
     path = tmp_path / "SMPL.pkl"
     path.write_bytes(python2_pickle({"v_template": np.zeros((3, 3))}))
     with pytest.raises(InputError, match="hands_mean"):
-        load_mano(path, handedness=RIGHT)
+        load_mano(path)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.template import weight_field
 from jghand_engine.template.builtin import load_template
-from jghand_engine.template.closest import Surface, closest_on_triangle
-from jghand_engine.template.weight_field import FIELD_MARGIN_M, WeightField, _harmonic, _seed
+from jghand_engine.template.weight_field import WeightField, _harmonic
 from jghand_engine.template.weights import WEIGHT_MIN
 
 
@@ -117,105 +115,6 @@ def test_the_filling_is_harmonic():
     # coarse levels and a fixed number of sweeps leave a rest: worst observed 0.0095
     assert (filled - line).abs().max() < 0.012
     assert torch.equal(filled[:, :, [0, 15]], values[:, :, [0, 15]])
-
-
-def random_voxels(shape: tuple[int, int, int], *, share: float, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    generator = torch.Generator().manual_seed(seed)
-    values = torch.rand(1, 3, *shape, generator=generator, dtype=torch.float64)
-    return values, torch.rand(1, 1, *shape, generator=generator) < share
-
-
-def test_a_sweep_takes_the_mean_of_the_six_neighbors_and_repeats_the_border(monkeypatch):
-    monkeypatch.setattr(weight_field, "FIELD_SWEEPS", 1)
-    values, fixed = random_voxels((4, 5, 6), share=0.3)
-    swept = _harmonic(values, fixed, levels=1)
-    box = np.pad(values.numpy(), [(0, 0), (0, 0), (1, 1), (1, 1), (1, 1)], mode="edge")
-    for x, y, z in np.ndindex(4, 5, 6):
-        i, j, k = x + 1, y + 1, z + 1
-        around = [(i - 1, j, k), (i + 1, j, k), (i, j - 1, k), (i, j + 1, k), (i, j, k - 1), (i, j, k + 1)]
-        mean = sum(box[0, :, a, b, c] for a, b, c in around) / 6
-        expected = values[0, :, x, y, z] if fixed[0, 0, x, y, z] else mean
-        np.testing.assert_allclose(swept[0, :, x, y, z], expected, atol=1e-15)
-
-
-def test_the_coarser_grid_knows_the_mean_of_what_is_fixed_and_guesses_the_rest(monkeypatch):
-    """Without sweeps the finer grid is the coarser one, interpolated: 3/4 of the own voxel, 1/4 of the next."""
-    monkeypatch.setattr(weight_field, "FIELD_SWEEPS", 0)
-    values, fixed = random_voxels((4, 6, 8), share=0.15)
-    coarse = np.zeros((3, 2, 3, 4))
-    for a, b, c in np.ndindex(2, 3, 4):
-        block = (slice(2 * a, 2 * a + 2), slice(2 * b, 2 * b + 2), slice(2 * c, 2 * c + 2))
-        inside, known = values[(0, slice(None), *block)].numpy().reshape(3, 8), fixed[(0, 0, *block)].numpy().reshape(8)
-        coarse[:, a, b, c] = inside[:, known].mean(1) if known.any() else inside.mean(1)
-    for axis in (1, 2, 3):
-        last = [(0, 0)] * 4
-        last[axis] = (1, 1)
-        padded = np.moveaxis(np.pad(coarse, last, mode="edge"), axis, 0)
-        own, before, after = padded[1:-1], padded[:-2], padded[2:]
-        both = np.stack([0.75 * own + 0.25 * before, 0.75 * own + 0.25 * after], 1)
-        coarse = np.moveaxis(both.reshape(-1, *own.shape[1:]), 0, axis)
-    expected = np.where(fixed[0].numpy(), values[0].numpy(), coarse)
-    np.testing.assert_allclose(_harmonic(values, fixed, levels=2)[0], expected, atol=1e-7)
-
-
-def test_every_level_makes_the_filling_better():
-    """Between two planes 64 voxels apart, which 30 sweeps of one grid do not reach across."""
-    line = torch.linspace(0, 1, 64, dtype=torch.float64).view(1, 1, 64, 1, 1).expand(1, 1, 64, 8, 8)
-    errors = []
-    for levels in (1, 2, 3, 4):
-        values, fixed = torch.full_like(line, 0.5), torch.zeros(1, 1, 64, 8, 8, dtype=torch.bool)
-        fixed[:, :, [0, 63]] = True
-        values[:, :, [0, 63]] = line[:, :, [0, 63]]
-        errors.append(float((_harmonic(values, fixed, levels) - line).abs().max()))
-    # observed 0.375, 0.255, 0.086 and 0.019
-    assert (np.array(errors) < [0.38, 0.26, 0.09, 0.02]).all()
-    assert (np.diff(errors) < [-0.1, -0.15, -0.06]).all()
-
-
-@pytest.fixture(scope="module")
-def coarse_field():
-    return WeightField.build(load_template(), voxel_m=0.012)
-
-
-def test_voxels_near_the_skin_are_fixed_at_its_weights_and_others_are_not():
-    template = load_template()
-    random = np.random.default_rng(0)
-    centers = template.vertices_m[::40] + random.normal(scale=0.006, size=(41, 3))
-    seed, fixed = _seed(template, centers, 0.004)
-    corners = template.vertices_m[template.faces]
-    count = len(corners)
-    bary, squared = closest_on_triangle(np.repeat(centers, count, axis=0), np.tile(corners, (len(centers), 1, 1)))
-    bary, distance = bary.reshape(-1, count, 3), np.sqrt(squared.reshape(-1, count))
-    nearest, rows = distance.argmin(axis=1), np.arange(len(centers))
-    assert np.array_equal(fixed, distance[rows, nearest] <= 0.004)
-    assert 5 < fixed.sum() < 36
-    weights = np.einsum("nk,nkj->nj", bary[rows, nearest], template.bone_weights[template.faces[nearest]])
-    np.testing.assert_allclose(seed[fixed], weights[fixed], atol=1e-12)
-    # the others begin with weights of skin that is near
-    np.testing.assert_allclose(seed.sum(axis=1), 1, atol=1e-12)
-    assert (seed >= 0).all()
-
-
-def test_the_grid_has_whole_voxels_on_every_level_and_is_fixed_near_the_skin(coarse_field):
-    template, field = load_template(), coarse_field
-    counts = np.array(field.grid.shape[2:])
-    assert field.grid.shape[:2] == (1, 21)
-    assert (counts % 8 == 0).all()
-    low, high = field.low_m.numpy(), field.high_m.numpy()
-    np.testing.assert_allclose(low, template.vertices_m.min(axis=0) - FIELD_MARGIN_M, atol=1e-15)
-    np.testing.assert_allclose(high - low, (counts - 1) * 0.012, atol=1e-15)
-    spare = high - (template.vertices_m.max(axis=0) + FIELD_MARGIN_M)
-    # the next multiple of eight voxels, and eight for the safety
-    assert (spare >= 7 * 0.012 - 1e-12).all()
-    assert (spare < 15 * 0.012).all()
-    places = np.stack(np.meshgrid(*(low[k] + 0.012 * np.arange(counts[k]) for k in range(3)), indexing="ij"), -1)
-    near = Surface(template.vertices_m, template.faces).closest(places.reshape(-1, 3))
-    grid = field.grid[0].reshape(21, -1).T
-    here = np.flatnonzero(np.abs(near.signed_m) <= 0.012)
-    skin = np.einsum("nk,nkj->nj", near.barycentric[here], template.bone_weights[template.faces[near.face[here]]])
-    np.testing.assert_allclose(grid[here], skin, atol=1e-6)
-    np.testing.assert_allclose(grid.sum(1), 1, atol=1e-6)
-    assert float(grid.min()) >= 0
 
 
 def test_gradients_reach_the_points(field):
