@@ -125,7 +125,7 @@ def measure(subject: Subject, options: argparse.Namespace) -> None:
         "after 1 warm-up; median (worst)"
     )
     rows = {
-        "write, ms/frame": [run.write_ms_per_frame for run, _ in runs],
+        "write, ms/frame": [1e3 * run.seconds["splats"] / run.frames for run, _ in runs],
         "pose, ms/frame": [1e3 * run.seconds["posing"] / run.frames for run, _ in runs],
         "all, ms/frame": [1e3 * seconds["all"] / run.frames for run, seconds in runs],
         "open, ms": [1e3 * seconds["open"] for _, seconds in runs],
@@ -133,7 +133,7 @@ def measure(subject: Subject, options: argparse.Namespace) -> None:
     for name, values in rows.items():
         print(f"  {name:<22} {statistics.median(values):7.2f} ({max(values):.2f})")
     growth = (size(doubled) - size(report)) / options.frames
-    print(f"  {'size, MB':<22} {size(report) / 1e6:7.2f}, {report.megabytes_per_frame:.3f} per frame")
+    print(f"  {'size, MB':<22} {size(report) / 1e6:7.2f}, {size(report) / 1e6 / report.frames:.3f} per frame")
     for name, bytes_ in report.bytes.items():
         print(f"    {name:<20} {bytes_ / 1e6:7.2f}")
     print(f"  {'per further frame, MB':<22} {growth / 1e6:7.3f}")

@@ -280,7 +280,11 @@ def _look_at_splats(prim: Usd.Prim, notes: _Notes) -> int:
         for name in names:
             if changes or time in sampled[name]:
                 _look_at_values(prim, name, count * (((degree or 0) + 1) ** 2 if name == HARMONICS else 1), time, notes)
-        if count and (changes or any(time in sampled[name] for name in ("positions", "scales", "extent"))):
+        if (
+            positions is not None
+            and count
+            and (changes or any(time in sampled[name] for name in ("positions", "scales", "extent")))
+        ):
             _look_at_bound(prim, positions, time, notes)
     return len(first)
 

@@ -48,7 +48,7 @@ from jghand_engine.export.usd.rig import (
     write_skinned,
 )
 from jghand_engine.export.usd.shot import write_shot
-from jghand_engine.export.usd.splats import Cloud, Look, Places, Sample, SplatLayer
+from jghand_engine.export.usd.splats import Cloud, Look, Sample, SplatLayer
 from jghand_engine.export.usd.stage import (
     HAND_PATH,
     Interface,
@@ -222,16 +222,6 @@ class UsdReport:
     half_error_m: float | None = None
     made_from: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def write_ms_per_frame(self) -> float:
-        """Milliseconds per frame to write the Gaussians, posing them not included."""
-        return 1e3 * self.seconds["splats"] / self.frames
-
-    @property
-    def megabytes_per_frame(self) -> float:
-        """Size of the whole export over its frames, 1e6 bytes."""
-        return sum(self.bytes.values()) / 1e6 / self.frames
-
 
 def export_usd(
     folder: Path | str,
@@ -356,10 +346,9 @@ class _Writer:
         count, frames = len(self._motion.avatar), self._span.frames
         each = 0
         if self._options.package != "usdc" or Variant(self._options.default_variant).has_frames:
-            # positions, colors, sizes and turns of splats; widths and colors of points; equal arrays are stored once
-            colored, sized, turned = self._motion.colors_move, self._has_sizes, self._motion.has_ellipsoids
-            numbers = 3 + 3 * colored + 3 * sized + 4 * turned
-            each = 2 * numbers if self._options.is_half else 4 * numbers + 4 * sized + 12 * colored
+            # positions, colors of splats and points, sizes and turns; equal arrays are stored once
+            numbers = 3 + 6 * self._motion.colors_move + 8 * self._has_sizes
+            each = numbers * (2 if self._options.is_half else 4)
         return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
 
     def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
@@ -409,8 +398,8 @@ class _Writer:
         if not variant.has_frames:
             return None
         is_splats = variant is Variant.SPLATS
-        places = Places(f"{HAND_PATH}/Splats", None) if is_splats else Places(None, f"{HAND_PATH}/Points")
-        return SplatLayer(Usd.Stage.Open(str(target)), self._span, self._look, self._cloud.sigma_m, places)
+        paths = (f"{HAND_PATH}/Splats", None) if is_splats else (None, f"{HAND_PATH}/Points")
+        return SplatLayer(Usd.Stage.Open(str(target)), self._span, self._look, self._cloud.sigma_m, *paths)
 
     def _write_frames(self, layer: SplatLayer | None) -> None:
         """All of them into a layer; None for a file that has none."""
@@ -481,12 +470,9 @@ def write_archive(files: Sequence[Path], target: Path) -> None:
 
 def _check_archive_size(size: int, name: str) -> None:
     if size > USDZ_BYTES_MAX:
-        raise InputError(
-            f"package usdz of {name}",
-            wanted=f"at most {USDZ_BYTES_MAX / 1e9:.2f} GB, which is what a .usdz can hold",
-            came=f"{size / 1e9:.2f} GB",
-            remedy="Export layers, or fewer frames.",
-        )
+        wanted = f"at most {USDZ_BYTES_MAX / 1e9:.2f} GB, which is what a .usdz can hold"
+        remedy = "Export layers, or fewer frames."
+        raise InputError(f"package usdz of {name}", wanted=wanted, came=f"{size / 1e9:.2f} GB", remedy=remedy)
 
 
 def _check_size(folder: Path, expected_bytes: int, options: UsdOptions) -> None:
@@ -499,15 +485,12 @@ def _check_size(folder: Path, expected_bytes: int, options: UsdOptions) -> None:
 
 def _check_place(folder: Path, options: UsdOptions) -> None:
     """InputError for files in the way."""
-    there = [folder / name for name in options.files if (folder / name).exists()]
-    for path in there:
-        if path.is_dir() or not options.overwrite:
-            raise InputError(
-                f"{path}",
-                wanted="no file of that name",
-                came="a folder" if path.is_dir() else "one that is there",
-                remedy="Choose another name or folder" + ("." if path.is_dir() else ", or replace it (--overwrite)."),
-            )
+    for path in (folder / name for name in options.files):
+        if path.is_dir():
+            raise InputError(f"{path}", wanted="no folder of that name", came="a folder", remedy="Choose another name.")
+        if path.exists() and not options.overwrite:
+            remedy = "Choose another name or folder, or replace it (--overwrite)."
+            raise InputError(f"{path}", wanted="no file of that name", came="one that is there", remedy=remedy)
 
 
 @contextlib.contextmanager
@@ -516,18 +499,15 @@ def _arriving(folder: Path, options: UsdOptions) -> Iterator[tuple[Path, Path]]:
     what refers to others last. They are the same folder where the layers are what arrives."""
     temporary = Path(tempfile.mkdtemp(prefix=f".{options.name}.", dir=folder))
     try:
-        layers = arrived = temporary / "layers"
-        layers.mkdir()
-        if options.package != "layers":
-            arrived = temporary / "single"
-            arrived.mkdir()
+        layers, single, earlier = (temporary / name for name in ("layers", "single", "earlier"))
+        for made in (layers, single, earlier):
+            made.mkdir()
+        arrived = layers if options.package == "layers" else single
         yield layers, arrived
         for name in options.files:
             sync(arrived / name)
-        aside = temporary / "earlier"
-        aside.mkdir()
-        earlier = [(folder / name, aside / name) for name in options.files if (folder / name).exists()]
-        _move_all([*earlier, *((arrived / name, folder / name) for name in options.files)])
+        replaced = [(folder / name, earlier / name) for name in options.files if (folder / name).exists()]
+        _move_all([*replaced, *((arrived / name, folder / name) for name in options.files)])
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

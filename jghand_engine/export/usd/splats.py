@@ -117,37 +117,46 @@ _STORED: dict[str, tuple[Any, Callable[[np.ndarray], Any], Any, Callable[[np.nda
 }
 
 
-@dataclass(frozen=True)
-class Places:
-    """Paths of the two prims on a stage; None: it is not there."""
-
-    splats: str | None = SPLATS_PATH
-    points: str | None = POINTS_PATH
-
-
 class SplatLayer:
     """Writes the Gaussians of one file. What does not change comes first, frame after frame follows, `finish` saves.
 
-    half_error_m: the largest error of a center that half precision made so far, meters
+    splats, points: paths of the two prims; None: it is not there
+    half_error_m:   the largest error of a center that half precision made so far, meters
     """
 
     def __init__(
-        self, stage: Usd.Stage, time: TimeRange, look: Look, sigma_m: np.ndarray, places: Places | None = None
+        self,
+        stage: Usd.Stage,
+        time: TimeRange,
+        look: Look,
+        sigma_m: np.ndarray,
+        splats: str | None = SPLATS_PATH,
+        points: str | None = POINTS_PATH,
     ) -> None:
-        places = places or Places()
         self._stage, self._time, self._look, self._sigma_m = stage, time, look, sigma_m
-        self._splats, self._points = places.splats, None if look.half else places.points
+        self._splats, self._points = splats, None if look.half else points
+        # prims that are points to somebody: the splats are where an older USD falls back on points
+        self._point_paths = () if look.half else tuple(path for path in (splats, points) if path is not None)
         self._attributes: dict[tuple[str, str], Usd.Attribute] = {}
         self._unsaved = 0
         self.half_error_m = 0.0
 
     @classmethod
     def new(cls, path: Path, cloud: Cloud, time: TimeRange, look: Look, rest: Sample) -> SplatLayer:
-        """A new layer, with what does not change."""
+        """A new layer, with what does not change and the rest pose: samples without a Default value show nothing in
+        several readers."""
         stage = new_layer(path, time)
         announce_fallback(stage)
         layer = cls(stage, time, look, cloud.sigma_m)
-        layer._define(cloud, rest)
+        layer._define_splats(SPLATS_PATH, cloud, turned=rest.turns_xyzw is not None)
+        if not look.half:
+            points = stage.CreateClassPrim(POINTS_PATH)
+            points.SetTypeName("Points")
+            set_display(points, cloud.rgb, cloud.opacity)
+        layer._put_sizes(rest, cloud.sigma_m, DEFAULT)
+        layer._put_positions(rest, cloud.sigma_m, DEFAULT)
+        for path_ in layer._point_paths:
+            layer._attributes[path_, "widths"].SetMetadata("interpolation", "vertex")
         return layer
 
     def put(self, frame: int, sample: Sample) -> None:
@@ -167,54 +176,32 @@ class SplatLayer:
         self._stage.Save()
         self._unsaved = 0
 
-    def _define(self, cloud: Cloud, rest: Sample) -> None:
-        """The prims with what does not change, and the rest pose: samples without a Default value show nothing in
-        several readers."""
-        if self._splats is not None:
-            self._define_splats(self._splats, cloud, turned=rest.turns_xyzw is not None)
-        if self._points is not None:
-            points = self._stage.CreateClassPrim(self._points)
-            points.SetTypeName("Points")
-            set_display(points, cloud.rgb, cloud.opacity)
-        self._put_sizes(rest, cloud.sigma_m, DEFAULT)
-        self._put_positions(rest, cloud.sigma_m, DEFAULT)
-        for path in self._point_paths:
-            self._attributes[path, "widths"].SetMetadata("interpolation", "vertex")
-
-    @property
-    def _point_paths(self) -> tuple[str, ...]:
-        """Prims that are points to somebody: the splats are where an older USD falls back on points."""
-        return () if self._look.half else tuple(path for path in (self._splats, self._points) if path is not None)
-
     def _put_positions(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
+        """Centers and bounds."""
         values = vec3f(sample.positions_m)
         if self._splats is not None:
-            values = self._put_splat_positions(self._splats, sample, sigma_m, time)
+            positions_m = sample.positions_m
+            if self._look.half:
+                values = positions_m = self._put_half_positions(self._splats, sample, time)
+            else:
+                values = self._set_stored("positions", positions_m, time)
+            radii_m = sigma_m if sample.scales_m is None else sample.scales_m.max(axis=1)
+            self._set(self._splats, "extent", TYPES.Float3Array, bound(positions_m, EXTENT_SIGMA * radii_m), time)
         for path in self._point_paths:
             self._set(path, "points", TYPES.Point3fArray, values, time)
         if self._points is not None:
-            self._set_extent(self._points, sample.positions_m, self._look.width_factor * sigma_m, time)
+            box = bound(sample.positions_m, self._look.width_factor * sigma_m)
+            self._set(self._points, "extent", TYPES.Float3Array, box, time)
 
-    def _put_splat_positions(self, path: str, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> Any:
-        """Centers and bound; the values that USD got."""
-        positions_m = sample.positions_m
-        radii_m = sigma_m if sample.scales_m is None else sample.scales_m.max(axis=1)
-        if not self._look.half:
-            values = self._set_stored("positions", positions_m, time)
-        else:
-            wrist_m = np.zeros(3) if sample.wrist_m is None else sample.wrist_m
-            exact_m = (positions_m - wrist_m).astype(np.float32)
-            self._set(path, WRIST, TYPES.Double3, Gf.Vec3d(*wrist_m.tolist()), time)
-            values = self._set_stored("positions", exact_m, time)
-            # the bound of what readers will see
-            positions_m = np.asarray(values, np.float32)
-            error_m = np.linalg.norm(positions_m - exact_m, axis=1).max(initial=0.0)
-            self.half_error_m = max(self.half_error_m, float(error_m))
-        self._set_extent(path, positions_m, EXTENT_SIGMA * radii_m, time)
-        return values
-
-    def _set_extent(self, path: str, positions_m: np.ndarray, radii_m: np.ndarray, time: Usd.TimeCode) -> None:
-        self._set(path, "extent", TYPES.Float3Array, bound(positions_m, radii_m), time)
+    def _put_half_positions(self, path: str, sample: Sample, time: Usd.TimeCode) -> np.ndarray:
+        """Centers relative to the wrist, as readers will see them."""
+        wrist_m = np.zeros(3) if sample.wrist_m is None else sample.wrist_m
+        exact_m = (sample.positions_m - wrist_m).astype(np.float32)
+        self._set(path, WRIST, TYPES.Double3, Gf.Vec3d(*wrist_m.tolist()), time)
+        seen_m = np.asarray(self._set_stored("positions", exact_m, time), np.float32)
+        error_m = np.linalg.norm(seen_m - exact_m, axis=1).max(initial=0.0)
+        self.half_error_m = max(self.half_error_m, float(error_m))
+        return seen_m
 
     def _put_sizes(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
         if self._splats is not None:
@@ -229,9 +216,8 @@ class SplatLayer:
     def _put_colors(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
         if self._splats is not None:
             self._put_harmonics(rgb, time)
-        if not self._point_paths:
-            return  # displayColor knows no half precision: who reads it gets the first frame's
-        display = vec3f(srgb_to_linear(rgb))
+        # displayColor knows no half precision: who reads it gets the first frame's
+        display = vec3f(srgb_to_linear(rgb)) if self._point_paths else None
         for path in self._point_paths:
             self._set(path, "primvars:displayColor", TYPES.Color3fArray, display, time)
 
