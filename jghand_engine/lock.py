@@ -7,6 +7,7 @@ import errno
 import os
 import platform
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,18 +20,25 @@ LOCK_HOLDER_BYTES = 60
 
 
 @contextlib.contextmanager
-def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.") -> Iterator[None]:
+def locked(
+    path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.", wait_s: float = 0.0
+) -> Iterator[None]:
     """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it; InputError
     where the file system has no locks, as nobody else could be kept out.
 
-    work: what is done meanwhile, for the error
+    work:   what is done meanwhile, for the error
+    wait_s: how long another holder is waited for
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise file_error(path, error) from error
+    until_s = time.monotonic() + wait_s
     try:
-        if not _taken(descriptor, path.parent):
+        while not _taken(descriptor, path.parent):
+            if time.monotonic() < until_s:
+                time.sleep(0.05)
+                continue
             raise RetryError(
                 f"{path.parent}", wanted=f"a folder in which no other {work} is under way",
                 came=f"one in use by process {_holder(descriptor)}",

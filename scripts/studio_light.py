@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
-from jghand_engine.captures.making.procedural_skin import SkinLook, reflectance
-from jghand_engine.captures.making.skin_marks import MM, MarkPainter, SkinMarks
+from jghand_engine.captures.making.procedural_skin import MM, MarkPainter, SkinLook, SkinMarks, reflectance
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, smoothstep
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.template.mesh import HandTemplate

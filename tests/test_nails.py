@@ -11,8 +11,7 @@ from PIL import Image
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.captures.making.procedural_skin import SkinLook
-from jghand_engine.captures.making.skin_marks import TIPS, MarkPainter, fit_nails
+from jghand_engine.captures.making.procedural_skin import TIPS, MarkPainter, SkinLook, fit_nails
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import ASSETS, load_template

@@ -11,8 +11,7 @@ import pytest
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.validation import check_avatar
-from jghand_engine.captures.making.procedural_skin import SkinLook, reflectance
-from jghand_engine.captures.making.skin_marks import MarkPainter
+from jghand_engine.captures.making.procedural_skin import MarkPainter, SkinLook, reflectance
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, palm_share
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.surface import surface_area

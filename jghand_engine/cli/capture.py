@@ -81,8 +81,7 @@ class Capture:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from jghand_engine.captures.making.plan import FOLDER, annotate, open_or_make
-        from jghand_engine.captures.making.shards import shard_locked
+        from jghand_engine.captures.making.plan import annotate, open_or_make, shard_locked
         from jghand_engine.captures.making.worker import find_blender_python
 
         shard = parse_shard(self.shard)
@@ -96,7 +95,7 @@ class Capture:
         plan = open_or_make(self.out, options)
         # --finished-only may have left poses out
         annotate(self.out, plan)
-        with shard_locked(self.out / FOLDER, shard):
+        with shard_locked(self.out, shard):
             self._make(plan, shard, python)
         # ... also meanwhile
         if all(job.file.exists() for job in plan.jobs(self.out)):
@@ -157,8 +156,7 @@ class Capture:
         return seconds
 
     def _options(self):
-        from jghand_engine.captures.making.look import Light, Sampling
-        from jghand_engine.captures.making.options import CaptureOptions
+        from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
         from jghand_engine.cli.inputs import read_sequence
 
         # bones may be of any length: the poses are those of the identity's own

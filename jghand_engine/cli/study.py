@@ -132,7 +132,7 @@ class Study:
         return Report("effects", study.headline, study.tables(), study.as_dict(), draw_figure(study))
 
     def _transform(self) -> Report:
-        from jghand_engine.captures.making.identities import load_identity
+        from jghand_engine.captures.making.rig import load_identity
         from jghand_engine.study.report import Report
         from jghand_engine.study.transform_table import figures, headline, measure_transforms, transform_table
 

@@ -20,9 +20,8 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from jghand_engine.captures.making.identities import load_identity
 from jghand_engine.captures.making.poses import varied_poses
-from jghand_engine.captures.making.rig import RiggedHand
+from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
 from jghand_engine.learn.skeleton import BoneTransforms, JointTransform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jghand_engine.captures.making.identities import identity_names
+from jghand_engine.captures.making.rig import identity_names
 from jghand_engine.errors import InputError
 from jghand_engine.study.transform_table import TRANSFORMS, measure_transforms, transform_table
 

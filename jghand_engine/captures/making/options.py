@@ -1,4 +1,4 @@
-"""What a user asks of a capture."""
+"""What a user asks of a capture: hand, poses, cameras, and light, skin and sampling of its images. DATA 4."""
 
 from __future__ import annotations
 
@@ -9,20 +9,79 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.captures.making.look import HDRI_NAMES, Light, Sampling, SkinMaterial
 from jghand_engine.captures.making.poses import POSES_MAX
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import PoseSequence
 
 # rays per pixel: 1 is a test, beyond the most the denoiser has nothing left to do
 SAMPLES = (1, 4096)
+# the environments that come with Blender (Poly Haven, CC0)
+HDRI_NAMES = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
+
+
+@dataclass(frozen=True)
+class AreaLight:
+    """A square lamp at `place_m`, aimed at the middle of the hands."""
+
+    place_m: tuple[float, float, float]
+    edge_m: float
+    watts: float
+    rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Light:
+    """hdri: a name of HDRI_NAMES or a picture file; hdri_turn_deg: its turn about the vertical (+y) axis. The default
+    lamps are large and on all sides: a soft key on the palm, a softer one on the back, weak ones above and below."""
+
+    hdri: str = "studio"
+    hdri_strength: float = 0.55
+    hdri_turn_deg: float = 0.0
+    lamps: tuple[AreaLight, ...] = (
+        AreaLight((0.45, 0.45, 0.65), 0.40, 5.0, (1.0, 0.97, 0.93)),
+        AreaLight((-0.55, 0.30, -0.60), 0.50, 5.0, (1.0, 0.98, 0.96)),
+        AreaLight((-0.25, 0.80, 0.10), 0.40, 1.2),
+        AreaLight((0.25, -0.65, 0.30), 0.50, 2.0),
+    )
+
+
+@dataclass(frozen=True)
+class SkinMaterial:
+    """The surface under the texture: roughness and specular level of skin and of nails, share of light that scatters
+    below the skin and how far red, green and blue do (meters)."""
+
+    roughness: float = 0.55
+    specular: float = 0.25
+    nail_roughness: float = 0.28
+    nail_specular: float = 0.5
+    subsurface: float = 0.22
+    radius_m: tuple[float, float, float] = (0.0048, 0.0018, 0.0010)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Rays per pixel, subdivisions of the mesh, bounces, and the noise at which a pixel is done."""
+
+    samples: int = 16
+    subdivisions: int = 1
+    bounces: int = 4
+    adaptive_threshold: float = 0.02
 
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """identity: number or name; cameras in all and close_ups of them; poses: how many; width, height: pixels; skin: a
-    picture in the template's UV, None for the procedural skin; motion: where poses come from instead of the generator;
-    wrist_turn_deg: how far hands turn as a whole, so that light falls from different sides; seed of all that varies."""
+    """What decides the images of a capture.
+
+    identity:       number or name
+    cameras:        in all
+    close_ups:      of them
+    poses:          how many
+    width, height:  pixels
+    skin:           an image in the template's UV; None: the procedural skin
+    motion:         where poses come from instead of the generator
+    wrist_turn_deg: how far hands turn as a whole, so that light falls from different sides
+    seed:           of all that varies
+    """
 
     identity: str
     cameras: int = 16
@@ -40,24 +99,17 @@ class CaptureOptions:
 
     def check(self) -> None:
         """InputError names what cannot be; what other rooms check is left to them."""
-        least, most = SAMPLES
-        watts = [lamp.watts for lamp in self.light.lamps] or [0.0]
-        checks = (
-            ("samples", least <= self.sampling.samples <= most, f"{least} to {most} rays per pixel"),
-            ("wrist turn", 0 <= self.wrist_turn_deg <= 180, "0 to 180 degrees"),
-            ("seed", self.seed >= 0, "0 or a positive number"),
-            ("poses of a capture", 1 <= self.poses <= POSES_MAX, f"1 to {POSES_MAX}"),
-            ("subdivisions", 0 <= self.sampling.subdivisions <= 4, "0 to 4"),
-            ("strength of the environment", 0 <= self.light.hdri_strength < math.inf, "0 or more"),
-            ("turn of the environment", math.isfinite(self.light.hdri_turn_deg), "degrees"),
-            ("brightness of the lamps", all(0 <= lamp < math.inf for lamp in watts), "0 or more"),
-        )
-        came = (
-            self.sampling.samples, self.wrist_turn_deg, self.seed, self.poses, self.sampling.subdivisions,
-            self.light.hdri_strength, self.light.hdri_turn_deg, min(watts),
-        )  # fmt: skip
-        for (name, good, wanted), value in zip(checks, came, strict=True):
-            if not good:
+        sampling, light = self.sampling, self.light
+        for name, value, (least, most) in (
+            ("samples", sampling.samples, SAMPLES),
+            ("subdivisions", sampling.subdivisions, (0, 4)),
+            ("wrist turn", self.wrist_turn_deg, (0, 180)),
+            ("poses of a capture", self.poses, (1, POSES_MAX)),
+            ("seed", self.seed, (0, math.inf)),
+            ("strength of the environment", light.hdri_strength, (0, math.inf)),
+        ):
+            if not least <= value <= most:
+                wanted = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
                 raise InputError(name, wanted=wanted, came=f"{value:g}")
         hdri = self.light.hdri
         if hdri not in HDRI_NAMES and not (Path(hdri).suffix.lower() in (".exr", ".hdr") and Path(hdri).is_file()):

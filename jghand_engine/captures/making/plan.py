@@ -10,6 +10,7 @@ annotations/…      InterHand2.6M, splits.json          written with the plan, 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
@@ -23,29 +24,30 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from jghand_engine.captures.interhand_writer import RecordedHand, interhand_texts, write_interhand
+from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
-from jghand_engine.captures.making.identities import identity_name, load_identity
 from jghand_engine.captures.making.options import CaptureOptions, is_file, read_input
 from jghand_engine.captures.making.poses import varied_poses
-from jghand_engine.captures.making.rig import RiggedHand, RigPose
-from jghand_engine.captures.making.shards import alone
+from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
 from jghand_engine.captures.making.skin import make_skin
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
-from jghand_engine.files import writing
+from jghand_engine.files import make_folder, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.lock import locked
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.render.camera import Camera
 
-# every so manieth pose, and one of so many cameras, is kept for the test
+# every fifth pose, and one of six cameras, is kept for the test
 EVERY_POSE = 5
 EVERY_CAMERA = 6
 
 FORMAT = 1
 FOLDER = "plan"
+# waiting for another process that is just writing the plan, seconds: it needs some on a slow disk
+LOCK_WAIT_S = 30.0
 # joints of the middle of the palm, about which hands turn
 _PALM = (0, 2, 3, 4, 5)
 _FIRST_SERIAL = 400000
@@ -53,7 +55,7 @@ _FIRST_SERIAL = 400000
 
 @dataclass(frozen=True)
 class Job:
-    """One picture: which pose and camera, where it goes, and the stamp that it must carry."""
+    """One image: which pose and camera, where it goes, and the stamp that it must carry."""
 
     pose: int
     camera: int
@@ -63,9 +65,17 @@ class Job:
 
 @dataclass(frozen=True)
 class CapturePlan:
-    """description: of the options, JSON; render: what the worker is told, JSON; pose_names (P); joints_m (P, 21, 3)
-    level order and vertices_m (P, V, 3) float32, world, meters; faces, face_uv; cameras; files: name -> bytes, of the
-    skin and of an environment that is the user's."""
+    """Everything of a capture but its images.
+
+    description: of the options, JSON
+    render:      what the worker is told, JSON
+    pose_names:  (P)
+    joints_m:    (P, 21, 3) level order, world, meters
+    vertices_m:  (P, V, 3) float32, world, meters
+    faces:       (F, 3)
+    face_uv:     (F, 3, 2) float32
+    files:       name -> bytes, of the skin and of an environment that is the user's
+    """
 
     description: dict[str, Any]
     render: dict[str, Any]
@@ -198,24 +208,19 @@ def write_plan(folder: Path, plan: CapturePlan) -> None:
 
 
 def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = None) -> None:
-    """Writes the annotations of all poses, or of these only: of an unfinished capture those that are whole. What is
-    there already is left as it is. RetryError as `alone`."""
+    """Writes the annotations of all poses, or of these only: of an unfinished capture those that are whole."""
     record = plan.record
     kept = {pose: joints for pose, joints in record.joints_m.items() if poses is None or pose in poses}
-    shown = dataclasses.replace(record, joints_m=kept)
-    # all shards begin with this, and others wait while one writes
-    texts = interhand_texts(shown)
-    if any(_content(folder / name) != text.encode() for name, text in texts.items()):
-        with alone(folder / FOLDER):
-            for name, text in texts.items():
-                _write(folder / name, text.encode())
+    write_interhand(folder, dataclasses.replace(record, joints_m=kept))
 
 
-def _content(file: Path) -> bytes | None:
-    try:
-        return file.read_bytes()
-    except OSError:
-        return None
+def shard_locked(folder: Path, shard: tuple[int, int]) -> contextlib.AbstractContextManager[None]:
+    """Holds a shard of the capture in `folder`. RetryError while another process makes it."""
+    number, count = shard
+    file = folder / FOLDER / f"shard_{number}_of_{count}.lock"
+    return locked(
+        file, work=f"capture of shard {number}/{count}", remedy="Wait until it has ended, or take another one."
+    )
 
 
 def read_plan(folder: Path) -> CapturePlan | None:
@@ -257,7 +262,7 @@ def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
         return plan
     # takes long, refuses, and writes nothing: another process may begin the capture meanwhile
     made = make_plan(options)
-    with alone(folder / FOLDER):
+    with locked(make_folder(folder / FOLDER) / "plan.lock", work="start of a capture", wait_s=LOCK_WAIT_S):
         plan = _opened(folder, options)
         if plan is None:
             write_plan(folder, made)
@@ -284,25 +289,15 @@ def _opened(folder: Path, options: CaptureOptions) -> CapturePlan | None:
     if present is None:
         return None
     asked, began = _named(json.loads(json.dumps(options.description()))), _named(present.description)
-    other = [_difference(name, asked[name], began.get(name)) for name in asked if asked[name] != began.get(name)]
+    other = [name for name in asked if asked[name] != began.get(name)]
     if other:
         raise InputError(
             f"the capture in {folder}",
             wanted="the options that it was begun with",
-            came="; ".join(other),
+            came=f"another {', '.join(name.replace('_', ' ') for name in other)}",
             remedy="Give the same options, or another --out.",
         )
     return present
-
-
-def _difference(name: str, asked: object, began: object) -> str:
-    """`cameras 16 instead of 8`; of what is no number or name only that it differs."""
-    words = name.replace("_", " ")
-    if all(isinstance(value, int | float) for value in (asked, began)) or name == "identity":
-        return f"{words} {asked} instead of {began}"
-    if asked is None or began is None:
-        return f"no {words}" if asked is None else f"{words}, where there was none"
-    return f"another {words}"
 
 
 def _named(description: dict[str, Any]) -> dict[str, Any]:

@@ -14,8 +14,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from jghand_engine.captures.making.procedural_skin import SkinLook, reflectance
-from jghand_engine.captures.making.skin_marks import MarkPainter
+from jghand_engine.captures.making.procedural_skin import MarkPainter, SkinLook, reflectance
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, noise
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError

@@ -17,14 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from PIL import Image
-
 from jghand_engine import __version__
 from jghand_engine.captures.making.plan import FOLDER, Job
-from jghand_engine.captures.making.shards import alone
-from jghand_engine.captures.pictures_in import probe_picture
+from jghand_engine.captures.pictures_in import picture_texts, probe_sized
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import writing
+from jghand_engine.json_files import JsonObject
 
 # how long Blender may take to end, seconds, and how many lines of its last words are told
 END_S = 20.0
@@ -52,20 +50,12 @@ class Finished:
 
 
 def fault_of(job: Job, size: tuple[int, int]) -> str:
-    """What is wrong with a job's picture, '' for a whole picture of this plan.
-
-    By the same test as on opening a data set, so that what is refused there is made again here.
-    """
+    """What is wrong with a job's image, by the test that opening the data set makes; '' for a whole one of the plan."""
     if not job.file.exists():
         return "missing"
     try:
-        probe_picture(job.file)
-        with Image.open(job.file) as picture:
-            stamp = picture.info.get(STAMP_KEY)
-            if picture.format != "PNG" or picture.mode != "RGBA" or picture.size != size:
-                return (
-                    f"{picture.format} {picture.mode} {picture.size[0]}x{picture.size[1]}, not a picture of this plan"
-                )
+        probe_sized(job.file, size, "the plan")
+        stamp = picture_texts(job.file).get(STAMP_KEY)
     except InputError as error:
         return f"broken: {error.came}"
     return "" if stamp == job.stamp else "made for another plan"
@@ -102,7 +92,7 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
     """Renders jobs one after the other and gives each when its picture is there.
 
     RetryError when Blender ends early or fails, with its last words; InputError when that Python has no bpy, or another
-    one than the capture was begun with.
+    Blender than the capture was begun with.
     """
     if not jobs:
         return
@@ -130,27 +120,16 @@ def _clear_leftovers(files: set[Path]) -> None:
 
 
 def _keep_to(folder: Path, blender: str) -> None:
-    """Notes which programs begin the capture in `folder`. InputError when it was begun by another Blender, whose
-    pictures differ; JGHand's version is for the reader. Pictures without a note, older than notes are, are anybody's.
-    """
-    file, makers = folder / FOLDER / MAKERS_FILE, {"Blender": blender, "JGHand": __version__}
-    with alone(folder / FOLDER):
-        if not file.exists():
-            if any((folder / "images").rglob("image*.png")):
-                return
-            with writing(file) as temporary:
-                temporary.write_text(json.dumps(makers) + "\n", encoding="utf-8")
-            return
-    try:
-        begun = dict(json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{file}", wanted="names and versions of programs", came=str(error)[:200]) from error
-    if begun.get("Blender") != blender:
-        raise InputError(
-            f"the capture in {folder}", wanted=f"Blender {begun.get('Blender')}, by which it was begun",
-            came=f"Blender {blender}",
-            remedy="Take that one (--blender-python names a Python with another Blender), or another --out.",
-        )  # fmt: skip
+    """Notes which programs begin the capture in `folder`. InputError when it was begun by another Blender, whose images
+    differ; JGHand's version is for the reader."""
+    file = folder / FOLDER / MAKERS_FILE
+    if not file.exists():
+        with writing(file) as temporary:
+            temporary.write_text(json.dumps({"Blender": blender, "JGHand": __version__}) + "\n", encoding="utf-8")
+        return
+    remedy = "Take that Blender (--blender-python names its Python), or another --out."
+    makers = JsonObject.of_file(file, remedy)
+    makers.value("Blender", lambda begun: begun == blender, f"{blender}, which is here")
 
 
 @contextlib.contextmanager

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras, sphere_directions
-from jghand_engine.captures.making.identities import load_identity
-from jghand_engine.captures.making.rig import RiggedHand
+from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.errors import InputError
 
 PLAN = CameraPlan(count=14, close_ups=2, width=334, height=512)

@@ -19,12 +19,10 @@ from waiting import wait_until
 from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.making import plan as plan_module
-from jghand_engine.captures.making import shards, skin, worker
-from jghand_engine.captures.making.identities import identity_names
-from jghand_engine.captures.making.look import Light
-from jghand_engine.captures.making.options import CaptureOptions
+from jghand_engine.captures.making import skin, worker
+from jghand_engine.captures.making.options import CaptureOptions, Light
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
-from jghand_engine.captures.making.shards import overlapping
+from jghand_engine.captures.making.rig import identity_names
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError, RetryError
@@ -172,17 +170,12 @@ def test_two_blenders_do_not_make_one_capture(copied, monkeypatch, capsys):
     monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
     assert capture(copied) == 2
     error = " ".join(capsys.readouterr().err.split())
-    assert f"the capture in {copied}: wanted Blender 5.0.1, by which it was begun, got Blender 5.2.3" in error
+    assert "wanted 5.2.3, which is here, got 5.0.1" in error
     assert "--blender-python" in error
     assert not first.exists()
     monkeypatch.delenv("JGHAND_STAND_IN_BLENDER")
     assert capture(copied) == 0
     assert contents(copied) == before
-
-
-def test_a_finished_capture_needs_no_blender_of_a_certain_version(copied, monkeypatch):
-    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
-    assert capture(copied) == 0
 
 
 def test_another_release_goes_on_with_a_capture_and_leaves_the_note_of_who_began_it(copied):
@@ -193,23 +186,6 @@ def test_another_release_goes_on_with_a_capture_and_leaves_the_note_of_who_began
     assert capture(copied) == 0
     assert len(pictures(copied)) == 42
     assert note.read_bytes() == before
-
-
-def test_pictures_of_which_nothing_says_who_made_them_are_not_signed_by_whoever_makes_the_rest(copied, monkeypatch):
-    """As of a capture that was begun before there was a note."""
-    (copied / "plan" / "made_by.json").unlink()
-    pictures(copied)[0].unlink()
-    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
-    assert capture(copied) == 0
-    assert len(pictures(copied)) == 42
-    assert not (copied / "plan" / "made_by.json").exists()
-
-
-def test_a_damaged_note_of_who_makes_a_capture_is_told(copied, capsys):
-    pictures(copied)[0].unlink()
-    (copied / "plan" / "made_by.json").write_text("[")
-    assert capture(copied) == 2
-    assert "made_by.json" in capsys.readouterr().err
 
 
 def test_cycles_takes_as_many_threads_as_the_process_may_use(tmp_path, monkeypatch, made):
@@ -227,31 +203,6 @@ def test_cycles_takes_as_many_threads_as_the_process_may_use(tmp_path, monkeypat
     monkeypatch.setattr(cores, "_container_limit", lambda: None)
     assert capture(copied) == 0
     assert taken == ([2] if sys.platform == "linux" else [128])
-
-
-def test_annotations_that_are_right_are_not_written_and_need_no_lock(copied):
-    """Of many shards that begin together each would wait for all others."""
-    file = copied / "annotations/train/InterHand2.6M_train_data.json"
-    at_ns = file.stat().st_mtime_ns
-    plan = read_plan(copied)
-    assert plan is not None
-    with shards.alone(copied / "plan"):
-        plan_module.annotate(copied, plan)
-    assert file.stat().st_mtime_ns == at_ns
-    before = file.read_bytes()
-    plan_module.annotate(copied, plan, {1, 2})
-    assert file.read_bytes() != before
-    plan_module.annotate(copied, plan)
-    assert file.read_bytes() == before
-
-
-def test_shards_of_two_machines_are_one_capture_when_put_together(tmp_path, made):
-    for number in (1, 2):
-        assert capture(tmp_path / str(number), "--shard", f"{number}/2") == 0
-    together = contents(tmp_path / "1") | contents(tmp_path / "2")
-    first, second = ({path.name for path in pictures(tmp_path / number)} for number in ("1", "2"))
-    assert not first & second
-    assert together == contents(made)
 
 
 def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypatch, capsys, made):
@@ -317,16 +268,6 @@ def test_one_shard_is_made_by_one_process(copied, capsys):
         assert capture(copied, "--shard", "2/2") == 0
 
 
-def test_shards_of_different_counts_do_not_make_the_same_picture_at_once(copied, capsys):
-    with locked(copied / "plan" / "shard_2_of_4.lock"):
-        for shard in ("1/1", "2/2", "2/3"):
-            assert capture(copied, "--shard", shard) == 3
-            assert "shard 2/4" in capsys.readouterr().err
-        for shard in ("1/2", "3/4", "4/6"):
-            assert capture(copied, "--shard", shard) == (3 if shard == "4/6" else 0)
-    assert capture(copied) == 0
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(tmp_path, monkeypatch, seed):
     """The other one begins and writes while the first is still making its plan; with other options it is refused."""
@@ -340,7 +281,7 @@ def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(
 
     monkeypatch.setattr(plan_module, "make_plan", overtaken)
     if seed:
-        with pytest.raises(InputError, match="got seed 0 instead of 1"):
+        with pytest.raises(InputError, match="got another seed"):
             open_or_make(folder, first)
     else:
         assert open_or_make(folder, first).description == plans[0].description
@@ -354,27 +295,20 @@ def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_pa
     begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
     open_or_make(tmp_path, begun)
     other = dataclasses.replace(begun, identity="4", cameras=5, light=Light(hdri_strength=0.1))
-    told = "got identity adult_woman instead of adult_man; cameras 5 instead of 4; another light"
+    told = "got another identity, cameras, light"
     with pytest.raises(InputError, match=told):
         open_or_make(tmp_path, other)
     assert open_or_make(tmp_path, dataclasses.replace(begun, identity="adult_man")).description["cameras"] == 4
 
 
 def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):
-    monkeypatch.setattr(shards, "LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr(plan_module, "LOCK_WAIT_S", 0.05)
     options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
-    with shards.alone(tmp_path / "plan"), pytest.raises(RetryError, match="start of a capture"):
+    (tmp_path / "plan").mkdir()
+    with locked(tmp_path / "plan" / "plan.lock"), pytest.raises(RetryError, match="start of a capture"):
         open_or_make(tmp_path, options)
     assert not list((tmp_path / "plan").glob("*.json"))
     open_or_make(tmp_path, options)
-
-
-def test_shards_overlap_exactly_where_they_have_a_pose_in_common():
-    shards = [(number, count) for count in range(1, 7) for number in range(1, count + 1)]
-    for one in shards:
-        for other in shards:
-            both = set(range(one[0], 100, one[1])) & set(range(other[0], 100, other[1]))
-            assert overlapping(one, other) == bool(both)
 
 
 def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
@@ -494,17 +428,6 @@ def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monke
     assert plan is not None
     with pytest.raises(RetryError, match="no worker at all"):
         list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
-
-
-def test_every_joint_is_inside_the_picture_of_whole_hands(made):
-    plan = read_plan(made)
-    assert plan is not None
-    for camera in plan.cameras[:-1]:
-        matrix = camera.camera_from_world
-        seen = plan.joints_m @ matrix[:3, :3].T + matrix[:3, 3]
-        px = seen[..., :2] / seen[..., 2:] * camera.fx + [camera.cx, camera.cy]
-        assert (px > 0).all()
-        assert (px < [camera.width, camera.height]).all()
 
 
 def test_the_plan_in_the_folder_is_the_plan_that_was_made(copied):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jghand_engine.captures.making import poses as making_poses
-from jghand_engine.captures.making.identities import load_identity
 from jghand_engine.captures.making.poses import (
     contact_poses,
     extreme_poses,
@@ -16,7 +15,7 @@ from jghand_engine.captures.making.poses import (
     random_poses,
     varied_poses,
 )
-from jghand_engine.captures.making.rig import RiggedHand
+from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.errors import InputError
 from jghand_engine.hand.kinematics import RANGES_DEG, Contact
 from jghand_engine.hand.poses import LETTER_CONTACTS, pose_names

@@ -10,8 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.captures.making.identities import identity_names, joints21, load_identity
-from jghand_engine.captures.making.rig import RiggedHand, RigPose, palm_gaps_m, segment_gap
+from jghand_engine.captures.making.rig import (
+    RiggedHand,
+    RigPose,
+    identity_names,
+    joints21,
+    load_identity,
+    palm_gaps_m,
+    segment_gap,
+)
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, check_hand_size, check_order
