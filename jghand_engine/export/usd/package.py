@@ -346,9 +346,10 @@ class _Writer:
         count, frames = len(self._motion.avatar), self._span.frames
         each = 0
         if self._options.package != "usdc" or Variant(self._options.default_variant).has_frames:
-            # positions, colors of splats and points, sizes and turns; equal arrays are stored once
-            numbers = 3 + 6 * self._motion.colors_move + 8 * self._has_sizes
-            each = numbers * (2 if self._options.is_half else 4)
+            # positions, colors, sizes and turns of splats; widths and colors of points; equal arrays are stored once
+            colored, sized, turned = self._motion.colors_move, self._has_sizes, self._motion.has_ellipsoids
+            numbers = 3 + 3 * colored + 3 * sized + 4 * turned
+            each = 2 * numbers if self._options.is_half else 4 * (numbers + sized + 3 * colored)
         return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
 
     def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
