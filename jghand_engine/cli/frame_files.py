@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 STAMP = "made_from.json"
 # seconds in which another process has written the stamp that it has created
-STAMP_WAIT_S = 2.0
+STAMP_WAIT_S = 0.5
 # hexadecimal digits of a digest that are kept: 64 bits
 _DIGITS = 16
 
@@ -46,11 +46,10 @@ _DIGITS = 16
 class FrameFiles:
     """Where the frames go.
 
-    folder: of the files
-    background: sRGB 0..1 that frames are laid on; None keeps them transparent
-    name: pattern of the file names, filled with the number of the frame
+    background:  sRGB 0..1 that frames are laid on; None keeps them transparent
+    name:        pattern of the file names, filled with the number of the frame
     first, step: numbers of the frames
-    text: of the progress bar
+    text:        of the progress bar
     """
 
     folder: Path
@@ -102,12 +101,9 @@ class Outcome:
     complete: bool = False
 
     def sentence(self) -> str:
-        parts = [f"{self.made} drawn"]
-        if self.kept:
-            parts.append(f"{self.kept} there already")
-        if self.broken:
-            parts.append(f"{self.broken} of the drawn ones were there, but broken")
-        return ", ".join(parts) + ("." if self.complete else "; others are still missing.")
+        text = f"{self.made} drawn" + (f", {self.kept} there already" if self.kept else "")
+        text += f", {self.broken} of the drawn ones were there, but broken" if self.broken else ""
+        return text + ("." if self.complete else "; others are still missing.")
 
 
 @dataclass(frozen=True)
@@ -129,12 +125,11 @@ class FrameWriter:
 
     def write(self, index: int) -> None:
         """Draws one frame and writes its files, the picture last: where it is, the others are."""
-        path, background = self.files.path(index), self.files.background
+        path, background, texts = self.files.path(index), self.files.background, {}
         frame = self.renderer.render(self.joints_m[index], self.camera, shutter_at(self.joints_m, index, self.shutter))
         self.timings.add(frame.report.as_dict())
         if self.receipts is not None:
             self.receipts.add(frame.report)
-        texts: dict[str, str] = {}
         if self.passes is not None:
             started = time.perf_counter()
             texts = self.passes.add(index, frame, path)
@@ -196,17 +191,18 @@ def refuse_other_frames(folder: Path, frames: range) -> None:
 def settle_folder(folder: Path, made_from: Mapping[str, str], paths: Sequence[Path], shard: Shard) -> None:
     """Says in an existing folder what its frames `paths` are made from. InputError when a shared run finds frames of
     something else; a run that makes them all removes those first, so that none of them is ever kept."""
-    stamp, made_from = folder / STAMP, dict(made_from)
+    stamp = folder / STAMP
     found = _read_stamp(stamp)
     old = [] if found == made_from else [path for path in paths if path.exists()]
     if shard.is_shared:
         if not old and found is None:
             found = _put_stamp(stamp, made_from)
         if found != made_from:
+            names = [name for name in {**made_from, **(found or {})} if (found or {}).get(name) != made_from.get(name)]
             raise InputError(
                 f"--out {folder}",
                 wanted="frames that this very command made",
-                came=f"frames of another {_difference(found, made_from)}" if found else "frames of an unknown render",
+                came=f"frames of another {', '.join(names)}" if found else "frames of an unknown render",
                 remedy="Give all shards the same files and options, or choose another --out; a run without --shard and "
                 "--skip-existing replaces what is there.",
             )
@@ -216,10 +212,10 @@ def settle_folder(folder: Path, made_from: Mapping[str, str], paths: Sequence[Pa
             path.unlink(missing_ok=True)
         except OSError as error:
             raise file_error(path, error) from error
-    write_json(stamp, made_from)
+    write_json(stamp, dict(made_from))
 
 
-def _put_stamp(path: Path, made_from: dict[str, str]) -> dict[str, str] | None:
+def _put_stamp(path: Path, made_from: Mapping[str, str]) -> Mapping[str, str] | None:
     """Writes the stamp unless another process does so at the same moment; gives what stands there then."""
     try:
         with path.open("x", encoding="utf-8") as stream:
@@ -227,12 +223,9 @@ def _put_stamp(path: Path, made_from: dict[str, str]) -> dict[str, str] | None:
         return made_from
     except FileExistsError:
         # whoever made it may not have written it yet
-        until_s = time.monotonic() + STAMP_WAIT_S
-        while (found := _read_stamp(path)) is None and time.monotonic() < until_s:
-            time.sleep(STAMP_WAIT_S / 20)
-        return found
+        time.sleep(STAMP_WAIT_S)
+        return _read_stamp(path)
     except OSError as error:
-        path.unlink(missing_ok=True)
         raise file_error(path, error) from error
 
 
@@ -243,11 +236,6 @@ def _read_stamp(path: Path) -> dict[str, str] | None:
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None
-
-
-def _difference(found: Mapping[str, str], wanted: Mapping[str, str]) -> str:
-    names = [*wanted, *(name for name in found if name not in wanted)]
-    return ", ".join(name for name in names if found.get(name) != wanted.get(name))
 
 
 def made_from(
@@ -265,17 +253,16 @@ def made_from(
     """
     # how many threads draw never shows
     drawn = {name: str(value) for name, value in settings.as_dict().items() if name != "threads"}
-    parts = {
+    frames, count = motion.frames, len(motion.sequence)
+    chosen = [frames.start, count, frames.step if count > 1 else 1]
+    return {
         "JGHand": __version__,
         "avatar": avatar_sha256[:_DIGITS],
         "motion": digest(_motion_facts(options, motion)),
         "settings": digest(drawn),
         "look": digest(dict(look)),
+        **({"choice of frames": digest(chosen)} if whole else {}),
     }
-    if whole:
-        frames, count = motion.frames, len(motion.sequence)
-        parts["choice of frames"] = digest([frames.start, count, frames.step if count > 1 else 1])
-    return parts
 
 
 def _motion_facts(options: MotionOptions, motion: Motion) -> dict[str, Any]:
