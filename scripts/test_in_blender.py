@@ -6,10 +6,12 @@
     python scripts/test_in_blender.py /tmp/look.py            a story that lies elsewhere
 
 A story is a file of small functions (tests/in_blender/__init__.py says how they look); each story gets a Blender of its
-own, with an empty profile into which the freshly built zip is installed. Pictures, logs and results lie in
-build/in_blender/STORY. Needs Blender, Xvfb, xdotool and ImageMagick; where they are not installed, a folder with all of
-them is made from Debian's packages (root, mmdebstrap, two minutes, 1.3 GB; scripts/blender_folder.py). The exit code is
-0 when every step passed, 1 when one failed, 77 when it cannot be tried here, which the last line then explains.
+own, with an empty profile into which the freshly built zip is installed: the renderer is the one in the zip, run by
+Blender's own Python. In a folder of its own Blender sees nothing else of this machine than `tests`, so that no engine
+of the checkout can help. Pictures, logs and results lie in build/in_blender/STORY. Needs Blender, Xvfb, xdotool and
+ImageMagick; where they are not installed, a folder with all of them is made from Debian's packages (root, mmdebstrap,
+two minutes, 1.3 GB; scripts/blender_folder.py). The exit code is 0 when every step passed, 1 when one failed, 77 when
+it cannot be tried here, which the last line then explains.
 """
 
 from __future__ import annotations
@@ -25,13 +27,13 @@ import time
 from pathlib import Path
 
 import build_extension
+import bundled_engine
 from blender_folder import NotPossibleError, Place, find_place
 
 ROOT = Path(__file__).resolve().parents[1]
 STORIES = ROOT / "tests" / "in_blender"
 HELPERS = {"__init__", "driver", "window", "pictures"}
 FOLDER_VARIABLE = "JGHAND_BLENDER_FOLDER"
-ENGINE_VARIABLE = "JGHAND_ENGINE_PYTHON"
 CANNOT = 77
 SCREEN = "1280x800"
 # starts the screen on a free number, then the rest of its arguments; ends the screen with them
@@ -48,26 +50,6 @@ exit $status
 """
 
 
-def engine_python() -> Path:
-    """The interpreter of the engine's environment."""
-    named = os.environ.get(ENGINE_VARIABLE)
-    for path in (Path(named) if named else None, ROOT / ".envs/engine/bin/python"):
-        if path is not None and path.is_file():
-            return path
-    raise NotPossibleError(f"the engine is not set up (python scripts/test.py, or {ENGINE_VARIABLE})")
-
-
-def seen_by_engine(python: Path) -> list[Path]:
-    """Folders that this Python needs: its environment, what that was made from, and the place of the engine's code."""
-    code = """if True:
-        import importlib.util, pathlib, sys
-        engine = importlib.util.find_spec("jghand_engine")
-        print(sys.prefix, sys.base_prefix, pathlib.Path(engine.origin).parents[1] if engine else "", sep="\\n")
-    """
-    done = subprocess.run([str(python), "-I", "-c", code], capture_output=True, text=True, check=True)
-    return [Path(line) for line in done.stdout.splitlines() if line]
-
-
 def story_file(name: str) -> Path:
     path = STORIES / f"{name}.py" if "/" not in name else Path(name).resolve()
     if not path.is_file():
@@ -80,16 +62,23 @@ def stories() -> list[str]:
     return sorted(path.stem for path in STORIES.glob("*.py") if path.stem not in HELPERS)
 
 
+def the_platform() -> str:
+    """This machine in Blender's words: the renderer for it goes into the zip."""
+    found = bundled_engine.host_platform()
+    if found is None:
+        raise NotPossibleError("the kernels are not built for this machine")
+    return found
+
+
 def run_story(place: Place, archive: Path, story: Path, steps: list[str], options: argparse.Namespace) -> bool:
     """Runs one story and says how its steps went; returns whether all passed."""
     out = options.out / story.stem
     if out.exists():
         shutil.rmtree(out)
     out.mkdir(parents=True)
-    python = engine_python()
     variables = {
         "HOME": str(out), "TMPDIR": "/tmp", "BLENDER_USER_RESOURCES": str(out / "profile"),
-        "LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "llvmpipe", ENGINE_VARIABLE: str(python),
+        "LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "llvmpipe",
         "JGHAND_CACHE_DIR": str(out.parent / "cache"), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2"),
     }  # fmt: skip
     width, height = options.screen.split("x")
@@ -98,7 +87,7 @@ def run_story(place: Place, archive: Path, story: Path, steps: list[str], option
         "--python-exit-code", "1", "--python", str(STORIES / "driver.py"),
         "--", str(archive), str(out), str(story), *steps,
     ]  # fmt: skip
-    seen = [ROOT, out.parent, archive.parent, story.parent, *seen_by_engine(python)]
+    seen = [ROOT / "tests", out.parent, archive.parent, story.parent]
     command = place.command(["bash", "-c", WITH_SCREEN, "screen", options.screen, *blender], seen, variables)
     started = time.perf_counter()
     log = out / "blender.log"
@@ -163,7 +152,7 @@ def main() -> int:
     try:
         files = [story_file(name) for name in ([options.story] if options.story else stories())]
         place = find_place(Path(options.folder))
-        archive = build_extension.build(options.out / "zip")
+        archive = build_extension.build(options.out / "zip", platforms=[the_platform()])
         passed = [run_story(place, archive, file, options.steps, options) for file in files]
     except NotPossibleError as error:
         print(f"not tried: {error}")

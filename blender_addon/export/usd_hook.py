@@ -226,6 +226,6 @@ def register() -> None:
 
 def unregister() -> None:
     """Takes it away."""
-    if JGHandUsdHook.is_registered:
+    if getattr(JGHandUsdHook, "is_registered", False):  # a Blender without USD gives its classes no such name
         bpy.utils.unregister_class(JGHandUsdHook)
     forget()

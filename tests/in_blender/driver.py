@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs a story inside Blender: `blender --python driver.py -- ZIP OUT STORY.py [STEP ...]`.
 
-Installs the zip into the (empty) profile, then walks through the steps from a timer, so that Blender draws and reacts
-as it does for an artist. OUT/results.json says how every step went; Blender ends afterwards the ordinary way.
+Installs the zip into the (empty) profile, unless the story says INSTALLS and does so itself, then walks through the
+steps from a timer, so that Blender draws and reacts as it does for an artist. OUT/results.json says how every step
+went; Blender ends afterwards the ordinary way.
 """
 
 from __future__ import annotations
@@ -114,28 +115,29 @@ def install(archive: str) -> ModuleType:
     return sys.modules["bl_ext.user_default.jghand"]
 
 
-def load(story: str) -> list[Callable]:
-    """The functions `step_...` of a file, in their order."""
+def load(story: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location("story", story)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return [thing for name, thing in vars(module).items() if name.startswith("step_") and callable(thing)]
+    return module
 
 
 def main(archive: str, out: str, story: str, *names: str) -> None:
     bpy.context.preferences.view.show_splash = False
-    steps = load(story)
+    module = load(story)
+    steps = [thing for name, thing in vars(module).items() if name.startswith("step_")]  # in their order
     if names:
         named = {step.__name__.removeprefix("step_"): step for step in steps}
         steps = [named[name] for name in names]
-    window = Window(Path(out))
+    window = Window(Path(out), Path(archive))
     walk = Walk(steps, window)
 
     def start() -> None:
         try:
-            window.addon = install(archive)
+            if not getattr(module, "INSTALLS", False):
+                window.addon = install(archive)
         except Exception as error:
             walk.results.append({"name": "install", "ok": False, "problem": f"{type(error).__name__}: {error}"})
             walk.write()

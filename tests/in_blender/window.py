@@ -26,10 +26,11 @@ F12 = "96"
 
 
 class Window:
-    """The one window of the Blender under test. out: folder for pictures and files; addon: the extension's package."""
+    """The one window of the Blender under test. out: folder for pictures and files; archive: the zip; addon: the
+    extension's package, None before it is installed."""
 
-    def __init__(self, out: Path) -> None:
-        self.out = out
+    def __init__(self, out: Path, archive: Path) -> None:
+        self.out, self.archive = out, archive
         self.addon: ModuleType | None = None
         self._shots = 0
 
