@@ -167,11 +167,6 @@ ADVICE = {
     "same_folder": Advice(
         "The images of two cameras would lie in one folder", "Rename one of them, or render them apart", BAD_INPUT
     ),
-    "other_export": Advice(
-        "The folder holds an export of this name that another file, or another hand, has made",
-        'Choose another folder, or switch "Overwrite Existing" on',
-        BAD_INPUT,
-    ),
     "bad_file": Advice("This file cannot be opened", "Choose a .blend file", BAD_INPUT),
     "cannot_write": Advice("The file cannot be written", "Choose a folder that you may write to", BAD_INPUT),
     "disk_full": Advice("The disk is full", "Free some space and start again", TRY_AGAIN),

@@ -15,11 +15,8 @@ _SECTIONS = {
     "hand.ops_pose": "pose",
     "hand.ops_motion": "motion",
     "renderer.ops": "engine",
-    "renderer.install": "engine",
     "render.ops": "view",
-    "render.ops_composite": "render",
     "export.ops": "export",
-    "export.ops_bake": "export",
     "train.ops": "training",
 }
 # settings by their class; Blender writes all names small

@@ -49,8 +49,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         column.prop(self, "render_timeout_s")
         column.prop(self, "show_training")
         # here: what draws needs what is kept, which needs the preferences
-        from .renderer.install import draw_tools
-        from .renderer.panel import draw_status
+        from .renderer.panel import draw_status, draw_tools
 
         box = self.layout.box()
         draw_status(box, context)

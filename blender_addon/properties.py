@@ -111,12 +111,6 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         options=path_options(),
         override=OVERRIDABLE,
     )  # type: ignore[valid-type]
-    bake_id: bpy.props.StringProperty(
-        name="Bake Id",
-        description="Tells the bakes of this hand from those of other hands",
-        options={"HIDDEN"},
-        override=OVERRIDABLE,
-    )  # type: ignore[valid-type]
     map_hand: bpy.props.EnumProperty(
         name="Hand",
         description="Whose bones the list shows",

@@ -13,32 +13,32 @@ import bpy
 
 from . import folders, manual, preferences, properties
 from .export import ops as export_ops
-from .export import ops_bake, usd_hook
 from .export import panel as export_panel
+from .export import usd_hook
 from .hand import ops as hand_ops
 from .hand import ops_motion, ops_pose
 from .hand import panel as hand_panel
-from .render import command, left_out, ops_composite, pages
+from .render import command, pages, rendering
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
-from .renderer import install, job_watch, runtime
 from .renderer import ops as renderer_ops
+from .renderer import runtime
 from .train import ops as train_ops
 from .train import panel as train_panel
 from .viewport import handlers
 
 # a class comes after those that it uses; Blender shows panels in the order in which they come
 WITH_CLASSES = (
-    *(preferences, properties, render_engine, renderer_ops, install),
+    *(preferences, properties, render_engine, renderer_ops),
     *(hand_ops, ops_pose, ops_motion),
-    *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
+    *(render_ops, export_ops, train_ops),
     *(hand_panel, render_panel, export_panel, train_panel, pages),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(manual, properties, runtime, job_watch, usd_hook),
-    *(folders, handlers, left_out, render_engine, command, hand_ops, ops_motion),
+    *(manual, properties, runtime, usd_hook, train_panel),
+    *(folders, handlers, rendering, render_engine, command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(
     [each for module in WITH_CLASSES for each in module.CLASSES]

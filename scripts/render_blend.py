@@ -5,9 +5,12 @@
     .envs/blender/bin/python scripts/render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER
 
 Runs in a Python that has bpy; `--help` says what it can be told. The work is done by `blender_addon.render.command`.
+--engine-python PATH: a Python that has jghand installed, in place of .envs/engine.
 """
 
+import argparse
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
@@ -21,9 +24,14 @@ def main() -> int:
     sys.path.insert(0, str(ROOT))
     from blender_addon import registration
     from blender_addon.render import command
+    from blender_addon.renderer.engine_command import VARIABLE
 
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--engine-python", default=os.environ.get(VARIABLE, ""))
+    options, words = parser.parse_known_args()
+    os.environ[VARIABLE] = options.engine_python
     registration.register()
-    return command.main(sys.argv[1:], checkout=ROOT, program="render_blend.py")
+    return command.main(words, program="render_blend.py")
 
 
 if __name__ == "__main__":

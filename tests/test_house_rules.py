@@ -127,7 +127,6 @@ def test_the_extension_knows_nothing_of_the_engine_but_the_protocol():
     offences(
         f"{name_of(path)}:{line} imports {module}"
         for path in python_files(ADDON)
-        if path.name != "engine_main.py"  # the program that the engine's own process runs
         for module, line in imports(path)
         if module.split(".")[0] == "torch"
         or (

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies in the folder of a bake, what it was made from, and whether that is still so. Does not use bpy.
-
-A hand has a folder of its own, and every bake a generation in it: HAND/v0001, HAND/v0002. The one before is removed
-when the new one is finished and plays, so a bake that fails or is canceled loses nothing, and no file that is open is
-written to.
+"""Bakes: the folder of a hand's bake, what it was made from, whether that is still so, and the object that plays it.
 
 NAME.usda and its layers    plays wherever USD is read, no engine and no extension needed
 NAME.npz                    the joints, to compare with and to export from again
 bake.json                   the stamp, written last: a folder without it holds no finished bake
+
+The object that plays is a point cloud whose cache modifier reads the USD file, with a material of Blender's own nodes.
+Points are balls, so edges are harder than those of splats; builds that know Gaussian splats import those instead.
 """
 
 from __future__ import annotations
@@ -15,139 +14,83 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
+import bpy
 import numpy as np
 
-from ..core import limits
+from .. import folders, versions
 from ..core.files import write_whole
 from ..errors import JGHandFailure
+from ..hand import sources
 from ..hand.motion_files import read_motion
-from .recording import Recording, avatar_digest
+from ..hand.seen_hands import avatar_of
+from .recording import Recording, avatar_digest, check_made
 
 STAMP = "bake.json"
 _FORMAT, _VERSION = "jghand bake", 1
-_GENERATION = re.compile(r"v\d{4,}")
-_OWN = re.compile(r"bake\.json|.*\.(npz|json|usda|usdc|splat)")
+# of a bake's files beside the stamp
+_SUFFIXES = (".usda", ".usdc", ".npz", ".json")
+_KINDS = {"str": str, "int": int, "float": float}
+_MOVES = "the hand moves in another way"
+# custom property of a playing object: the folder of its bake, relative where the bake's settings are so
+BAKE_PROPERTY = "jghand_bake"
+MATERIAL = "JGHand Points"
+# prims of the stage that are drawn: what the variants hold
+_PATHS = "/Hand/Points,/Hand/Splats"
+# a joint that is further from where it was baked has moved: above Blender's rounding, below what is seen, meters
+_MOVED_M = 2e-5
+# what Solid mode shows of baked points, linear: skin
+_SOLID_RGBA = (0.55, 0.30, 0.20, 1.0)
 
 
 @dataclass(frozen=True)
 class BakedHand:
-    """One hand of a bake. name: stem of its files · avatar: what `avatar_digest` said · joints_sha256: of what was
-    baked · first_frame, frames, fps: of the scene · engine_version · gaussians."""
+    """One hand of a bake."""
 
+    # stem of its files
     name: str
     handedness: str
+    # what `avatar_digest` said
     avatar: str
+    # of what was baked
     joints_sha256: str
+    # of the scene
     first_frame: int
     frames: int
     fps: float
-    engine_version: str
     gaussians: int
+
+    @property
+    def last_frame(self) -> int:
+        """Of the scene."""
+        return self.first_frame + self.frames - 1
 
     def stage(self, folder: Path) -> Path:
         """The layer that plays."""
         return folder / f"{self.name}.usda"
 
-    def motion(self, folder: Path) -> Path:
-        """The joints."""
-        return folder / f"{self.name}.npz"
 
-    def figures(self, folder: Path) -> Path:
-        """What the engine said about the export."""
-        return folder / f"{self.name}.json"
+# ---- the folder ------------------------------------------------------------------------------------------------------
 
 
-def hand_folder(parent: Path, name: str, owner: str) -> Path:
-    """The folder of a hand's bakes: named after the hand, with a number where somebody else's bakes are there."""
-    folder, number = parent / name, 2
-    while any(_owner(generation) != owner for generation in _finished(folder)):
-        folder, number = parent / f"{name}_{number}", number + 1
-    return folder
+def folder_of(thing: bpy.types.Object) -> Path:
+    """The folder of a hand's bake."""
+    return Path(folders.absolute(thing, "bake")).absolute()
 
 
-def new_generation(folder: Path) -> Path:
-    """A folder for one bake, made and empty: no other job gets the same. JGHandFailure: cannot_write."""
-    number = 1 + max((int(path.name[1:]) for path in _generations(folder)), default=0)
-    while True:
-        generation = folder / f"v{number:04d}"
-        try:
-            generation.mkdir(parents=True)
-        except FileExistsError:
-            number += 1
-        except OSError as error:
-            raise JGHandFailure("cannot_write", f"{generation}: {error.strerror or error}") from error
-        else:
-            return generation
+def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> None:
+    """Finishes a bake: what the engine made of the recordings replaces the bake that lies in the folder.
 
-
-def newest(generation: Path, owner: str) -> Path:
-    """A bake, or, where it is not there any more, the newest one of the same hand: undo leads back to old ones."""
-    if (generation / STAMP).is_file() or not _GENERATION.fullmatch(generation.name):
-        return generation
-    own = [other for other in _finished(generation.parent) if _owner(other) == owner]
-    return own[-1] if own else generation
-
-
-def remove(generation: Path, owner: str) -> None:
-    """Removes the bake of an owner, of others and of other folders nothing. What somebody holds open stays."""
-    if _GENERATION.fullmatch(generation.name) and _owner(generation) == owner:
-        _empty(generation)
-
-
-def remove_unfinished(generation: Path) -> None:
-    """Removes what a bake that failed or was canceled has left of its generation; a finished one stays."""
-    if _GENERATION.fullmatch(generation.name) and not (generation / STAMP).exists():
-        _empty(generation)
-
-
-def _empty(generation: Path) -> None:
-    paths = sorted(generation.rglob("*"), key=lambda path: (path.name != STAMP, -len(path.parts)))
-    for path in paths:  # the stamp first: half a bake is none
-        with contextlib.suppress(OSError):
-            if path.is_dir() and not path.is_symlink():
-                path.rmdir()
-            elif _OWN.fullmatch(path.name):
-                path.unlink()
-    for folder in (generation, generation.parent):
-        with contextlib.suppress(OSError):
-            folder.rmdir()  # not while anything is in it
-
-
-def _generations(folder: Path) -> list[Path]:
-    """In their order."""
-    with contextlib.suppress(OSError):
-        found = [path for path in folder.iterdir() if _GENERATION.fullmatch(path.name)]
-        return sorted(found, key=lambda path: int(path.name[1:]))
-    return []
-
-
-def _finished(folder: Path) -> list[Path]:
-    return [path for path in _generations(folder) if (path / STAMP).is_file()]
-
-
-def _owner(generation: Path) -> str:
-    """Whose bake it is; "" where that is not known."""
-    try:
-        return str(_read_stamp(generation).get("owner", ""))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return ""
-
-
-def write_stamp(folder: Path, recordings: Sequence[Recording], owner: str = "") -> None:
-    """Finishes a bake: reads what the engine did of every hand, and stamps the folder. owner: whose bake it is.
-
-    JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than it was given.
+    Other files there stay. JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than
+    it was given.
     """
     hands = []
     for recording in recordings:
-        figures = check_made(folder / f"{recording.name}.json", recording)
-        made_from = figures["made_from"]
+        figures = check_made(made / f"{recording.name}.json", recording)
         hands.append(
             BakedHand(
                 name=recording.name,
@@ -157,96 +100,97 @@ def write_stamp(folder: Path, recordings: Sequence[Recording], owner: str = "") 
                 first_frame=recording.first_frame,
                 frames=len(recording.joints_m),
                 fps=recording.fps,
-                engine_version=str(made_from.get("engine_version", "")),
                 gaussians=int(figures.get("gaussians", 0)),
             )
         )
-    content = {"format": _FORMAT, "version": _VERSION, "owner": owner, "hands": [asdict(hand) for hand in hands]}
+    content = {"format": _FORMAT, "version": _VERSION, "hands": [asdict(hand) for hand in hands]}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _remove_files(folder)
+        for path in made.iterdir():
+            os.replace(path, folder / path.name)
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
     write_whole(folder / STAMP, json.dumps(content, indent=1).encode())
 
 
-def check_made(path: Path, recording: Recording) -> dict[str, Any]:
-    """What the engine said of an export or bake that it made of a recording, from its JSON file.
-
-    JGHandFailure (internal) where it was made of another motion.
-    """
-    figures = _figures(path)
-    made_from = figures.get("made_from")
-    if not isinstance(made_from, dict) or made_from.get("joints_sha256") != recording.digest:
-        raise JGHandFailure("internal", f"{recording.name}: the renderer wrote other joints than it was given")
-    return figures
+def _remove_files(folder: Path) -> None:
+    """Removes the files of the bake in a folder, the stamp first: half a bake is none."""
+    with contextlib.suppress(JGHandFailure):  # there is none
+        names = [hand.name for hand in read_bake(folder)]
+        (folder / STAMP).unlink()
+        for path in (path for name in names for path in folder.glob(f"{name}.*")):
+            if path.suffix in _SUFFIXES:
+                path.unlink()
 
 
 def read_bake(folder: Path) -> list[BakedHand]:
     """The hands of a finished bake. JGHandFailure (no_bake): there is none, or its files are not all there."""
     try:
-        content = _read_stamp(folder)
+        content = json.loads((folder / STAMP).read_text(encoding="utf-8"))
         if content["format"] != _FORMAT or content["version"] != _VERSION:
             raise ValueError(f"format {content['format']!r}, version {content['version']!r}")
-        hands = [_hand(entry) for entry in content["hands"]]
+        hands = [
+            BakedHand(**{field.name: _KINDS[str(field.type)](entry[field.name]) for field in fields(BakedHand)})
+            for entry in content["hands"]
+        ]
     except OSError as error:
         raise JGHandFailure("no_bake", f"{folder}: {error.strerror or error}") from error
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise JGHandFailure("no_bake", f"{folder / STAMP}: {str(error)[:200]}") from error
     for hand in hands:
-        if not hand.stage(folder).is_file():
+        # the stem becomes a path: it never leaves the folder
+        if not hand.name.isidentifier() or not hand.stage(folder).is_file():
             raise JGHandFailure("no_bake", f"{hand.stage(folder)} is not there")
     return hands
 
 
-def _read_stamp(folder: Path) -> Any:
-    if (folder / STAMP).stat().st_size > limits.STAMP_MAX_BYTES:
-        raise ValueError("too large")
-    return json.loads((folder / STAMP).read_text(encoding="utf-8"))
+# ---- whether it is what the scene has --------------------------------------------------------------------------------
 
 
-def _hand(entry: Mapping[str, Any]) -> BakedHand:
-    hand = BakedHand(**{name: kind(entry[name]) for name, kind in _KINDS.items()})
-    # the stem becomes a path: it never leaves the folder
-    if not hand.name.isidentifier() or not hand.name.isascii():
-        raise ValueError(f"name {hand.name[:40]!r}")
-    return hand
-
-
-_KINDS = {
-    **dict.fromkeys(("name", "handedness", "avatar", "joints_sha256", "engine_version"), str),
-    **dict.fromkeys(("first_frame", "frames", "gaussians"), int),
-    "fps": float,
-}
-
-
-def stale_reasons(
-    hand: BakedHand, *, recording: Recording | None = None, avatar: str | None = None, engine_version: str | None = None
-) -> list[str]:
+def stale_reasons(hand: BakedHand, *, recording: Recording | None = None, avatar: str | None = None) -> list[str]:
     """Why a bake does not show what the scene has now, as far as that is given; [] when nothing speaks against it."""
     reasons = []
     if recording is not None:
         if (recording.first_frame, len(recording.joints_m), recording.fps) != (hand.first_frame, hand.frames, hand.fps):
             reasons.append("the frames or the frame rate are others")
         elif recording.digest != hand.joints_sha256:
-            reasons.append("the hand moves in another way")
+            reasons.append(_MOVES)
         avatar = recording.avatar
     if avatar is not None and avatar_digest(avatar) != hand.avatar:
         reasons.append("the avatar is another one")
-    if engine_version is not None and hand.engine_version and engine_version != hand.engine_version:
-        reasons.append("the renderer is of another version")
     return reasons
 
 
-def moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray) -> bool:
+def stale_now(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, hands: Sequence[BakedHand]) -> list[str]:
+    """Why the bake of a hand does not show the frame that is evaluated; [] when nothing speaks against it.
+
+    Going through all frames would take the time of a bake. JGHandFailure: no_bake, bad_motion.
+    """
+    folder, frame = folder_of(thing), depsgraph.scene.frame_current_final
+    now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
+    reasons = []
+    for hand in hands:
+        reasons += stale_reasons(hand, avatar=avatar_of(thing))
+        if hand.handedness in now and _moved_at(hand, folder, frame, now[hand.handedness]):
+            reasons.append(_MOVES)
+    return list(dict.fromkeys(reasons))
+
+
+def _moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray) -> bool:
     """Whether the hand is elsewhere now than in the bake. joints_m: (21, 3) in the world, meters, at this frame.
 
-    False where the bake has no such frame, and between frames. JGHandFailure (bad_motion).
+    False where the bake has no such frame, and between frames.
     """
     place = round(frame) - hand.first_frame
     if frame != round(frame) or not 0 <= place < hand.frames:
         return False
-    motion = hand.motion(folder)
+    motion = folder / f"{hand.name}.npz"
     try:
         baked_m = _joints(motion, motion.stat().st_mtime_ns)
     except OSError as error:
         raise JGHandFailure("no_bake", f"{motion}: {error.strerror or error}") from error
-    return bool(np.abs(baked_m[place] - joints_m).max() > limits.BAKE_MOVED_M)
+    return bool(np.abs(baked_m[place] - joints_m).max() > _MOVED_M)
 
 
 @functools.lru_cache(maxsize=8)
@@ -255,9 +199,97 @@ def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
     return read_motion(motion).joints_m
 
 
-def _figures(path: Path) -> dict[str, Any]:
+# ---- the object that plays -------------------------------------------------------------------------------------------
+
+
+def play(context: bpy.types.Context, folder: Path) -> None:
+    """Brings all hands of a bake into the scene, as objects that play; what was active and selected stays so.
+
+    JGHandFailure: no_usd, no_bake.
+    """
+    if not versions.has_usd():
+        raise JGHandFailure("no_usd")
+    layer = context.view_layer.objects
+    active, selected = layer.active, list(layer.selected)
+    for hand in read_bake(folder):
+        _play_hand(context, hand, folder).select_set(False)
+    for thing in selected:
+        thing.select_set(True)
+    layer.active = active
+
+
+def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types.Object:
+    before = set(bpy.data.objects)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise JGHandFailure("internal", f"{path}: {error}") from error
-    return content if isinstance(content, dict) else {}
+        bpy.ops.wm.usd_import(
+            filepath=str(hand.stage(folder)), prim_path_mask=_PATHS, set_frame_range=False, relative_path=True
+        )
+    except RuntimeError as error:
+        raise JGHandFailure("no_bake", f"{hand.stage(folder)}: {error}") from error
+    added = [thing for thing in bpy.data.objects if thing not in before]
+    clouds = [thing for thing in added if thing.type == "POINTCLOUD"]
+    if not clouds:
+        for thing in added:
+            bpy.data.objects.remove(thing)
+        raise JGHandFailure("no_usd", "its import brought no points")
+    cloud = clouds[0]
+    cloud.name = cloud.data.name = f"{hand.name} baked"
+    cloud[BAKE_PROPERTY] = folders.beside_the_file(context, folder)
+    unit_m = context.scene.unit_settings.scale_length
+    cloud.scale = [size / unit_m for size in cloud.scale]
+    if not cloud.data.materials:
+        cloud.data.materials.append(points_material())
+    return cloud
+
+
+def stop(context: bpy.types.Context, folder: Path) -> bool:
+    """Takes the objects that play a bake out of the scene; returns whether there were any.
+
+    Their cache goes with them: USD keeps a file that is open as it was read, and a new bake would not be seen.
+    """
+    old = playing(context.scene, folder)
+    for thing in old:
+        cloud = thing.data
+        bpy.data.objects.remove(thing)
+        if not cloud.users:
+            bpy.data.batch_remove([cloud])
+    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
+    if old:
+        context.view_layer.update()
+    return bool(old)
+
+
+def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:
+    return folder in Path(bpy.path.abspath(cache.filepath, library=cache.library)).parents
+
+
+def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
+    """The objects of a scene that play a bake."""
+    wanted = folder.resolve()
+    return [
+        thing
+        for thing in scene.objects
+        if BAKE_PROPERTY in thing
+        and Path(bpy.path.abspath(str(thing[BAKE_PROPERTY]), library=thing.library)).resolve() == wanted
+    ]
+
+
+def points_material() -> bpy.types.Material:
+    """Shows the colors of the points as they are: no light falls on them, as on a photograph."""
+    known = bpy.data.materials.get(MATERIAL)
+    if known is not None and known.library is None:
+        return known
+    material = bpy.data.materials.new(MATERIAL)
+    material.diffuse_color = _SOLID_RGBA  # Solid mode knows no colors of points
+    if material.node_tree is None:  # until 4.5
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    color = tree.nodes.new("ShaderNodeAttribute")
+    color.attribute_name, color.location = "displayColor", (-300, 0)
+    glow = tree.nodes.new("ShaderNodeEmission")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    output.location = (300, 0)
+    tree.links.new(color.outputs["Color"], glow.inputs["Color"])
+    tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
+    return material

@@ -1,23 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exports: what the hands do, as files that need no Blender, no engine, or neither."""
+"""Exports, and bakes: what the hands do, as files that need no Blender, no engine, or neither."""
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from .. import folders, versions
+from .. import folders, ui, versions
 from ..errors import JGHandFailure
-from ..ops import PLUMBING, REGISTERED, Reporting, missing, wait_cursor
-from ..renderer import engine_words, job_watch, runtime
-from ..renderer.engine_words import UsdChoices
+from ..ops import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
+from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from . import bakes, export_stamp, owners, record, usd_hook
+from . import bakes, ops_common, usd_hook
 from .ops_common import StartsJob, place, poll_hands_to_write
-from .recording import Recording, remove_beyond
+from .recording import Recording, check_made, file_names, usd_options
+
+# what an export of a format and name is known by
+_FILES = {"usd": "{name}.usda", "motion": "{name}.npz", "ply": "{name}.*.ply"}
 
 
 class Export(StartsJob, bpy.types.Operator):
@@ -43,43 +49,42 @@ class Export(StartsJob, bpy.types.Operator):
         return texts[context.scene.jghand.output.format]
 
     def prepare(self, context: bpy.types.Context) -> None:
-        folder, kind = place(context, context.scene.jghand.output.folder), context.scene.jghand.output.format
-        if not context.scene.jghand.output.replace_others:  # said before minutes of recording
-            for thing, _, name in record.named_hands(context, self.recorded_hands(context)):
-                export_stamp.check(folder, name, kind, owners.owner_in(folder, thing.name))
+        place(context, context.scene.jghand.output.folder)
         if context.scene.jghand.output.format != "motion":
             runtime.program()
+
+    def overwritten(self, context: bpy.types.Context) -> str:
+        settings = context.scene.jghand.output
+        folder = place(context, settings.folder)
+        names = [name for *_, name in ops_common.named_hands(context, self.recorded_hands(context))]
+        there = [name for name in names if any(folder.glob(_FILES[settings.format].format(name=name)))]
+        return rpt_("{folder} has exports of {names}").format(folder=folder, names=", ".join(there)) if there else ""
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec | None:
         settings = context.scene.jghand.output
         folder = place(context, settings.folder)
         self._names = list(dict.fromkeys(recording.source for recording in recordings))
-        for recording in recordings:
-            owner = owners.owner_in(folder, recording.source)
-            if not settings.replace_others:
-                export_stamp.check(folder, recording.name, settings.format, owner)
-            export_stamp.claim(folder, recording.name, settings.format, owner)
         if settings.format == "motion":
             for recording in recordings:
                 recording.save(folder / f"{recording.name}.npz")
             return None
-        commands = []
+        if settings.format == "ply":
+            title, options = "Exporting PLY", ["--axes", settings.axes]
+        else:
+            title = "Exporting USD"
+            options = usd_options(
+                settings.variant, settings.width_factor, sizes=settings.sizes, radiance=settings.radiance
+            )
         scratch = folders.job_folder()
-        for recording in recordings:
-            motion, figures = (scratch / f"{recording.name}{suffix}" for suffix in (".npz", ".json"))
-            recording.save(motion)
-            if settings.format == "ply":
-                words = engine_words.export_ply(recording, motion, folder, figures, settings.axes)
-            else:
-                words = engine_words.export_usd(recording, motion, folder, figures, _choices(context))
-            commands.append((*runtime.program(), *words))
-        title = "Exporting PLY" if settings.format == "ply" else "Exporting USD"
+        commands = [
+            (*runtime.program(), *recording.export_words(settings.format, scratch, folder, *options))
+            for recording in recordings
+        ]
         return JobSpec(
-            "export",
             title,
             commands[0],
             folder,
-            on_done=partial(_check, recordings, scratch, folder if settings.format == "ply" else None),
+            on_done=partial(_check, recordings, scratch),
             more=tuple(commands[1:]),
             on_over=partial(folders.remove_job_folder, scratch),
         )
@@ -87,6 +92,12 @@ class Export(StartsJob, bpy.types.Operator):
     def done(self, context: bpy.types.Context) -> str:
         folder = place(context, context.scene.jghand.output.folder)
         return rpt_("Exported {names} to {folder}.").format(names=", ".join(self._names), folder=folder)
+
+
+def _check(recordings: Sequence[Recording], scratch: Path) -> None:
+    """The engine has succeeded: it did what it was asked for."""
+    for recording in recordings:
+        check_made(scratch / f"{recording.name}.json", recording)
 
 
 class ExportSceneUsd(Reporting, bpy.types.Operator):
@@ -131,63 +142,223 @@ class ExportSceneUsd(Reporting, bpy.types.Operator):
             self.tell(rpt_("Wrote {path}.").format(path=path), *usd_hook.notes)
 
 
-class CancelJob(Reporting, bpy.types.Operator):
-    """Operator: the button beside a job's progress."""
+# ---- bakes -----------------------------------------------------------------------------------------------------------
 
-    bl_idname = "jghand.cancel_job"
-    bl_label = "Cancel"
+
+@dataclass(frozen=True)
+class _NewBake:
+    """A bake that is being made."""
+
+    # session_uid of its object, which may be gone when it is finished
+    uid: int
+    # where the engine writes it, and where it goes when it is finished
+    made: Path
+    folder: Path
+    # of the object's one or two hands
+    recordings: tuple[Recording, ...]
+
+
+class Bake(StartsJob, bpy.types.Operator):
+    """Operator: every frame to disk, so that it plays without the engine."""
+
+    bl_idname = "jghand.bake"
+    bl_label = "Bake"
     bl_description = (
-        "Stop this job. A training writes a checkpoint first, images and exported files that are finished stay, and "
-        "a bake that is not finished is removed"
+        "Write every frame of the range to disk, so that it plays without the renderer: as USD points, or as splats "
+        "where this Blender draws them. An earlier bake stays until this one is finished. Esc cancels"
     )
-    bl_options = PLUMBING
-
-    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
-
-    def run(self, _context: bpy.types.Context) -> None:
-        job = runtime.jobs().get(self.key)
-        if job is not None:
-            job.cancel()
-            job_watch.start()
-
-
-class ShowJobLog(Reporting, bpy.types.Operator):
-    """Operator: what a job printed."""
-
-    bl_idname = "jghand.show_job_log"
-    bl_label = "Show Log"
-    bl_description = "Put what this job printed last into a text of the Text Editor"
+    # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
     bl_options = REGISTERED
 
-    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_hands_to_write(cls, context)
 
-    def run(self, _context: bpy.types.Context) -> None:
-        job = runtime.jobs().get(self.key)
-        if job is None:
-            raise JGHandFailure("bad_input", "no such job was started")
-        lines = [" ".join(job.spec.command), "", job.log]
-        if job.state.failure is not None:
-            lines[1:1] = ["", str(job.state.failure)]
-        name = f"JGHand {self.key}.log"
-        text = next((old for old in bpy.data.texts if old.name == name and old.library is None), None)
-        text = text or bpy.data.texts.new(name)
-        text.clear()
-        text.write("\n".join(lines))
-        self.tell(rpt_("The log is the text {name}.").format(name=text.name))
+    def prepare(self, context: bpy.types.Context) -> None:
+        place(context, context.scene.jghand.output.bake_folder)
+        runtime.program()
+
+    def overwritten(self, context: bpy.types.Context) -> str:
+        folders_ = _bake_folders(context, ops_common.hands_to_write(context))
+        there = [str(folder) for folder in folders_ if (folder / bakes.STAMP).is_file()]
+        return rpt_("There is a bake in {folders}").format(folders=", ".join(there)) if there else ""
+
+    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        things = ops_common.hands_to_write(context)
+        self._uids = [thing.session_uid for thing in things]
+        return things
+
+    def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec:
+        settings = context.scene.jghand.output
+        self._folder = place(context, settings.bake_folder)
+        things = _things_of(context, self._uids)
+        options = usd_options("splats" if versions.has_native_splats() else "points", settings.bake_width_factor)
+        made: list[_NewBake] = []
+        clean = partial(_clean, made)
+        try:
+            for thing, folder in zip(things, _bake_folders(context, things), strict=True):
+                own = tuple(recording for recording in recordings if recording.source == thing.name)
+                made.append(_NewBake(thing.session_uid, _folder_beside(folder), folder, own))
+            commands = [
+                (*runtime.program(), *recording.export_words("usd", bake.made, bake.made, *options))
+                for bake in made
+                for recording in bake.recordings
+            ]
+        except JGHandFailure:
+            clean()
+            raise
+        finish = partial(_finish, made)
+        return JobSpec("Baking", commands[0], self._folder, on_done=finish, more=tuple(commands[1:]), on_over=clean)
+
+    def done(self, _context: bpy.types.Context) -> str:
+        return rpt_("Baked into {folder}.").format(folder=self._folder)
 
 
-def _check(recordings: list[Recording], scratch: Path, numbered: Path | None) -> None:
-    """The engine has succeeded: it did what it was asked for. numbered: the folder of a sequence, in which no frames of
-    a longer one are left."""
-    for recording in recordings:
-        bakes.check_made(scratch / f"{recording.name}.json", recording)
-        if numbered is not None:
-            remove_beyond(numbered, recording.name, recording.frames)
+def _bake_folders(context: bpy.types.Context, things: Sequence[bpy.types.Object]) -> list[Path]:
+    """The folder of each hand's bake. JGHandFailure: no_place."""
+    parent = place(context, context.scene.jghand.output.bake_folder)
+    return [parent / name for name in file_names([thing.name for thing in things])]
 
 
-def _choices(context: bpy.types.Context) -> UsdChoices:
-    settings = context.scene.jghand.output
-    return UsdChoices(settings.variant, settings.sizes, settings.radiance, settings.width_factor)
+def _folder_beside(folder: Path) -> Path:
+    """A new folder in which a bake is made: what lies in `folder` stays until it is finished."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{folder}: {error.strerror or error}") from error
 
 
-CLASSES = (Export, ExportSceneUsd, CancelJob, ShowJobLog)
+def _things_of(context: bpy.types.Context, uids: list[int]) -> list[bpy.types.Object]:
+    """Objects by their session_uid: references do not outlive what happens between two events."""
+    by_uid = {thing.session_uid: thing for thing in context.scene.objects}
+    if any(uid not in by_uid for uid in uids):
+        raise JGHandFailure("no_hand", "it was deleted meanwhile")
+    return [by_uid[uid] for uid in uids]
+
+
+def _finish(made: Sequence[_NewBake]) -> None:
+    """The engine has succeeded: the new bakes replace the earlier ones, hands and what plays go over to them. Whoever
+    looks after the job calls this, perhaps while another file is open: then no hand is touched."""
+    with ui.one_step("Bake") as context:
+        for bake in made:
+            thing = next((thing for thing in bpy.data.objects if thing.session_uid == bake.uid), None)
+            has_bake = thing is not None and bool(thing.jghand.bake)
+            before = {bake.folder, bakes.folder_of(thing)} if has_bake else {bake.folder}
+            played = [folder for folder in before if bakes.stop(context, folder)]
+            bakes.put_in_place(bake.made, bake.folder, bake.recordings)
+            if thing is not None and thing.is_editable:
+                thing.jghand.bake = folders.beside_the_file(context, bake.folder)
+            if played:
+                bakes.play(context, bake.folder)
+
+
+def _clean(made: Sequence[_NewBake]) -> None:
+    for bake in made:
+        shutil.rmtree(bake.made, ignore_errors=True)
+
+
+class PlayBake(Reporting, bpy.types.Operator):
+    """Operator: the bake of the active hand as an object."""
+
+    bl_idname = "jghand.play_bake"
+    bl_label = "Play Bake"
+    bl_description = (
+        "Bring the bake of this hand into the scene as an object that plays with neither renderer nor extension, "
+        "and stop drawing the hand itself in the viewport"
+    )
+    bl_options = UNDOABLE
+
+    accept_stale: bpy.props.BoolProperty(
+        name="Play Anyway",
+        description="Play a bake of another pose or avatar too",
+        default=False,
+        options={"SKIP_SAVE"},
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _poll_baked(cls, context)
+
+    def run(self, context: bpy.types.Context) -> None:
+        thing = context.object
+        folder = bakes.folder_of(thing)
+        hands = bakes.read_bake(folder)
+        reasons = bakes.stale_now(thing, context.evaluated_depsgraph_get(), hands)
+        if reasons and not self.accept_stale:
+            raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(map(rpt_, reasons))}")
+        with wait_cursor(context):  # Blender's own import cannot be cut into turns
+            bakes.stop(context, folder)
+            bakes.play(context, folder)
+        thing.jghand.show_in_viewport = False
+        if reasons:
+            said = ", ".join(map(rpt_, reasons))
+            self.warn(rpt_("The bake is played as it is, but {reasons}.").format(reasons=said))
+        else:
+            self.tell(rpt_("{name} plays from {folder}.").format(name=thing.name, folder=folder))
+
+
+class CheckBake(StartsJob, bpy.types.Operator):
+    """Operator: whether a bake is still of what the scene has, on every frame."""
+
+    bl_idname = "jghand.check_bake"
+    bl_label = "Check Bake"
+    bl_description = "Go through all frames and compare this hand with its bake: pose, avatar and frames"
+    bl_options = REGISTERED
+
+    working = "Comparing with the bake"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _poll_baked(cls, context)
+
+    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        return [context.object]
+
+    def job(self, context: bpy.types.Context, recordings: list[Recording]) -> None:
+        folder = bakes.folder_of(context.object)
+        found = {hand.handedness: hand for hand in bakes.read_bake(folder)}
+        reasons = []
+        for recording in recordings:
+            hand = found.get(recording.handedness)
+            if hand is None:
+                reasons.append("a hand is not in it")
+            else:
+                reasons += bakes.stale_reasons(hand, recording=recording)
+        if reasons:
+            raise JGHandFailure("stale_bake", ", ".join(map(rpt_, dict.fromkeys(reasons))))
+
+    def done(self, context: bpy.types.Context) -> str:
+        return rpt_("The bake of {name} is what the scene has.").format(name=context.object.name)
+
+
+class ClearBake(Reporting, bpy.types.Operator):
+    """Operator: the hand is live again."""
+
+    bl_idname = "jghand.clear_bake"
+    bl_label = "Clear Bake"
+    bl_description = (
+        "Draw this hand itself again, take its playing bake out of the scene and forget the bake. "
+        "Its files stay on the disk"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _poll_baked(cls, context)
+
+    def run(self, context: bpy.types.Context) -> None:
+        thing = context.object
+        bakes.stop(context, bakes.folder_of(thing))
+        thing.jghand.bake = ""
+        thing.jghand.show_in_viewport = True
+
+
+def _poll_baked(operator: type, context: bpy.types.Context) -> bool:
+    thing = context.object
+    if thing is None or not thing.jghand.bake:
+        return missing(operator, "Select a hand that was baked")
+    return True
+
+
+CLASSES = (Export, ExportSceneUsd, Bake, PlayBake, CheckBake, ClearBake)

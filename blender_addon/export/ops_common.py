@@ -7,27 +7,30 @@ and so does the panel's button. Without a window, or from a script that asks for
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core import limits
 from ..errors import JGHandFailure
-from ..hand import armature
+from ..hand import armature, sources
+from ..hand.seen_hands import avatar_of
 from ..ops import CANCELLED, DONE, ERROR, INFO, InTurns, missing, seen_frames, sentence_of
-from ..renderer import job_watch, runtime
-from ..renderer.job_state import Phase
-from ..renderer.jobs import Job, JobSpec
+from ..render import samples
+from ..renderer import runtime
+from ..renderer.jobs import Job, JobSpec, Phase
 from ..ui import redraw
-from . import record
-from .recording import Recording, check_place, with_file_name
+from .recording import Recording, check_place, file_names, with_file_name
 
 
 class StartsJob(InTurns):
     """An operator that records hands and then starts a job. `job(context, recordings)` says which, None for none;
-    `done(context)` is called after it succeeded, and returns a sentence."""
+    `done(context)` is called after it succeeded, and returns a sentence; `overwritten(context)` says what a click is
+    asked about first."""
 
     wait: bpy.props.BoolProperty(
         name="Wait",
@@ -36,8 +39,17 @@ class StartsJob(InTurns):
         options={"SKIP_SAVE", "HIDDEN"},
     )  # type: ignore[valid-type]
 
+    confirmed: bpy.props.BoolProperty(
+        name="Confirmed",
+        description="What is overwritten was asked about",
+        default=False,
+        options={"SKIP_SAVE", "HIDDEN"},
+    )  # type: ignore[valid-type]
+
     working = "Reading the animation"
-    key = job_watch.OUTPUT
+    # what stands on the button that overwrites
+    overwrite = "Overwrite"
+    key = runtime.OUTPUT
     # whether the operator stays until the job has ended, so that Esc ends it: not for hours
     watched = True
     _job: Job | None = None
@@ -57,26 +69,48 @@ class StartsJob(InTurns):
     def prepare(self, _context: bpy.types.Context) -> None:
         """What can be refused before anything is done. JGHandFailure."""
 
+    def overwritten(self, _context: bpy.types.Context) -> str:
+        """A sentence about what would be overwritten; "" for nothing. JGHandFailure: said after the click."""
+        return ""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Asks before anything is overwritten."""
+        lost = ""
+        if not self.confirmed and not bpy.app.background:
+            with contextlib.suppress(JGHandFailure):
+                lost = self.overwritten(context)
+        if not lost:
+            return super().invoke(context, event)
+        self.confirmed = True
+        options = {"title": rpt_("{action}?").format(action=rpt_(self.overwrite)), "message": lost, "icon": "WARNING"}
+        return context.window_manager.invoke_confirm(self, event, confirm_text=rpt_(self.overwrite), **options)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """All of it; of a click that was asked about, in turns, which Blender's dialog alone would not do."""
+        if self.confirmed and context.window is not None and not bpy.app.background:
+            getattr(bpy.ops.jghand, self.bl_idname.partition(".")[2])("INVOKE_DEFAULT", **self.as_keywords())
+            return DONE
+        return super().execute(context)
+
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """A step per frame."""
-        refuse_second(self.key)
+        runtime.jobs().refuse_second(self.key)  # before minutes of recording
         self.prepare(context)
         self._recordings: list[Recording] = []
         things = self.recorded_hands(context)
         if things:
-            yield from record.record_steps(context, things, frames_to_write(context), self._recordings)
+            yield from record_steps(context, things, frames_to_write(context), self._recordings)
 
     def finished(self, context: bpy.types.Context) -> None:
         spec = self.job(context, self._recordings)
         if spec is None:
             self.tell(self.done(context))
             return
-        self._job = runtime.jobs().start(self.key, spec)
-        job_watch.start()
+        self._job = runtime.start_job(self.key, spec)
 
     def run(self, context: bpy.types.Context) -> None:
         super().run(context)
-        if self._job is not None and (self.wait or not job_watch.timers_fire()):
+        if self._job is not None and (self.wait or not runtime.timers_fire()):
             self._job.wait(limits.JOB_WAIT_S)
             self._end(context, self._job)
 
@@ -119,6 +153,9 @@ class StartsJob(InTurns):
             self.report(INFO, rpt_("Canceled"))
 
 
+# ---- what is recorded ------------------------------------------------------------------------------------------------
+
+
 def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The hands that the scene's settings choose, by name."""
     layer = context.view_layer
@@ -136,6 +173,47 @@ def frames_to_write(context: bpy.types.Context) -> range:
     return range(settings.frame_start, settings.frame_end + 1)
 
 
+def record_steps(
+    context: bpy.types.Context, things: Sequence[bpy.types.Object], frames: range, into: list[Recording]
+) -> Iterator[float]:
+    """Goes through the frames and yields the part that is done; at the end one recording per hand is in `into`.
+
+    things: objects that are hands, a foreign rig counts up to two. The scene's frame is put back at the end, also when
+    this is closed half-way. JGHandFailure: no_hand, and what `sources.read_hands` and `samples.evaluated_at` raise.
+    """
+    if not things or not len(frames):
+        raise JGHandFailure("no_hand")
+    now = context.scene
+    before = now.frame_current, now.frame_subframe
+    read: list[list[np.ndarray]] = []
+    try:
+        for place, frame in enumerate(frames):
+            depsgraph = samples.evaluated_at(now, frame, things)
+            hands = [hand for thing in things for hand in sources.read_hands(thing, depsgraph)]
+            read.append([hand.joints_world_m for hand in hands])
+            yield (place + 1) / len(frames)
+    finally:
+        now.frame_set(before[0], subframe=before[1])
+    fps = now.render.fps / now.render.fps_base
+    for place, (thing, handedness, name) in enumerate(named_hands(context, things)):
+        joints_m = np.stack([frame[place] for frame in read])
+        into.append(Recording(name, handedness, avatar_of(thing), joints_m, frames[0], fps, thing.name))
+
+
+def named_hands(
+    context: bpy.types.Context, things: Sequence[bpy.types.Object]
+) -> list[tuple[bpy.types.Object, str, str]]:
+    """The hands of these objects, a foreign rig up to two: (object, handedness, stem of its files)."""
+    depsgraph = context.evaluated_depsgraph_get()
+    found = [(thing, hand.handedness) for thing in things for hand in sources.read_hands(thing, depsgraph)]
+    owners = [thing for thing, _ in found]
+    names = file_names([f"{thing.name}_{side}" if owners.count(thing) > 1 else thing.name for thing, side in found])
+    return [(thing, side, name) for (thing, side), name in zip(found, names, strict=True)]
+
+
+# ---- what can be refused ---------------------------------------------------------------------------------------------
+
+
 def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
     """Whether there is something to write."""
     if not hands_to_write(context):
@@ -144,22 +222,14 @@ def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
         return missing(operator, "Select a hand, or choose All")
     if not frames_to_write(context):
         return missing(operator, "The last frame comes before the first")
-    return poll_job(operator, job_watch.OUTPUT)
+    return poll_job(operator, runtime.OUTPUT)
 
 
 def poll_job(operator: type, key: str) -> bool:
     """Whether no job of a kind runs."""
-    job = runtime.jobs().get(key)
-    if job is not None and not job.is_over:
+    if runtime.jobs().runs(key):
         return missing(operator, "This is running already: wait until it has ended, or cancel it")
     return True
-
-
-def refuse_second(key: str) -> None:
-    """JGHandFailure (job_running) while a job of that kind runs: said before minutes of recording."""
-    job = runtime.jobs().get(key)
-    if job is not None and not job.is_over:
-        raise JGHandFailure("job_running", job.spec.title)
 
 
 def place(context: bpy.types.Context, text: str) -> Path:

@@ -12,10 +12,10 @@ from .. import ui, versions
 from ..errors import JGHandFailure
 from ..hand import avatar_files
 from ..hand.seen_hands import avatar_of
-from ..renderer import job_watch, runtime
-from ..renderer.job_state import Phase
+from ..renderer import runtime
+from ..renderer.panel import draw_job
 from ..ui import Sidebar
-from . import bake_folders, baked_points, bakes, ops_bake, ops_common, usd_hook
+from . import bakes, ops_common, usd_hook
 from .recording import SizeEstimate, Written, estimate
 
 
@@ -76,7 +76,6 @@ class ExportPanel(Sidebar, bpy.types.Panel):
             column.prop(settings, "width_factor")
         elif settings.format == "ply":
             column.prop(settings, "axes")
-        column.prop(settings, "replace_others")
         layout.operator("jghand.export", icon="EXPORT")
         if settings.format != "motion":
             written = Written(ply=settings.format == "ply", sizes=settings.sizes == "per_frame")
@@ -89,7 +88,7 @@ class ExportPanel(Sidebar, bpy.types.Panel):
 def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
     """The job that writes hands, which hands, and which frames. Returns the column that they stand in."""
     settings = context.scene.jghand.output
-    draw_job(layout, context, job_watch.OUTPUT)
+    draw_job(layout, context, runtime.OUTPUT)
     column = ui.settings(layout)
     column.row().prop(settings, "hands", expand=True)
     column.prop(settings, "use_scene_range")
@@ -133,38 +132,13 @@ def _look_at_bake(context: bpy.types.Context, uid: int) -> _SeenBake | None:
     if hand is None or not hand.jghand.bake:
         return None
     try:
-        folder = bake_folders.bake_folder(hand)
+        folder = bakes.folder_of(hand)
         baked = bakes.read_bake(folder)
-        reasons = ops_bake.stale_now(context, hand, baked, folder)
+        reasons = bakes.stale_now(hand, context.evaluated_depsgraph_get(), baked)
     except JGHandFailure as failure:
         return _SeenBake(failure.advice.sentence)
-    first, plays = baked[0].first_frame, bool(baked_points.playing(context.scene, folder))
-    return _SeenBake("", first, first + baked[0].frames - 1, tuple(reasons), plays)
-
-
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:
-    """A job's progress with its button while it runs; afterwards why it failed, until the next one."""
-    job = runtime.jobs().get(key)
-    if job is None:
-        return
-    state = job.state
-    if not job.is_over:
-        row = layout.row(align=True)
-        row.progress(factor=state.fraction or 0.0, text=state.sentence(iface_), translate=False)
-        row.operator("jghand.cancel_job", text="", icon="CANCEL").key = key
-        if job.silent_s > _SILENT_S:
-            text = iface_("It has said nothing for {minutes} min").format(minutes=round(job.silent_s / 60))
-            layout.label(text=text, icon="TIME", translate=False)
-    elif state.phase is Phase.FAILED and state.failure is not None:
-        ui.paragraph(layout, context, iface_(state.failure.advice.sentence) + ".", icon="ERROR")
-        ui.paragraph(layout, context, iface_(state.failure.advice.remedy) + ".")
-        if state.failure.detail:
-            ui.paragraph(layout, context, state.failure.detail.splitlines()[0])
-        layout.operator("jghand.show_job_log", icon="TEXT").key = key
-
-
-# a picture of a capture takes a minute at most: longer silence is told
-_SILENT_S = 120.0
+    plays = bool(bakes.playing(context.scene, folder))
+    return _SeenBake("", baked[0].first_frame, baked[0].last_frame, tuple(reasons), plays)
 
 
 def _draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, written: Written) -> None:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import bpy
 
 from ..core import limits
-from ..renderer.engine_words import USD_PRESETS
 from ..versions import has_native_splats, path_options
+from .recording import USD_PRESETS
 
 FORMATS = (
     ("usd", "USD", "One animated OpenUSD stage per hand: splats, points, skeleton and mesh", "NONE", 0),
@@ -135,11 +135,6 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         soft_max=4.0,
         max=100.0,
     )  # type: ignore[valid-type]
-    replace_others: bpy.props.BoolProperty(
-        name="Overwrite Existing",
-        description="Write over exports of the same name that another file, or another hand of this one, has made. "
-        "Its own exports are always replaced",
-    )  # type: ignore[valid-type]
     axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
 
 
@@ -202,9 +197,6 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
     all_pictures: bpy.props.BoolProperty(
         name="Use Validation Images",
         description="Learn from the images too that are held out to judge by, for a final avatar",
-    )  # type: ignore[valid-type]
-    overwrite: bpy.props.BoolProperty(
-        name="Overwrite", description="Replace the avatar's file even if it is not of this training", default=False
     )  # type: ignore[valid-type]
 
 

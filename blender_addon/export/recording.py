@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import json
 import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,24 +31,32 @@ _PLY_BYTES = 68
 _POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
 
 
+# what suits a program: the variant that is shown first, and the size of points; a test compares it with the engine's
+USD_PRESETS: dict[str, tuple[str, float]] = {
+    "generic": ("splats", 1.0),
+    "omniverse": ("splats", 1.0),
+    "usdview": ("points_skinned", 2.0),
+    "blender": ("points", 2.0),
+    "houdini": ("points", 1.0),
+}
+
+
 @dataclass(frozen=True)
 class Recording:
-    """name: stem of files, unique among those of one export · handedness · avatar: an absolute path or a shipped name ·
-    joints_m: (F, 21, 3) float64, standard order, meters, in the world, z up · first_frame: of the scene · fps ·
-    source: name of the object whose hand it is."""
+    """One hand over a range of frames."""
 
+    # stem of files, unique among those of one export
     name: str
     handedness: str
+    # an absolute path or a shipped name
     avatar: str
+    # (F, 21, 3) float64, standard order, meters, in the world, z up
     joints_m: np.ndarray
+    # of the scene
     first_frame: int
     fps: float
+    # name of the object whose hand it is
     source: str = ""
-
-    @property
-    def frames(self) -> range:
-        """The scene's frames."""
-        return range(self.first_frame, self.first_frame + len(self.joints_m))
 
     @property
     def digest(self) -> str:
@@ -56,6 +66,45 @@ class Recording:
     def save(self, path: Path) -> None:
         """Writes a motion file. JGHandFailure: cannot_write, disk_full."""
         write_motion(path, MotionFile(self.joints_m, self.fps, self.handedness))
+
+    def export_words(self, kind: str, scratch: Path, out: Path, *options: str) -> tuple[str, ...]:
+        """Writes the motion into `scratch`; the words of the engine's command line that export it to `out`.
+
+        kind: "usd" for NAME.usda and its layers, "ply" for NAME.0001.ply and so on. What it did is then in
+        scratch/NAME.json (`check_made`). JGHandFailure: cannot_write, disk_full.
+        """
+        motion = scratch / f"{self.name}.npz"
+        self.save(motion)
+        return (
+            *("export", kind, "--motion", str(motion), "--avatar", self.avatar, "--out", str(out)),
+            *("--name", self.name, "--first-frame", str(self.first_frame), "--up", "z"),
+            # the hand that is seen: nothing is repaired on the way
+            *("--keep-bone-lengths", "--on-missing", "stop", "--any-proportions"),
+            *("--json", str(scratch / f"{self.name}.json"), "--overwrite", *options),
+        )
+
+
+def usd_options(variant: str, width_factor: float, *, sizes: str = "constant", radiance: str = "srgb") -> list[str]:
+    """Options of `export_words`. variant: what a program shows that cannot choose."""
+    return [
+        *("--default-variant", variant, "--width-factor", f"{width_factor:g}"),
+        *("--sizes", sizes, "--radiance", radiance),
+    ]
+
+
+def check_made(path: Path, recording: Recording) -> dict[str, Any]:
+    """What the engine said of an export or bake that it made of a recording, from its JSON file.
+
+    JGHandFailure (internal) where it was made of another motion.
+    """
+    try:
+        figures = json.loads(path.read_text(encoding="utf-8"))
+        joints = figures["made_from"]["joints_sha256"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise JGHandFailure("internal", f"{path}: {error}") from error
+    if joints != recording.digest:
+        raise JGHandFailure("internal", f"{recording.name}: the engine wrote other joints than it was given")
+    return figures
 
 
 def file_names(names: Sequence[str]) -> list[str]:
@@ -159,20 +208,6 @@ def with_file_name(folder: str, blend: str) -> str:
     """A folder of the settings with the stem of the opened file for its `{blend_name}`: files of one folder share
     their settings' defaults, and must not write over each other."""
     return folder.replace("{blend_name}", Path(blend).stem or "untitled")
-
-
-def remove_beyond(folder: Path, name: str, frames: range) -> None:
-    """Removes numbered PLY files of this name that are not of these frames: left over from a longer export.
-
-    JGHandFailure: cannot_write.
-    """
-    for path in folder.glob("*.ply"):
-        match = re.fullmatch(re.escape(name) + r"\.(-?\d{4,})\.ply", path.name)
-        if match is not None and int(match[1]) not in frames:
-            try:
-                path.unlink()
-            except OSError as error:
-                raise JGHandFailure("cannot_write", f"{path}: {error.strerror or error}") from error
 
 
 def check_place(folder: str, *, saved: bool) -> None:

@@ -25,9 +25,8 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import ui
 from ..core.files import copy_whole
 from ..errors import JGHandFailure
-from ..hand import armature, sources
-from ..hand.seen_hands import avatar_of
-from . import bake_folders, bakes
+from ..hand import armature
+from . import bakes
 
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 # what the last export did and did not, in sentences, for the panel and the operator
@@ -109,7 +108,7 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
             for hand, folder in usable_bakes(thing, depsgraph):
                 _bring_layers(hand, folder, target)
                 _reference(stage, hand, depsgraph.scene, target.name)
-                said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {_last(hand)}.")
+                said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {hand.last_frame}.")
         except JGHandFailure as failure:
             said.append(f"{thing.name}: {_LEFT_OUT}. {failure}")
     return said
@@ -124,29 +123,15 @@ def _is_exported(stage: Any, thing: bpy.types.Object) -> bool:
 
 
 def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[tuple[bakes.BakedHand, Path]]:
-    """The bakes of a hand's object and their folder, when they still show it. JGHandFailure: no_bake, stale_bake.
-
-    Looked at are the avatar and the pose of the frame that is evaluated; going through all frames would take the time
-    of a bake.
-    """
+    """The bakes of a hand's object and their folder, when they still show it. JGHandFailure: no_bake, stale_bake."""
     if not thing.jghand.bake:
         raise JGHandFailure("no_bake", f"{thing.name} was not baked")
-    folder = bake_folders.bake_folder(thing)
+    folder = bakes.folder_of(thing)
     found = bakes.read_bake(folder)
-    now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
-    reasons = []
-    for hand in found:
-        reasons += bakes.stale_reasons(hand, avatar=avatar_of(thing))
-        joints_m = now.get(hand.handedness)
-        if joints_m is not None and bakes.moved_at(hand, folder, depsgraph.scene.frame_current_final, joints_m):
-            reasons.append("the hand moves in another way")
+    reasons = bakes.stale_now(thing, depsgraph, found)
     if reasons:
-        raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(dict.fromkeys(reasons))}")
+        raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(reasons)}")
     return [(hand, folder) for hand in found]
-
-
-def _last(hand: bakes.BakedHand) -> int:
-    return hand.first_frame + hand.frames - 1
 
 
 def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
@@ -202,7 +187,7 @@ def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene, folder
     stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
     if not stage.HasAuthoredTimeCodeRange():  # a still was exported: Blender wrote no times
         stage.SetStartTimeCode(hand.first_frame)
-        stage.SetEndTimeCode(_last(hand))
+        stage.SetEndTimeCode(hand.last_frame)
         stage.SetTimeCodesPerSecond(hand.fps)
 
 

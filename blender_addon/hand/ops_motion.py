@@ -21,9 +21,8 @@ from .. import folders, ui
 from .. import ops as common
 from ..core.joints import LEFT, RIGHT
 from ..errors import JGHandFailure
-from ..export.ops_common import refuse_second
 from ..ops import CANCELLED, UNDOABLE_IMPORT, Elsewhere, InTurns, missing
-from ..renderer import job_watch, runtime
+from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import armature, controls, motion
 from .motion_files import FPS_MAX, MotionFile, read_motion
@@ -171,19 +170,16 @@ class KeysFile(InTurns, ImportHelper):
     ) -> Generator[float, None, _Result]:
         """What `read` finds in a folder, after the renderer has done there what it is `said` to. Closed half-way, the
         renderer is asked to end and leaves nothing. JGHandFailure: why it failed."""
-        refuse_second(job_watch.IMPORT)
+        runtime.jobs().refuse_second(runtime.IMPORT)
         program, folder = runtime.program(learns=self.learns), folders.job_folder()
         results: list[_Result] = []
         spec = JobSpec(
-            "import",
             self.working,
             (*program, *said(folder)),
-            folder,
             on_done=lambda: results.append(read(folder)),
             on_over=lambda: folders.remove_job_folder(folder),
         )
-        job = runtime.jobs().start(job_watch.IMPORT, spec)
-        job_watch.start()
+        job = runtime.start_job(runtime.IMPORT, spec)
         try:
             while not job.is_over:
                 yield Elsewhere(job.state.fraction or 0.0)
@@ -191,7 +187,7 @@ class KeysFile(InTurns, ImportHelper):
         finally:
             if not job.is_over:
                 job.cancel()
-                if not job_watch.timers_fire():
+                if not runtime.timers_fire():
                     job.kill()
         if job.state.failure is not None:
             raise job.state.failure

@@ -11,10 +11,9 @@ from ..core import panel_text
 from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS, NAMES
 from ..errors import JGHandFailure
-from ..export.panel import draw_job
-from ..render.engine_name import ENGINE
-from ..renderer import job_watch, runtime
-from ..renderer.panel import draw_status
+from ..render import ENGINE
+from ..renderer import runtime
+from ..renderer.panel import draw_job, draw_status
 from ..ui import Sidebar
 from ..viewport import views
 from . import armature, avatar_files, controls, poses, sources
@@ -341,7 +340,7 @@ class MotionPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        draw_job(layout, context, job_watch.IMPORT)
+        draw_job(layout, context, runtime.IMPORT)
         layout.operator("jghand.import_motion", icon="IMPORT")
         layout.operator("jghand.track_video", icon="FILE_MOVIE")
         ui.paragraph(layout, context, "Or drop an .npz, .json, .csv or .bvh motion into the viewport.")

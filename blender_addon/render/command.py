@@ -13,37 +13,28 @@ Exit codes: 0 done, 1 a mistake in JGHand, 2 bad input, 3 try again, 4 out of me
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import re
 import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from .. import versions
-from ..core import limits
 from ..core.files import write_whole
 from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS
 from ..errors import BAD_INPUT, JGHandFailure
-from ..hand import armature, seen_hands
-from ..preferences import preferences
+from ..hand import armature
 from ..properties import PRESETS
 from ..renderer import runtime
-from ..renderer.engine_command import engine_command
-from ..renderer.link import EngineLink
-from . import camera, composite, scene
-from .engine_name import ENGINE
+from . import ENGINE, composite, samples
 
 _FRAMES = re.compile(r"(-?\d+)(?:-(-?\d+))?(?:,([1-9]\d*))?")
 _handle: Any = None
-# Blender renders now
-_drawing = False
 
 
 def command(arguments: list[str]) -> int:
@@ -57,59 +48,36 @@ def command(arguments: list[str]) -> int:
         return ended.code if isinstance(ended.code, int) else BAD_INPUT
 
 
-def main(arguments: list[str], *, checkout: Path | None = None, program: str = "jghand render") -> int:
-    """Renders what the command line asks for; returns the exit code. checkout: a folder that may hold .envs/engine."""
+def main(arguments: list[str], *, program: str = "jghand render") -> int:
+    """Renders what the command line asks for; returns the exit code."""
     options = _parser(program).parse_args(arguments)
     report: dict[str, Any] = {"blend": str(options.file), "wanted": 0, "failure": None, "pictures": []}
-    with _interrupts():
-        failure = _failure_of(lambda: _render(options, report, checkout))
+    failure = None
+    try:
+        _render(options, report)
+    except JGHandFailure as reason:
+        failure = reason
+    except KeyboardInterrupt:
+        failure = JGHandFailure("interrupted")
+    except Exception as error:  # a mistake of ours: the report must not look like that of a run that went well
+        traceback.print_exc()
+        failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
+    log = runtime.link().log
     runtime.use_link(None)
-    runtime.use_render_timeout(None)
     if failure is not None:
         words = {"kind": failure.kind, "sentence": failure.advice.sentence, "remedy": failure.advice.remedy}
         report["failure"] = {**words, "detail": failure.detail}
-        if failure.log and failure.advice.exit_code != BAD_INPUT:
-            log = options.report.with_suffix(".engine.log") if options.report else options.out / "engine.log"
-            if _failure_of(lambda: write_whole(log, failure.log.encode())) is None:
-                report["failure"]["log"] = str(log)
     if options.report is not None:
-        unwritten = _failure_of(lambda: write_whole(options.report, json.dumps(report, indent=1).encode()))
-        failure = failure or unwritten
+        try:
+            if failure is not None and log:
+                report["failure"]["log"] = str(options.report.with_suffix(".engine.log"))
+                write_whole(options.report.with_suffix(".engine.log"), log.encode())
+            write_whole(options.report, json.dumps(report, indent=1).encode())
+        except JGHandFailure as unwritten:
+            failure = failure or unwritten
     if failure is not None:
-        print(f"{program}: {failure}", *filter(None, [(report["failure"] or {}).get("log")]), file=sys.stderr)
+        print(f"{program}: {failure}", (report["failure"] or {}).get("log", ""), file=sys.stderr)
     return failure.advice.exit_code if failure else 0
-
-
-def _failure_of(step: Callable[[], None]) -> JGHandFailure | None:
-    """Does one step; returns what ended it early, whatever that was."""
-    try:
-        step()
-    except JGHandFailure as failure:
-        return failure
-    except KeyboardInterrupt:
-        return JGHandFailure("interrupted")
-    except Exception as error:  # a mistake of ours: the report must not look like that of a run that went well
-        traceback.print_exc()
-        return JGHandFailure("internal", f"{type(error).__name__}: {error}")
-    return None
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[None]:
-    """Ctrl-C gives up the picture that Blender renders, where an exception would be lost; else it ends the run."""
-
-    def interrupt(*_: object) -> None:
-        runtime.give_up_render(True)
-        if not _drawing:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        runtime.give_up_render(False)
-        # None: Blender's own program handled it, which Python cannot put back; the system's way ends it as well
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
@@ -122,10 +90,8 @@ def _parser(program: str) -> argparse.ArgumentParser:
     add("--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range")
     add("--preset", choices=[preset[0] for preset in PRESETS], help="default: the scene's")
     add("--avatar", help="a .jghand file, builtin or painted, for all hands; default: each hand's own")
-    add("--engine-python", metavar="PATH", help="a Python that has jghand installed")
     add("--overwrite", action="store_true", help="render pictures that are there already again")
     add("--report", type=Path, metavar="FILE.json", help="write what was done, with times, as JSON")
-    add("--timeout", type=_seconds, default=limits.REQUEST_S, metavar="SECONDS", help="longest time of one picture")
     add("--allow-scripts", action="store_true", help="let the file run the Python scripts inside it")
     return parser
 
@@ -138,91 +104,73 @@ def _frames(text: str) -> range:
     return range(first, (first if last is None else last) + 1, step or 1)
 
 
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds <= limits.REQUEST_MAX_S:
-        raise argparse.ArgumentTypeError(f"{text!r}: wanted seconds, more than 0, at most {limits.REQUEST_MAX_S:g}")
-    return seconds
-
-
-def _render(options: argparse.Namespace, report: dict[str, Any], checkout: Path | None) -> None:
+def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
     """Renders every camera's frames; JGHandFailure as soon as one fails."""
-    current = scene.open_file(options.file, allow_scripts=options.allow_scripts)
-    frames = options.frames or range(current.frame_start, current.frame_end + 1, current.frame_step)
-    eyes = scene.chosen_cameras(current, options.camera, frames[0])
-    names = [re.sub(r"[^\w. -]", "_", eye.name).strip(". ") or "camera" for eye in eyes]
-    if len({name.casefold() for name in names}) < len(names):
-        raise JGHandFailure("same_folder", ", ".join(eye.name for eye in eyes))
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(options.file.resolve()), load_ui=False, use_scripts=options.allow_scripts)
+    except RuntimeError as error:
+        raise JGHandFailure("bad_file", f"{options.file}: {error}") from error
+    samples.check_scripts()
+    current = bpy.context.scene
     hands = armature.hands_at_any_frame(bpy.context.view_layer)
     if not hands:
-        raise JGHandFailure("no_hand", "; ".join([str(options.file), *scene.instanced_hands(current.objects)]))
+        raise JGHandFailure("no_hand", "; ".join([str(options.file), *samples.instanced_hands(current.objects)]))
     if options.avatar is not None:
         chosen = options.avatar if options.avatar in SHIPPED_AVATARS else str(Path(options.avatar).resolve())
+        if chosen not in SHIPPED_AVATARS and not Path(chosen).is_file():
+            raise JGHandFailure("bad_avatar", f"{chosen} is no file")
         for hand in hands:
             hand.jghand.avatar = "" if chosen == BUILTIN_AVATAR else chosen
-    _prepare(current, frames, options)
-    report |= {"preset": current.jghand.render_preset, "wanted": len(frames) * len(eyes)}
-    report["notes"] = scene.notes_on(current)
-    for note in report["notes"]:
-        print(f"note: {note}", flush=True)
-    link = _start_engine(options, checkout)
-    report["engine"] = {key: link.status.handshake.get(key) for key in ("engine_version", "device")}
-    for avatar in sorted({seen_hands.avatar_of(hand) for hand in hands}):
-        try:
-            link.request({"kind": "load", "avatar": avatar}, timeout_s=max(limits.LOAD_S, options.timeout))
-        except JGHandFailure as failure:
-            if failure.kind == "bad_input":
-                raise JGHandFailure("bad_avatar", failure.detail) from failure
-            raise
-    for eye, name in zip(eyes, names, strict=True):
-        if options.camera:
-            for each in _scenes(current):
-                each.camera = eye
+    frames = options.frames or range(current.frame_start, current.frame_end + 1, current.frame_step)
+    folders = _folders(current, options.camera, frames[0])
+    # the scene, and that of its hands where it is combined with one
+    scenes = [each for each in (current, composite.hands_scene_of(current)) if each is not None]
+    if len(scenes) == 1:
+        current.render.engine = ENGINE
+    for each in scenes:
+        each.jghand.render_preset = options.preset or each.jghand.render_preset
+    _write_png(current.render, overwrite=options.overwrite)
+    current.frame_start, current.frame_end, current.frame_step = frames[0], frames[-1], frames.step
+    report |= {"preset": current.jghand.render_preset, "wanted": len(frames) * len(folders)}
+    for name, eye in folders.items():
+        for each in scenes if options.camera else ():
+            each.camera = eye
+            for marker in each.timeline_markers:
+                marker.camera = None  # which else would choose the camera
         _render_camera(current, eye.name, options.out.resolve() / name, report)
 
 
-def _scenes(current: bpy.types.Scene) -> list[bpy.types.Scene]:
-    """The scene, and that of its hands where it is combined with one."""
-    return [each for each in (current, composite.hands_scene_of(current)) if each is not None]
+def _folders(scene: bpy.types.Scene, names: list[str], frame: int) -> dict[str, bpy.types.Object]:
+    """The cameras of these names, of several between commas too; without names the scene's own, or that of its markers.
+    By the names of their folders. JGHandFailure: not_a_camera, no_camera, same_folder."""
+    known = {thing.name: thing for thing in scene.objects if thing.type == "CAMERA"}
+    if names:
+        wanted = [part for name in names for part in ([name] if name in known else name.split(","))]
+        unknown = [name for name in wanted if name not in known]
+        if unknown:
+            raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
+        eyes = [known[name] for name in dict.fromkeys(wanted)]
+    else:
+        marked = sorted((each.frame, each.camera) for each in scene.timeline_markers if each.camera is not None)
+        before = [eye for at, eye in marked if at <= frame]
+        eyes = [eye for eye in (scene.camera, *before[-1:], *(eye for _, eye in marked)) if eye is not None][:1]
+    if not eyes:
+        raise JGHandFailure("no_camera")
+    found = {re.sub(r"[^\w. -]", "_", eye.name).strip(". ") or "camera": eye for eye in eyes}
+    if len({name.casefold() for name in found}) < len(eyes):
+        raise JGHandFailure("same_folder", ", ".join(eye.name for eye in eyes))
+    return found
 
 
-def _prepare(current: bpy.types.Scene, frames: range, options: argparse.Namespace) -> None:
-    """Sets the scene, in memory, so that Blender writes what is wanted; nothing that depends on the clock."""
-    render = current.render
-    if composite.hands_scene_of(current) is None:
-        render.engine = ENGINE
+def _write_png(render: bpy.types.RenderSettings, *, overwrite: bool) -> None:
+    """PNG files of which nothing depends on the clock."""
     versions.write_png(render.image_settings)
-    render.use_file_extension, render.use_overwrite = True, options.overwrite
+    render.use_file_extension, render.use_overwrite = True, overwrite
     render.use_stamp_date = render.use_stamp_render_time = render.use_stamp_memory = render.use_stamp_hostname = False
-    current.frame_start, current.frame_end, current.frame_step = frames[0], frames[-1], frames.step
-    for each in _scenes(current):
-        each.jghand.render_preset = options.preset or each.jghand.render_preset
-        for marker in each.timeline_markers if options.camera else ():
-            marker.camera = None  # which else would choose the camera
-
-
-def _start_engine(options: argparse.Namespace, checkout: Path | None) -> EngineLink:
-    chosen = preferences()
-    python = options.engine_python or (chosen.engine_python if chosen is not None else None) or None
-    words = engine_command(python, checkout=checkout)
-    link = EngineLink(lambda: words)
-    runtime.use_link(link)
-    runtime.use_render_timeout(options.timeout)
-    link.start()
-    link.wait_until_ready()
-    return link
 
 
 def _render_camera(current: bpy.types.Scene, eye: str, folder: Path, report: dict[str, Any]) -> None:
     """One animation of Blender's: FOLDER/0001.png and so on. JGHandFailure: that of a frame, cannot_write."""
-    global _drawing
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise JGHandFailure("cannot_write", f"{folder}: {error.strerror or error}") from error
     current.render.filepath = versions.literal_path(folder) + "/####"
     failures: list[JGHandFailure] = []
     began_s = time.perf_counter()
@@ -240,26 +188,32 @@ def _render_camera(current: bpy.types.Scene, eye: str, folder: Path, report: dic
         whole_ms, began_s = 1e3 * (now_s - began_s), now_s
         times = {"evaluate_ms": note.evaluate_ms, "request_ms": note.request_ms}
         times["write_ms"] = whole_ms - note.evaluate_ms - note.request_ms
-        size = list(camera.picture_size(current.render))
-        tell(which.frame_current, f"{whole_ms:.0f} ms", skipped=False, **times, size=size, reports=list(note.reports))
+        tell(which.frame_current, f"{whole_ms:.0f} ms", skipped=False, **times, reports=list(note.reports))
 
     for frame in range(current.frame_start, current.frame_end + 1, current.frame_step):
         if not current.render.use_overwrite and Path(current.render.frame_path(frame=frame)).exists():
             tell(frame, "there already", skipped=True)
-    told, _drawing = "", True
+    told = ""
     runtime.note_render(None)
     bpy.app.handlers.render_write.append(written)
+    # as an exception it would be lost in Blender, which goes on
+    before = signal.signal(signal.SIGINT, lambda *_: runtime.render_canceled.set())
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         bpy.ops.render.render(animation=True, scene=current.name)
+    except OSError as error:
+        told = f"{folder}: {error.strerror or error}"
     except RuntimeError as error:  # an error report of the engine, or of Blender
         told = str(error)
     finally:
-        _drawing = False
         bpy.app.handlers.render_write.remove(written)
+        # None: Blender's own program handled it, which Python cannot put back; the system's way ends it as well
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+    if runtime.render_canceled.is_set():
+        runtime.render_canceled.clear()
+        raise JGHandFailure("interrupted")
     note = runtime.last_render()  # of a frame that was not written
     failures += [note.failure] if note is not None and note.failure else []
-    if runtime.render_given_up() or any(failure.kind == "canceled" for failure in failures):
-        raise JGHandFailure("interrupted")
     if failures:
         raise failures[0]
     if told:

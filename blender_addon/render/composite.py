@@ -18,7 +18,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from .. import versions
 from ..errors import JGHandFailure
 from ..hand import armature
-from .engine_name import ENGINE
+from . import ENGINE
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
 # and locked Blender's interface before, and the nodes of its own that were switched off then; of the view layer that is

@@ -16,17 +16,16 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import film
+from ..core import film, limits
 from ..core.cropping import Part
 from ..core.view import Moment, moments_request
 from ..errors import JGHandFailure
 from ..ops import sentence_of
+from ..preferences import preferences
 from ..renderer import runtime
 from ..renderer.runtime import RenderNote
 from ..viewport.rendered import ViewportEngine
-from . import camera, composite, left_out, samples
-from .engine_name import ENGINE
-from .world import background
+from . import ENGINE, camera, composite, rendering, samples
 
 COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
 # as Blender shows what is missing
@@ -84,7 +83,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             scene = depsgraph.scene.original
             if composite.is_hands_scene(scene):
                 self._fill_magenta(depsgraph.view_layer.name)
-                left_out.hands_failed(scene, failure)
+                rendering.hands_failed(scene, failure)
             self.report({"ERROR"}, sentence_of(failure))
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -122,10 +121,12 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
                 "shadow_radius_m": scene.jghand.shadow_radius_mm / 1e3,
             },
         )
-        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), canceled=self._is_given_up)
+        chosen = preferences()
+        timeout_s = chosen.render_timeout_s if chosen is not None else limits.REQUEST_S
+        return runtime.link().request(header, arrays, timeout_s=timeout_s, canceled=self._is_canceled)
 
-    def _is_given_up(self) -> bool:
-        return self.test_break() or runtime.render_given_up()
+    def _is_canceled(self) -> bool:
+        return self.test_break() or runtime.render_canceled.is_set()
 
     def _fill(self, part: Part, drawn: Part, layer: str, values: dict[str, np.ndarray]) -> None:
         """Hands over what was drawn of a part of the view; the rest of it stays empty."""
@@ -186,7 +187,7 @@ def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Iterator[t
     """The passes as Blender takes them, of an evaluated scene."""
     combined = film.scene_linear(arrays[COMBINED])
     if not scene.render.film_transparent:
-        combined = film.over(combined, background(scene.world))
+        combined = film.over(combined, samples.background(scene.world))
     yield COMBINED, film.from_bottom(combined)
     if DEPTH in arrays:
         yield DEPTH, film.from_bottom(film.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))

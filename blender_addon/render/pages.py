@@ -18,7 +18,7 @@ from ..core.panel_text import ReceiptText
 from ..ops import PLUMBING
 from ..renderer import runtime
 from ..viewport import views
-from .engine_name import ENGINE
+from . import ENGINE
 
 SETTINGS = (
     *("render_preset", "shadow_strength", "shadow_radius_mm", "motion_samples"),

@@ -8,8 +8,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..ui import Sidebar
-from . import composite
-from .engine_name import ENGINE
+from . import ENGINE, composite
 
 
 class RenderPanel(Sidebar, bpy.types.Panel):

@@ -1,20 +1,44 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether Blender renders hands now, so that the engine belongs to the render and views leave it alone.
+"""While Blender renders, and what is said of a picture's hands.
 
-The handlers of `sync` say so: `is_job_running` is false for `blender -b -a`. A render of Cycles or EEVEE alone needs no
-engine of ours: views go on beside it.
+A render of hands has the engine for itself: views leave it alone meanwhile. The handlers of the viewport say when one
+begins and ends: `is_job_running` is false for `blender -b -a`. Beside a render of Cycles or EEVEE alone views go on.
+
+Says so when a picture has no hands: Cycles, EEVEE and Workbench do not draw them, and JGHand may fail to.
+
+The viewport shows hands in Solid and Material Preview whatever the scene renders with, so F12 with another engine would
+be empty without a word. The same is said where hands were combined with the scene and it has changed since. Said once
+per scene and session: some pictures are meant to be without hands. In a window it is a menu with the two ways to get
+them, without one a line on stderr.
+
+Hands that fail while another scene's compositor asks for them cannot end that render: Blender only prints the error,
+writes the picture and goes on. The frame is magenta then (`engine`), and once per render it is said here why.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 import time
+from typing import Any
 
 import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
+from bpy.app.translations import pgettext_rpt as rpt_
 
-from . import composite
-from .engine_name import ENGINE
+from .. import ui
+from ..errors import JGHandFailure
+from ..hand import armature
+from ..renderer import runtime
+from . import ENGINE, composite
 
+# what was said: of which scene, and the sentence
+_said: set[tuple[int, str]] = set()
+# a render's handler may run on a thread of its own: it notes the sentence, the timer on the main thread shows it
+_pending = ""
+_failed = False
+# when the render of hands began that goes on, on the clock of time.monotonic()
 _began_s = math.inf
 
 
@@ -50,3 +74,100 @@ def check() -> bool:
     if now() and not bpy.app.is_job_running("RENDER"):
         end()
     return now()
+
+
+# ---- what is said ----------------------------------------------------------------------------------------------------
+
+
+def hands_left_out(scene: bpy.types.Scene) -> list[str]:
+    """Names of the hands that the scene has and its own engine will not draw; empty for scenes where they are drawn."""
+    if scene.render.engine == ENGINE or composite.hands_scene_of(scene) or composite.is_hands_scene(scene):
+        return []
+    if not scene.jghand.show_in_viewport:
+        return []
+    found = {hand.name for layer in scene.view_layers if layer.use for hand in armature.hands_at_any_frame(layer)}
+    return sorted(found)
+
+
+@persistent
+def on_render(scene: bpy.types.Scene, *_: Any) -> None:
+    """A render begins."""
+    global _pending, _failed
+    if scene is None or composite.is_hands_scene(scene):
+        return
+    _failed = False
+    runtime.note_render(None)
+    text = sentence_of(scene)
+    if not text or (scene.session_uid, text) in _said:
+        return
+    _said.add((scene.session_uid, text))
+    if bpy.app.background:
+        print(f"JGHand: {text}", file=sys.stderr, flush=True)
+    else:
+        _pending = text
+
+
+def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
+    """The hands of a combined picture could not be drawn: its frame is magenta."""
+    global _pending, _failed
+    if _failed:
+        return
+    _failed = True
+    reason = f"{rpt_(failure.advice.sentence)}. {rpt_(failure.advice.remedy)}."
+    text = iface_("The hands of frame {frame} failed and are magenta: {reason}")
+    text = text.format(frame=scene.frame_current, reason=reason)
+    if bpy.app.background:
+        print(f"JGHand: {text}", file=sys.stderr, flush=True)
+    else:
+        _pending = text
+
+
+def sentence_of(scene: bpy.types.Scene) -> str:
+    """What is to be said about the hands of a picture of this scene; nothing where they are as they should be."""
+    if hands_left_out(scene):
+        return sentence(scene.render.engine) + " " + iface_('Press "Use JGHand Engine" or "Set Up Compositing".')
+    differences = composite.out_of_date(scene)
+    if differences:
+        template = iface_('The hands of this image are not up to date: {list}. Press "Set Up Compositing" again.')
+        return template.format(list=", ".join(differences))
+    return ""
+
+
+def sentence(engine: str) -> str:
+    """What is to be said about a picture of this engine."""
+    name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
+    name = {"Eevee": "EEVEE"}.get(name, name)
+    return iface_("This image has no hands: {engine} does not draw them.").format(engine=name)
+
+
+def was_said(scene: bpy.types.Scene) -> bool:
+    """Whether it was said of this scene, and shown."""
+    return any(uid == scene.session_uid for uid, _ in _said) and not _pending
+
+
+def show() -> None:
+    """Shows what is noted, if anything is; for the timer, once no render runs."""
+    global _pending
+    if not _pending:
+        return
+    text, _pending = _pending, ""
+    if _failed:
+        ui.show_message(text, icon="ERROR")
+        return
+    ways = (("jghand.use_engine", "RESTRICT_RENDER_OFF"), ("jghand.combine_with_scene", "NODE_COMPOSITING"))
+    ui.show_message(text, icon="INFO", operators=ways)
+
+
+def register() -> None:
+    """Looks at every render from now on."""
+    if on_render not in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.append(on_render)
+
+
+def unregister() -> None:
+    """Does not look any more."""
+    global _pending, _failed
+    if on_render in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.remove(on_render)
+    _said.clear()
+    _pending, _failed = "", False

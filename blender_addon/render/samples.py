@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The moments of a rendered picture: the hands and the camera at one frame, or at sub-frames while the shutter is open.
+"""The moments of a rendered picture: the hands and the camera at one frame, or at sub-frames while the shutter is open;
+and whether Blender evaluated them truly.
 
 Blender evaluates no sub-frames for an engine that is not its own; the engine asks for each. Source: BLENDER 5 and 8.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
+from .. import versions
 from ..core.cropping import Part, picture_of
 from ..core.view import HandInSpace, Moment
 from ..errors import JGHandFailure
 from ..hand import armature, seen_hands, sources
-from . import camera, scene
+from . import camera
 
 # where in the open time of the shutter its frame lies
 _FRAME_AT = {"START": 0.0, "CENTER": 0.5, "END": 1.0}
@@ -24,10 +26,11 @@ _FRAME_AT = {"START": 0.0, "CENTER": 0.5, "END": 1.0}
 
 @dataclass(frozen=True)
 class Frame:
-    """What of a view is drawn. eye: gives the evaluated camera · size: of the whole picture, pixels · part: of it that
-    is drawn"""
+    """What of a view is drawn."""
 
+    # gives the evaluated camera
     eye: Callable[[], bpy.types.Object]
+    # of the whole picture, pixels, and the part of it that is drawn
     size: tuple[int, int]
     part: Part
 
@@ -41,10 +44,10 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     """
     there = armature.evaluated_hands(depsgraph)
     if not (there or _hands_elsewhere(depsgraph)):
-        instanced = "; ".join(scene.instanced_hands(depsgraph.view_layer_eval.objects))
+        instanced = "; ".join(instanced_hands(depsgraph.view_layer_eval.objects))
         raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
     things = [hand for hand in there if not hand.hide_render]
-    scene.check_drivers((*things, frame.eye()), depsgraph)
+    check_drivers((*things, frame.eye()), depsgraph)
     times = shutter_times(depsgraph.scene_eval)
     names = [armature.name_in_files(thing) for thing in things]
     if len(times) == 1:
@@ -112,3 +115,92 @@ def _numbers(moment: Moment) -> list[object]:
     numbers: list[object] = [view.fx, view.fy, view.cx, view.cy, view.aperture_m, view.focus_m]
     numbers.append(view.camera_from_world.tobytes())
     return numbers + [part.tobytes() for hand in moment.hands for part in (hand.joints_m, hand.world_from_hand)]
+
+
+def background(world: bpy.types.World | None) -> tuple[float, float, float]:
+    """The world's color, scene-linear: that of its background node, with the strength, where the node has one color;
+    else the color that the viewport shows. Black without a world."""
+    if world is None:
+        return (0.0, 0.0, 0.0)
+    node = _background_node(world)
+    if node is None or any(socket.is_linked for socket in node.inputs if socket.enabled):
+        return tuple(world.color)
+    strength = node.inputs["Strength"].default_value
+    red, green, blue, _ = node.inputs["Color"].default_value
+    return (strength * red, strength * green, strength * blue)
+
+
+def _background_node(world: bpy.types.World) -> bpy.types.Node | None:
+    """The background that goes straight into the output that is used."""
+    tree = versions.world_tree(world)
+    output = tree.get_output_node("ALL") if tree is not None else None
+    if output is None or not output.inputs["Surface"].links:
+        return None
+    node = output.inputs["Surface"].links[0].from_node
+    return node if node.type == "BACKGROUND" else None
+
+
+# ---- whether Blender evaluated it truly ------------------------------------------------------------------------------
+
+
+def instanced_hands(things: Iterable[bpy.types.Object]) -> list[str]:
+    """The hands that only show as instances of a collection, which are not rendered: "hand, in its instance"."""
+    return [
+        f"{hand.name}, in the instance {thing.name}"
+        for thing in things
+        if thing.instance_type == "COLLECTION" and thing.instance_collection
+        for hand in thing.instance_collection.all_objects
+        if armature.is_any_hand(hand)
+    ]
+
+
+def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:
+    """What Blender evaluated at a frame, when it evaluated `things` truly.
+
+    A driver that Blender may not or cannot run leaves its channel as it was, with no more than a line in the log.
+    Raises JGHandFailure: scripts_blocked, broken_driver.
+    """
+    depsgraph = armature.at_frame(scene, frame)
+    check_scripts()
+    parts = [part for thing in things for part in armature.parts_of(thing)]
+    broken = [description for part in parts for description in _broken_drivers(part)]
+    if broken:
+        raise JGHandFailure("broken_driver", f"frame {frame:g}: {'; '.join(broken)}")
+    return depsgraph
+
+
+def check_drivers(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
+    """Whether the drivers of hands and cameras work where they were evaluated. Raises JGHandFailure: scripts_blocked,
+    broken_driver.
+
+    Of a file whose scripts are blocked, only the drivers that are needed matter, and those of them that are Python.
+    """
+    parts = [part.evaluated_get(depsgraph) for thing in things for part in armature.parts_of(thing)]
+    if bpy.app.autoexec_fail and any(_has_scripts(part) for part in parts):
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
+    broken = [description for part in parts for description in _broken_drivers(part)]
+    if broken:
+        raise JGHandFailure("broken_driver", "; ".join(broken))
+
+
+def _has_scripts(thing: bpy.types.Object) -> bool:
+    """Whether an object or its data has drivers that only Python can compute."""
+    return any(
+        curve.driver.type == "SCRIPTED" and not curve.driver.is_simple_expression and not curve.mute
+        for owner in ((thing, thing.data) if thing.data else (thing,))
+        for curve in (owner.animation_data.drivers if owner.animation_data else ())
+    )
+
+
+def check_scripts() -> None:
+    """JGHandFailure (scripts_blocked) when Blender met Python in the file that it may not run."""
+    if bpy.app.autoexec_fail:
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
+
+
+def _broken_drivers(thing: bpy.types.Object) -> Iterator[str]:
+    """The drivers of an object and of its data that are switched on and do not work."""
+    for owner in (thing, thing.data) if thing.data else (thing,):
+        for curve in owner.animation_data.drivers if owner.animation_data else ():
+            if not (curve.mute or curve.driver.is_valid):
+                yield f"{thing.name}: {curve.data_path} = {curve.driver.expression}"

@@ -2,28 +2,33 @@
 """Where the engine is: the Python that was chosen, the engine that the extension carries, the one of a checkout.
 
 Drawing, motions and exports need nothing but what the extension carries. Training, tracking and captures need PyTorch
-and more: the training tools (install.py), or an environment of the user's that has it all.
+and more: the training tools (install_tools.py), or an environment of the user's that has it all. Does not use bpy.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ..errors import JGHandFailure
-from .programs import interpreter_at, is_file
 
 VARIABLE = "JGHAND_ENGINE_PYTHON"
 # a file of one line: the interpreter of the environment that scripts/ made last (scripts/environments.py writes it)
 NOTE = "engine_python.txt"
 # what the extension's zip carries beside its own modules; a checkout does not
-ENGINE_MAIN = Path(__file__).resolve().with_name("engine_main.py")
-CARRIED = ENGINE_MAIN.parents[1] / "engine"
+CARRIED = Path(__file__).resolve().parents[1] / "engine"
 _SERVE = ("serve", "--stdio-handshake")
-_INTERPRETERS = ("bin/python", "Scripts/python.exe")
+_INTERPRETERS = ("bin/python", "bin/python3", "Scripts/python.exe", "python.exe")
+# in Blender's own Python: what the engine needs beside Blender's numpy lies in the folders that are its first words
+_RUN_CARRIED = (
+    "import sys; sys.path[:0] = sys.argv[1:3]; del sys.argv[1:3]; from jghand_engine.cli import main; sys.exit(main())"
+)
+_SYSTEMS = {"linux": "linux", "darwin": "macos", "win32": "windows"}
+_MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
 
 def engine_command(
@@ -51,21 +56,30 @@ def engine_program(
     """
     for origin, path in (("The Python that was chosen", python), (VARIABLE, environment.get(VARIABLE))):
         if path:
-            chosen = interpreter_at(path, environment.get("USERPROFILE", environment.get("HOME", "")))
-            if not is_file(chosen):
-                raise JGHandFailure("no_interpreter", f"{origin}: {path} is no file, or one that cannot be looked at")
-            return _by_python(str(chosen))
+            chosen = _interpreter_at(path)
+            if not os.path.isfile(chosen):
+                raise JGHandFailure("no_interpreter", f"{origin}: {path} is no file")
+            return _by_python(chosen)
     if learns and tools is not None:
-        return _by_python(str(tools))
+        return _by_python(tools)
     carried = (CARRIED / "common").is_dir()
     if carried and not learns:
-        return sys.executable, "-I", str(ENGINE_MAIN)
+        machine = platform.machine().lower()
+        here = f"{_SYSTEMS.get(sys.platform, sys.platform)}_{_MACHINES.get(machine, machine)}"
+        return sys.executable, "-I", "-c", _RUN_CARRIED, str(CARRIED / here), str(CARRIED / "common")
     for made in _environments(checkout, environment):
-        if is_file(made):
-            return _by_python(str(made))
+        if os.path.isfile(made):
+            return _by_python(made)
     if carried:
         raise JGHandFailure("no_tools")
     raise JGHandFailure("no_interpreter", f"neither {VARIABLE}, nor .envs/engine, and this extension carries no engine")
+
+
+def _interpreter_at(text: str) -> Path:
+    """The interpreter that somebody means who chose `text`: a path, perhaps in quotation marks as it was copied, or the
+    folder of an environment."""
+    path = Path(text.strip().strip("\"'")).expanduser()
+    return next((path / name for name in _INTERPRETERS if os.path.isfile(path / name)), path)
 
 
 def _environments(checkout: Path | None, environment: Mapping[str, str]) -> Iterator[Path]:
@@ -80,13 +94,13 @@ def _environments(checkout: Path | None, environment: Mapping[str, str]) -> Iter
                 yield Path(text)
 
 
-def note_folder(environment: Mapping[str, str], platform: str = sys.platform) -> Path | None:
+def note_folder(environment: Mapping[str, str], system: str = sys.platform) -> Path | None:
     """Where the scripts note what they made; JGHAND_CONFIG_DIR names another place. None for a user without a home."""
     if named := environment.get("JGHAND_CONFIG_DIR"):
         return Path(named)
-    if platform == "win32":
+    if system == "win32":
         base, below = environment.get("LOCALAPPDATA"), "jghand"
-    elif platform == "darwin":
+    elif system == "darwin":
         base, below = environment.get("HOME"), "Library/Application Support/jghand"
     else:
         base, below = environment.get("XDG_CONFIG_HOME"), "jghand"
@@ -95,5 +109,5 @@ def note_folder(environment: Mapping[str, str], platform: str = sys.platform) ->
     return Path(base) / below if base else None
 
 
-def _by_python(path: str) -> tuple[str, ...]:
-    return path, "-I", "-m", "jghand_engine"
+def _by_python(path: Path) -> tuple[str, ...]:
+    return str(path), "-I", "-m", "jghand_engine"

@@ -2,64 +2,167 @@
 """Jobs: child processes of the engine's command line, with progress, pause and cancel. Does not use bpy.
 
 A job is asked to stop by the end of its standard input, which is Ctrl-C to the engine on every system and also reaches
-it when Blender dies: a training writes its checkpoint. What does not listen is ended by force. Jobs belong to the
-running Blender, not to the opened file. Nothing here blocks but `wait` and `close`, which have a limit.
+it when Blender dies: a training writes its checkpoint, from which it can go on. What does not listen is ended by force.
+Jobs belong to the running Blender, not to the opened file. Nothing here blocks but `wait` and `close`, which have a
+limit.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import signal
 import subprocess
+import sys
 import threading
 import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import IO, Any
 
 from ..core import limits
-from ..errors import INTERRUPTED, JGHandFailure
-from . import job_state
-from .job_state import JobState, Phase
-from .process import cleaned_environment
-from .programs import HIDDEN, end_tree
+from ..core.panel_text import Translate, duration
+from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
+from .process import HIDDEN, cleaned_environment
 
 # what every job gets; see jghand_engine/cli/machine.py
 PROGRESS_OPTION = "--progress-json"
+# letters of a job's text that are kept
+_TEXT_MAX = 300
+
+
+# ---- what is known of a job ------------------------------------------------------------------------------------------
+
+
+class Phase(Enum):
+    """Where a job stands."""
+
+    RUNNING = "running"
+    CANCELLING = "cancelling"
+    DONE = "done"
+    CANCELLED = "canceled"
+    FAILED = "failed"
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its process has ended."""
+        return self in (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
+
+
+@dataclass(frozen=True)
+class JobState:
+    """What is shown of a job."""
+
+    phase: Phase = Phase.RUNNING
+    # what it does now
+    text: str = "Starting"
+    # of the present step; total: 0 while unknown
+    done: float = 0.0
+    total: float = 0.0
+    # seconds left, None while unknown
+    eta_s: float | None = None
+    # why it failed
+    failure: JGHandFailure | None = None
+
+    @property
+    def fraction(self) -> float | None:
+        """0..1, None while unknown."""
+        return min(max(self.done / self.total, 0.0), 1.0) if self.total > 0 else None
+
+    def sentence(self, translate: Translate = str) -> str:
+        """One line for a panel: the step, the count, and the time that is left."""
+        if self.phase is Phase.FAILED and self.failure is not None:
+            return translate(self.failure.advice.sentence)
+        if self.phase is not Phase.RUNNING:
+            return translate(self.phase.value.capitalize())
+        text = translate(self.text)
+        # the text of a training counts its steps itself
+        if self.total > 0 and " of " not in self.text:
+            template = translate("{text} {done} of {total}")
+            text = template.format(text=text, done=round(self.done), total=round(self.total))
+        if self.eta_s is not None and self.done < self.total and " left" not in self.text:
+            text = translate("{text} · {time} left").format(text=text, time=duration(self.eta_s))
+        return text
+
+    def after(self, content: Mapping[str, Any]) -> JobState:
+        """After a line of progress. What makes no sense in it is left out."""
+        numbers = {name: _number(content.get(name)) for name in ("done", "total", "eta_s")}
+        return replace(
+            self,
+            text=str(content.get("text", ""))[:_TEXT_MAX],
+            done=numbers["done"] or 0.0,
+            total=numbers["total"] or 0.0,
+            eta_s=numbers["eta_s"],
+        )
+
+    def failed(self, failure: JGHandFailure) -> JobState:
+        """After something failed."""
+        return replace(self, phase=Phase.FAILED, eta_s=None, failure=failure)
+
+
+def parse_line(line: str) -> dict[str, Any] | None:
+    """What a line of the engine's standard error says (`jghand … --progress-json`); None for any other line."""
+    if not line.startswith("{"):
+        return None
+    try:
+        content = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) and isinstance(content.get("jghand"), str) else None
+
+
+def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGHandFailure:
+    """Why a process ended: what it said itself, else what its exit code tells."""
+    if error is not None:
+        return JGHandFailure(str(error.get("kind")), str(error.get("text", "")))
+    last = "\n".join(log.splitlines()[-limits.DETAIL_LINES :])
+    if "No module named" in log and "jghand_engine" in log:
+        return JGHandFailure("no_engine", last)
+    if exit_code == BAD_INPUT:
+        # a mistake in the arguments: an engine that does not know what this extension asks for
+        return JGHandFailure("protocol", last)
+    kind = kind_of_exit(exit_code)
+    return JGHandFailure(kind, f"exit code {exit_code}\n{last}".strip() if kind == "crashed" else last)
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+# ---- jobs ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class JobSpec:
-    """What is to be done. kind: what sort of job · title: for people · command: program and arguments · folder: where
-    its results and what it needs to go on lie · resume: the command that goes on after a pause, empty where there is
-    none · on_done: called once, on the thread that ticks, when it is done; what it raises makes the job a failed one ·
-    more: commands that follow, one after the other, each after the one before has succeeded · on_over: called once,
-    when it is over however it ended and will not go on; takes away what only the job needed.
-    """
+    """What is to be done."""
 
-    kind: str
+    # for people
     title: str
+    # program and arguments
     command: tuple[str, ...]
-    folder: Path
-    resume: tuple[str, ...] = ()
-    on_done: Callable[[], None] | None = None
+    # of a training: where what it needs to go on lies
+    folder: Path = Path()
+    # commands that follow, one after the other, each after the one before has succeeded
     more: tuple[tuple[str, ...], ...] = ()
+    # called once, on the thread that ticks, when it is done; what it raises makes the job a failed one
+    on_done: Callable[[], None] | None = None
+    # called once, when it is over however it ended; takes away what only the job needed
     on_over: Callable[[], None] | None = None
 
 
 class Job:
     """One running or finished job."""
 
-    def __init__(self, spec: JobSpec, *, environment: Mapping[str, str] = os.environ) -> None:
+    def __init__(self, spec: JobSpec) -> None:
         """Starts it. A program that is not there makes a failed job, not an exception."""
         self.spec = spec
         self.state = JobState()
-        self._environment = environment
         self._waiting = deque(spec.more)
-        self._put_away = False
         self._start(spec.command)
 
     @property
@@ -91,32 +194,20 @@ class Job:
             self._end(code)
         return self.state != before
 
-    def pause(self) -> None:
-        """Asks a job that can go on later to stop."""
-        if self.spec.resume:
-            self._ask(pause=True)
-
     def cancel(self) -> None:
-        """Asks it to stop. A paused job is canceled at once; what it has written stays."""
-        if self.state.phase is Phase.PAUSED:
-            self.state = job_state.JobState(Phase.CANCELLED, self.state.text)
-            self.put_away()
+        """Asks it to stop; what it has written stays."""
+        if self.is_over:
             return
-        self._ask(pause=False)
+        self.state = replace(self.state, phase=Phase.CANCELLING)
+        if self._asked_s is None:
+            self._asked_s = time.monotonic()
+            self._close_input()
 
-    def go_on(self) -> None:
-        """Starts a paused job, or one that failed, again where it stands."""
-        if self.is_over and self._can_go_on():
-            self.state = JobState(notes=self.state.notes)
-            self._start(self.spec.resume)
-
-    def wait(self, timeout_s: float, *, canceled: Callable[[], bool] = lambda: False) -> bool:
-        """Blocks until it is over, at most so long, asking `canceled` all the while; True when it is over."""
+    def wait(self, timeout_s: float) -> bool:
+        """Blocks until it is over, at most so long; True when it is over."""
         until = time.monotonic() + timeout_s
         while not self.is_over and time.monotonic() < until:
             self.tick()
-            if self.state.phase is Phase.RUNNING and canceled():
-                self.cancel()
             if self._process is not None and not self.is_over:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(limits.POLL_S)
@@ -136,13 +227,6 @@ class Job:
                 return
         self.wait(2 * limits.JOB_LAST_WORDS_S)
 
-    def put_away(self) -> None:
-        """Nobody wants it to go on any more: what only it needed is taken away, once."""
-        if self.is_over and not self._put_away:
-            self._put_away = True
-            if self.spec.on_over is not None:
-                self._call(self.spec.on_over)
-
     def let_go(self) -> None:
         """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
         its checkpoint."""
@@ -152,7 +236,6 @@ class Job:
 
     def _start(self, command: tuple[str, ...]) -> None:
         self._output: deque[str] = deque(maxlen=limits.LOG_LINES)
-        self._notes: deque[Mapping[str, Any]] = deque(maxlen=limits.JOB_NOTES)
         self._progress: Mapping[str, Any] | None = None
         self._error: Mapping[str, Any] | None = None
         self._heard_s = time.monotonic()
@@ -166,15 +249,14 @@ class Job:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                env=cleaned_environment(self._environment),
+                env=cleaned_environment(os.environ),
                 creationflags=HIDDEN,
                 # a Ctrl-C in Blender's terminal is Blender's, and all that a job starts ends with it
                 start_new_session=os.name != "nt",
             )
         except OSError as error:
-            failure = JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}")
-            self.state = job_state.failed(self.state, failure)
-            self._put_away_unless_it_can_go_on()
+            self.state = self.state.failed(JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}"))
+            self._over()
             return
         self._process = process
         for pipe in (process.stdout, process.stderr):
@@ -188,23 +270,19 @@ class Job:
             for raw in iter(lambda: pipe.readline(limits.JOB_LINE_MAX), b""):
                 line = raw.decode("utf-8", "replace").rstrip()
                 self._heard_s = time.monotonic()
-                content = job_state.parse_line(line)
+                content = parse_line(line)
                 if content is None:
                     if line:
                         self._output.append(line[: limits.LOG_LINE_MAX])
                 elif content["jghand"] == "error":
                     self._error = content
-                elif content["jghand"] == "note":
-                    self._notes.append(content)
-                else:
+                elif content["jghand"] in ("progress", "training"):
                     self._progress = content
 
     def _take_news(self) -> None:
         progress, self._progress = self._progress, None
         if progress is not None:
-            self.state = job_state.heard(self.state, progress)
-        while self._notes:
-            self.state = job_state.heard(self.state, self._notes.popleft())
+            self.state = self.state.after(progress)
 
     def _said_all(self) -> bool:
         """Whether what an ended process printed last is here. A process that it left behind may hold its pipes open:
@@ -214,27 +292,27 @@ class Job:
         waited_s = time.monotonic() - self._ending_s
         return waited_s > limits.JOB_LAST_WORDS_S or not any(reader.is_alive() for reader in self._readers)
 
-    def _can_go_on(self) -> bool:
-        return bool(self.spec.resume) and self.state.phase is not Phase.DONE
-
-    def _put_away_unless_it_can_go_on(self) -> None:
-        if self.state.phase is Phase.CANCELLED or not self._can_go_on():
-            self.put_away()
-
     def _end(self, code: int) -> None:
         self._take_news()
         self._close_input()
-        can_pause = bool(self.spec.resume)
-        if code == 0 and self._waiting and self.state.phase is Phase.CANCELLING:
-            code = INTERRUPTED  # what was to follow does not
-        self.state = job_state.ended(self.state, code, self._error, self.log, can_pause=can_pause)
-        if self.state.phase is Phase.DONE and self._waiting:
-            self.state = JobState(text=self.spec.title, notes=self.state.notes)
+        canceled = self.state.phase is Phase.CANCELLING
+        if code == 0 and self._waiting and not canceled:
+            self.state = JobState(text=self.spec.title)
             self._start(self._waiting.popleft())
-        elif self.state.phase is Phase.DONE and self.spec.on_done is not None:
-            self._call(self.spec.on_done)
-        if self.is_over:
-            self._put_away_unless_it_can_go_on()
+            return
+        if code == 0 and not self._waiting:
+            self.state = replace(self.state, phase=Phase.DONE, eta_s=None)
+            if self.spec.on_done is not None:
+                self._call(self.spec.on_done)
+        elif code == INTERRUPTED or (canceled and self._error is None):
+            self.state = replace(self.state, phase=Phase.CANCELLED, eta_s=None)
+        else:
+            self.state = self.state.failed(failure_of(code, self._error, self.log))
+        self._over()
+
+    def _over(self) -> None:
+        if self.spec.on_over is not None:
+            self._call(self.spec.on_over)
 
     def _call(self, work: Callable[[], None]) -> None:
         """What others have to do at the end. Whatever goes wrong there makes this a failed job, with its trace in the
@@ -242,27 +320,18 @@ class Job:
         try:
             work()
         except JGHandFailure as failure:
-            self.state = job_state.failed(self.state, failure)
+            self.state = self.state.failed(failure)
         except Exception as error:
             self._output.extend(traceback.format_exc().splitlines())
-            failure = JGHandFailure("internal", f"{type(error).__name__}: {error}", log=self.log)
-            self.state = job_state.failed(self.state, failure)
-
-    def _ask(self, *, pause: bool) -> None:
-        self.state = job_state.asked_to_stop(self.state, pause=pause)
-        if self._asked_s is None and not self.is_over:
-            self._asked_s = time.monotonic()
-            self._close_input()
+            self.state = self.state.failed(JGHandFailure("internal", f"{type(error).__name__}: {error}"))
 
     def _insist(self) -> None:
         """Ends by force what does not answer a request to stop."""
         if self._asked_s is None or self._process is None:
             return
         waited_s = time.monotonic() - self._asked_s
-        if waited_s > limits.JOB_STOP_S + limits.TERMINATE_S:
-            end_tree(self._process, at_once=True)
-        elif waited_s > limits.JOB_STOP_S:
-            end_tree(self._process, at_once=False)
+        if waited_s > limits.JOB_STOP_S:
+            end_tree(self._process, at_once=waited_s > limits.JOB_STOP_S + limits.TERMINATE_S)
 
     def _close_input(self) -> None:
         if self._process is not None and self._process.stdin is not None:
@@ -279,11 +348,7 @@ class JobTable:
 
     def start(self, key: str, spec: JobSpec) -> Job:
         """Starts a job. JGHandFailure (job_running) while the one of that key runs."""
-        old = self._jobs.get(key)
-        if old is not None and not old.is_over:
-            raise JGHandFailure("job_running", old.spec.title)
-        if old is not None:
-            old.put_away()
+        self.refuse_second(key)
         self._jobs[key] = Job(spec)
         return self._jobs[key]
 
@@ -291,12 +356,14 @@ class JobTable:
         """The newest job of a key."""
         return self._jobs.get(key)
 
-    def forget(self, key: str) -> None:
-        """Takes a job that is over off the list."""
-        job = self._jobs.get(key)
-        if job is not None and job.is_over:
-            job.put_away()
-            del self._jobs[key]
+    def runs(self, key: str) -> bool:
+        """Whether a job of a key is not over."""
+        return key in self._jobs and not self._jobs[key].is_over
+
+    def refuse_second(self, key: str) -> None:
+        """JGHandFailure (job_running) while a job of that key runs."""
+        if self.runs(key):
+            raise JGHandFailure("job_running", self._jobs[key].spec.title)
 
     @property
     def running(self) -> list[Job]:
@@ -317,6 +384,26 @@ class JobTable:
         until = time.monotonic() + limits.JOB_END_S
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))
-        for job in self._jobs.values():
-            job.put_away()
         self._jobs.clear()
+
+
+def end_tree(process: subprocess.Popen[bytes], *, at_once: bool) -> None:
+    """Ends a process and those that it started. at_once: without asking; Windows has no other way."""
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL if at_once else signal.SIGTERM)
+        return
+    system = os.environ.get("SYSTEMROOT", r"C:\Windows")
+    words = [rf"{system}\System32\taskkill.exe", "/F", "/T", "/PID", str(process.pid)]
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        subprocess.run(
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            creationflags=HIDDEN,
+            timeout=limits.KILL_S,
+            check=False,
+        )
+    with contextlib.suppress(OSError):
+        process.kill()  # where that has failed

@@ -1,15 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The renderer by hand: start it again, see what it printed."""
+"""The renderer by hand: start it again, see what it printed; jobs, and the training tools.
+
+The training tools are PyTorch and what else training, tracking and captures need, in an environment below the
+extension's user folder. One button installs them, finishes a half-made environment and brings an older one up to date.
+"""
 
 from __future__ import annotations
 
+import shutil
+import sys
+from pathlib import Path
+
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..errors import JGHandFailure
-from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, missing, sentence_of
+from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, Reporting, missing, sentence_of
 from ..ui import PANELS, redraw
 from . import runtime
+from .jobs import JobSpec
 
+_INSTALL = Path(__file__).resolve().with_name("install_tools.py")
 LOG_NAME = "JGHand Renderer Log"
 
 
@@ -67,4 +78,97 @@ def _show_text(context: bpy.types.Context, text: bpy.types.Text) -> None:
     area.spaces.active.text = text
 
 
-CLASSES = (RestartEngine, ShowLog)
+class InstallTools(Reporting, bpy.types.Operator):
+    """Operator: installs or mends the training tools, as a job."""
+
+    bl_idname = "jghand.install_tools"
+    bl_label = "Install Training Tools"
+    bl_description = "Download PyTorch and what else training and video tracking need, about 1 GB or more"
+    bl_options = PLUMBING
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        if runtime.jobs().runs(runtime.TOOLS):
+            return missing(cls, "The training tools are being installed")
+        if not runtime.is_online():
+            return missing(cls, 'Switch "Allow Online Access" on in the preferences, under System')
+        return True
+
+    def run(self, _context: bpy.types.Context) -> None:
+        engine, constraints = runtime.tools_sources()
+        words = ("--engine", str(engine), "--constraints", str(constraints), *runtime.TOOLS_PACKAGES)
+        command = (sys.executable, "-I", str(_INSTALL), str(runtime.tools_folder()), *words)
+        runtime.start_job(runtime.TOOLS, JobSpec("Installing the training tools", command))
+        self.tell(rpt_("Installing the training tools"))
+
+
+class RemoveTools(Reporting, bpy.types.Operator):
+    """Operator: deletes the training tools."""
+
+    bl_idname = "jghand.remove_tools"
+    bl_label = "Remove Training Tools"
+    bl_description = "Delete the training tools from this computer. Avatars and trainings stay"
+    bl_options = PLUMBING
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        if runtime.jobs().runs(runtime.TOOLS):
+            return missing(cls, "The training tools are being installed")
+        return runtime.tools_state() != "missing" or missing(cls, "There are no training tools here")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_confirm(self, event)
+
+    def run(self, _context: bpy.types.Context) -> None:
+        try:
+            shutil.rmtree(runtime.tools_folder())
+        except OSError as error:
+            raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
+
+
+class CancelJob(Reporting, bpy.types.Operator):
+    """Operator: the button beside a job's progress."""
+
+    bl_idname = "jghand.cancel_job"
+    bl_label = "Cancel"
+    bl_description = (
+        "Stop this job. A training writes a checkpoint first, images and exported files that are finished stay, and "
+        "a bake that is not finished is removed"
+    )
+    bl_options = PLUMBING
+
+    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+
+    def run(self, _context: bpy.types.Context) -> None:
+        job = runtime.jobs().get(self.key)
+        if job is not None:
+            job.cancel()
+            runtime.watch_jobs()
+
+
+class ShowJobLog(Reporting, bpy.types.Operator):
+    """Operator: what a job printed."""
+
+    bl_idname = "jghand.show_job_log"
+    bl_label = "Show Log"
+    bl_description = "Put what this job printed last into a text of the Text Editor"
+    bl_options = REGISTERED
+
+    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+
+    def run(self, _context: bpy.types.Context) -> None:
+        job = runtime.jobs().get(self.key)
+        if job is None:
+            raise JGHandFailure("bad_input", "no such job was started")
+        lines = [" ".join(job.spec.command), "", job.log]
+        if job.state.failure is not None:
+            lines[1:1] = ["", str(job.state.failure)]
+        name = f"JGHand {self.key}.log"
+        text = next((old for old in bpy.data.texts if old.name == name and old.library is None), None)
+        text = text or bpy.data.texts.new(name)
+        text.clear()
+        text.write("\n".join(lines))
+        self.tell(rpt_("The log is the text {name}.").format(name=text.name))
+
+
+CLASSES = (RestartEngine, ShowLog, InstallTools, RemoveTools, CancelJob, ShowJobLog)

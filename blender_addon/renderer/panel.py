@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the renderer is: in the tab while it is not ready, in the preferences always."""
+"""How the renderer is: in the tab while it is not ready, in the preferences always; how jobs and the training tools
+are."""
 
 from __future__ import annotations
 
@@ -9,6 +10,10 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import ui
 from ..core import panel_text
 from . import runtime
+from .jobs import Phase
+
+# a picture of a capture takes a minute at most: longer silence is told
+_SILENT_S = 120.0
 
 
 def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -29,3 +34,52 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row = box.row(align=True)
     for button in buttons:
         row.operator(button.operator, text=button.label)
+
+
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:
+    """A job's progress with its button while it runs; afterwards why it failed, until the next one."""
+    job = runtime.jobs().get(key)
+    if job is None:
+        return
+    state = job.state
+    if not job.is_over:
+        row = layout.row(align=True)
+        row.progress(factor=state.fraction or 0.0, text=state.sentence(iface_), translate=False)
+        row.operator("jghand.cancel_job", text="", icon="CANCEL").key = key
+        if job.silent_s > _SILENT_S:
+            text = iface_("It has said nothing for {minutes} min").format(minutes=round(job.silent_s / 60))
+            layout.label(text=text, icon="TIME", translate=False)
+    elif state.phase is Phase.FAILED and state.failure is not None:
+        ui.paragraph(layout, context, iface_(state.failure.advice.sentence) + ".", icon="ERROR")
+        ui.paragraph(layout, context, iface_(state.failure.advice.remedy) + ".")
+        if state.failure.detail:
+            ui.paragraph(layout, context, state.failure.detail.splitlines()[0])
+        layout.operator("jghand.show_job_log", icon="TEXT").key = key
+
+
+_STATES = {
+    "missing": "Training and video tracking need PyTorch, which is not installed",
+    "broken": "The training tools are incomplete or of another version: install them again",
+    "ready": "The training tools are installed",
+}
+
+
+def draw_tools(layout: bpy.types.UILayout) -> None:
+    """What there is, and what can be done about it."""
+    job = runtime.jobs().get(runtime.TOOLS)
+    box = layout.box().column()
+    if job is not None and not job.is_over:
+        row = box.row(align=True)
+        row.label(text=job.state.sentence(iface_), icon="IMPORT", translate=False)
+        row.operator("jghand.cancel_job", text="", icon="X").key = runtime.TOOLS
+        return
+    now = runtime.tools_state()
+    box.label(text=_STATES[now], icon="CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO")
+    if job is not None and job.state.failure is not None:
+        box.label(text=job.state.failure.detail.splitlines()[-1] if job.state.failure.detail else "", translate=False)
+        box.operator("jghand.show_job_log", text="Show Log", icon="TEXT").key = runtime.TOOLS
+    row = box.row(align=True)
+    if now != "ready":
+        row.operator("jghand.install_tools", icon="IMPORT")
+    if now != "missing":
+        row.operator("jghand.remove_tools", icon="TRASH")

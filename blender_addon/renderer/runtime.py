@@ -1,50 +1,66 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extension keeps beside Blender's data: its link to the engine, its jobs, the newest receipts of pictures.
+"""What the extension keeps beside Blender's data: its link to the engine, its jobs, the newest receipts of pictures,
+and where the training tools are.
 
-The link is made on first use, ended with the extension, with Blender (`atexit`), or by the user; opening another file
-does not end it. Everything else that belongs to a hand lives on the hand's object.
+The link is made on first use and ended with the extension or with Blender (`atexit`); opening another file ends
+neither it nor a job. Everything else that belongs to a hand lives on the hand's object.
 """
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import bpy
+
+from .. import clock, folders
 from ..core import limits
 from ..errors import JGHandFailure
 from ..preferences import preferences
-from .engine_command import engine_command, engine_program
-from .jobs import JobTable
+from ..ui import PANELS, redraw
+from . import install_tools
+from .engine_command import CARRIED, engine_command, engine_program
+from .jobs import Job, JobSpec, JobTable
 from .link import EngineLink
+
+# kinds of pictures whose receipts are kept
+VIEWPORT, RENDER = "viewport", "render"
+# keys of jobs
+OUTPUT, CAPTURE, TRAINING, IMPORT, TOOLS = "output", "capture", "training", "import", "tools"
+TOOLS_PACKAGES = (
+    *("torch", "numpy", "scipy", "trimesh", "safetensors", "pillow", "tyro", "rich", "usd-core"),
+    *("mediapipe", "imageio-ffmpeg"),
+)
+_CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
 class RenderNote:
-    """How the newest rendered frame went. failure: None when it is there; evaluate_ms: Blender's evaluation and the
-    reading of hands and camera; request_ms: the engine and the way there and back"""
+    """How the newest rendered frame went."""
 
+    # None when the frame is there
     failure: JGHandFailure | None
     reports: Sequence[Mapping[str, Any]] = ()
+    # Blender's evaluation and the reading of hands and camera; the engine and the way there and back
     evaluate_ms: float = 0.0
     request_ms: float = 0.0
 
 
-# kinds of pictures whose receipts are kept
-VIEWPORT, RENDER = "viewport", "render"
-
-_CHECKOUT = Path(__file__).resolve().parents[2]
-
+# set by Ctrl-C in a batch run: the picture that is rendered is not wanted any more
+render_canceled = threading.Event()
 _link: EngineLink | None = None
 _lock = threading.Lock()  # a render thread may want the link while the main thread makes it
 _reports: dict[str, Mapping[str, Any]] = {}
 _render_note: RenderNote | None = None
-_render_timeout_s: float | None = None
-_render_given_up = False
 _jobs = JobTable()
+
+
+# ---- the link --------------------------------------------------------------------------------------------------------
 
 
 def link() -> EngineLink:
@@ -63,6 +79,36 @@ def use_link(other: EngineLink | None) -> None:
         before, _link = _link, other
     if before is not None and before is not other:
         before.close()
+
+
+def look_again() -> None:
+    """The engine may be another one from now on: what runs, or failed, is started anew."""
+    if _link is not None and _link.status.state != "stopped":
+        _link.restart()
+
+
+def command() -> Sequence[str]:
+    """How to start the engine, as preferences and environment say now. JGHandFailure: no_interpreter."""
+    return engine_command(_chosen_python(), checkout=_CHECKOUT)
+
+
+def program(*, learns: bool = False) -> Sequence[str]:
+    """The words before a verb of the engine's command line, for jobs. learns: one that has PyTorch.
+
+    JGHandFailure: no_interpreter, no_tools.
+    """
+    tools = None
+    if learns and tools_state() == "ready":
+        tools = install_tools.interpreter(tools_folder())
+    return engine_program(_chosen_python(), checkout=_CHECKOUT, tools=tools, learns=learns)
+
+
+def _chosen_python() -> str | None:
+    chosen = preferences()
+    return chosen.engine_python or None if chosen is not None else None
+
+
+# ---- pictures --------------------------------------------------------------------------------------------------------
 
 
 def set_report(kind: str, report: Mapping[str, Any]) -> None:
@@ -89,49 +135,7 @@ def last_render() -> RenderNote | None:
     return _render_note
 
 
-def use_render_timeout(seconds: float | None) -> None:
-    """How long a rendered frame may take, whatever the preferences say; None: what they say."""
-    global _render_timeout_s
-    _render_timeout_s = seconds
-
-
-def render_timeout_s() -> float:
-    """How long a rendered frame may take."""
-    chosen = preferences()
-    return _render_timeout_s or (chosen.render_timeout_s if chosen is not None else limits.REQUEST_S)
-
-
-def give_up_render(given_up: bool) -> None:
-    """Whether the picture that is rendered is not wanted any more: for batch runs, which Ctrl-C ends. An exception
-    would be lost in Blender, which writes an empty picture then."""
-    global _render_given_up
-    _render_given_up = given_up
-
-
-def render_given_up() -> bool:
-    """Whether it was given up."""
-    return _render_given_up
-
-
-def command() -> Sequence[str]:
-    """How to start the engine, as preferences and environment say now. JGHandFailure: no_interpreter."""
-    return engine_command(_chosen_python(), checkout=_CHECKOUT)
-
-
-def program(*, learns: bool = False) -> Sequence[str]:
-    """The words before a verb of the engine's command line, for jobs. learns: one that has PyTorch.
-
-    JGHandFailure: no_interpreter, no_tools.
-    """
-    from .install import tools_python  # here: its operators need this module
-
-    return engine_program(_chosen_python(), checkout=_CHECKOUT, tools=tools_python() if learns else None, learns=learns)
-
-
-def look_again() -> None:
-    """The engine may be another one from now on: what runs, or failed, is started anew."""
-    if _link is not None and _link.status.state != "stopped":
-        _link.restart()
+# ---- jobs ------------------------------------------------------------------------------------------------------------
 
 
 def jobs() -> JobTable:
@@ -139,9 +143,66 @@ def jobs() -> JobTable:
     return _jobs
 
 
-def _chosen_python() -> str | None:
-    chosen = preferences()
-    return chosen.engine_python or None if chosen is not None else None
+def start_job(key: str, spec: JobSpec) -> Job:
+    """Starts a job, which the timer looks after. JGHandFailure (job_running) while the one of that key runs."""
+    job = _jobs.start(key, spec)
+    watch_jobs()
+    return job
+
+
+def timers_fire() -> bool:
+    """Whether the timer looks after jobs: without a window timers never fire, and who starts a job waits for it."""
+    return not bpy.app.background
+
+
+def watch_jobs() -> None:
+    """Begins to look after the jobs, unless it does already."""
+    if timers_fire() and not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=limits.JOB_LOOK_S, persistent=True)
+
+
+@clock.guarded(limits.JOB_LOOK_S)
+def _tick() -> float | None:
+    """The timer; None when nothing runs any more."""
+    if _jobs.tick():
+        redraw(*PANELS)
+    return limits.JOB_LOOK_S if _jobs.running else None
+
+
+# ---- the training tools ----------------------------------------------------------------------------------------------
+
+
+def tools_folder() -> Path:
+    """Where the tools are, or will be. JGHandFailure: cannot_write."""
+    return folders.user_folder("tools", make=False)
+
+
+def tools_state() -> str:
+    """ "missing", "broken" (half-made, or of another version of the extension) or "ready"."""
+    folder = tools_folder()
+    if not folder.is_dir():
+        return "missing"
+    with contextlib.suppress(OSError):
+        wanted = install_tools.fingerprint(tools_sources()[1], list(TOOLS_PACKAGES))
+        whole = (folder / install_tools.READY).read_text("utf-8") == wanted
+        if whole and install_tools.interpreter(folder).is_file():
+            return "ready"
+    return "broken"
+
+
+def is_online() -> bool:
+    """Whether Blender may go online."""
+    return bpy.app.online_access
+
+
+def tools_sources() -> tuple[Path, Path]:
+    """The folder with the engine's package, and the file of versions: in the zip, or in a checkout."""
+    if (CARRIED / "common").is_dir():
+        return CARRIED / "common", CARRIED / "constraints.txt"
+    return _CHECKOUT, _CHECKOUT / "constraints" / "engine.txt"
+
+
+# ---- the end ---------------------------------------------------------------------------------------------------------
 
 
 def register() -> None:
@@ -150,8 +211,10 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Ends the engine."""
+    """Ends the engine and the jobs."""
     atexit.unregister(_end)
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
     _end()
 
 

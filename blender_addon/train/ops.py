@@ -14,12 +14,10 @@ from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
 from ..hand import armature
-from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
-from ..renderer import engine_words, job_watch, runtime
-from ..renderer.engine_words import CaptureChoices, TrainChoices
-from ..renderer.job_state import Phase
+from ..ops import REGISTERED, UNDOABLE, Reporting, missing
+from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from .training_folder import TrainingReader, folder_of
+from .training_folder import TrainingReader, capture_words, folder_of, train_words
 
 STARTS = (
     ("new", "New", "There is no training yet", "NONE", 0),
@@ -39,14 +37,14 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
     )
     bl_options = REGISTERED
 
-    key = job_watch.CAPTURE
+    key = runtime.CAPTURE
     watched = False
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.scene.jghand.training.use_motion and not _active_hand(context):
             return missing(cls, "Select the hand whose poses are taken")
-        return poll_job(cls, job_watch.CAPTURE)
+        return poll_job(cls, runtime.CAPTURE)
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         hand = _active_hand(context)
@@ -64,18 +62,8 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
             scratch = folders.job_folder()
             motion, over = scratch / "capture.npz", partial(folders.remove_job_folder, scratch)
             recordings[0].save(motion)
-        choices = CaptureChoices(
-            identity=settings.identity,
-            cameras=settings.cameras,
-            poses=settings.poses,
-            size=tuple(settings.size),
-            samples=settings.samples,
-            seed=settings.seed,
-            threads=0,
-        )
-        command = (*runtime.program(learns=True), *engine_words.capture(self._folder, choices, motion))
-        title = "Rendering the training set"
-        return JobSpec("capture", title, command, self._folder, resume=command, on_over=over)
+        command = (*runtime.program(learns=True), *capture_words(self._folder, settings, motion))
+        return JobSpec("Rendering the training set", command, on_over=over)
 
     def done(self, _context: bpy.types.Context) -> str:
         return rpt_("The training set is in {folder}.").format(folder=self._folder)
@@ -94,12 +82,12 @@ class Train(StartsJob, bpy.types.Operator):
 
     start: bpy.props.EnumProperty(name="Start", description="Where to begin", items=STARTS, default="new")  # type: ignore[valid-type]
 
-    key = job_watch.TRAINING
+    key = runtime.TRAINING
     watched = False
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return poll_job(cls, job_watch.TRAINING)
+        return poll_job(cls, runtime.TRAINING)
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -110,19 +98,18 @@ class Train(StartsJob, bpy.types.Operator):
             return "Begin again: the training that the folder holds is lost"
         return cls.bl_description
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Asks before hours of training are lost."""
-        lost = self._lost(context) if self.start == "fresh" else ""
-        if not lost:
-            return super().invoke(context, event)
-        return context.window_manager.invoke_confirm(
-            self,
-            event,
-            title=rpt_("Restart Training?"),
-            message=rpt_("The training in {folder} is lost: {what}.").format(folder=self._work.name, what=lost),
-            confirm_text=rpt_("Restart"),
-            icon="WARNING",
-        )
+    def overwritten(self, context: bpy.types.Context) -> str:
+        """Hours of training, or an avatar's file that no training of this folder wrote."""
+        out = place(context, context.scene.jghand.training.avatar_file)
+        work = folder_of(out)
+        seen = TrainingReader(work).look()
+        if self.start == "fresh" and seen.can_go_on:
+            return rpt_("The training in {folder} is lost: {what}.").format(
+                folder=work.name, what=seen.lost_sentence(rpt_)
+            )
+        if self.start == "new" and out.is_file():
+            return rpt_("{file} is replaced.").format(file=out)
+        return ""
 
     def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
         return []
@@ -139,68 +126,12 @@ class Train(StartsJob, bpy.types.Operator):
     def job(self, context: bpy.types.Context, _recordings: list[Recording]) -> JobSpec:
         settings = context.scene.jghand.training
         pictures, self._out = place(context, settings.capture_folder), place(context, settings.avatar_file)
-        choices = TrainChoices(
-            preset=settings.preset,
-            minutes=settings.time_s / 60,
-            seed=settings.seed,
-            all_pictures=settings.all_pictures,
-            overwrite=settings.overwrite,
-        )
-        begin = "" if self.start == "new" else self.start
-        program = runtime.program(learns=True)
-        work = folder_of(self._out)
-        job_watch.look_at_training(work)
-        return JobSpec(
-            "training",
-            "Training",
-            (*program, *engine_words.train(pictures, self._out, choices, begin)),
-            work,
-            resume=(*program, *engine_words.train(pictures, self._out, choices, "resume")),
-        )
+        start = "" if self.start == "new" else self.start
+        words = train_words(pictures, self._out, settings, start, overwrite=self.confirmed)
+        return JobSpec("Training", (*runtime.program(learns=True), *words), folder_of(self._out))
 
     def done(self, _context: bpy.types.Context) -> str:
         return rpt_("The avatar is {file}.").format(file=self._out)
-
-    def _lost(self, context: bpy.types.Context) -> str:
-        """What beginning anew takes away; "" where there is no training."""
-        try:
-            self._work = folder_of(place(context, context.scene.jghand.training.avatar_file))
-        except JGHandFailure:
-            return ""  # said after the click, with what to do
-        seen = TrainingReader(self._work).look()
-        return seen.lost_sentence(rpt_) if seen.can_go_on else ""
-
-
-class PauseTraining(Reporting, bpy.types.Operator):
-    """Operator: the training writes a checkpoint and its process ends."""
-
-    bl_idname = "jghand.pause_training"
-    bl_label = "Pause"
-    bl_description = "Stop training for now: a checkpoint is written, and the processor is free until it goes on"
-    bl_options = PLUMBING
-
-    def run(self, _context: bpy.types.Context) -> None:
-        job = runtime.jobs().get(job_watch.TRAINING)
-        if job is None or job.is_over:
-            raise JGHandFailure("bad_input", "no training runs")
-        job.pause()
-        job_watch.start()
-
-
-class ResumeTraining(Reporting, bpy.types.Operator):
-    """Operator: a paused training goes on."""
-
-    bl_idname = "jghand.resume_training"
-    bl_label = "Resume"
-    bl_description = "Continue the training where it was paused"
-    bl_options = PLUMBING
-
-    def run(self, _context: bpy.types.Context) -> None:
-        job = runtime.jobs().get(job_watch.TRAINING)
-        if job is None or not job.is_over or job.state.phase is Phase.DONE:
-            raise JGHandFailure("bad_input", "no training is paused")
-        job.go_on()
-        job_watch.start()
 
 
 class LoadAvatar(Reporting, bpy.types.Operator):
@@ -276,4 +207,4 @@ def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [thing for thing in _hands(context) if thing.is_editable]
 
 
-CLASSES = (RenderTrainingSet, Train, PauseTraining, ResumeTraining, LoadAvatar, DropAvatar)
+CLASSES = (RenderTrainingSet, Train, LoadAvatar, DropAvatar)

@@ -3,18 +3,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
+import bpy.utils.previews
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
+from ..core import limits
 from ..errors import JGHandFailure
 from ..export import ops_common
-from ..export.panel import draw_job
 from ..preferences import preferences
-from ..renderer import job_watch, runtime
-from ..renderer.job_state import Phase
+from ..renderer import runtime
+from ..renderer.panel import draw_job
 from ..ui import Sidebar
-from .training_folder import TrainingFolder, folder_of, is_in_the_way
+from .training_folder import TrainingFolder, TrainingReader, curve_picture, folder_of
+
+_reader: TrainingReader | None = None
+_icons: bpy.utils.previews.ImagePreviewCollection | None = None
+# what the icons show
+_shown = TrainingFolder(Path())
 
 
 class TrainPanel(Sidebar, bpy.types.Panel):
@@ -38,10 +46,8 @@ class TrainPanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "preset")
         column.prop(settings, "time_s")
         column.prop(settings, "all_pictures")
-        if ui.kept(context, _look_in_the_way, settings.avatar_file):
-            column.prop(settings, "overwrite")
-        draw_job(layout, context, job_watch.TRAINING)
-        seen = _training_folder(context)
+        draw_job(layout, context, runtime.TRAINING)
+        seen = ui.kept(context, _look_at_training, settings.avatar_file)
         _draw_buttons(layout, seen)
         if seen is not None:
             _draw_course(layout, context, seen)
@@ -65,41 +71,47 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
             column.prop(settings, "poses")
         for name in ("size", "samples", "seed"):
             column.prop(settings, name)
-        draw_job(layout, context, job_watch.CAPTURE)
+        draw_job(layout, context, runtime.CAPTURE)
         layout.operator("jghand.render_training_set", icon="RENDER_STILL")
 
 
-def _training_folder(context: bpy.types.Context) -> TrainingFolder | None:
-    """What is known of the training that the buttons act on: of the one that runs or is paused, else of the one beside
-    the avatar's file."""
-    job = runtime.jobs().get(job_watch.TRAINING)
-    if job is not None and (not job.is_over or job.state.phase is Phase.PAUSED):
-        return job_watch.look_at_training(job.spec.folder)
-    try:
-        return job_watch.look_at_training(
-            folder_of(ops_common.place(context, context.scene.jghand.training.avatar_file))
-        )
-    except JGHandFailure:
-        return None
+def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingFolder | None:
+    """What lies in the folder of the training that runs, or of the one beside the avatar's file; the log is read on."""
+    global _reader
+    if runtime.jobs().runs(runtime.TRAINING):
+        path = runtime.jobs().get(runtime.TRAINING).spec.folder
+    else:
+        try:
+            path = folder_of(ops_common.place(context, avatar_file))
+        except JGHandFailure:
+            return None
+    if _reader is None or _reader.path != path:
+        _reader = TrainingReader(path)
+    seen = _reader.look()
+    if not bpy.app.background:  # where there are icons
+        _show(seen)
+    return seen
 
 
-def _look_in_the_way(context: bpy.types.Context, avatar_file: str) -> bool:
-    try:
-        out = ops_common.place(context, avatar_file)
-    except JGHandFailure:
-        return False
-    return is_in_the_way(out, folder_of(out))
+def _show(seen: TrainingFolder) -> None:
+    """Makes icons of the loss and of the newest image, where they are others than before."""
+    global _icons, _shown
+    _icons = _icons or bpy.utils.previews.new()
+    before, _shown = _shown, seen
+    if before.loss != seen.loss or before.path != seen.path:
+        _icons.pop("loss", None)
+        if seen.loss.steps:
+            ui.store_picture(_icons, "loss", curve_picture(seen.loss, *limits.CURVE_PX))
+    if before.picture != seen.picture:
+        _icons.pop("picture", None)
+        if seen.picture is not None:
+            _icons.load("picture", str(seen.picture), "IMAGE")
 
 
 def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:
-    job = runtime.jobs().get(job_watch.TRAINING)
     row = layout.row(align=True)
-    if job is not None and not job.is_over:
-        row.operator("jghand.pause_training", icon="PAUSE")
-        row.operator("jghand.cancel_job", text="Stop", icon="CANCEL").key = job_watch.TRAINING
-    elif job is not None and job.state.phase is Phase.PAUSED:
-        row.operator("jghand.resume_training", icon="PLAY")
-        row.operator("jghand.cancel_job", text="Stop", icon="CANCEL").key = job_watch.TRAINING
+    if runtime.jobs().runs(runtime.TRAINING):
+        row.operator("jghand.cancel_job", text="Pause", icon="PAUSE").key = runtime.TRAINING
     elif seen is not None and seen.can_go_on:
         row.operator("jghand.train", text="Resume", icon="PLAY").start = "resume"
         row.operator("jghand.train", text="Restart…", icon="FILE_REFRESH").start = "fresh"
@@ -115,11 +127,23 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
     said = seen.sentence(iface_)
     if said:
         ui.paragraph(layout, context, said)
-    for icon in (job_watch.curve_icon(), job_watch.preview_icon()):
-        if icon:
-            layout.template_icon(icon_value=icon, scale=_PICTURE_UNITS)
+    for name in ("loss", "picture"):
+        if _icons is not None and name in _icons:
+            layout.template_icon(icon_value=_icons[name].icon_id, scale=_PICTURE_UNITS)
     if seen.avatar is not None:
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
 
 CLASSES = (TrainPanel, TrainingSetPanel)
+
+
+def register() -> None:
+    """Nothing is read before the panel is drawn."""
+
+
+def unregister() -> None:
+    """Frees the icons."""
+    global _icons, _reader, _shown
+    if _icons is not None:
+        bpy.utils.previews.remove(_icons)
+    _icons, _reader, _shown = None, None, TrainingFolder(Path())

@@ -11,33 +11,36 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..core import limits
 from ..core.panel_text import Translate
-from ..export.recording import avatar_digest
 
 _SUFFIX = ".training"
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One figure of the log. steps, values: of the same length, steps ascending."""
+    """One figure of the log."""
 
+    # of the same length, steps ascending
     steps: tuple[int, ...] = ()
     values: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class TrainingFolder:
-    """path · can_go_on: whether it holds a training · loss: the log's · psnr: of the fixed view, dB · picture: newest
-    preview · avatar: the newest avatar, None where there is none yet."""
+    """What lies in it."""
 
     path: Path
+    # whether it holds a training
     can_go_on: bool = False
     loss: Curve = Curve()
+    # of the fixed view, dB
     psnr: Curve = Curve()
+    # the newest preview and avatar, None where there is none yet
     picture: Path | None = None
     avatar: Path | None = None
 
@@ -65,16 +68,28 @@ def folder_of(out: Path) -> Path:
     return out.with_suffix(_SUFFIX)
 
 
-def is_in_the_way(out: Path, work: Path) -> bool:
-    """Whether there is an avatar file that the training of this folder did not write: it is replaced only on request.
-    The record is the engine's, `jghand_engine.learn.work_folder`."""
-    if not out.is_file():
-        return False
-    try:
-        hashes = json.loads((work / "output.json").read_text(encoding="utf-8"))["sha256"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return True
-    return avatar_digest(str(out)) not in (hashes if isinstance(hashes, list) else [hashes])
+def capture_words(out: Path, settings: Any, motion: Path | None = None) -> tuple[str, ...]:
+    """`jghand capture`; the same words again go on where it was stopped. settings: as `scene.jghand.training`; motion:
+    its poses instead of made-up ones."""
+    width, height = settings.size
+    return (
+        *("capture", "--out", str(out), "--identity", settings.identity),
+        *("--cameras", str(settings.cameras), "--poses", str(settings.poses)),
+        *("--size", f"{width}x{height}", "--samples", str(settings.samples), "--seed", str(settings.seed)),
+        *(("--motion", str(motion)) if motion is not None else ()),
+    )
+
+
+def train_words(pictures: Path, out: Path, settings: Any, start: str = "", *, overwrite: bool) -> tuple[str, ...]:
+    """`jghand train`. start: "resume" goes on, "fresh" forgets what there is; overwrite: an avatar file that is not of
+    this training."""
+    return (
+        *("train", str(pictures), "--out", str(out), "--preset", settings.preset),
+        *("--minutes", f"{settings.time_s / 60:g}", "--seed", str(settings.seed)),
+        *(("--all-pictures",) if settings.all_pictures else ()),
+        *(("--overwrite",) if overwrite else ()),
+        *((f"--{start}",) if start else ()),
+    )
 
 
 class TrainingReader:

@@ -19,7 +19,7 @@ from .. import clock
 from ..core import limits, pacing
 from ..export import usd_hook
 from ..hand import seen_hands
-from ..render import left_out, rendering
+from ..render import rendering
 from ..renderer import runtime
 from . import drawing, overlay, views
 
@@ -38,7 +38,7 @@ def tick() -> float:
     if rendering.check():
         _drop_stale()
         return limits.IDLE_TICK_S
-    left_out.show()
+    rendering.show()
     usd_hook.show()
     _follow_status()
     _follow_problems()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import bpy
 import gpu
 
-from ..render.world import background
+from ..render.samples import background
 from . import views
 
 

@@ -25,8 +25,7 @@ from ..core.pacing import Activity, Attempts, DrawMoment, Pace, ViewSettings, Wa
 from ..core.view import HandInSpace, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
-from ..render import rendering
-from ..render.engine_name import ENGINE
+from ..render import ENGINE, rendering
 from ..renderer import runtime
 from ..renderer.link import Answer
 from . import drawing as gpu_picture

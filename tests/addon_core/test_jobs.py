@@ -8,16 +8,14 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from blender_addon.core import limits
 from blender_addon.errors import ADVICE, JGHandFailure
-from blender_addon.renderer import job_state, jobs, programs
-from blender_addon.renderer.job_state import JobState, Phase
-from blender_addon.renderer.jobs import Job, JobSpec, JobTable
+from blender_addon.renderer import jobs
+from blender_addon.renderer.jobs import Job, JobSpec, JobState, JobTable, Phase
 
 STAND_IN = Path(__file__).with_name("stand_in_job.py")
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,9 +24,8 @@ LONG_S = 20.0
 posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in uses signals of POSIX")
 
 
-def spec(folder: Path, *words: str, resume: bool = False, **more) -> JobSpec:
-    command = (sys.executable, "-I", str(STAND_IN), *words)
-    return JobSpec("test", "Testing", command, folder, resume=command if resume else (), **more)
+def spec(*words: str, **more) -> JobSpec:
+    return JobSpec("Testing", (sys.executable, "-I", str(STAND_IN), *words), **more)
 
 
 def ended(job: Job, wait_s: float = LONG_S) -> JobState:
@@ -50,9 +47,9 @@ def until_it_counts(job: Job) -> None:
 
 def test_a_line_of_progress_becomes_a_sentence_with_the_remaining_time():
     line = '{"jghand": "progress", "text": "Baking", "done": 34, "total": 240, "eta_s": 12}'
-    content = job_state.parse_line(line)
+    content = jobs.parse_line(line)
     assert content is not None
-    state = job_state.heard(JobState(), content)
+    state = JobState().after(content)
     assert state.sentence() == "Baking 34 of 240 · 12 s left"
     assert state.fraction == pytest.approx(34 / 240)
 
@@ -64,7 +61,7 @@ def test_sentences_are_translated_before_figures_are_put_in():
     }.__getitem__
     assert JobState(text="Baking", done=34, total=240, eta_s=12).sentence(words) == "Backt, 34 von 240 · noch 12 s"
     assert JobState(Phase.DONE).sentence(words) == "Fertig"
-    assert job_state.failed(JobState(), JGHandFailure("disk_full")).sentence(words) == "Die Platte ist voll"
+    assert JobState().failed(JGHandFailure("disk_full")).sentence(words) == "Die Platte ist voll"
 
 
 def test_the_sentence_of_a_training_is_not_counted_twice():
@@ -75,28 +72,12 @@ def test_the_sentence_of_a_training_is_not_counted_twice():
         "total": 9,
         "eta_s": 7.0,
     }
-    assert job_state.heard(JobState(), content).sentence() == "step 4 of 9 · loss 0.1 · 7 s left"
+    assert JobState().after(content).sentence() == "step 4 of 9 · loss 0.1 · 7 s left"
 
 
 @pytest.mark.parametrize("line", ["", "text", "{", "[]", "{}", '{"jghand": 1}', "{" * 5000, "{" + "[" * 200000])
 def test_any_other_line_is_no_news(line):
-    assert job_state.parse_line(line) is None
-
-
-@pytest.mark.parametrize("phase", Phase)
-@pytest.mark.parametrize("code", [0, 1, 2, 3, 4, 130, 137, -9, -15])
-@pytest.mark.parametrize("can_pause", [True, False])
-def test_the_end_of_a_process_always_ends_the_job(phase, code, can_pause):
-    state = job_state.ended(JobState(phase), code, None, "", can_pause=can_pause)
-    assert state.phase.is_over
-    assert (state.failure is not None) == (state.phase is Phase.FAILED)
-    assert state.sentence()
-
-
-def test_a_job_that_is_being_canceled_cannot_be_paused_any_more():
-    cancelling = job_state.asked_to_stop(JobState(), pause=False)
-    assert job_state.asked_to_stop(cancelling, pause=True) is cancelling
-    assert job_state.asked_to_stop(replace(cancelling, phase=Phase.PAUSING), pause=False).phase is Phase.CANCELLING
+    assert jobs.parse_line(line) is None
 
 
 @pytest.mark.parametrize(
@@ -114,7 +95,7 @@ def test_a_job_that_is_being_canceled_cannot_be_paused_any_more():
     ],
 )
 def test_every_bad_end_has_its_sentence(code, error, log, kind):
-    failure = job_state.failure_of(code, error, log)
+    failure = jobs.failure_of(code, error, log)
     assert failure.kind == kind
     assert failure.advice is ADVICE[kind]
 
@@ -125,7 +106,7 @@ def test_every_bad_end_has_its_sentence(code, error, log, kind):
 @posix
 def test_a_job_runs_says_how_far_it_is_and_is_done(tmp_path):
     done = []
-    job = Job(spec(tmp_path, "short", on_done=lambda: done.append(True)))
+    job = Job(spec("short", on_done=lambda: done.append(True)))
     seen = set()
     while not job.is_over:
         job.tick()
@@ -142,7 +123,7 @@ def test_what_fails_after_the_end_makes_it_a_failed_job(tmp_path):
     def full():
         raise JGHandFailure("disk_full", "stamp")
 
-    state = ended(Job(spec(tmp_path, "short", on_done=full)))
+    state = ended(Job(spec("short", on_done=full)))
     assert state.phase is Phase.FAILED
     assert state.failure is not None
     assert state.failure.kind == "disk_full"
@@ -155,8 +136,8 @@ def test_a_mistake_at_the_end_of_one_job_is_told_and_is_no_end_of_the_others(tmp
         raise RuntimeError("poll() failed")
 
     table = JobTable()
-    first = table.start("first", spec(tmp_path, "short", **{end: mistaken}))
-    other = table.start("other", spec(tmp_path, "short"))
+    first = table.start("first", spec("short", **{end: mistaken}))
+    other = table.start("other", spec("short"))
     until = time.monotonic() + LONG_S
     while table.running and time.monotonic() < until:
         table.tick()
@@ -170,7 +151,7 @@ def test_a_mistake_at_the_end_of_one_job_is_told_and_is_no_end_of_the_others(tmp
 
 @posix
 def test_a_canceled_training_writes_its_checkpoint_first(tmp_path):
-    job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
+    job = Job(spec("long", f"file={tmp_path / 'checkpoint'}"))
     until_it_counts(job)
     job.cancel()
     assert job.state.phase is Phase.CANCELLING
@@ -179,48 +160,20 @@ def test_a_canceled_training_writes_its_checkpoint_first(tmp_path):
 
 
 @posix
-def test_a_paused_training_goes_on_and_can_be_canceled_while_it_is_paused(tmp_path):
-    job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
+def test_a_failure_while_it_stops_is_told(tmp_path):
+    job = Job(spec("full at the end"))
     until_it_counts(job)
-    job.pause()
-    assert ended(job).phase is Phase.PAUSED
-    job.go_on()
-    assert job.state.phase is Phase.RUNNING
-    until_it_counts(job)
-    job.pause()
-    ended(job)
     job.cancel()
-    assert job.state.phase is Phase.CANCELLED
-
-
-@posix
-def test_a_job_without_a_way_to_go_on_is_not_paused(tmp_path):
-    job = Job(spec(tmp_path, "long"))
-    job.pause()
-    assert job.state.phase is Phase.RUNNING
-    job.cancel()
-    ended(job)
-
-
-@posix
-def test_a_failure_while_pausing_is_told_and_the_training_can_go_on(tmp_path):
-    job = Job(spec(tmp_path, "full at the end", resume=True))
-    until_it_counts(job)
-    job.pause()
     state = ended(job)
     assert state.phase is Phase.FAILED
     assert state.failure is not None
     assert state.failure.kind == "disk_full"
-    job.go_on()
-    until_it_counts(job)
-    job.cancel()
-    ended(job)
 
 
 @posix
 def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monkeypatch):
     monkeypatch.setattr(limits, "JOB_LAST_WORDS_S", 20.0)
-    job = Job(spec(tmp_path, "orphan"))
+    job = Job(spec("orphan"))
     assert job._process is not None
     job._process.wait(LONG_S)
     job.tick()
@@ -235,21 +188,8 @@ def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monk
 @pytest.mark.parametrize("fault", ["short", "die"])
 def test_what_only_the_job_needed_is_taken_away_once_when_it_is_over(tmp_path, fault):
     over = []
-    job = Job(spec(tmp_path, fault, on_over=lambda: over.append(job.is_over)))
+    job = Job(spec(fault, on_over=lambda: over.append(job.is_over)))
     ended(job)
-    job.put_away()
-    assert over == [True]
-
-
-@posix
-def test_what_a_paused_job_needs_stays_until_it_does_not_go_on(tmp_path):
-    over = []
-    job = Job(spec(tmp_path, "long", resume=True, on_over=lambda: over.append(True)))
-    until_it_counts(job)
-    job.pause()
-    ended(job)
-    assert not over
-    job.cancel()
     assert over == [True]
 
 
@@ -257,7 +197,7 @@ def test_what_a_paused_job_needs_stays_until_it_does_not_go_on(tmp_path):
 def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch):
     monkeypatch.setattr(limits, "JOB_STOP_S", 0.2)
     monkeypatch.setattr(limits, "TERMINATE_S", 0.2)
-    job = Job(spec(tmp_path, "deaf"))
+    job = Job(spec("deaf"))
     until_it_counts(job)
     job.cancel()
     assert ended(job).phase is Phase.CANCELLED
@@ -267,14 +207,15 @@ def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch)
 def test_a_program_that_hangs_in_the_system_does_not_hold_blender(tmp_path, monkeypatch):
     """As one does that waits for a disk that is gone: it cannot be killed."""
     monkeypatch.setattr(limits, "KILL_S", 0.1)
+    end_tree = jobs.end_tree
     monkeypatch.setattr(jobs, "end_tree", lambda *_, **__: None)
-    job = Job(spec(tmp_path, "deaf"))
+    job = Job(spec("deaf"))
     until_it_counts(job)
     killing = threading.Thread(target=job.kill, daemon=True)
     killing.start()
     killing.join(LONG_S)
     held = killing.is_alive()
-    programs.end_tree(job._process, at_once=True)  # type: ignore[arg-type]
+    end_tree(job._process, at_once=True)  # type: ignore[arg-type]
     killing.join()
     assert not held
     ended(job)
@@ -283,7 +224,7 @@ def test_a_program_that_hangs_in_the_system_does_not_hold_blender(tmp_path, monk
 @posix
 @pytest.mark.parametrize(("fault", "kind"), [("die", "crashed"), ("killed", "killed"), ("disk full", "disk_full")])
 def test_a_program_that_fails_says_why(tmp_path, fault, kind):
-    state = ended(Job(spec(tmp_path, fault)))
+    state = ended(Job(spec(fault)))
     assert state.phase is Phase.FAILED
     assert state.failure is not None
     assert state.failure.kind == kind
@@ -291,7 +232,7 @@ def test_a_program_that_fails_says_why(tmp_path, fault, kind):
 
 @posix
 def test_a_flood_of_output_neither_blocks_nor_fills_memory(tmp_path):
-    job = Job(spec(tmp_path, "flood"))
+    job = Job(spec("flood"))
     assert ended(job, 60.0).phase is Phase.DONE
     assert job.state.done == 19999
     assert len(job._output) <= limits.LOG_LINES
@@ -300,11 +241,11 @@ def test_a_flood_of_output_neither_blocks_nor_fills_memory(tmp_path):
 
 @posix
 def test_nonsense_on_standard_error_is_survived(tmp_path):
-    assert ended(Job(spec(tmp_path, "nonsense"))).phase is Phase.DONE
+    assert ended(Job(spec("nonsense"))).phase is Phase.DONE
 
 
 def test_a_program_that_is_not_there_is_a_failed_job(tmp_path):
-    job = Job(JobSpec("test", "Testing", (str(tmp_path / "python"),), tmp_path))
+    job = Job(JobSpec("Testing", (str(tmp_path / "python"),)))
     assert job.state.phase is Phase.FAILED
     assert job.state.failure is not None
     assert job.state.failure.kind == "no_interpreter"
@@ -318,7 +259,7 @@ def test_the_steps_of_a_job_follow_one_another_and_the_end_is_told_once(tmp_path
     done = []
     more = tuple((sys.executable, "-I", str(STAND_IN), "short") for _ in range(2))
     started = time.monotonic()
-    assert ended(Job(spec(tmp_path, "short", more=more, on_done=lambda: done.append(True)))).phase is Phase.DONE
+    assert ended(Job(spec("short", more=more, on_done=lambda: done.append(True)))).phase is Phase.DONE
     assert done == [True]
     assert time.monotonic() - started > 3 * 3 * 0.02
 
@@ -333,16 +274,14 @@ def test_a_step_that_fails_is_the_last_one(tmp_path, fault):
             str(tmp_path / "never"),
         ),
     )
-    state = ended(Job(spec(tmp_path, "short", more=steps)))
+    state = ended(Job(spec("short", more=steps)))
     assert state.failure is not None
     assert state.failure.kind in ("crashed", "killed")
 
 
 @posix
 def test_no_step_follows_one_that_was_canceled(tmp_path):
-    job = Job(
-        spec(tmp_path, "long", more=((sys.executable, "-I", str(STAND_IN), "long", f"file={tmp_path / 'never'}"),))
-    )
+    job = Job(spec("long", more=((sys.executable, "-I", str(STAND_IN), "long", f"file={tmp_path / 'never'}"),)))
     until_it_counts(job)
     job.cancel()
     assert ended(job).phase is Phase.CANCELLED
@@ -355,27 +294,25 @@ def test_no_step_follows_one_that_was_canceled(tmp_path):
 @posix
 def test_one_job_of_a_key_runs_at_a_time_and_others_beside_it(tmp_path):
     table = JobTable()
-    first = table.start("train", spec(tmp_path, "long"))
+    first = table.start("train", spec("long"))
     with pytest.raises(JGHandFailure) as caught:
-        table.start("train", spec(tmp_path, "long"))
+        table.start("train", spec("long"))
     assert caught.value.kind == "job_running"
-    other = table.start("bake", spec(tmp_path, "short"))
+    other = table.start("bake", spec("short"))
     ended(other)
     assert table.running == [first]
     first.cancel()
     ended(first)
-    assert table.start("train", spec(tmp_path, "short")) is table.get("train")
+    assert table.start("train", spec("short")) is table.get("train")
     ended(table.get("train"))  # type: ignore[arg-type]
-    table.forget("train")
-    assert table.get("train") is None
 
 
 @posix
 def test_the_end_of_blender_ends_jobs_politely_and_soon(tmp_path):
     table = JobTable()
-    polite = table.start("train", spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
+    polite = table.start("train", spec("long", f"file={tmp_path / 'checkpoint'}"))
     until_it_counts(polite)
-    deaf = table.start("bake", spec(tmp_path, "deaf"))
+    deaf = table.start("bake", spec("deaf"))
     until_it_counts(deaf)
     started = time.monotonic()
     table.close()
@@ -389,11 +326,10 @@ def test_a_job_notices_that_blender_was_killed(tmp_path):
     """The end of its standard input reaches it from whatever ended its parent."""
     file = f"file={tmp_path / 'left'}"
     code = f"""
-import os, sys, time
+import os, sys
 sys.path.insert(0, {str(ROOT)!r})
-from pathlib import Path
 from blender_addon.renderer.jobs import Job, JobSpec
-job = Job(JobSpec("t", "T", (sys.executable, "-I", {str(STAND_IN)!r}, "long", {file!r}), Path()))
+job = Job(JobSpec("T", (sys.executable, "-I", {str(STAND_IN)!r}, "long", {file!r})))
 while not job.state.total:
     job.tick()
 os.kill(os.getpid(), 9)

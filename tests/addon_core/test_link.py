@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from unittest import mock
 
 import numpy as np
@@ -350,6 +350,95 @@ def test_an_engine_is_not_explained_with_the_words_of_the_one_before(found, tmp_
         assert "no torch here" in link.log  # who looks for what happened still finds it
     finally:
         link.close()
+
+
+@contextlib.contextmanager
+def ready(*faults: str) -> Iterator[EngineLink]:
+    """A link whose engine is ready; JGHandFailure when it does not become so."""
+    with linked(*faults) as link:
+        link.start()
+        link.wait_until_ready()
+        yield link
+
+
+def failure_of_start(*faults: str) -> JGHandFailure:
+    """What a start fails with."""
+    with pytest.raises(JGHandFailure) as caught, ready(*faults):
+        pass
+    return caught.value
+
+
+def failure_of(*faults: str, **options) -> JGHandFailure:
+    """What a picture fails with."""
+    with pytest.raises(JGHandFailure) as caught, ready(*faults) as engine:
+        engine.request(*picture(), **options)
+    return caught.value
+
+
+def failure_of_command(*command: str) -> JGHandFailure:
+    """What a start with this command fails with."""
+    link = EngineLink(lambda: command)
+    link.start()
+    with pytest.raises(JGHandFailure) as caught:
+        link.wait_until_ready()
+    link.close()
+    return caught.value
+
+
+def test_a_mistake_of_the_engine_is_told_with_its_trace():
+    failure = failure_of("bug")
+    assert failure.kind == "internal"
+    assert "ZeroDivisionError" in failure.detail
+
+
+def test_a_request_that_cannot_be_sent_is_a_failure_and_the_engine_lives_on():
+    with ready() as engine:
+        for header in ({"kind": "info", "fx": float("nan")}, {"kind": "info", "text": "x" * 100_000}):
+            with pytest.raises(JGHandFailure) as caught:
+                engine.request(header)
+            assert caught.value.kind == "bad_input"
+        assert engine.request({"kind": "info"}).header["ok"]
+
+
+def test_an_engine_that_hangs_is_ended_in_time_and_its_last_words_are_told():
+    started = time.monotonic()
+    failure = failure_of("hang", timeout_s=2.0)
+    assert time.monotonic() - started < 20
+    assert failure.kind == "hung"
+    assert "in time" in failure.detail
+    assert "the last words" in failure.detail
+    assert "the last words" in failure.log
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows cannot stop a process for a while")
+def test_an_engine_whose_heart_stops_is_ended_before_the_time_of_the_request_is_over(monkeypatch):
+    monkeypatch.setattr(limits, "SILENCE_S", 2.5)
+    started = time.monotonic()
+    failure = failure_of("frozen", timeout_s=300.0)
+    assert time.monotonic() - started < 30
+    assert failure.kind == "hung"
+    assert "no sign of life" in failure.detail
+    assert "the last words" in failure.detail
+
+
+@pytest.mark.parametrize("fault", ["silent", "garbage"])
+def test_an_engine_without_a_handshake_is_given_up(fault, monkeypatch):
+    monkeypatch.setattr(limits, "HANDSHAKE_S", 1.0)
+    assert failure_of_start(fault).kind == "start_timeout"
+
+
+def test_a_python_without_the_engine_is_told_so():
+    failure = failure_of_command(sys.executable, "-I", "-S", "-m", "jghand_engine", "serve", "--stdio-handshake")
+    assert failure.kind == "no_engine"
+
+
+@pytest.mark.parametrize("name", ["tyro_of_another_name", "jghand_engine_of_another_name", "jghand_engine.nothing"])
+def test_a_python_that_lacks_something_that_the_engine_needs_is_told_so_by_name(name, tmp_path):
+    (tmp_path / "jghand_engine").mkdir()
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import {name}  # jghand_engine"
+    failure = failure_of_command(sys.executable, "-I", "-S", "-c", code)
+    assert failure.kind == "no_engine"
+    assert name in failure.detail
 
 
 # ---- start and stop --------------------------------------------------------------------------------------------------

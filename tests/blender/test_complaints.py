@@ -30,8 +30,7 @@ from blender_addon.core.view import picture_request
 from blender_addon.errors import ADVICE
 from blender_addon.hand import panel as hand
 from blender_addon.hand import sources
-from blender_addon.render import camera
-from blender_addon.render import left_out as left_out_of_renders
+from blender_addon.render import camera, rendering
 from blender_addon.render import panel as picture
 from blender_addon.renderer import runtime
 from blender_addon.renderer.link import EngineLink
@@ -145,7 +144,7 @@ def test_f12_with_an_engine_that_draws_no_hands_says_so_once(stand_in, scene, ca
 
 @pytest.mark.parametrize("way", ["our engine", "combined", "hidden hands", "no hand"])
 def test_nothing_is_said_where_hands_are_drawn_or_not_wanted(stand_in, scene, way):
-    assert left_out_of_renders.hands_left_out(scene) == ["Right Hand"]
+    assert rendering.hands_left_out(scene) == ["Right Hand"]
     if way == "our engine":
         bpy.ops.jghand.use_engine()
     elif way == "combined":
@@ -154,7 +153,7 @@ def test_nothing_is_said_where_hands_are_drawn_or_not_wanted(stand_in, scene, wa
         scene.objects["Right Hand"].hide_render = True
     else:
         bpy.data.objects.remove(scene.objects["Right Hand"])
-    assert left_out_of_renders.hands_left_out(scene) == []
+    assert rendering.hands_left_out(scene) == []
 
 
 # ---- 2. colors differ -----------------------------------------------------------------------------------------------

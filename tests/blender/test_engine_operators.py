@@ -10,7 +10,7 @@ from recording_layout import RecordingLayout, operator_type
 
 from blender_addon import preferences
 from blender_addon.errors import JGHandFailure
-from blender_addon.renderer import install, runtime
+from blender_addon.renderer import install_tools, runtime
 from blender_addon.renderer import ops as engine
 from blender_addon.renderer.engine_command import VARIABLE
 from blender_addon.renderer.link import EngineLink
@@ -92,31 +92,31 @@ def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, e
 
 
 def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension, tmp_path, monkeypatch):
-    monkeypatch.setattr(install, "tools_folder", lambda: tmp_path / "tools")
-    monkeypatch.setattr(install, "is_online", lambda: False)
-    assert install.state() == "missing"
+    monkeypatch.setattr(runtime, "tools_folder", lambda: tmp_path / "tools")
+    monkeypatch.setattr(runtime, "is_online", lambda: False)
+    assert runtime.tools_state() == "missing"
     assert "Online Access" in refuses(bpy.ops.jghand.install_tools)
     assert "no training tools" in refuses(bpy.ops.jghand.remove_tools)
 
 
 def test_the_training_tools_are_made_mended_and_removed(extension, tmp_path, monkeypatch):
     folder = tmp_path / "tools"
-    monkeypatch.setattr(install, "tools_folder", lambda: folder)
-    monkeypatch.setattr(install, "PACKAGES", ())  # the environment alone: nothing is downloaded
-    monkeypatch.setattr(install, "is_online", lambda: True)
+    monkeypatch.setattr(runtime, "tools_folder", lambda: folder)
+    monkeypatch.setattr(runtime, "TOOLS_PACKAGES", ())  # the environment alone: nothing is downloaded
+    monkeypatch.setattr(runtime, "is_online", lambda: True)
     for _ in range(2):
         assert bpy.ops.jghand.install_tools() == {"FINISHED"}
-        job = runtime.jobs().get(install.KEY)
+        job = runtime.jobs().get(runtime.TOOLS)
         assert job.wait(120)
         assert job.state.failure is None, job.log
-        assert install.state() == "ready"
-        python = str(install.tools_python())
+        assert runtime.tools_state() == "ready"
+        python = str(install_tools.interpreter(folder))
         subprocess.run([python, "-I", "-c", "import jghand_engine"], check=True)
-        (folder / install.READY).unlink()
-        assert install.state() == "broken"
+        (folder / install_tools.READY).unlink()
+        assert runtime.tools_state() == "broken"
     assert "jghand.install_tools" in draw_preferences(extension).operators
     assert bpy.ops.jghand.remove_tools() == {"FINISHED"}
-    assert install.state() == "missing"
+    assert runtime.tools_state() == "missing"
 
 
 def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_in_command):

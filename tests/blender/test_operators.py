@@ -26,7 +26,7 @@ from blender_addon.hand import ops_motion as motion_operator
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import poses as pose_library
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE
-from blender_addon.render import engine_name, pages
+from blender_addon.render import ENGINE, pages
 from blender_addon.render import ops as picture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,7 +41,7 @@ NOT_UNDONE = {
     **dict.fromkeys(("explain", "open_preferences", "show_log", "show_job_log"), _SHOWS),
     "restart_engine": _ENGINE,
     **dict.fromkeys(("bake", "check_bake", "export", "render_training_set", "train"), _JOB),
-    **dict.fromkeys(("cancel_job", "pause_training", "resume_training"), "a job is none of the file"),
+    "cancel_job": "a job is none of the file",
     **dict.fromkeys(("install_tools", "remove_tools"), "the training tools are none of the file"),
     "make_pose_assets": "writes files and a preference",
     "export_scene_usd": "writes a file",
@@ -57,7 +57,7 @@ ANYWHERE = {
     **dict.fromkeys(("open_preferences", "train", "export_scene_usd"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
-    **dict.fromkeys(("pause_training", "resume_training", "add_picture_preset"), _ROW),
+    **dict.fromkeys(("add_picture_preset",), _ROW),
 }
 _OF_FILE_BROWSERS = ("filepath", "directory", "files")
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
@@ -710,9 +710,9 @@ def test_explain_says_its_text(extension, capfd):
 
 
 def test_without_the_engine_in_blender_use_engine_says_so(extension):
-    if any(getattr(each, "bl_idname", "") == engine_name.ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
+    if any(getattr(each, "bl_idname", "") == ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
         assert bpy.ops.jghand.use_engine() == {"FINISHED"}
-        assert extension.scene.render.engine == engine_name.ENGINE
+        assert extension.scene.render.engine == ENGINE
         assert extension.scene.render.use_lock_interface
         assert "already" in refuses(bpy.ops.jghand.use_engine)
     else:

@@ -19,13 +19,13 @@ from recording_layout import draw
 
 import blender_addon
 from blender_addon import folders, ui
-from blender_addon.export import bake_folders, baked_points, bakes, record, usd_hook
+from blender_addon.export import bakes, ops_common, usd_hook
 from blender_addon.export import panel as output
-from blender_addon.export.ops import ExportSceneUsd
+from blender_addon.export.ops import Bake, Export, ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
 from blender_addon.hand import sources
 from blender_addon.hand.motion_files import read_motion
-from blender_addon.renderer import job_watch, runtime
+from blender_addon.renderer import runtime
 from blender_addon.renderer.engine_command import VARIABLE
 from blender_addon.viewport import handlers
 
@@ -77,71 +77,9 @@ def seen_joints(context, hand) -> np.ndarray:
     return np.array(joints)
 
 
-# ---- whose an export is ----------------------------------------------------------------------------------------------
-
-
 def save_as(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False)
-
-
-def test_an_export_of_another_file_is_not_written_over_unless_that_is_wanted(extension, tmp_path):
-    hand = a_hand(extension)
-    settings, path = extension.scene.jghand.output, tmp_path / "shared" / "right.npz"
-    settings.format, settings.folder = "motion", str(path.parent)
-    save_as(tmp_path / "a" / "shot.blend")
-    for _ in range(2):  # its own it may replace
-        assert bpy.ops.jghand.export() == {"FINISHED"}
-    before = path.read_bytes()
-    hand.location.x += 1.0
-    for other in ("b/shot.blend", "a/other.blend"):
-        save_as(tmp_path / other)
-        with pytest.raises(RuntimeError, match=r"another file, or another hand, has made.*a/shot.blend:right"):
-            bpy.ops.jghand.export()
-        assert path.read_bytes() == before
-    settings.replace_others = True
-    assert bpy.ops.jghand.export() == {"FINISHED"}
-    assert path.read_bytes() != before
-    settings.replace_others = False
-    assert bpy.ops.jghand.export() == {"FINISHED"}  # now it is its own
-
-
-def test_an_export_of_unknown_origin_and_one_of_another_hand_are_not_written_over(extension, tmp_path):
-    hand = a_hand(extension)
-    settings = extension.scene.jghand.output
-    settings.format, settings.folder = "motion", str(tmp_path)
-    (tmp_path / "right.npz").write_bytes(b"mine")
-    with pytest.raises(RuntimeError, match="not known who made it"):
-        bpy.ops.jghand.export()
-    hand.name = "Hand.R"
-    assert bpy.ops.jghand.export() == {"FINISHED"}
-    hand.name = "Hand R"  # the same name for files
-    with pytest.raises(RuntimeError, match=r"Hand\.R"):
-        bpy.ops.jghand.export()
-    assert (tmp_path / "right.npz").read_bytes() == b"mine"
-
-
-def test_a_project_that_is_moved_as_a_whole_keeps_its_exports(extension, tmp_path):
-    a_hand(extension)
-    settings = extension.scene.jghand.output
-    settings.format, settings.folder = "motion", "//exports"
-    save_as(tmp_path / "here" / "shot.blend")
-    bpy.ops.jghand.export()
-    shutil.copytree(tmp_path / "here", tmp_path / "there")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "shot.blend"))
-    assert bpy.ops.jghand.export() == {"FINISHED"}
-
-
-def test_two_files_of_one_name_do_not_join_their_bakes(extension, tmp_path):
-    hand = a_hand(extension)
-    hand.jghand.bake_id = "the same in a copy of the file"
-    parent = tmp_path / "bakes"
-    owners = []
-    for name in ("a/shot.blend", "b/shot.blend", "a/shot_2.blend"):
-        save_as(tmp_path / name)
-        owners.append(bake_folders.owner_text(hand.jghand.bake_id, parent))
-    assert owners[0] == "../a/shot.blend:the same in a copy of the file"
-    assert len(set(owners)) == 3
 
 
 # ---- recordings ------------------------------------------------------------------------------------------------------
@@ -184,7 +122,7 @@ def test_a_rig_with_two_hands_is_two_recordings(extension):
     for side in joints:
         sources.store_map(rig, sources.recognize(rig, side).bone_map)
     into = []
-    parts = list(record.record_steps(extension, [rig], range(1, 3), into))
+    parts = list(ops_common.record_steps(extension, [rig], range(1, 3), into))
     assert parts == [0.5, 1.0]
     assert [(one.name, one.handedness) for one in into] == [("Body_right", "right"), ("Body_left", "left")]
 
@@ -192,7 +130,7 @@ def test_a_rig_with_two_hands_is_two_recordings(extension):
 def test_recording_that_is_given_up_puts_the_frame_back(extension):
     hand = a_hand(extension)
     extension.scene.frame_set(17)
-    steps = record.record_steps(extension, [hand], range(3, 9), [])
+    steps = ops_common.record_steps(extension, [hand], range(3, 9), [])
     next(steps)
     steps.close()
     assert extension.scene.frame_current == 17
@@ -215,6 +153,44 @@ def test_a_folder_beside_a_file_that_was_never_saved_is_refused(extension):
         bpy.ops.jghand.export()
 
 
+# ---- overwriting -----------------------------------------------------------------------------------------------------
+
+
+def overwritten(operator: type[StartsJob], context) -> str:
+    """What a click on the operator's button would overwrite, in words."""
+    pressed = SimpleNamespace(recorded_hands=lambda where: operator.recorded_hands(SimpleNamespace(), where))
+    return operator.overwritten(pressed, context)
+
+
+@pytest.mark.parametrize("kind", ["motion", "usd", "ply"])
+def test_a_click_is_told_which_exports_it_would_overwrite(extension, tmp_path, kind):
+    hand = a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = kind, str(tmp_path)
+    for name in ("right_2.npz", "right_2.usda", "right_2.0001.ply"):
+        (tmp_path / name).touch()
+    assert overwritten(Export, extension) == ""
+    hand.name = "right_2"
+    assert overwritten(Export, extension) == f"{tmp_path} has exports of right_2"
+
+
+def test_a_click_on_bake_is_told_of_the_bake_that_is_there(baked):
+    context, hand, _ = baked
+    assert overwritten(Bake, context) == f"There is a bake in {bakes.folder_of(hand)}"
+    hand.name = "other"
+    assert overwritten(Bake, context) == ""
+
+
+def test_a_click_is_asked_before_anything_is_overwritten(extension, monkeypatch):
+    said = []
+    app = SimpleNamespace(background=False)
+    monkeypatch.setattr(ops_common, "bpy", SimpleNamespace(app=app, types=bpy.types))
+    manager = SimpleNamespace(invoke_confirm=lambda *_, message, **__: said.append(message) or {"RUNNING_MODAL"})
+    pressed = SimpleNamespace(confirmed=False, overwrite="Overwrite", overwritten=lambda _: "a file is there")
+    assert StartsJob.invoke(pressed, SimpleNamespace(window_manager=manager), None) == {"RUNNING_MODAL"}
+    assert (said, pressed.confirmed) == (["a file is there"], True)
+
+
 # ---- jobs ------------------------------------------------------------------------------------------------------------
 
 
@@ -234,10 +210,10 @@ def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, t
     extension.scene.jghand.output.folder = str(tmp_path)
     with pytest.raises(RuntimeError, match=r"none\.jghand"):
         bpy.ops.jghand.export()
-    job = runtime.jobs().get(job_watch.OUTPUT)
+    job = runtime.jobs().get(runtime.OUTPUT)
     assert job is not None
     assert job.state.failure is not None
-    assert bpy.ops.jghand.show_job_log(key=job_watch.OUTPUT) == {"FINISHED"}
+    assert bpy.ops.jghand.show_job_log(key=runtime.OUTPUT) == {"FINISHED"}
 
 
 def a_copy(made: Path, make: Callable[[Path], None], tmp_path: Path) -> bpy.types.Object:
@@ -282,7 +258,7 @@ def test_a_bake_plays_where_the_hand_is_without_engine_and_extension(baked, tmp_
     monkeypatch.delenv(VARIABLE)
     if bpy.ops.jghand.play_bake() != {"FINISHED"}:
         pytest.fail("the bake does not play")
-    (cloud,) = baked_points.playing(context.scene, bake_folders.bake_folder(hand))
+    (cloud,) = bakes.playing(context.scene, bakes.folder_of(hand))
     name = cloud.name
     blender_addon.unregister()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
@@ -302,7 +278,7 @@ def test_a_bake_plays_where_the_hand_is_without_engine_and_extension(baked, tmp_
         assert max(far) < 0.03
         seen.append(positions)
     assert np.abs(np.diff(seen, axis=0)).max() > 0.005, "it moves"
-    assert cloud.data.materials[0].name == baked_points.MATERIAL
+    assert cloud.data.materials[0].name == bakes.MATERIAL
     blender_addon.register()
 
 
@@ -324,15 +300,14 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     """USD keeps an open file as it was read: without care the old frames would play on."""
     context, hand, _ = baked
     bpy.ops.jghand.play_bake()
-    folder = bake_folders.bake_folder(hand)
+    folder = bakes.folder_of(hand)
     context.scene.frame_set(3)
-    before = cloud_positions(context, baked_points.playing(context.scene, folder)[0])
+    before = cloud_positions(context, bakes.playing(context.scene, folder)[0])
     hand.location.x += 0.25
     context.view_layer.update()
     assert bpy.ops.jghand.bake() == {"FINISHED"}
     assert context.object == hand
-    assert not folder.exists()
-    (cloud,) = baked_points.playing(context.scene, bake_folders.bake_folder(hand))
+    (cloud,) = bakes.playing(context.scene, bakes.folder_of(hand))
     after = cloud_positions(context, cloud)
     assert np.abs(after - before - [0.25, 0, 0]).max() < 1e-5
     assert len(bpy.data.cache_files) == 1
@@ -348,7 +323,7 @@ def test_the_panel_says_what_is_baked_and_that_what_plays_is_stale(baked):
     assert "The bake is not what the scene has: the hand moves" in " ".join(draw(output.BakePanel, context).texts)
     bpy.ops.jghand.play_bake(accept_stale=True)
     assert "What plays here is not what the scene has" in " ".join(draw(output.BakePanel, context).texts)
-    (bake_folders.bake_folder(hand) / bakes.STAMP).unlink()
+    (bakes.folder_of(hand) / bakes.STAMP).unlink()
     assert "no finished bake" in " ".join(draw(output.BakePanel, context).texts)
 
 
@@ -366,7 +341,7 @@ def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
 
 def test_a_bake_that_was_cut_off_is_none(baked):
     _, hand, _ = baked
-    folder = bake_folders.bake_folder(hand)
+    folder = bakes.folder_of(hand)
     (folder / bakes.STAMP).unlink()
     with pytest.raises(RuntimeError, match="no finished bake"):
         bpy.ops.jghand.play_bake()
@@ -378,15 +353,15 @@ def failing_engine(monkeypatch):
 
 def test_a_bake_that_fails_loses_nothing_of_the_one_before(baked, tmp_path, monkeypatch):
     context, hand, _ = baked
-    before = bake_folders.bake_folder(hand)
+    before = bakes.folder_of(hand)
     bpy.ops.jghand.play_bake()
     failing_engine(monkeypatch)
     with pytest.raises(RuntimeError, match="stopped unexpectedly"):
         bpy.ops.jghand.bake()
-    assert bake_folders.bake_folder(hand) == before
+    assert bakes.folder_of(hand) == before
     assert bakes.read_bake(before)
-    assert baked_points.playing(context.scene, before)
-    assert [path.name for path in before.parent.iterdir()] == ["v0001"]
+    assert bakes.playing(context.scene, before)
+    assert [path.name for path in before.parent.iterdir()] == ["right"]
 
 
 def test_a_first_bake_that_fails_leaves_the_hand_without_one(extension, tmp_path, monkeypatch):
@@ -395,8 +370,8 @@ def test_a_first_bake_that_fails_leaves_the_hand_without_one(extension, tmp_path
     failing_engine(monkeypatch)
     with pytest.raises(RuntimeError, match="stopped unexpectedly"):
         bpy.ops.jghand.bake()
-    assert hand.jghand.bake == hand.jghand.bake_id == ""
-    assert not list(tmp_path.rglob("v0*"))
+    assert hand.jghand.bake == ""
+    assert not list((tmp_path / "bakes").iterdir())
 
 
 def test_a_finished_bake_is_one_step_of_undo_made_after_the_hand_has_it(extension, engine, tmp_path, monkeypatch):
@@ -415,43 +390,19 @@ def test_a_finished_bake_is_one_step_of_undo_made_after_the_hand_has_it(extensio
     assert steps == [("Bake", True)]
 
 
-def test_a_copy_of_a_hand_bakes_beside_it_and_not_over_it(baked):
-    context, hand, _ = baked
-    first = bake_folders.bake_folder(hand)
-    copy = hand.copy()
-    context.scene.collection.objects.link(copy)
-    hand.name, copy.name = "other", hand.name
-    hand.select_set(False)
-    copy.select_set(True)
-    context.view_layer.objects.active = copy
-    assert bpy.ops.jghand.bake() == {"FINISHED"}
-    assert bakes.read_bake(bake_folders.bake_folder(hand))
-    assert bake_folders.bake_folder(hand) == first
-    assert bake_folders.bake_folder(copy) != first
-
-
-def test_a_copy_of_a_file_bakes_beside_it_and_not_over_it(baked, tmp_path):
-    _, hand, _ = baked
-    first = bake_folders.bake_folder(hand)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot 2.blend"))
-    assert bpy.ops.jghand.bake() == {"FINISHED"}
-    assert bakes.read_bake(first)
-    assert bake_folders.bake_folder(bpy.context.object).parent.name == f"{first.parent.name}_2"
-
-
 def test_files_of_one_folder_bake_and_export_into_folders_of_their_own(extension, tmp_path):
     settings = extension.scene.jghand.output
     for name in ("one", "two"):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
         for folder in (settings.bake_folder, settings.folder):
-            assert output.ops_common.place(bpy.context, folder).name == name
+            assert ops_common.place(bpy.context, folder).name == name
 
 
 def test_an_engine_that_exported_another_motion_has_failed(extension, engine, tmp_path, monkeypatch):
     a_hand(extension)
     settings = extension.scene.jghand.output
     settings.format, settings.folder = "ply", str(tmp_path)
-    monkeypatch.setattr(record.Recording, "digest", "another")
+    monkeypatch.setattr(ops_common.Recording, "digest", "another")
     with pytest.raises(RuntimeError, match="other joints"):
         bpy.ops.jghand.export()
 
@@ -484,7 +435,7 @@ def test_the_log_of_a_job_is_one_text(extension, engine, tmp_path):
     with pytest.raises(RuntimeError):
         bpy.ops.jghand.export()
     for _ in range(2):
-        bpy.ops.jghand.show_job_log(key=job_watch.OUTPUT)
+        bpy.ops.jghand.show_job_log(key=runtime.OUTPUT)
     assert len([text for text in bpy.data.texts if text.name.startswith("JGHand")]) == 1
 
 
@@ -556,7 +507,7 @@ def positions(path):
 same = bool((positions(whole) == positions(bake)).all())
 json.dump({"same": same, "found": [str(one) for one in check_usd(whole)]}, open(report, "w"))
 """
-    folder = bake_folders.bake_folder(hand)
+    folder = bakes.folder_of(hand)
     for name in ("whole.usdc", "whole.usdz"):
         (tmp_path / "out").mkdir(exist_ok=True)
         path, report = tmp_path / "out" / name, tmp_path / "report.json"
@@ -578,7 +529,7 @@ def test_a_scene_in_centimeters_is_baked_played_and_exported_in_its_own_unit(ext
     extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
     assert bpy.ops.jghand.bake() == {"FINISHED"}
     bpy.ops.jghand.play_bake()
-    (cloud,) = baked_points.playing(extension.scene, bake_folders.bake_folder(hand))
+    (cloud,) = bakes.playing(extension.scene, bakes.folder_of(hand))
     extension.scene.frame_set(3)
     wrist = np.array(hand.matrix_world @ hand.pose.bones["wrist"].head)
     size = np.ptp(cloud_positions(extension, cloud), axis=0).max()
@@ -605,12 +556,12 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
     settings.bake_folder, settings.hands = str(tmp_path / "bakes"), "all"
     assert bpy.ops.jghand.bake() == {"FINISHED"}
     folder = Path(rig.jghand.bake)
-    assert folder.parent.name == "Body"
+    assert folder.name == "Body"
     assert [hand.handedness for hand in bakes.read_bake(folder)] == ["right", "left"]
     extension.view_layer.objects.active = rig
     assert bpy.ops.jghand.check_bake() == {"FINISHED"}
     assert bpy.ops.jghand.play_bake() == {"FINISHED"}
-    for cloud, side in zip(baked_points.playing(extension.scene, folder), ("right", "left"), strict=True):
+    for cloud, side in zip(bakes.playing(extension.scene, folder), ("right", "left"), strict=True):
         far = np.linalg.norm(cloud_positions(extension, cloud) - joints[side][9], axis=1).min()
         assert far < 0.03, f"{cloud.name} is not the {side} hand"
     assert bpy.ops.jghand.export_scene_usd(filepath=str(tmp_path / "whole.usdc")) == {"FINISHED"}

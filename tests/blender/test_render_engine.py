@@ -171,7 +171,7 @@ def test_a_keyed_world_is_that_of_each_frame_however_it_is_rendered(scene, tmp_p
         encoded = 12.92 * gray if gray <= 0.0031308 else 1.055 * gray ** (1 / 2.4) - 0.055
         behind = np.median(pixels(tmp_path / f"animation_{frame:04d}.png")[..., :3])
         assert behind == pytest.approx(encoded, abs=0.6 / 255)
-    monkeypatch.setattr(command, "engine_command", lambda *_, **__: stand_in_command)
+    monkeypatch.setattr(runtime, "engine_command", lambda *_, **__: stand_in_command)
     assert command.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / "batch")]) == 0
     runtime.use_link(EngineLink(lambda: stand_in_command))  # a run ends the link it used
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "hand.blend"))
@@ -524,16 +524,15 @@ def refused_once(scene: bpy.types.Scene, words: str) -> None:
     assert not list(Path(scene.render.filepath).parent.glob("*.png"))
 
 
-def test_a_picture_that_takes_too_long_fails_the_render(scene, stand_in_command):
+def test_a_picture_that_takes_too_long_fails_the_render(scene, stand_in_command, monkeypatch):
     before = runtime.link()
     slow = EngineLink(lambda: [*stand_in_command, "slow"])
     runtime._link = slow
-    runtime.use_render_timeout(0.2)
+    monkeypatch.setattr(limits, "REQUEST_S", 0.2)
     try:
         refused_once(scene, "does not answer in time")
     finally:
         runtime._link = before
-        runtime.use_render_timeout(None)
         slow.close()
 
 
@@ -550,7 +549,7 @@ def test_an_animation_and_a_batch_run_write_the_same_bytes(scene, tmp_path, monk
     scene.render.filepath = str(tmp_path / "animation_")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hand.blend"))
     bpy.ops.render.render(animation=True)
-    monkeypatch.setattr(command, "engine_command", lambda *_, **__: stand_in_command)
+    monkeypatch.setattr(runtime, "engine_command", lambda *_, **__: stand_in_command)
     for run in ("one", "two"):
         assert command.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / run)]) == 0
     runtime.use_link(EngineLink(lambda: stand_in_command))  # a run ends the link it used

@@ -13,7 +13,12 @@ import pytest
 
 SAVED = Path(__file__).with_name("saved_by_0_1_0.blend")
 # settings of version 0.1.0 that this version does not have, and why
-GONE = {"scene.output.use_cache": "a bake is played by Blender's own USD reader alone"}
+GONE = {
+    "scene.output.use_cache": "a bake is played by Blender's own USD reader alone",
+    "scene.output.replace_others": "a click is asked about what it overwrites",
+    "hand.bake_id": "a bake lies in the folder of its hand's name",
+    "scene.training.overwrite": "a click is asked about what it overwrites",
+}
 
 
 @pytest.fixture

@@ -16,8 +16,7 @@ from blender_addon import clock
 from blender_addon.core import cropping, limits, pacing, posing
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, seen_hands
-from blender_addon.render import camera, composite, rendering
-from blender_addon.render.engine_name import ENGINE
+from blender_addon.render import ENGINE, camera, composite, rendering
 from blender_addon.renderer import runtime
 from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers, overlay, views

@@ -10,7 +10,7 @@ import pytest
 from blender_addon import clock, ui
 from blender_addon.core import limits
 from blender_addon.hand import poses as pose_library
-from blender_addon.renderer import job_watch, runtime
+from blender_addon.renderer import runtime
 
 
 @pytest.fixture(autouse=True)
@@ -26,8 +26,8 @@ def test_the_watch_of_jobs_goes_on_after_a_mistake_which_is_told_once(context, m
     def mistaken():
         raise RuntimeError("a mistake")
 
-    monkeypatch.setattr(runtime, "jobs", mistaken)
-    assert [job_watch._tick() for _ in range(3)] == [limits.JOB_LOOK_S] * 3
+    monkeypatch.setattr(runtime, "_jobs", SimpleNamespace(tick=mistaken))
+    assert [runtime._tick() for _ in range(3)] == [limits.JOB_LOOK_S] * 3
     assert [str(error) for error in told] == ["a mistake"]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -16,14 +15,13 @@ import bpy
 import pytest
 from recording_layout import draw
 
-from blender_addon.export import bake_folders
+from blender_addon.export import bakes
 from blender_addon.export import panel as output
 from blender_addon.export.properties import IDENTITIES
 from blender_addon.hand import avatar_files, seen_hands
 from blender_addon.hand import panel as hand_panel
-from blender_addon.renderer import job_watch, runtime
-from blender_addon.renderer.job_state import Phase
-from blender_addon.renderer.jobs import Job
+from blender_addon.renderer import runtime
+from blender_addon.renderer.jobs import Job, JobTable, Phase
 from blender_addon.train import panel as training
 from blender_addon.train.ops import LoadAvatar, Train
 
@@ -37,8 +35,9 @@ def place(extension, tmp_path, monkeypatch):
     """A saved file beside a folder of pictures; jobs are the stand-in, which counts until it is stopped, and operators
     return when they have started it, as with a window."""
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "long"))
-    monkeypatch.setattr(job_watch, "timers_fire", lambda: True)
-    monkeypatch.setattr(job_watch, "start", lambda: None)
+    monkeypatch.setattr(runtime, "timers_fire", lambda: True)
+    monkeypatch.setattr(runtime, "watch_jobs", lambda: None)
+    monkeypatch.setattr(runtime, "_jobs", JobTable())
     monkeypatch.setattr(training, "preferences", lambda: SimpleNamespace(show_training=True))
     (tmp_path / "pictures").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
@@ -46,8 +45,6 @@ def place(extension, tmp_path, monkeypatch):
     yield tmp_path
     for job in runtime.jobs().running:
         job.kill()
-    for key in (job_watch.TRAINING, job_watch.CAPTURE, job_watch.OUTPUT):
-        runtime.jobs().forget(key)
 
 
 def running(key: str) -> Job:
@@ -73,26 +70,21 @@ def operators_of(panel) -> list[str]:
 # ---- training --------------------------------------------------------------------------------------------------------
 
 
-def test_a_training_goes_on_while_another_file_is_opened_and_is_paused_and_resumed(place):
+def test_a_training_goes_on_while_another_file_is_opened_and_can_be_paused(place):
     assert bpy.ops.jghand.train() == {"FINISHED"}
-    job = running(job_watch.TRAINING)
+    job = running(runtime.TRAINING)
     assert job.spec.folder == place / "my_hand.training"
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert job.tick() or job.state.phase is Phase.RUNNING
-    assert runtime.jobs().get(job_watch.TRAINING) is job
-    assert bpy.ops.jghand.pause_training() == {"FINISHED"}
-    assert job.wait(LONG_S)
-    assert job.state.phase is Phase.PAUSED
-    assert bpy.ops.jghand.resume_training() == {"FINISHED"}
-    running(job_watch.TRAINING)
-    assert bpy.ops.jghand.cancel_job(key=job_watch.TRAINING) == {"FINISHED"}
+    assert runtime.jobs().get(runtime.TRAINING) is job
+    assert bpy.ops.jghand.cancel_job(key=runtime.TRAINING) == {"FINISHED"}
     assert job.wait(LONG_S)
     assert job.state.phase is Phase.CANCELLED
 
 
 def test_only_one_training_runs_at_a_time(place):
     bpy.ops.jghand.train()
-    running(job_watch.TRAINING)
+    running(runtime.TRAINING)
     with pytest.raises(RuntimeError, match="running already"):
         bpy.ops.jghand.train()
 
@@ -109,18 +101,19 @@ def test_what_cannot_be_trained_is_told_before_anything_starts(place, name, valu
     setattr(bpy.context.scene.jghand.training, name, value)
     with pytest.raises(RuntimeError, match=told):
         bpy.ops.jghand.train()
-    assert runtime.jobs().get(job_watch.TRAINING) is None
+    assert runtime.jobs().get(runtime.TRAINING) is None
 
 
 def test_the_panel_offers_what_can_be_done_with_the_training(place):
     assert "jghand.train" in operators_of(training.TrainPanel)
     bpy.ops.jghand.train()
-    job = running(job_watch.TRAINING)
+    job = running(runtime.TRAINING)
     assert "Counting" in text_of(training.TrainPanel)
-    assert {"jghand.pause_training", "jghand.cancel_job"} <= set(operators_of(training.TrainPanel))
-    job.pause()
+    assert "jghand.train" not in operators_of(training.TrainPanel)
+    a_training(place)
+    job.cancel()
     job.wait(LONG_S)
-    assert "jghand.resume_training" in operators_of(training.TrainPanel)
+    assert operators_of(training.TrainPanel).count("jghand.train") == 2, "resume, and restart"
 
 
 def test_a_training_of_an_earlier_day_can_go_on(place):
@@ -133,13 +126,13 @@ def test_a_training_of_an_earlier_day_can_go_on(place):
     assert seen.operators.count("jghand.train") == 2, "go on, and start anew"
     assert "step 5, loss 0.5000, fixed view 20.00 dB (best 20.00)" in " ".join(seen.texts)
     assert bpy.ops.jghand.train(start="resume") == {"FINISHED"}
-    assert "--resume" in running(job_watch.TRAINING).spec.command
+    assert "--resume" in running(runtime.TRAINING).spec.command
 
 
 def test_a_failed_job_says_why_until_the_next_one(place, monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "disk full"))
     bpy.ops.jghand.train()
-    job = runtime.jobs().get(job_watch.TRAINING)
+    job = runtime.jobs().get(runtime.TRAINING)
     assert job.wait(LONG_S)
     text = text_of(training.TrainPanel)
     assert "The disk is full" in text
@@ -156,26 +149,23 @@ def a_training(place: Path, name: str = "my_hand") -> Path:
     return work
 
 
-def pressed(start: str) -> list[str]:
-    """What the button asks before it does anything."""
-    asked = []
-    manager = SimpleNamespace(invoke_confirm=lambda *_, message, **__: asked.append(message) or {"RUNNING_MODAL"})
-    operator = SimpleNamespace(start=start)
-    operator._lost = lambda context: Train._lost(operator, context)
-    context = SimpleNamespace(scene=bpy.context.scene, blend_data=bpy.data, window_manager=manager)
-    assert Train.invoke(operator, context, None) == {"RUNNING_MODAL"}
-    return asked
+def overwritten(start: str) -> str:
+    """What the button is asked about before it does anything."""
+    return Train.overwritten(SimpleNamespace(start=start), bpy.context)
 
 
-def test_a_training_is_not_thrown_away_by_one_click(place):
+def test_a_training_and_an_avatars_file_are_not_thrown_away_by_one_click(place):
+    assert overwritten("new") == overwritten("fresh") == ""
+    (place / "my_hand.jghand").write_bytes(b"somebody's")
+    assert overwritten("new") == f"{place / 'my_hand.jghand'} is replaced."
     a_training(place)
-    assert pressed("fresh") == ["The training in my_hand.training is lost: 5 steps, fixed view 20.00 dB."]
-    assert runtime.jobs().get(job_watch.TRAINING) is None
+    assert overwritten("fresh") == "The training in my_hand.training is lost: 5 steps, fixed view 20.00 dB."
+    assert overwritten("resume") == ""
 
 
 def test_the_panel_shows_the_training_that_its_buttons_act_on(place):
     bpy.ops.jghand.train()
-    job = running(job_watch.TRAINING)
+    job = running(runtime.TRAINING)
     a_training(place, "other")
     settings = bpy.context.scene.jghand.training
     settings.avatar_file = "//other.jghand"
@@ -187,16 +177,6 @@ def test_the_panel_shows_the_training_that_its_buttons_act_on(place):
     assert seen.operators.count("jghand.train") == 2
 
 
-def test_overwriting_is_offered_where_a_file_is_in_the_way(place):
-    work, file = a_training(place), place / "my_hand.jghand"
-    offered = "Overwrite"
-    assert offered not in text_of(training.TrainPanel)
-    file.write_bytes(b"somebody's")
-    assert offered in text_of(training.TrainPanel)
-    (work / "output.json").write_text(json.dumps({"sha256": [hashlib.sha256(b"somebody's").hexdigest()]}))
-    assert offered not in text_of(training.TrainPanel), "it is of this training"
-
-
 # ---- training set ----------------------------------------------------------------------------------------------------
 
 
@@ -204,7 +184,7 @@ def test_a_training_set_is_asked_for_in_the_engines_words(place):
     settings = bpy.context.scene.jghand.training
     settings.identity, settings.cameras, settings.poses, settings.size = "child", 4, 7, (64, 96)
     assert bpy.ops.jghand.render_training_set() == {"FINISHED"}
-    words = " ".join(running(job_watch.CAPTURE).spec.command)
+    words = " ".join(running(runtime.CAPTURE).spec.command)
     assert f"capture --out {place / 'pictures'} --identity child --cameras 4 --poses 7 --size 64x96" in words
 
 
@@ -215,7 +195,7 @@ def test_the_poses_of_a_training_set_may_be_those_of_a_hand(place):
     bpy.ops.jghand.add_hand(handedness="left")
     bpy.context.scene.frame_end = 3
     assert bpy.ops.jghand.render_training_set() == {"FINISHED"}
-    words = running(job_watch.CAPTURE).spec.command
+    words = running(runtime.CAPTURE).spec.command
     assert Path(words[words.index("--motion") + 1]).is_file()
 
 
@@ -269,7 +249,7 @@ def test_the_avatar_of_a_hand_from_another_file_lies_beside_that_file(library, h
     if how == "overridden":
         hand = hand.override_create(remap_local_usages=True)
     assert Path(seen_hands.avatar_of(hand)).resolve() == library / "ana.jghand"
-    assert bake_folders.bake_folder(hand).resolve() == library / "bakes" / "Lent" / "v0001"
+    assert bakes.folder_of(hand).resolve() == library / "bakes" / "Lent" / "v0001"
 
 
 def test_the_own_avatar_of_an_overridden_hand_lies_beside_the_opened_file(library):
@@ -329,11 +309,10 @@ import bpy
 import blender_addon
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import JobSpec
-from pathlib import Path
 bpy.ops.wm.read_factory_settings(use_empty=True)
 blender_addon.register()
 words = (sys.executable, "-I", {str(STAND_IN)!r}, "long", {"file=" + str(tmp_path / "checkpoint")!r})
-job = runtime.jobs().start("training", JobSpec("training", "Training", words, Path(), resume=words))
+job = runtime.jobs().start("training", JobSpec("Training", words))
 while not job.state.total:
     job.tick()
     time.sleep(0.02)

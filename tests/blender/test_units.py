@@ -12,8 +12,9 @@ import pytest
 
 from blender_addon.export import panel as output
 from blender_addon.export.recording import SizeEstimate, Written
+from blender_addon.renderer import panel as status
 from blender_addon.renderer import runtime
-from blender_addon.renderer.job_state import JobState
+from blender_addon.renderer.jobs import JobState
 from blender_addon.train import ops as training
 from blender_addon.train import panel as training_panel
 from blender_addon.train.training_folder import Curve, TrainingFolder
@@ -45,17 +46,18 @@ def test_the_engine_is_told_the_minutes_of_a_training(extension, tmp_path, monke
     for time_s, minutes in ((None, "60"), (5400.0, "90"), (30.0, "0.5")):
         if time_s is not None:
             settings.time_s = time_s
-        command = training.Train.job(SimpleNamespace(start="new"), extension, []).command
+        command = training.Train.job(SimpleNamespace(start="new", confirmed=False), extension, []).command
         assert command[command.index("--minutes") + 1] == minutes
 
 
 def test_panels_translate_what_core_says(extension, monkeypatch):
     words = []
-    monkeypatch.setattr(output, "iface_", lambda text: words.append(text) or text)
+    for panel in (output, status):
+        monkeypatch.setattr(panel, "iface_", lambda text: words.append(text) or text)
     state = JobState(text="Baking", done=34, total=240, eta_s=12)
     job = SimpleNamespace(state=state, is_over=False, silent_s=0.0)
     monkeypatch.setattr(runtime, "jobs", lambda: {"output": job})
-    output.draw_job(MagicMock(), extension, "output")
+    status.draw_job(MagicMock(), extension, "output")
     assert {"Baking", "{text} {done} of {total}", "{text} · {time} left"} <= set(words)
     monkeypatch.setattr(output, "kept", lambda *_: SizeEstimate(1000, None))
     output._draw_estimate(MagicMock(), extension, "", Written())

@@ -9,7 +9,7 @@ pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 from blender_addon import versions
 from blender_addon.core import limits
 from blender_addon.export import properties as output_settings
-from blender_addon.renderer.engine_words import USD_PRESETS
+from blender_addon.export.recording import USD_PRESETS
 
 
 @pytest.mark.parametrize("program", USD_PRESETS)

@@ -60,7 +60,7 @@ def step_a_picture_without_hands_says_so(window):
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     yield from window.point_at_view()
     yield from window.key("F12")
-    yield lambda: window.module("render.left_out").was_said(scene)
+    yield lambda: window.module("render.rendering").was_said(scene)
     yield 1.0
     window.picture("without_hands")
     yield from window.key("Escape")

@@ -1,0 +1,101 @@
+"""A bake knows what it was made from, and takes the place of the one before and of nothing else."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
+
+from blender_addon.core.posing import rest_joints_m
+from blender_addon.errors import JGHandFailure
+from blender_addon.export import bakes
+from blender_addon.export.recording import Recording
+
+
+def a_recording(name: str = "Hand") -> Recording:
+    joints = np.tile(rest_joints_m("right"), (3, 1, 1)) + 0.01 * np.arange(3)[:, None, None]
+    return Recording(name, "right", "builtin", joints, first_frame=7, fps=24.0)
+
+
+def a_bake(folder: Path, recording: Recording) -> list[bakes.BakedHand]:
+    """As a job leaves it, and put into its place."""
+    made = folder.with_name(f".{folder.name}.made")
+    made.mkdir()
+    recording.save(made / f"{recording.name}.npz")
+    (made / f"{recording.name}.usda").write_text("#usda 1.0\n")
+    (made / f"{recording.name}.splats.usdc").touch()
+    made_from = {"engine_version": "0.1.0", "joints_sha256": recording.digest}
+    (made / f"{recording.name}.json").write_text(json.dumps({"gaussians": 9, "made_from": made_from}))
+    bakes.put_in_place(made, folder, [recording])
+    made.rmdir()
+    return bakes.read_bake(folder)
+
+
+def test_a_bake_knows_what_it_was_made_from(tmp_path):
+    recording = a_recording()
+    (hand,) = a_bake(tmp_path / "bake", recording)
+    assert (hand.first_frame, hand.last_frame, hand.fps, hand.gaussians) == (7, 9, 24.0, 9)
+    assert bakes.stale_reasons(hand, recording=recording) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"first_frame": 8}, "frames"),
+        ({"fps": 25.0}, "frame rate"),
+        ({"joints_m": a_recording().joints_m + 1e-6}, "moves"),
+        ({"avatar": "painted"}, "avatar"),
+    ],
+)
+def test_a_bake_of_something_else_is_stale(tmp_path, change, word):
+    recording = a_recording()
+    (hand,) = a_bake(tmp_path / "bake", recording)
+    (reason,) = bakes.stale_reasons(hand, recording=replace(recording, **change))
+    assert word in reason
+
+
+def test_the_next_bake_takes_the_place_of_this_one_and_of_no_other_file(tmp_path):
+    folder = tmp_path / "bake"
+    a_bake(folder, a_recording("Hand"))
+    for name in ("notes.txt", "Hand.txt", "other.usda"):
+        (folder / name).write_text("mine")
+    a_bake(folder, a_recording("Renamed"))
+    assert sorted(path.name for path in folder.iterdir()) == [
+        *("Hand.txt", "Renamed.json", "Renamed.npz", "Renamed.splats.usdc", "Renamed.usda"),
+        *("bake.json", "notes.txt", "other.usda"),
+    ]
+
+
+def test_an_engine_that_wrote_another_motion_makes_no_bake(tmp_path):
+    recording = a_recording()
+    made = tmp_path / "made"
+    made.mkdir()
+    (made / "Hand.json").write_text(json.dumps({"made_from": {"joints_sha256": recording.digest}}))
+    with pytest.raises(JGHandFailure, match="other joints"):
+        bakes.put_in_place(made, tmp_path / "bake", [replace(recording, joints_m=recording.joints_m + 1)])
+    assert not (tmp_path / "bake").exists()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: "",
+        lambda content: "[]",
+        lambda content: content.replace('"Hand"', '"../../Hand"'),
+        lambda content: content.replace('"version": 1', '"version": 2'),
+        lambda content: content.replace('"frames": 3', '"frames": "x"'),
+        lambda content: content.replace('"fps"', '"f"'),
+    ],
+)
+def test_a_damaged_stamp_is_no_bake(tmp_path, damage):
+    a_bake(tmp_path / "bake", a_recording())
+    stamp = tmp_path / "bake" / bakes.STAMP
+    stamp.write_text(damage(stamp.read_text()))
+    with pytest.raises(JGHandFailure) as caught:
+        bakes.read_bake(tmp_path / "bake")
+    assert caught.value.kind == "no_bake"
