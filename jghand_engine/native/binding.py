@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError, RetryError
 
-ABI = 6
+ABI = 7
 
 _P, _I32 = ctypes.c_void_p, ctypes.c_int32
 
@@ -35,6 +35,9 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_ssim": (None, (_P, _P)),
     "jg_enlarge_task_bytes": (_I32, ()),
     "jg_enlarge": (None, (_P, _P)),
+    "jg_mean_task_bytes": (_I32, ()),
+    "jg_mean_add": (None, (_P, _P)),
+    "jg_mean_finish": (None, (_P, _P)),
     "jg_team_bytes": (_I32, ()),
     "jg_raster_job_bytes": (_I32, ()),
     "jg_raster_forward": (None, (_P,)),

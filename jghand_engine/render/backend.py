@@ -19,6 +19,7 @@ from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
+from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
 from jghand_engine.render.report import FrameReport
@@ -133,6 +134,10 @@ class Backend:
         report.visible_gaussians = self._rasterizer.visible
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
         return rgba, depth_m
+
+    def mean(self, width: int, height: int) -> LinearMean:
+        """A mean of images of that size, empty."""
+        return LinearMean(self._library, self.threads, width, height)
 
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
         """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""

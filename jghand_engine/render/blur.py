@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM
-from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.rotations import slerp_rotation
 from jghand_engine.hand.sequence import pose_between
 from jghand_engine.native import contract
+from jghand_engine.native.binding import Library
+from jghand_engine.native.mean import NativeMean
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.image import Box, Image, mean_depth
+from jghand_engine.render.image import Box, Image
 from jghand_engine.render.shadow import vogel_disc
 
 # what may be missing from an image that moves, or is out of focus, as a part of the contrast; more exposures cost more
@@ -220,39 +221,20 @@ def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
 
 
 class LinearMean:
-    """The mean of images of one size in linear light, with weights that sum to 1. Where there is nothing nothing is
-    computed."""
+    """The mean of images of one size in linear light, with weights that sum to 1."""
 
-    def __init__(self, width: int, height: int) -> None:
-        self._box = Box(0, 0, width, height)
-        self._sum = np.zeros((height, width, 4), np.float32)
-        self._depth_sum, self._depth_weight = np.zeros((2, height, width), np.float32)
+    def __init__(self, library: Library, threads: int, width: int, height: int) -> None:
+        self._box, self._mean = Box(0, 0, width, height), NativeMean(library, threads, width, height)
         self._weights: np.ndarray | None = None
 
     def add(self, image: Image, weight: float) -> None:
         """Adds an image."""
-        part = image.box.slices
-        covered = image.rgba[..., 3] > 0
-        values = image.rgba[covered]
-        alpha = values[:, 3:].copy()
-        if image.depth_m is not None:
-            depth_m = image.depth_m[covered]
-            counts = np.float32(weight) * alpha[:, 0] * (depth_m > 0)
-            self._depth_sum[part][covered] += counts * depth_m
-            self._depth_weight[part][covered] += counts
-        values[:, :3] = srgb_to_linear(values[:, :3] / alpha) * alpha
-        self._sum[part][covered] += np.float32(weight) * values
+        self._mean.add(image.rgba, image.depth_m, image.box.left, image.box.top, weight)
         if image.weights is not None:
             if self._weights is None:
-                self._weights = np.zeros((*self._sum.shape[:2], image.weights.shape[2]), np.float32)
-            self._weights[part] += np.float32(weight) * image.weights
+                self._weights = np.zeros((self._box.height, self._box.width, image.weights.shape[2]), np.float32)
+            self._weights[image.box.slices] += np.float32(weight) * image.weights
 
     def image(self) -> Image:
         """The mean, display-referred as the images were. Its depth is the mean of all that covers a pixel."""
-        covered = self._sum[..., 3] > 0
-        values = self._sum[covered]
-        alpha = values[:, 3:].copy()
-        values[:, :3] = linear_to_srgb(values[:, :3] / alpha) * alpha
-        rgba = np.zeros_like(self._sum)
-        rgba[covered] = values
-        return Image(self._box, rgba, mean_depth(self._depth_sum, self._depth_weight), self._weights)
+        return Image(self._box, *self._mean.finish(), self._weights)

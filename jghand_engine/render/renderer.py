@@ -28,7 +28,6 @@ from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.rasterizer import check_image_size
 from jghand_engine.render.backend import Backend, Canvas, Pose
 from jghand_engine.render.blur import (
-    LinearMean,
     Moment,
     Shutter,
     check_moments,
@@ -154,7 +153,7 @@ class SceneRenderer:
         if plan.exposures == 1:
             drawn = self._draw(shot, replace(camera, lens=None), plan, report, check_canceled)
         else:
-            mean = LinearMean(camera.width, camera.height)
+            mean = self._backend.mean(camera.width, camera.height)
             for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
                 shot = self._pose(moment_m, report)
                 mean.add(self._draw(shot, pinhole, plan, report, check_canceled), 1 / plan.exposures)
@@ -193,7 +192,7 @@ class SceneRenderer:
             check_canceled()
             frame = self.render(center.joints_m, sharp, check_canceled=check_canceled)
             return frame, frame.depth_m
-        mean, reports, whole = LinearMean(sharp.width, sharp.height), [], Box(0, 0, sharp.width, sharp.height)
+        mean, reports, whole = self._backend.mean(sharp.width, sharp.height), [], Box(0, 0, sharp.width, sharp.height)
         for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
             for pinhole in pinholes(moment.camera, index, each, len(seen)):
                 check_canceled()
@@ -292,7 +291,7 @@ class SceneRenderer:
             drawn.append((large.averaged_down(plan.enlarged), 1 - plan.plain))
         if len(drawn) == 1:
             return drawn[0][0]
-        mean = LinearMean(camera.width, camera.height)
+        mean = self._backend.mean(camera.width, camera.height)
         for one, weight in drawn:
             mean.add(one, weight)
         return mean.image()
