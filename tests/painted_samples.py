@@ -45,7 +45,6 @@ def sample_of(picture: Path, camera: Camera, joints_m: np.ndarray, *, frame: int
         picture=picture,
         camera=camera,
         joints_m=joints_m,
-        valid=np.ones(21, bool),
         handedness=Handedness.RIGHT,
         capture="painted",
         sequence="poses",

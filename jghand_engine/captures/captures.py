@@ -1,20 +1,17 @@
-"""A capture: the pictures of one hand that belong together, from whatever data set."""
+"""A capture: the images of one hand that belong together, from whatever data set."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-
-Key = TypeVar("Key")
 
 
 class Layout(StrEnum):
@@ -26,14 +23,13 @@ class Layout(StrEnum):
 
 @dataclass(frozen=True)
 class CaptureChoice:
-    """Which pictures of a data set are wanted; None: all, or the only ones that there are.
+    """Which images of a data set are wanted; None: all, or the only ones that there are.
 
     split:       'train', 'val' or 'test' of InterHand2.6M
     capture:     one person's folder of InterHand2.6M, such as 'Capture0'
     sequences:   names of sequences, such as 'ROM04_RT_Occlusion', or '0191' of HanCo
     handedness:  needed only where both hands were recorded
-    interacting: take pictures that show both hands too; their mask is the projected template
-    partial:     take pictures with joints that are not known; they cannot be posed
+    interacting: take images that show both hands too; their mask is the projected template
     """
 
     split: str | None = None
@@ -41,21 +37,20 @@ class CaptureChoice:
     sequences: tuple[str, ...] | None = None
     handedness: Handedness | None = None
     interacting: bool = False
-    partial: bool = False
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Pictures of one hand.
+    """Images of one hand.
 
     name:       what to call it: the folder, and what of it was chosen
     folder:     where the data set lies
     layout:     how it is arranged
-    samples:    the pictures, sorted by sequence, frame and camera
+    samples:    the images, sorted by sequence, frame and camera
     handedness: of all samples
     protocol:   the name of the protocol by which they were chosen, or None
     train_sequences, test_sequences: what that protocol learns from and shows; empty: the split is found otherwise
-    dropped:    why pictures of the choice were left out, with their number
+    dropped:    why images of the choice were left out, with their number
     notes:      what a user should know, as sentences
     """
 
@@ -75,7 +70,7 @@ class Capture:
             reasons = "; ".join(f"{why}: {count}" for why, count in self.dropped)
             raise InputError(
                 f"capture {self.name} in {self.folder}",
-                wanted="at least one picture that can be used",
+                wanted="at least one image that can be used",
                 came=f"none ({reasons})" if reasons else "none",
                 remedy="Choose another sequence, capture or hand.",
             )
@@ -91,7 +86,7 @@ class Capture:
     @property
     def cameras(self) -> tuple[str, ...]:
         """Names of the cameras, sorted."""
-        return tuple(self.by_camera())
+        return tuple(sorted({sample.camera_name for sample in self.samples}))
 
     @property
     def sequences(self) -> tuple[str, ...]:
@@ -99,29 +94,21 @@ class Capture:
         return tuple(sorted({sample.sequence for sample in self.samples}))
 
     def by_pose(self) -> dict[tuple[str, int], tuple[Sample, ...]]:
-        """The pictures of each pose: the same hand at the same moment, seen by several cameras."""
-        return _grouped(self.samples, lambda sample: sample.pose)
-
-    def by_camera(self) -> dict[str, tuple[Sample, ...]]:
-        """The pictures of each camera."""
-        return _grouped(self.samples, lambda sample: sample.camera_name)
+        """The images of each pose, sorted: the same hand at the same moment, seen by several cameras."""
+        groups: dict[tuple[str, int], list[Sample]] = {}
+        for sample in self.samples:
+            groups.setdefault(sample.pose, []).append(sample)
+        return {pose: tuple(groups[pose]) for pose in sorted(groups)}
 
     def joints_m(self) -> np.ndarray:
-        """(P, 21, 3) joints of every pose, level order, world, meters, in the order of `poses`; NaN: not known."""
+        """(P, 21, 3) joints of every pose, level order, world, meters, in the order of `poses`."""
         return np.stack([group[0].joints_m for group in self.by_pose().values()])
 
     def only(self, samples: Iterable[Sample]) -> Capture:
-        """The same capture with these pictures alone."""
+        """The same capture with these images alone."""
         return replace(self, samples=tuple(samples))
 
 
 def sorted_samples(samples: Iterable[Sample]) -> tuple[Sample, ...]:
     """In the order of sequence, frame and camera: the same on every machine."""
     return tuple(sorted(samples, key=lambda sample: (sample.sequence, sample.frame, sample.camera_name)))
-
-
-def _grouped(samples: Sequence[Sample], key: Callable[[Sample], Key]) -> dict[Key, tuple[Sample, ...]]:
-    groups: dict[Key, list[Sample]] = {}
-    for sample in samples:
-        groups.setdefault(key(sample), []).append(sample)
-    return {name: tuple(groups[name]) for name in sorted(groups)}  # type: ignore[type-var]

@@ -119,7 +119,7 @@ def facts(report: DataReport) -> dict[str, Any]:
         "sizes": ", ".join(f"{w} x {h} ({count})" for (w, h), count in sizes.items()),
         "masks": ", ".join(f"{source} ({count})" for source, count in masks.items()),
         "left out": ", ".join(f"{why} ({count})" for why, count in capture.dropped) or "none",
-        "hand length mm": round(1e3 * _hand_length_m(capture), 1),
+        "hand length mm": round(1e3 * hand_length(capture.joints_m()), 1),
         "bone lengths vary by %": round(100 * _bone_wobble(capture), 2),
         "pictures looked at": len(report.seen),
     }
@@ -210,20 +210,9 @@ def _on_split(capture: Capture) -> list[Finding]:
     return [] if split.test else [Finding(False, f"Nothing is held out to be judged by ({split.origin}).")]
 
 
-def _hand_length_m(capture: Capture) -> float:
-    try:
-        return hand_length(capture.joints_m())
-    except InputError:
-        return float("nan")
-
-
 def _bone_wobble(capture: Capture) -> float:
-    """Largest standard deviation of a bone's length over the poses, as a part of its mean; 0 without whole poses."""
-    joints_m = capture.joints_m()
-    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
-    if len(whole) < 2:
-        return 0.0
-    lengths = bone_lengths(whole)
+    """Largest standard deviation of a bone's length over the poses, as a part of its mean."""
+    lengths = bone_lengths(capture.joints_m())
     return float((lengths.std(axis=0) / np.maximum(lengths.mean(axis=0), 1e-9)).max())
 
 

@@ -177,7 +177,6 @@ class _Reader:
             picture=self.pictures / name,
             camera=camera,
             joints_m=joints_m,
-            valid=np.ones(JOINT_COUNT, dtype=bool),
             handedness=self.handedness,
             capture=self.root.name,
             sequence=sequence,

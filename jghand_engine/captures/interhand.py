@@ -48,7 +48,7 @@ def read_interhand(
 
     The head of every picture is read: InputError names the first that is missing, cut off or of another size than
     annotated. InputError too for damaged annotations, when the choice leaves more than one person or hand, and for
-    joints that are no hand. Pictures without all 21 joints are left out unless the choice takes them.
+    joints that are no hand. Images without all 21 joints are left out.
 
     drop_rule: leaves more out, beside what has no MANO fit or no mask where the set has those of others
     report:    is told of broken pictures and implausible joints instead of the error, and the reading goes on
@@ -154,8 +154,8 @@ class _Reader:
             return None, "both hands" if picture.hand_type == INTERACTING else f"{picture.hand_type} hand"
         if not picture.hand_type_valid:
             return None, "not sure which hand it is"
-        joints_m, valid = tables.joints(picture, handedness)
-        if not valid.all() and not self.choice.partial:
+        joints_m = tables.joints(picture, handedness)
+        if joints_m is None:
             return None, "not all 21 joints known"
         if self.drop_rule and tables.has_fit(picture, handedness) is False:
             return None, "no MANO fit"
@@ -168,7 +168,6 @@ class _Reader:
             picture=file,
             camera=tables.camera(picture),
             joints_m=joints_m,
-            valid=valid,
             handedness=handedness,
             capture=f"{self.files.split}/Capture{picture.capture}",
             sequence=picture.sequence,

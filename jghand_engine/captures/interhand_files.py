@@ -228,8 +228,8 @@ class CaptureTables:
         self._has_fits = files.mano is not None
         self._made: dict[tuple[str, int, int], Camera] = {}
 
-    def joints(self, picture: InterHandPicture, handedness: Handedness) -> tuple[np.ndarray, np.ndarray]:
-        """(21, 3) level order, world, meters, NaN where not known; (21,) bool, which are known."""
+    def joints(self, picture: InterHandPicture, handedness: Handedness) -> np.ndarray | None:
+        """(21, 3) level order, world, meters; None unless all are known."""
         entry = self._joints.needed(str(picture.frame))
         first = _FIRST_JOINT[handedness]
         hand = slice(first, first + JOINT_COUNT)
@@ -237,12 +237,11 @@ class CaptureTables:
         known = picture.joint_valid
         if "joint_valid" in entry.fields:
             known = known & (entry.array("joint_valid", (2 * JOINT_COUNT,)) > 0)
-        valid = to_level(np.repeat(known[hand, None], 3, axis=1), JointOrder.INTERHAND)[:, 0]
-        joints_m = to_level(coordinates[hand], JointOrder.INTERHAND) * METERS_PER_UNIT[UNIT]
-        if not np.isfinite(joints_m[valid]).all():
+        if not known[hand].all():
+            return None
+        if not np.isfinite(coordinates[hand]).all():
             raise entry.wrong("world_coord", "finite numbers for joints that are marked as valid")
-        joints_m[~valid] = np.nan
-        return joints_m, valid
+        return to_level(coordinates[hand], JointOrder.INTERHAND) * METERS_PER_UNIT[UNIT]
 
     def camera(self, picture: InterHandPicture) -> Camera:
         """The picture's camera; the same object for all pictures of a camera and a size."""

@@ -13,7 +13,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.native import contract
@@ -29,7 +28,7 @@ PAPER_MASK_GRAY = (10, 200)
 def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
     """(H, W) float32 coverage 0..1 of the built-in template posed by joints_m (21, 3), level order, world, meters.
 
-    Faces that reach behind the near plane are left out. InputError when a joint is missing.
+    Faces that reach behind the near plane are left out.
     """
     return silhouette(camera, posed_template(joints_m, handedness), load_template().faces)
 
@@ -62,8 +61,6 @@ def template_note(count: int, total: int) -> tuple[str, ...]:
 
 def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
     """(V, 3) vertices of the built-in template, posed by linear blend skinning; world, meters."""
-    if not np.isfinite(joints_m).all():
-        raise InputError("joints of a pose", wanted="all 21 joints", came="some that are missing")
     template = load_template()
     skeleton = _skeleton(handedness)
     bones = skeleton.bones(joints_m, np.float64)

@@ -50,25 +50,24 @@ def look_at(sample: Sample) -> Seen:
 
 
 def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
-    """(21, 2) pixels; NaN for joints that are not known or not before the camera."""
+    """(21, 2) pixels; NaN for joints that are not before the camera."""
     pixels, depth_m = camera.project(joints_m)
     return np.where((depth_m > contract.Z_NEAR_M)[:, None], pixels, np.nan)
 
 
 def joints_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(21,) float: 1 for joints on the mask or within CHECK_REACH_PX of it, 0 for others, NaN for those that tell
-    nothing: not known, or beyond a border of the picture that the hand reaches."""
+    nothing: beyond a border of the image that the hand reaches."""
     height, width = mask.shape
     hand = ndimage.binary_dilation(mask >= 0.5, iterations=CHECK_REACH_PX)
     pixels = joint_pixels(camera, joints_m)
-    known = np.isfinite(joints_m).all(axis=1)
     with np.errstate(invalid="ignore"):
         inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
     on = np.zeros(len(pixels))
     column, row = np.floor(pixels[inside]).astype(int).T
     on[inside] = hand[row, column]
     cut_off = bool(hand[[0, -1]].any() or hand[:, [0, -1]].any())
-    on[~known | (~inside & cut_off)] = np.nan
+    on[~inside & cut_off] = np.nan
     return on
 
 

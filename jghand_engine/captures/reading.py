@@ -126,13 +126,9 @@ def _finite(what: str, part: str, values: Any, shape: tuple[int, ...]) -> np.nda
 def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str) -> None:
     """Raises InputError when the joints of a data set cannot be a hand. METHOD 2.1, on medians over the poses.
 
-    joints_m: (P, 21, 3) level order, meters, NaN where not known · order, unit: as the data set's layout has them ·
-    source: the file to name. Poses with missing joints are ignored; without any whole one nothing can be said.
+    joints_m: (P, 21, 3) level order, meters · order, unit: as the data set's layout has them · source: the file to name
     """
-    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
-    if not len(whole):
-        return
-    length_m = hand_length(whole)
+    length_m = hand_length(joints_m)
     if not HAND_LENGTH_MIN_M <= length_m <= HAND_LENGTH_MAX_M:
         raise InputError(
             f"joints in {source}",
@@ -141,7 +137,7 @@ def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str
             remedy=_unit_remedy(length_m, unit),
         )
     try:
-        check_order(whole, order)
+        check_order(joints_m, order)
     except InputError as error:
         raise InputError(
             f"joints in {source} ({error.thing})", wanted=error.wanted, came=error.came, remedy=error.remedy

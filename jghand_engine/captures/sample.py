@@ -39,7 +39,6 @@ class Sample:
     picture:     path of the picture, sRGB
     camera:      OpenCV camera, world -> camera, meters; its size is the picture's
     joints_m:    (21, 3) float64, level order, world, meters; of a left hand not mirrored
-    valid:       (21,) bool, which joints are known
     handedness:  which hand
     capture, sequence, frame, camera_name: where it comes from; (sequence, frame) names a pose
     mask_source, mask: how to get the mask; `mask` is the file for MaskSource.FILE
@@ -48,7 +47,6 @@ class Sample:
     picture: Path
     camera: Camera
     joints_m: np.ndarray
-    valid: np.ndarray
     handedness: Handedness
     capture: str
     sequence: str
@@ -129,7 +127,7 @@ def picture_digest(samples: Sequence[Sample]) -> str:
     The joints, because our own captures name their pictures alike.
     """
     lines = [
-        f"{name} {np.rint(1e4 * one.joints_m[np.isfinite(one.joints_m)]).astype(int).tolist()}"
+        f"{name} {np.rint(1e4 * one.joints_m.ravel()).astype(int).tolist()}"
         for name, one in zip(picture_names(samples), samples, strict=True)
     ]
     return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()[:16]

@@ -248,6 +248,3 @@ def test_joints_beyond_the_picture_tell_nothing_only_where_the_hand_reaches_its_
     # the same joints, but the hand in the picture ends before the border
     shrunk = np.where(np.arange(cut.height)[:, None] < cut.height - 40, mask[: cut.height], 0)
     assert joints_on_mask(cut, joints, shrunk)[0] == 0
-    joints[7] = np.nan
-    assert np.isnan(joints_on_mask(view, joints, mask)[7])
-    assert part_on_mask(view, joints * np.nan, mask) == 0

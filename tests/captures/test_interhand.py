@@ -68,7 +68,7 @@ def test_the_hand_that_is_not_there_is_never_used(changeable):
 def test_flags_of_joints_are_read_flat_and_nested(stored, tmp_path):
     flat = read_interhand(write_set(tmp_path, recorded(), joint_flags_flat=True))
     nested = read_interhand(stored)
-    assert all(one.valid.all() for one in (*flat.samples, *nested.samples))
+    assert len(flat) == len(nested) == 4
 
 
 @pytest.mark.parametrize("kind", ["data", "joint_3d"])
@@ -80,12 +80,6 @@ def test_a_picture_with_an_unknown_joint_is_left_out_and_counted(changeable, kin
     hidden = 1 if kind == "data" else 2
     capture = read_interhand(changeable)
     assert (len(capture), capture.dropped) == (4 - hidden, (("not all 21 joints known", hidden),))
-    partial = read_interhand(changeable, CaptureChoice(partial=True))
-    unknown = [one for one in partial.samples if not one.valid.all()]
-    assert len(unknown) == hidden
-    # the thumb's tip is joint 16 of the level order
-    assert np.isnan(unknown[0].joints_m[16]).all()
-    assert np.isfinite(np.delete(unknown[0].joints_m, 16, 0)).all()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

@@ -22,8 +22,7 @@ WIDTH, HEIGHT = 40, 30
 def sample(tmp_path):
     """A sample whose picture is not yet there."""
     view = dataclasses.replace(look(0.0, 334, 512).scaled(0.1), width=WIDTH, height=HEIGHT)
-    joints, valid = np.array(pose(0)), np.ones(21, bool)
-    return Sample(tmp_path / "picture.png", view, joints, valid, Handedness.RIGHT, "Capture0", "ROM", 0, "400262")
+    return Sample(tmp_path / "picture.png", view, np.array(pose(0)), Handedness.RIGHT, "Capture0", "ROM", 0, "400262")
 
 
 def save(path, *channels, mode=None, **options):

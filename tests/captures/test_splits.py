@@ -16,13 +16,13 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 
 VIEW = look(0.0, 64, 64)
-JOINTS = (np.zeros((21, 3)), np.ones(21, bool))
+JOINTS_M = np.zeros((21, 3))
 
 
 def capture_of(folder, poses=10, cameras=12, sequences=("ROM_1",)):
     """A capture whose pictures nobody reads."""
     samples = tuple(
-        Sample(folder / "x.png", VIEW, *JOINTS, Handedness.RIGHT, "0", sequence, frame, f"{camera:02d}")
+        Sample(folder / "x.png", VIEW, JOINTS_M, Handedness.RIGHT, "0", sequence, frame, f"{camera:02d}")
         for sequence in sequences
         for frame in range(poses)
         for camera in range(cameras)

@@ -14,7 +14,6 @@ from picture_sets import edited, recorded, write_hanco, write_set
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import CaptureChoice
-from jghand_engine.captures.check_data import check_data
 from jghand_engine.captures.pictures_in import probe_picture, read_mask, read_picture
 from jghand_engine.errors import InputError
 
@@ -77,12 +76,12 @@ def try_nonsense_everywhere(file, folder, seed, tries, choice=None):
 @pytest.mark.parametrize("kind", ["data", "camera", "joint_3d"])
 def test_nonsense_anywhere_in_the_annotations_is_refused_or_harmless(interhand, kind):
     file = interhand / f"annotations/train/InterHand2.6M_train_{kind}.json"
-    try_nonsense_everywhere(file, interhand, seed=len(kind), tries=60)
+    try_nonsense_everywhere(file, interhand, seed=len(kind), tries=30)
 
 
 @pytest.mark.parametrize("name", ["meta.json", "calib/0002/00000000.json", "xyz/0002/00000000.json"])
 def test_nonsense_anywhere_in_hanco_is_refused_or_harmless(hanco, name):
-    try_nonsense_everywhere(hanco / name, hanco, seed=len(name), tries=60, choice=CaptureChoice(sequences=("2",)))
+    try_nonsense_everywhere(hanco / name, hanco, seed=len(name), tries=30, choice=CaptureChoice(sequences=("2",)))
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[" * 200_000, b"null", b"[1]", b'"text"'])
@@ -117,15 +116,6 @@ def test_no_picture_outside_the_set_is_read(interhand, tmp_path, name):
         open_capture(folder)
 
 
-def test_a_folder_of_rubbish_is_a_finding_and_no_crash(tmp_path):
-    (tmp_path / "annotations" / "train").mkdir(parents=True)
-    for kind in ("data", "camera", "joint_3d"):
-        (tmp_path / f"annotations/train/InterHand2.6M_train_{kind}.json").mkdir()
-    report = check_data(tmp_path)
-    assert not report.is_usable
-    assert report.findings
-
-
 def png_that_claims(width, height):
     """The smallest PNG that says it has so many pixels."""
 
@@ -156,18 +146,3 @@ def test_what_is_no_picture_is_refused_by_name_and_nothing_huge_is_made(tmp_path
         reader(file)
     with pytest.raises(InputError):
         reader(tmp_path)
-
-
-def test_every_flipped_byte_of_a_picture_is_refused_or_still_a_picture(interhand, tmp_path):
-    whole = next(interhand.rglob("*.png")).read_bytes()
-    file, source = tmp_path / "picture.png", random.Random(3)
-    refused = 0
-    for place in source.sample(range(len(whole)), 150):
-        file.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << source.randrange(8))]) + whole[place + 1 :])
-        try:
-            probe_picture(file)
-            read_picture(file)
-        except InputError:
-            refused += 1
-    # all but those in the length of a chunk that nobody needs carry a checksum
-    assert refused >= 149

@@ -84,7 +84,6 @@ def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
         assert float(np.abs(difference).max()) < 1e-12
         assert (sample.camera.fx, sample.camera.cx, sample.camera.cy) == (camera.fx, camera.cx, camera.cy)
         assert sample.handedness is Handedness.RIGHT
-        assert sample.valid.all()
 
 
 def test_the_split_keeps_poses_and_cameras_for_the_test(made):
