@@ -23,7 +23,6 @@ from jghand_engine.captures.reading import (
     Report,
     Sieve,
     calibrated_camera,
-    check_joints,
     find_roots,
     one_root,
     subfolders,
@@ -56,17 +55,8 @@ def read_hanco(folder: Path | str, choice: CaptureChoice | None = None, *, repor
     choice: `sequences` such as '0191' (needed unless there is only one), `handedness` (right). Errors and `report` as
     in `read_interhand`.
     """
-    root = one_root(Path(folder), find_roots(Path(folder), is_hanco) or [_no_root(Path(folder))])
+    root = one_root(Path(folder), find_roots(Path(folder), is_hanco))
     return _Reader(root, Path(folder).resolve(), choice or CaptureChoice(), Sieve(report)).capture()
-
-
-def _no_root(folder: Path) -> Path:
-    raise InputError(
-        f"data set {folder}",
-        wanted="a folder with meta.json, rgb/, calib/ and xyz/, as HanCo has them",
-        came=", ".join(entry.name for entry in subfolders(folder)[:6]) or "no folders",
-        remedy="Name the folder that holds them.",
-    )
 
 
 class _Reader:
@@ -94,10 +84,7 @@ class _Reader:
             dropped=self.sieve.dropped,
             notes=notes,
         )
-        try:
-            check_joints(capture.joints_m(), JointOrder.STANDARD, "m", str(self.root / "xyz"))
-        except InputError as error:
-            self.sieve.wrong(error)
+        self.sieve.check_joints(capture.joints_m(), JointOrder.STANDARD, "m", str(self.root / "xyz"))
         return capture
 
     def _sequences(self) -> tuple[str, ...]:
@@ -115,16 +102,11 @@ class _Reader:
                 came=f"{len(present)} sequences, {present[0]} to {present[-1]}",
                 remedy="Name the sequence, such as 0191, or a protocol.",
             )
-        for name in wanted:
-            if name not in present:
-                came = f"{', '.join(present[:10])}{' …' if len(present) > 10 else ''}" or "none"
-                raise InputError(
-                    f"sequence '{name}'", wanted=f"a folder in {self.pictures}", came=came, remedy=_DOWNLOAD
-                )
-        if not wanted:
+        if not wanted or not set(wanted) <= set(present):
             raise InputError(
-                f"pictures in {self.pictures}", wanted="folders of sequences", came="none", remedy=_DOWNLOAD
-            )
+                f"sequences in {self.pictures}", wanted=", ".join(sorted(wanted)) or "folders of sequences",
+                came=", ".join(present[:10]) + (" …" if len(present) > 10 else "") or "none", remedy=_DOWNLOAD,
+            )  # fmt: skip
         return wanted
 
     def _one_subject(self, sequences: tuple[str, ...]) -> Any:

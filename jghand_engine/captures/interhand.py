@@ -27,7 +27,7 @@ from jghand_engine.captures.interhand_files import (
 )
 from jghand_engine.captures.masks import template_note
 from jghand_engine.captures.pictures_in import probe_sized
-from jghand_engine.captures.reading import Report, Sieve, check_joints
+from jghand_engine.captures.reading import Report, Sieve
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -79,10 +79,7 @@ class _Reader:
             dropped=self.sieve.dropped,
             notes=template_note(sum(sample.mask_source is MaskSource.TEMPLATE for sample in samples), len(samples)),
         )
-        try:
-            check_joints(capture.joints_m(), JointOrder.INTERHAND, UNIT, str(self.files.joint_3d))
-        except InputError as error:
-            self.sieve.wrong(error)
+        self.sieve.check_joints(capture.joints_m(), JointOrder.INTERHAND, UNIT, str(self.files.joint_3d))
         return capture
 
     def _chosen(self, pictures: list[InterHandPicture]) -> list[InterHandPicture]:

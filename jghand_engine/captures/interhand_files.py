@@ -68,39 +68,30 @@ def find_files(folder: Path, split: str | None = None) -> InterHandFiles:
 
     split: which one; None: the only one, or the one that `folder` lies in. InputError says what is missing.
     """
-    root = one_root(folder, find_roots(folder, is_interhand) or [_no_root(folder)])
+    root = one_root(folder, find_roots(folder, is_interhand))
     named_split, capture, sequence = _named(root, folder.resolve())
-    split = _split(root, split or named_split)
-    annotations = _annotations(root, split)
-    images = _images(root, split)
-    masks = images.parent.with_name("masks_removeblack") / split
-    mano = annotations / f"InterHand2.6M_{split}_MANO_NeuralAnnot.json"
+    present = {name: place for name in SPLITS if (place := _annotations(root, name))}
+    stored = {name: place for name in present if (place := _images(root, name))}
+    split = _split(list(present), list(stored), split or named_split, root)
+    if split not in stored:
+        remedy = "Put the folder images beside the folder annotations."
+        raise InputError(f"images of {root}", wanted=f"a folder images/{split}", came="none", remedy=remedy)
+    masks = stored[split].parent.with_name("masks_removeblack") / split
+    data, camera, joint_3d, mano = (
+        present[split] / f"InterHand2.6M_{split}_{kind}.json"
+        for kind in ("data", "camera", "joint_3d", "MANO_NeuralAnnot")
+    )
     return InterHandFiles(
         root=root,
         split=split,
-        images=images,
+        images=stored[split],
         masks=masks if masks.is_dir() else None,
-        data=_annotation(annotations, split, "data"),
-        camera=_annotation(annotations, split, "camera"),
-        joint_3d=_annotation(annotations, split, "joint_3d"),
+        data=data,
+        camera=camera,
+        joint_3d=joint_3d,
         mano=mano if mano.is_file() else None,
         capture=capture,
         sequence=sequence,
-    )
-
-
-def _no_root(folder: Path) -> Path:
-    """Raises the InputError that says what is not as it should be."""
-    if (folder / "images").is_dir():
-        came = "images, but no annotations"
-    else:
-        names = [entry.name for entry in subfolders(folder)][:6]
-        came = f"folders {', '.join(names)}" if names else "no folders"
-    raise InputError(
-        f"data set {folder}",
-        wanted="a folder with images/ and annotations/, as InterHand2.6M has them",
-        came=came,
-        remedy=_DOWNLOAD if "annotations" in came else "Name the folder that holds both.",
     )
 
 
@@ -112,66 +103,30 @@ def _named(root: Path, folder: Path) -> tuple[str | None, str | None, str | None
     return tuple(parts[k] if k < len(parts) and (k or parts[k] in SPLITS) else None for k in range(3))  # type: ignore[return-value]
 
 
-def _split(root: Path, wanted: str | None) -> str:
-    present = [split for split in SPLITS if _annotations_or_none(root, split) is not None]
-    if wanted is not None and wanted not in present:
-        raise InputError(
-            f"split '{wanted}' of {root}",
-            wanted=f"one of {', '.join(present)}" if present else "annotations of a split",
-            came=f"'{wanted}'" if wanted in SPLITS else f"'{wanted}', which InterHand2.6M does not have",
-            remedy=_DOWNLOAD,
-        )
-    if wanted is not None:
+def _split(present: list[str], with_images: list[str], wanted: str | None, root: Path) -> str:
+    """The wanted one, or the only one."""
+    if wanted in present:
         return wanted
-    with_pictures = [split for split in present if _images_or_none(root, split) is not None]
-    if len(with_pictures) == 1:
-        return with_pictures[0]
-    if len(present) == 1:
+    if wanted is None and len(with_images) == 1:
+        return with_images[0]
+    if wanted is None and len(present) == 1:
         return present[0]
-    if not present:
-        raise InputError(f"annotations of {root}", wanted="a file …_data.json", came="none", remedy=_DOWNLOAD)
     raise InputError(
-        f"data set {root}",
-        wanted="the name of one split",
-        came=f"annotations of {', '.join(present)}",
-        remedy="Name the split (--subset), or a protocol.",
+        f"split '{wanted}' of {root}" if wanted else f"data set {root}",
+        wanted=f"one of {', '.join(present)}" if present else "annotations of a split, …_data.json",
+        came=f"annotations of {', '.join(present)}" if present else "none",
+        remedy="Name one of them (--subset), or a protocol." if present else _DOWNLOAD,
     )
 
 
-def _annotations_or_none(root: Path, split: str) -> Path | None:
+def _annotations(root: Path, split: str) -> Path | None:
     places = [root / "annotations" / drop.format(split=split) for drop in _DROPS]
     return next((place for place in places if (place / f"InterHand2.6M_{split}_data.json").is_file()), None)
 
 
-def _annotations(root: Path, split: str) -> Path:
-    place = _annotations_or_none(root, split)
-    if place is None:
-        raise InputError(f"annotations of {root}, split {split}", came="no …_data.json", remedy=_DOWNLOAD)
-    return place
-
-
-def _annotation(place: Path, split: str, kind: str) -> Path:
-    file = place / f"InterHand2.6M_{split}_{kind}.json"
-    if not file.is_file():
-        raise InputError(f"annotations in {place}", wanted=file.name, came="no such file", remedy=_DOWNLOAD)
-    return file
-
-
-def _images_or_none(root: Path, split: str) -> Path | None:
+def _images(root: Path, split: str) -> Path | None:
     places = [root / "images" / split, *sorted(root.glob(f"{_BATCH}/images/{split}"))]
     return next((place for place in places if place.is_dir()), None)
-
-
-def _images(root: Path, split: str) -> Path:
-    place = _images_or_none(root, split)
-    if place is None:
-        raise InputError(
-            f"pictures of {root}",
-            wanted=f"a folder images/{split}",
-            came="none",
-            remedy="Put the folder images beside the folder annotations.",
-        )
-    return place
 
 
 # ---- what is in them -------------------------------------------------------------------------------------------------

@@ -73,9 +73,9 @@ def subfolders(folder: Path) -> list[Path]:
 
 
 def one_root(folder: Path, roots: list[Path]) -> Path:
-    """The only one of `roots`. InputError when there are several."""
-    if len(roots) > 1:
-        names = ", ".join(str(root.relative_to(folder.resolve())) for root in roots)
+    """The only one of `roots`. InputError when there is another number of them."""
+    if len(roots) != 1:
+        names = ", ".join(str(root.relative_to(folder.resolve())) for root in roots) or "nothing known"
         raise InputError(
             f"data set {folder}",
             wanted="one data set",
@@ -174,6 +174,13 @@ class Sieve:
         if self._report is None:
             raise error
         self._report(error)
+
+    def check_joints(self, joints_m: np.ndarray, order: JointOrder, unit: str, source: str) -> None:
+        """As the function of that name; what it raises is `wrong` with the whole."""
+        try:
+            check_joints(joints_m, order, unit, source)
+        except InputError as error:
+            self.wrong(error)
 
     @property
     def dropped(self) -> tuple[tuple[str, int], ...]:
