@@ -12,7 +12,6 @@ from picture_sets import LEFT, RIGHT, write_hanco
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import CaptureChoice, Layout
-from jghand_engine.captures.hanco import read_hanco
 from jghand_engine.captures.sample import MaskSource, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import JointOrder, from_level
