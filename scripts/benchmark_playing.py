@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=24, help="per trial (default 24)")
     options = parser.parse_args()
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    registration, runtime = addon("registration"), addon("runtime")
+    registration, runtime = addon("registration"), addon("renderer.runtime")
     registration.register()
     joints_m = addon("core.posing").rest_joints_m("right")
     hand = addon("hand.armature").build_armature(bpy.context, "hand", joints_m, "right")

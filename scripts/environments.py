@@ -12,7 +12,6 @@ Only Linux is tried by the project's tests; the ways of macOS and Windows are wr
 
 from __future__ import annotations
 
-import contextlib
 import glob
 import hashlib
 import os
@@ -28,8 +27,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENTS = ROOT / ".envs"
 STAMP = "jghand_stamp.txt"
-# a file of one line: the interpreter of the newest engine's environment
-NOTE = "engine_python.txt"
 # a package index that PyTorch alone is also looked up in: the one on PyPI brings CUDA along on Linux
 TORCH_INDEX_VARIABLE = "JGHAND_TORCH_INDEX"
 
@@ -152,7 +149,6 @@ def ensure(environment: Environment) -> Path:
     Raises SetupError. An environment that was there is then still there, and the next call tries again.
     """
     if is_ready(environment):
-        _note(environment)
         return environment.python
     started = time.perf_counter()
     say(f"Setting up {environment.folder.relative_to(ROOT)}")
@@ -178,36 +174,7 @@ def ensure(environment: Environment) -> Path:
     lines = [_fingerprint(one) for one in (environment, *environment.holds)]
     (environment.folder / STAMP).write_text("\n".join(lines) + "\n", encoding="utf-8")
     say(f"  ready after {time.perf_counter() - started:.0f} s")
-    _note(environment)
     return environment.python
-
-
-def note_folder() -> Path | None:
-    """Where this user's programs find what was made here; JGHAND_CONFIG_DIR names another place. The Blender extension
-    looks there too (blender_addon/renderer/engine_command.py)."""
-    if named := os.environ.get("JGHAND_CONFIG_DIR"):
-        return Path(named)
-    if sys.platform == "win32":
-        base, below = os.environ.get("LOCALAPPDATA"), "jghand"
-    elif sys.platform == "darwin":
-        base, below = os.environ.get("HOME"), "Library/Application Support/jghand"
-    else:
-        base, below = os.environ.get("XDG_CONFIG_HOME"), "jghand"
-        if not base:
-            base, below = os.environ.get("HOME"), ".config/jghand"
-    return Path(base) / below if base else None
-
-
-def _note(environment: Environment) -> None:
-    """Writes down where the engine is, so that an extension installed from its zip finds it. No harm without."""
-    folder = note_folder()
-    if environment.name != ENGINE.name or folder is None:
-        return
-    text = f"{environment.python}\n"
-    with contextlib.suppress(OSError):
-        if not (folder / NOTE).is_file() or (folder / NOTE).read_text(encoding="utf-8") != text:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / NOTE).write_text(text, encoding="utf-8")
 
 
 def is_ready(environment: Environment) -> bool:

@@ -17,7 +17,6 @@ _CACHE = tempfile.TemporaryDirectory(prefix="jghand_tests_", ignore_cleanup_erro
 def pytest_configure() -> None:
     """Ctrl-C interrupts, also where the tests were started in the background of a shell, which has it ignored."""
     os.environ["JGHAND_CACHE_DIR"] = _CACHE.name
-    os.environ["JGHAND_CONFIG_DIR"] = _CACHE.name
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # nothing here is timed: on a busy machine an example may take any time

@@ -7,18 +7,15 @@ and more: the training tools (install_tools.py), or an environment of the user's
 
 from __future__ import annotations
 
-import contextlib
 import os
 import platform
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import JGHandFailure
 
 VARIABLE = "JGHAND_ENGINE_PYTHON"
-# a file of one line: the interpreter of the environment that scripts/ made last (scripts/environments.py writes it)
-NOTE = "engine_python.txt"
 # what the extension's zip carries beside its own modules; a checkout does not
 CARRIED = Path(__file__).resolve().parents[1] / "engine"
 _SERVE = ("serve", "--stdio-handshake")
@@ -50,7 +47,7 @@ def engine_program(
     exist is a failure.
 
     python: path of an interpreter that has jghand installed; then the variable JGHAND_ENGINE_PYTHON; then the engine
-    that the extension carries; then `checkout`/.envs/engine; then the environment that JGHand's scripts made.
+    that the extension carries; then `checkout`/.envs/engine.
     learns: for what needs PyTorch: `tools`, the interpreter of the training tools, stands in place of what is carried.
     Raises JGHandFailure: no_interpreter, or no_tools where only those are missing.
     """
@@ -67,7 +64,8 @@ def engine_program(
         machine = platform.machine().lower()
         here = f"{_SYSTEMS.get(sys.platform, sys.platform)}_{_MACHINES.get(machine, machine)}"
         return sys.executable, "-I", "-c", _RUN_CARRIED, str(CARRIED / here), str(CARRIED / "common")
-    for made in _environments(checkout, environment):
+    if checkout is not None:
+        made = _interpreter_at(str(checkout / ".envs" / "engine"))
         if os.path.isfile(made):
             return _by_python(made)
     if carried:
@@ -80,33 +78,6 @@ def _interpreter_at(text: str) -> Path:
     folder of an environment."""
     path = Path(text.strip().strip("\"'")).expanduser()
     return next((path / name for name in _INTERPRETERS if os.path.isfile(path / name)), path)
-
-
-def _environments(checkout: Path | None, environment: Mapping[str, str]) -> Iterator[Path]:
-    """Interpreters of environments that JGHand's scripts made."""
-    if checkout is not None:
-        yield from (checkout / ".envs/engine" / name for name in _INTERPRETERS)
-    folder = note_folder(environment)
-    if folder is not None:
-        with contextlib.suppress(OSError, ValueError):
-            text = (folder / NOTE).read_text(encoding="utf-8").strip()
-            if text:
-                yield Path(text)
-
-
-def note_folder(environment: Mapping[str, str], system: str = sys.platform) -> Path | None:
-    """Where the scripts note what they made; JGHAND_CONFIG_DIR names another place. None for a user without a home."""
-    if named := environment.get("JGHAND_CONFIG_DIR"):
-        return Path(named)
-    if system == "win32":
-        base, below = environment.get("LOCALAPPDATA"), "jghand"
-    elif system == "darwin":
-        base, below = environment.get("HOME"), "Library/Application Support/jghand"
-    else:
-        base, below = environment.get("XDG_CONFIG_HOME"), "jghand"
-        if not base:
-            base, below = environment.get("HOME"), ".config/jghand"
-    return Path(base) / below if base else None
 
 
 def _by_python(path: Path) -> tuple[str, ...]:

@@ -26,19 +26,17 @@ def test_blenders_own_variables_do_not_reach_the_engine():
 
 def test_the_engine_is_found_in_the_order_that_is_promised(tmp_path, monkeypatch):
     chosen, tools = tmp_path / "chosen", tmp_path / "tools/bin/python"
-    in_checkout, noted = tmp_path / "checkout/.envs/engine/bin/python", tmp_path / "noted"
-    for file in (chosen, tools, in_checkout, noted):
+    in_checkout = tmp_path / "checkout/.envs/engine/bin/python"
+    for file in (chosen, tools, in_checkout):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.touch(mode=0o755)
-    (tmp_path / engine_commands.NOTE).write_text(f"{noted}\n", "utf-8")
-    home, checkout = {"JGHAND_CONFIG_DIR": str(tmp_path)}, tmp_path / "checkout"
+    checkout = tmp_path / "checkout"
     module = ("-I", "-m", "jghand_engine")
-    named = {**home, VARIABLE: str(chosen)}
-    assert engine_program(str(chosen), checkout=checkout, environment=home) == (str(chosen), *module)
+    named = {VARIABLE: str(chosen)}
+    assert engine_program(str(chosen), checkout=checkout, environment={}) == (str(chosen), *module)
     assert engine_program(None, checkout=checkout, environment=named) == (str(chosen), *module)
-    assert engine_program(None, checkout=checkout, environment=home) == (str(in_checkout), *module)
-    assert engine_program(None, environment=home) == (str(noted), *module)
-    assert engine_program(tools=tools, learns=True, environment=home) == (str(tools), *module)
+    assert engine_program(None, checkout=checkout, environment={}) == (str(in_checkout), *module)
+    assert engine_program(tools=tools, learns=True, environment={}) == (str(tools), *module)
     for wrong in ({"python": str(tmp_path / "nothing")}, {}):
         with pytest.raises(JGHandFailure) as caught:
             engine_program(environment={}, **wrong)

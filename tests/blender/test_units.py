@@ -59,7 +59,7 @@ def test_panels_translate_what_core_says(extension, monkeypatch):
     monkeypatch.setattr(runtime, "jobs", lambda: {"output": job})
     status.draw_job(MagicMock(), extension, "output")
     assert {"Baking", "{text} {done} of {total}", "{text} · {time} left"} <= set(words)
-    monkeypatch.setattr(output, "kept", lambda *_: SizeEstimate(1000, None))
+    monkeypatch.setattr(output.ui, "kept", lambda *_: SizeEstimate(1000, None))
     output._draw_estimate(MagicMock(), extension, "", Written())
     assert "Up to {size}" in words
     monkeypatch.setattr(training_panel, "iface_", lambda text: words.append(text) or text)
