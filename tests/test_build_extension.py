@@ -31,12 +31,10 @@ def names(archive: Path) -> list[str]:
 def test_the_zip_holds_the_extension_the_protocol_and_the_licenses(tmp_path):
     archive = build_extension.build(tmp_path)
     assert archive.name == "jghand-0.1.0.zip"
-    assert {"__init__.py", "blender_manifest.toml", "LICENSE", "LICENSE-MIT", "NOTICE", "core/protocol.py"} <= set(
-        names(archive)
-    )
+    assert {"__init__.py", "blender_manifest.toml", "LICENSE", "LICENSE-MIT", "NOTICE"} <= set(names(archive))
     with zipfile.ZipFile(archive) as content:
-        shared = (ROOT / "jghand_engine/service/protocol.py").read_bytes()
-        assert content.read("core/protocol.py") == shared
+        for name in ("service/protocol.py", "motion/conventions.py"):
+            assert content.read(f"core/{Path(name).name}") == (ROOT / "jghand_engine" / name).read_bytes()
         assert content.testzip() is None
         assert not [entry.filename for entry in content.infolist() if entry.external_attr >> 16 & 0o111]
 

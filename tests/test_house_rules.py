@@ -42,7 +42,7 @@ PICKLE_READER = "jghand_engine/template/mano.py"
 WITHOUT_TORCH = ("avatar", "export", "hand", "motion", "native", "render", "service")
 LEARNING_ONLY = ("torch", "scipy", "trimesh")
 NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
-SHARED_MODULE = "jghand_engine.service.protocol"
+SHARED_MODULES = ("jghand_engine.motion.conventions", "jghand_engine.service.protocol")
 
 
 def python_files(*folders: Path) -> list[Path]:
@@ -123,7 +123,7 @@ def test_the_engine_never_imports_blender():
     )
 
 
-def test_the_extension_knows_nothing_of_the_engine_but_the_protocol():
+def test_the_extension_knows_nothing_of_the_engine_but_what_they_share():
     offences(
         f"{name_of(path)}:{line} imports {module}"
         for path in python_files(ADDON)
@@ -131,8 +131,8 @@ def test_the_extension_knows_nothing_of_the_engine_but_the_protocol():
         if module.split(".")[0] == "torch"
         or (
             module.split(".")[0] == "jghand_engine"
-            and not module.startswith(SHARED_MODULE)
-            and module != SHARED_MODULE.rpartition(".")[0]
+            and not module.startswith(SHARED_MODULES)
+            and module not in {shared.rpartition(".")[0] for shared in SHARED_MODULES}
         )
     )
 
@@ -162,11 +162,11 @@ def test_what_imports_blender_names_its_license(path):
     assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: GPL-3.0-or-later\n")
 
 
-def test_the_shared_protocol_needs_nothing_but_the_standard_library():
-    path = ROOT / (SHARED_MODULE.replace(".", "/") + ".py")
+def test_what_is_shared_needs_nothing_but_the_standard_library():
     offences(
-        f"{name_of(path)}:{line} imports {module}"
-        for module, line in imports(path)
+        f"{shared}:{line} imports {module}"
+        for shared in SHARED_MODULES
+        for module, line in imports(ROOT / (shared.replace(".", "/") + ".py"))
         if module.split(".")[0] not in sys.stdlib_module_names
     )
 
@@ -266,9 +266,9 @@ def test_kernels_are_never_built_with_relaxed_arithmetic():
 
 
 def test_importing_the_package_loads_nothing_heavy():
-    """Blender's Python has neither torch nor numpy 2; it imports the package for the protocol module alone."""
+    """Blender's Python has neither torch nor numpy 2; it imports the package for the shared modules alone."""
     code = (
-        "import sys; import jghand_engine, jghand_engine.service.protocol; "
+        "import sys; import jghand_engine.motion.conventions, jghand_engine.service.protocol; "
         "print([m for m in ('torch', 'numpy', 'scipy', 'pxr', 'PIL', 'tyro', 'rich') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

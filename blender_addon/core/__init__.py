@@ -3,7 +3,6 @@
 
 limits          every number, with its reason
 joints          names, parents and bones of the 21 joints; the rest hand
-conventions     how other people name the bones of a hand
 bone_maps       which bones of somebody else's rig are the 21 joints
 posing          joint positions to bone matrices and back (numpy)
 controls        finger controls as numbers: axes, what their turns do, joint ranges (numpy)
@@ -11,7 +10,7 @@ poses           hand poses with names, for both hands (numpy); the pose library 
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 film            that picture as Blender's passes (numpy)
 files           files that appear under their name only when they are whole
-wire            the protocol module, from the extension or from the engine's package
+wire            what extension and engine share: the protocol, and how other people name the bones of a hand
 pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show; attempts: what
                 failed is tried again, and left alone after a few times
 cropping        the part of a view that can show hands

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 from ..errors import JGHandFailure
 from . import limits
-from .conventions import CONVENTIONS, Convention
 from .joints import FINGERS, HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
+from .wire import conventions
 
 HEAD, TAIL = "head", "tail"
 ENDS = (HEAD, TAIL)
@@ -98,10 +98,14 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
     """
     check_side(handedness)
     index = _Index(names)
-    found = [candidate for convention in CONVENTIONS for candidate in _candidates(convention, index, handedness, tails)]
+    found = [
+        candidate
+        for convention in conventions.CONVENTIONS
+        for candidate in _candidates(convention, index, handedness, tails)
+    ]
     best = max((candidate.score for candidate in found), default=0)
     if best < limits.RECOGNIZED_MIN:
-        known = ", ".join(convention.title for convention in CONVENTIONS)
+        known = ", ".join(convention.title for convention in conventions.CONVENTIONS)
         return Recognition(
             handedness,
             (),
@@ -178,7 +182,7 @@ class _Candidate:
     score: int
 
 
-def _candidates(convention: Convention, index: _Index, handedness: str, tails: bool) -> list[_Candidate]:
+def _candidates(convention: conventions.Convention, index: _Index, handedness: str, tails: bool) -> list[_Candidate]:
     """One candidate for each set of bones (prefix and copy) that shows any bone of the convention.
 
     Names without a side need the wrist among them: "index1" alone also ends the names of other conventions.
@@ -204,7 +208,7 @@ def _candidates(convention: Convention, index: _Index, handedness: str, tails: b
 
 
 def _candidate(
-    convention: Convention,
+    convention: conventions.Convention,
     wanted: tuple[tuple[str, ...], ...],
     keys: list[list[str]],
     known: dict[str, list[str]],
@@ -237,7 +241,7 @@ def _candidate(
     return _Candidate(bone_map, sum(sources[place] is not None for place in _NEEDED))
 
 
-def _preferred(convention: Convention, of_sets: dict[str, _Candidate]) -> list[_Candidate]:
+def _preferred(convention: conventions.Convention, of_sets: dict[str, _Candidate]) -> list[_Candidate]:
     """Of several sets that a convention ranks (DEF- before ORG-) the best that finds the most, and a note about it."""
     ranked = [prefix for prefix in convention.prefixes if prefix in of_sets]
     others = [candidate for prefix, candidate in of_sets.items() if prefix not in ranked]

@@ -7,7 +7,8 @@ choose       which hand of a file is meant; unit and joint order where a file do
 clocks       rates, clocks of unknown units
 
 files   JGHand's own formats, read and written · tables   CSV · openpose, mediapipe, webxr, interhand, freemocap
-bvh, usd   skeletons that move: `skeleton` finds the hands in them by `bone_names`
+bvh, usd   skeletons that move: `skeleton` finds the hands in them by `bone_names`, which knows more than the
+extension's `conventions`; those are one module for both
 
 repair       gaps filled · tools: cut, at other times, scaled, turned
 """

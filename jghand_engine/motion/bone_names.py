@@ -1,10 +1,9 @@
 """Which nodes of somebody else's skeleton, or which named points, are the 21 joints of a hand: found by name alone.
 
 Names are compared without case and separators, and after any prefix (`mixamorig:`, `DEF-`, `J_Bip_`). Templates:
-`{side}` is right or left, `{s}` r or l, `{finger}` the convention's word for a finger. A joint is where a bone begins.
-The table up to MediaPipe stands in `blender_addon/core/conventions.py` too, which has its sources; a test compares
-them. The others: joints of the WebXR Hand Input Module and of OpenXR's XR_EXT_hand_tracking; names of the rigs of
-SMPL-X, Daz Genesis, 3ds Max Biped and SOMA; keypoints of COCO-WholeBody, which RTMPose has.
+see `conventions`, which has those that the extension knows too. The others are here: joints of the WebXR Hand Input
+Module and of OpenXR's XR_EXT_hand_tracking; names of the rigs of SMPL-X, Daz Genesis, 3ds Max Biped and SOMA; keypoints
+of COCO-WholeBody, which RTMPose has. A joint is where a bone begins.
 """
 
 from __future__ import annotations
@@ -16,71 +15,15 @@ from typing import Any
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
+from jghand_engine.motion import conventions
+from jghand_engine.motion.conventions import ENGLISH, Convention, numbered
 
 # bones of wrist and fingers, of 16, from which names count as a hand that lacks some
 BONES_RECOGNIZED_MIN = 8
-# what exporters and importers add to the last bone of a chain for its tip
-TIP_ENDINGS = ("_end", "_tip", "_nub")
 _COPY = re.compile(r"[._]\d{3,}$")
 # places of the tips in the standard order
 TIPS = tuple(place for place, name in enumerate(STANDARD_NAMES) if name.endswith("4"))
 _NEEDED = tuple(place for place in range(len(STANDARD_NAMES)) if place not in TIPS)
-
-
-@dataclass(frozen=True)
-class Convention:
-    """Templates of one way to name a hand.
-
-    title:     what people are told
-    wrist:     alternatives, the best first
-    fingers:   its words, thumb first
-    bones:     three tuples of alternatives, from the knuckle outwards
-    thumb:     the same for a thumb that is named otherwise
-    tips:      alternatives for a bone that begins at the finger's tip
-    prefixes:  which of several sets of the same bones to take, the best first
-    with_tips: names that only count with all five tips, because they mean other bones without
-    """
-
-    title: str
-    wrist: tuple[str, ...]
-    fingers: tuple[str, ...]
-    bones: tuple[tuple[str, ...], ...]
-    thumb: tuple[tuple[str, ...], ...] = ()
-    tips: tuple[str, ...] = ()
-    prefixes: tuple[str, ...] = ()
-    with_tips: bool = False
-
-    @property
-    def says_side(self) -> bool:
-        """Whether its names tell a right hand from a left one."""
-        return any("{s" in template for template in self.wrist)
-
-    def names(self, handedness: str) -> tuple[tuple[str, ...], ...]:
-        """For each of the 21 joints, standard order, the names that a bone there may have, the best first."""
-        result = [self._filled(self.wrist, "", handedness)]
-        for finger, word in zip(FINGERS, self.fingers, strict=True):
-            bones = self.thumb if finger == "thumb" and self.thumb else self.bones
-            tips = tuple(last + ending for last in bones[-1] for ending in TIP_ENDINGS)
-            result += [self._filled(alternatives, word, handedness) for alternatives in (*bones, (*self.tips, *tips))]
-        return tuple(result)
-
-    def _filled(self, templates: tuple[str, ...], finger: str, handedness: str) -> tuple[str, ...]:
-        side = handedness.capitalize()
-        return tuple(template.format(side=side, s=side[0], finger=finger) for template in templates)
-
-
-_ENGLISH = ("Thumb", "Index", "Middle", "Ring", "Pinky")
-_LITTLE = ("Thumb", "Index", "Middle", "Ring", "Little")
-
-
-def _numbered(*templates: str, start: int = 1) -> tuple[tuple[str, ...], ...]:
-    """Three tuples of alternatives from templates with a `#` for the bone's number."""
-    numbers = range(start, start + 3)
-    return tuple(tuple(template.replace("#", str(number)) for template in templates) for number in numbers)
-
-
-def _phalanges(*words: str) -> tuple[tuple[str, ...], ...]:
-    return tuple((f"{{side}}{{finger}}{word}", f"{{finger}}_{word}.{{s}}") for word in words)
 
 
 def _with_ext(*words: str) -> tuple[tuple[str, ...], ...]:
@@ -88,73 +31,7 @@ def _with_ext(*words: str) -> tuple[tuple[str, ...], ...]:
 
 
 CONVENTIONS = (
-    Convention("JGHand", wrist=("wrist",), fingers=FINGERS, bones=_numbered("{finger}#"), tips=("{finger}4",)),
-    Convention(
-        "Rigify",
-        wrist=("hand.{s}",),
-        fingers=("thumb", "f_index", "f_middle", "f_ring", "f_pinky"),
-        bones=_numbered("{finger}.0#.{s}"),
-        prefixes=("def", "org", "", "mch"),
-    ),
-    Convention(
-        "Mixamo",
-        wrist=("{side}Hand",),
-        fingers=_ENGLISH,
-        bones=_numbered("{side}Hand{finger}#"),
-        tips=("{side}Hand{finger}4",),
-    ),
-    Convention(
-        "VRM 1",
-        wrist=("{side}Hand", "hand.{s}"),
-        fingers=_LITTLE,
-        bones=_phalanges("Proximal", "Intermediate", "Distal"),
-        thumb=_phalanges("Metacarpal", "Proximal", "Distal"),
-    ),
-    Convention(
-        "VRM 0",
-        wrist=("{side}Hand", "hand.{s}"),
-        fingers=_LITTLE,
-        bones=_phalanges("Proximal", "Intermediate", "Distal"),
-    ),
-    Convention(
-        "VRoid",
-        wrist=("{s}_Hand", "Hand_{s}"),
-        fingers=_LITTLE,
-        bones=_numbered("{s}_{finger}#", "{finger}#_{s}"),
-    ),
-    Convention(
-        "MakeHuman, MPFB",
-        wrist=("wrist.{s}",),
-        fingers=("finger1", "finger2", "finger3", "finger4", "finger5"),
-        bones=_numbered("{finger}-#.{s}"),
-    ),
-    Convention(
-        "Unreal mannequin",
-        wrist=("hand_{s}",),
-        fingers=FINGERS,
-        bones=_numbered("{finger}_0#_{s}"),
-        tips=("{finger}_04_{s}",),
-    ),
-    Convention(
-        "Auto-Rig Pro",
-        wrist=("hand.{s}",),
-        fingers=FINGERS,
-        bones=(
-            ("{finger}1.{s}", "c_{finger}1.{s}"),
-            ("c_{finger}2.{s}", "{finger}2.{s}"),
-            ("c_{finger}3.{s}", "{finger}3.{s}"),
-        ),
-        prefixes=("", "c"),
-    ),
-    Convention(
-        "MediaPipe",
-        wrist=("wrist",),
-        fingers=FINGERS,
-        bones=tuple((f"{{finger}}_finger_{joint}", f"{{finger}}_{joint}") for joint in ("mcp", "pip", "dip")),
-        thumb=(("thumb_cmc",), ("thumb_mcp",), ("thumb_ip",)),
-        tips=("{finger}_finger_tip", "{finger}_tip"),
-    ),
-    # not in the extension
+    *conventions.CONVENTIONS,
     Convention(
         "WebXR",
         wrist=("wrist",),
@@ -172,28 +49,43 @@ CONVENTIONS = (
         tips=("{finger}_tip", "{finger}_tip_ext"),
     ),
     Convention(
-        "SMPL-X", wrist=("{side}_wrist",), fingers=FINGERS, bones=_numbered("{side}_{finger}#"),
+        "SMPL-X",
+        wrist=("{side}_wrist",),
+        fingers=FINGERS,
+        bones=numbered("{side}_{finger}#"),
         tips=("{side}_{finger}",),
     ),
     Convention(
-        "Daz Genesis", wrist=("{s}Hand",), fingers=("Thumb", "Index", "Mid", "Ring", "Pinky"),
-        bones=_numbered("{s}{finger}#"),
+        "Daz Genesis",
+        wrist=("{s}Hand",),
+        fingers=("Thumb", "Index", "Mid", "Ring", "Pinky"),
+        bones=numbered("{s}{finger}#"),
     ),
     Convention(
-        "3ds Max Biped", wrist=("{s} Hand",), fingers=("0", "1", "2", "3", "4"),
+        "3ds Max Biped",
+        wrist=("{s} Hand",),
+        fingers=("0", "1", "2", "3", "4"),
         bones=(("{s} Finger{finger}",), ("{s} Finger{finger}1",), ("{s} Finger{finger}2",)),
         tips=("{s} Finger{finger}Nub",),
     ),
     Convention(
-        "RTMPose", wrist=("hand_root",), bones=_numbered("{finger}#"), tips=("{finger}4",),
+        "RTMPose",
+        wrist=("hand_root",),
+        bones=numbered("{finger}#"),
+        tips=("{finger}4",),
         fingers=("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger"),
     ),
     # whose first finger bones are the metacarpals
     Convention(
-        "SOMA", wrist=("{side}Hand",), fingers=_ENGLISH, bones=_numbered("{side}Hand{finger}#", start=2),
-        thumb=_numbered("{side}Hand{finger}#"), tips=("{side}Hand{finger}End",), with_tips=True,
+        "SOMA",
+        wrist=("{side}Hand",),
+        fingers=ENGLISH,
+        bones=numbered("{side}Hand{finger}#", start=2),
+        thumb=numbered("{side}Hand{finger}#"),
+        tips=("{side}Hand{finger}End",),
+        with_tips=True,
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,7 @@ def test_the_protocol_is_the_extensions_copy_where_there_is_one_even_a_broken_on
     (core / "wire.py").write_text((ROOT / "blender_addon/core/wire.py").read_text())
     if content is not None:
         (core / "protocol.py").write_text(content)
+        (core / "conventions.py").touch()
     code = (
         "import sys; sys.path[:0] = sys.argv[1:]; from addon.core.wire import protocol\n"
         "print('copy' if protocol.__name__ == 'addon.core.protocol' else 'engine')"

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from blender_addon.core import bone_maps, conventions, posing
+from blender_addon.core import bone_maps, posing
 from blender_addon.core import joints as extension
 from blender_addon.core import limits as extension_limits
 from blender_addon.errors import ADVICE
@@ -21,7 +21,7 @@ from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Hand
 from jghand_engine.hand.kinematics import RANGES_DEG
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
-from jghand_engine.motion import bone_names
+from jghand_engine.motion import bone_names, conventions
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.service.commands import error_header
@@ -79,17 +79,6 @@ def test_the_extension_reads_the_motions_that_the_engine_writes(tmp_path):
     read = motion_files.read_motion(tmp_path / "motion.npz")
     np.testing.assert_array_equal(read.joints_m, from_level(joints, JointOrder.STANDARD))
     assert (read.fps, read.handedness) == (24.0, "left")
-
-
-def test_bones_of_other_rigs_have_the_same_names_here_and_there():
-    """The engine knows more conventions, after those of the extension."""
-    ours = bone_names.CONVENTIONS[: len(conventions.CONVENTIONS)]
-    assert [one.title for one in ours] == [one.title for one in conventions.CONVENTIONS]
-    for engine, theirs in zip(ours, conventions.CONVENTIONS, strict=True):
-        assert engine.says_side == theirs.says_side
-        assert engine.prefixes == theirs.prefixes
-        for side in Handedness:
-            assert engine.names(side) == theirs.names(side)
 
 
 @pytest.mark.parametrize("convention", bone_names.CONVENTIONS, ids=lambda one: one.title)

@@ -1,4 +1,3 @@
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How other people name the bones of a hand: one table per convention.
 
 Names here are templates: `{side}` is right or left, `{s}` is r or l, `{finger}` the convention's word for a finger.
@@ -22,27 +21,32 @@ Sources
                c_index1_base.l is the metacarpal.
     mediapipe  the landmark names of MediaPipe Hands (WRIST, THUMB_CMC, INDEX_FINGER_MCP), as FreeMoCap's empties have
                them with right_hand_ before.
-    jghand     core/joints.py.
+    jghand     hand/joints.py.
+
+Standard library only: the extension for Blender imports this very file.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .joints import FINGERS, NAMES
-
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 # what exporters and importers add to the last bone of a chain for its tip
-_TIP_ENDINGS = ("_end", "_tip", "_nub")
+TIP_ENDINGS = ("_end", "_tip", "_nub")
 
 
 @dataclass(frozen=True)
 class Convention:
     """Templates of one way to name a hand.
 
-    title: what people are told · wrist: alternatives, the best first · fingers: its words, thumb first ·
-    bones: three tuples of alternatives, from the knuckle outwards · thumb: the same for a thumb that is named otherwise
-    · tips: alternatives for a bone whose head is the finger's tip · prefixes: which of several sets of the same bones
-    to take, the best first.
+    title:     what people are told
+    wrist:     alternatives, the best first
+    fingers:   its words, thumb first
+    bones:     three tuples of alternatives, from the knuckle outwards
+    thumb:     the same for a thumb that is named otherwise
+    tips:      alternatives for a bone that begins at the finger's tip
+    prefixes:  which of several sets of the same bones to take, the best first
+    with_tips: names that only count with all five tips, because they mean other bones without
     """
 
     title: str
@@ -52,6 +56,7 @@ class Convention:
     thumb: tuple[tuple[str, ...], ...] = ()
     tips: tuple[str, ...] = ()
     prefixes: tuple[str, ...] = ()
+    with_tips: bool = False
 
     @property
     def says_side(self) -> bool:
@@ -63,7 +68,7 @@ class Convention:
         result = [self._filled(self.wrist, "", handedness)]
         for finger, word in zip(FINGERS, self.fingers, strict=True):
             bones = self.thumb if finger == "thumb" and self.thumb else self.bones
-            tips = tuple(last + ending for last in bones[-1] for ending in _TIP_ENDINGS)
+            tips = tuple(last + ending for last in bones[-1] for ending in TIP_ENDINGS)
             result += [self._filled(alternatives, word, handedness) for alternatives in (*bones, (*self.tips, *tips))]
         return tuple(result)
 
@@ -72,13 +77,14 @@ class Convention:
         return tuple(template.format(side=side, s=side[0], finger=finger) for template in templates)
 
 
-_ENGLISH = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+ENGLISH = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 _LITTLE = ("Thumb", "Index", "Middle", "Ring", "Little")
 
 
-def _numbered(*templates: str) -> tuple[tuple[str, ...], ...]:
+def numbered(*templates: str, start: int = 1) -> tuple[tuple[str, ...], ...]:
     """Three tuples of alternatives from templates with a `#` for the bone's number."""
-    return tuple(tuple(template.replace("#", str(number)) for template in templates) for number in (1, 2, 3))
+    numbers = range(start, start + 3)
+    return tuple(tuple(template.replace("#", str(number)) for template in templates) for number in numbers)
 
 
 def _phalanges(*words: str) -> tuple[tuple[str, ...], ...]:
@@ -87,25 +93,19 @@ def _phalanges(*words: str) -> tuple[tuple[str, ...], ...]:
 
 # the order decides which name is shown where two conventions find the very same bones
 CONVENTIONS = (
-    Convention(
-        "JGHand",
-        wrist=(NAMES[0],),
-        fingers=FINGERS,
-        bones=_numbered("{finger}#"),
-        tips=("{finger}4",),
-    ),
+    Convention("JGHand", wrist=("wrist",), fingers=FINGERS, bones=numbered("{finger}#"), tips=("{finger}4",)),
     Convention(
         "Rigify",
         wrist=("hand.{s}",),
         fingers=("thumb", "f_index", "f_middle", "f_ring", "f_pinky"),
-        bones=_numbered("{finger}.0#.{s}"),
+        bones=numbered("{finger}.0#.{s}"),
         prefixes=("def", "org", "", "mch"),
     ),
     Convention(
         "Mixamo",
         wrist=("{side}Hand",),
-        fingers=_ENGLISH,
-        bones=_numbered("{side}Hand{finger}#"),
+        fingers=ENGLISH,
+        bones=numbered("{side}Hand{finger}#"),
         tips=("{side}Hand{finger}4",),
     ),
     Convention(
@@ -122,22 +122,19 @@ CONVENTIONS = (
         bones=_phalanges("Proximal", "Intermediate", "Distal"),
     ),
     Convention(
-        "VRoid",
-        wrist=("{s}_Hand", "Hand_{s}"),
-        fingers=_LITTLE,
-        bones=_numbered("{s}_{finger}#", "{finger}#_{s}"),
+        "VRoid", wrist=("{s}_Hand", "Hand_{s}"), fingers=_LITTLE, bones=numbered("{s}_{finger}#", "{finger}#_{s}")
     ),
     Convention(
         "MakeHuman, MPFB",
         wrist=("wrist.{s}",),
         fingers=("finger1", "finger2", "finger3", "finger4", "finger5"),
-        bones=_numbered("{finger}-#.{s}"),
+        bones=numbered("{finger}-#.{s}"),
     ),
     Convention(
         "Unreal mannequin",
         wrist=("hand_{s}",),
         fingers=FINGERS,
-        bones=_numbered("{finger}_0#_{s}"),
+        bones=numbered("{finger}_0#_{s}"),
         tips=("{finger}_04_{s}",),
     ),
     Convention(
