@@ -220,8 +220,8 @@ class Render:
         from jghand_engine.render.budget import best_for
 
         chosen = best_for(self.budget_ms, avatar, (camera.width, camera.height), self.picture.threads)
-        say(chosen.sentence())
-        return chosen.settings, chosen.rated.name
+        say(chosen.sentence)
+        return chosen.settings, chosen.name
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
         if self.picture.camera_file is not None:

@@ -74,7 +74,7 @@ class Study:
     def _accuracy(self) -> Report:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.native.threads import thread_count
-        from jghand_engine.render.profile import write_profile
+        from jghand_engine.render.budget import write_profile
         from jghand_engine.study.accuracy_measures import Plan, held_out_truth, measure_accuracy, profile_of
         from jghand_engine.study.accuracy_plot import draw_figure
         from jghand_engine.study.report import Report

@@ -1,77 +1,93 @@
-"""The best picture that so many milliseconds buy on this machine.
+"""The best image that so many milliseconds buy on this machine.
 
     chosen = best_for(16.0, avatar, (512, 334))
     renderer = HandRenderer(avatar, chosen.settings)
 
-What settings cost is read from the profile of machine and avatar (`profile`). Where there is none for this size, two
-seconds of drawing make one, on a motion of its own.
+What settings cost, and how near they are to the most exact image, over black, stands in a small file per machine and
+avatar in the user's cache folder. `jghand study accuracy` fills it thoroughly; where nothing is known of a size, two
+seconds of drawing do. A file that cannot be read is as if it were not there.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 import math
+import os
+import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
+import jghand_engine
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.avatar.learned_storage import LearnedAbout
 from jghand_engine.color import decibels
-from jghand_engine.errors import InputError
-from jghand_engine.native.machine import FREE_PART, FreeCores
+from jghand_engine.errors import InputError, JGHandError
+from jghand_engine.files import cache_folder, writing
+from jghand_engine.native import contract
+from jghand_engine.native.build import read_stamp
+from jghand_engine.native.library import load
+from jghand_engine.native.machine import FREE_PART, FreeCores, processor
 from jghand_engine.native.threads import thread_count
-from jghand_engine.render.profile import (
-    NO_CORRECTIVES,
-    Profile,
-    Rated,
-    how_it_looks,
-    left_out,
-    pareto_front,
-    read_profile,
-    write_profile,
-)
+from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
 
 # part of a budget that 95 % of the measured frames may take: the rest is for whoever shows the image
 BUDGET_PART = 0.9
-# how long a machine that knows nothing of itself measures, seconds
+# how long a machine that knows nothing of itself measures, seconds; poses whose accuracy is measured; rounds at least
 BUDGET_SECONDS = 2.0
+_POSES, _ROUNDS_MIN = 3, 5
 # images smaller than this lose more by half the size than by fewer Gaussians (built-in hand), pixels
 HALF_PIXELS_MIN = 600_000
+# accuracy of a whole image over black from which on an artist sees no difference, has to look for it, sees it at once
+LOOKS_SAME_DB = 45.0
+LOOKS_ALIKE_DB = 38.0
+LOOKS_CLOSE_DB = 30.0
 
-# poses whose accuracy is measured, and rounds of all settings at least
-_POSES, _ROUNDS_MIN = 3, 5
+# of the file
+FORMAT = 2
+APPROXIMATE = "approximate creases"
+NO_CORRECTIVES = Choice(frozenset(CHOOSABLE) - {Effect.CORRECTIVES})
+
+Row = TypeVar("Row")
+
+
+@dataclass(frozen=True)
+class Rated:
+    """Settings, milliseconds of a whole frame in which nothing is reused, and accuracy, dB."""
+
+    name: str
+    settings: RenderSettings
+    median_ms: float
+    p95_ms: float
+    psnr_db: float
+
+
+@dataclass(frozen=True)
+class Profile:
+    """rows: what was measured · origin: in words, how · disturbed: whether the machine had other work meanwhile"""
+
+    rows: tuple[Rated, ...]
+    origin: str
+    disturbed: bool = False
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """rated: the settings and what was measured of them · fits: False when nothing is quick enough and this is the
-    quickest · budget_ms: what was asked for · total: Gaussians of the avatar · profile: where it was found"""
+    """settings: to draw with · name: of them · sentence: what was chosen and why, for the user"""
 
-    rated: Rated
-    fits: bool
-    budget_ms: float
-    total: int
-    profile: Profile
-
-    @property
-    def settings(self) -> RenderSettings:
-        return self.rated.settings
-
-    def sentence(self) -> str:
-        """What was chosen and why, for the user."""
-        row = self.rated
-        looks = how_it_looks(row.psnr_db, list(left_out(row.settings, self.total).values()))
-        told = f"{row.name}: {row.median_ms:.1f} ms (95 % below {row.p95_ms:.1f}), {row.psnr_db:.0f} dB, {looks}"
-        busy = " while the machine had other work" if self.profile.disturbed else ""
-        origin = f"({self.profile.origin}{busy})"
-        if self.fits:
-            return f"{self.budget_ms:g} ms buy {told} {origin}."
-        return f"Nothing is drawn within {self.budget_ms:g} ms here; the quickest is {told} {origin}."
+    settings: RenderSettings
+    name: str
+    sentence: str
 
 
 def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, RenderSettings]:
@@ -99,6 +115,9 @@ def has_seen_shadow(avatar: HandAvatar) -> bool:
     return look is not None and look.is_seen
 
 
+# ---- the choice -----------------------------------------------------------------------------------------------------
+
+
 def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], threads: int = 0) -> Chosen:
     """The most accurate settings whose frames of that size take at most BUDGET_PART of `budget_ms` in 95 % of cases.
 
@@ -108,27 +127,63 @@ def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], thr
         raise InputError("budget of a frame", wanted="milliseconds above 0", came=str(budget_ms))
     count = thread_count(threads)
     profile = read_profile(avatar, size_px, count)
-    if profile is None or profile.disturbed:
+    if profile is None:
         profile = measure_quickly(
             moving_subject(avatar.info.name, avatar, *size_px), candidates(avatar, size_px), count
         )
-        # a disturbed measurement is better than none, and replaced by the next one
         write_profile(avatar, size_px, count, profile)
     return choose(profile, budget_ms, len(avatar), threads)
 
 
 def choose(profile: Profile, budget_ms: float, total: int, threads: int = 0) -> Chosen:
-    """See `best_for`. The settings that come out may reuse stages and have so many threads."""
+    """See `best_for`. The settings that come out may reuse stages and have so many threads. total: Gaussians of the
+    avatar."""
     fitting = [row for row in profile.rows if row.p95_ms <= BUDGET_PART * budget_ms]
     front = pareto_front((row.p95_ms, row.psnr_db, row) for row in fitting)
     row = front[-1] if front else min(profile.rows, key=lambda each: each.p95_ms)
-    return Chosen(
-        replace(row, settings=replace(row.settings, threads=threads, reuse=True)),
-        bool(front),
-        budget_ms,
-        total,
-        profile,
-    )
+    looks = how_it_looks(row.psnr_db, list(left_out(row.settings, total).values()))
+    words = f"{row.name}: {row.median_ms:.1f} ms (95 % below {row.p95_ms:.1f}), {row.psnr_db:.0f} dB, {looks}"
+    busy = " while the machine had other work" if profile.disturbed else ""
+    lead = f"{budget_ms:g} ms buy" if front else f"Nothing is drawn within {budget_ms:g} ms here; the quickest is"
+    settings = replace(row.settings, threads=threads, reuse=True)
+    return Chosen(settings, row.name, f"{lead} {words} ({profile.origin}{busy}).")
+
+
+def pareto_front(rows: Iterable[tuple[float, float, Row]]) -> list[Row]:
+    """What no other is both faster and more accurate than, from the fastest on. rows: time, accuracy, and whose."""
+    front: list[Row] = []
+    best = -math.inf
+    for _, accuracy, row in sorted(rows, key=lambda each: (each[0], -each[1])):
+        if accuracy > best:
+            front.append(row)
+            best = accuracy
+    return front
+
+
+def how_it_looks(psnr_db: float, causes: Sequence[str]) -> str:
+    """A few words for who does not know decibels. causes: what is left out, see `left_out`, the worst first."""
+    if psnr_db >= LOOKS_SAME_DB:
+        return "looks the same"
+    # nothing else is left: correctives of a cheaper tier
+    what = causes[0] if causes else APPROXIMATE
+    if psnr_db >= LOOKS_ALIKE_DB:
+        return f"nearly the same ({what})"
+    return what if psnr_db >= LOOKS_CLOSE_DB else f"clearly {what}" if what.startswith("soft") else what
+
+
+def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
+    """By axis, what one sees of settings that leave something out of an avatar of `total` Gaussians; of most first."""
+    seen = {
+        "resolution": "soft everywhere" if settings.half else "",
+        "correctives": "" if settings.effects.allows(Effect.CORRECTIVES) else "flat creases and knuckles",
+        "Gaussians": "soft fingertips" if (settings.gaussians or total) < total else "",
+        "shadow": "no shadow between the fingers" if settings.shadow is ShadowMode.OFF else "",
+        "blend": "thin edges" if settings.alpha_min > contract.ALPHA_MIN else "",
+    }
+    return {axis: words for axis, words in seen.items() if words}
+
+
+# ---- the measurement ------------------------------------------------------------------------------------------------
 
 
 def measure_quickly(
@@ -140,17 +195,13 @@ def measure_quickly(
     renderers = {name: HandRenderer(subject.avatar, one) for name, one in steady.items()}
     accuracy = _accuracy(subject, renderers, threads)
     times: dict[str, list[float]] = {name: [] for name in renderers}
-    control, free = FreeCores(threads), []
-    turn = 0
-    try:
-        while turn < _ROUNDS_MIN or time.perf_counter() - started < seconds:
-            pose_m = subject.poses[turn % len(subject.poses)]
+    free: list[bool] = []
+    with contextlib.closing(FreeCores(threads)) as control:
+        while len(free) < _ROUNDS_MIN or time.perf_counter() - started < seconds:
+            pose_m = subject.poses[len(free) % len(subject.poses)]
             free.append(control() >= FREE_PART * threads)
             for name, renderer in renderers.items():
                 times[name].append(renderer.render(pose_m, subject.camera).report.total_ms)
-            turn += 1
-    finally:
-        control.close()
     rows = tuple(
         Rated(name, offered[name], float(np.median(ms)), float(np.percentile(ms, 95)), accuracy[name])
         for name, ms in times.items()
@@ -159,14 +210,64 @@ def measure_quickly(
 
 
 def _accuracy(subject: Subject, renderers: Mapping[str, HandRenderer], threads: int) -> dict[str, float]:
-    """dB of some poses' pictures together; drawing them also warms everything up."""
+    """dB of some poses' images together; drawing them also warms everything up."""
     exact = HandRenderer(subject.avatar, replace(PRESETS["reference"], threads=threads))
-    poses = subject.poses[np.linspace(0, len(subject.poses) - 1, _POSES).astype(int)]
     squares: dict[str, list[float]] = {name: [] for name in renderers}
-    for pose_m in poses:
+    for pose_m in subject.poses[np.linspace(0, len(subject.poses) - 1, _POSES).astype(int)]:
         wanted = exact.render(pose_m, subject.camera).rgba[..., :3]
         for name, renderer in renderers.items():
-            squares[name].append(
-                float(np.square(renderer.render(pose_m, subject.camera).rgba[..., :3] - wanted).mean())
-            )
+            error = renderer.render(pose_m, subject.camera).rgba[..., :3] - wanted
+            squares[name].append(float(np.square(error).mean()))
     return {name: decibels(float(np.mean(values))) for name, values in squares.items()}
+
+
+# ---- the file -------------------------------------------------------------------------------------------------------
+
+
+def profile_file(avatar: HandAvatar) -> Path:
+    """Where the profile of this machine and avatar is, whether it is there or not."""
+    library = load("auto")
+    machine = [processor(), platform.machine(), os.cpu_count(), library.variant, repr(read_stamp(library.path))]
+    learned = None if avatar.learned is None else LearnedAbout.of(avatar.learned).as_dict()
+    digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine, learned]).encode())
+    for array in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb):
+        digest.update(array.tobytes())
+    return cache_folder() / f"profile_{digest.hexdigest()[:24]}.json"
+
+
+def read_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int) -> Profile | None:
+    """What is known of the candidates for images of that size and so many threads; None for nothing."""
+    offered = candidates(avatar, size_px)
+    try:
+        entry = _read(profile_file(avatar))[_key(size_px, threads)]
+        rows = tuple(Rated(name, offered[name], *map(float, figures)) for name, figures in entry["rows"].items())
+        sound = all(math.isfinite(row.median_ms + row.p95_ms + row.psnr_db) for row in rows)
+        return Profile(rows, str(entry["origin"])) if rows and sound else None
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
+
+
+def write_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int, profile: Profile) -> bool:
+    """Adds it to the file, whole or not at all; False when it cannot be written or was disturbed, which costs only the
+    next two seconds."""
+    rows = {row.name: (row.median_ms, row.p95_ms, row.psnr_db) for row in profile.rows}
+    file = profile_file(avatar)
+    content = _read(file) | {_key(size_px, threads): {"origin": profile.origin, "rows": rows}}
+    with contextlib.suppress(JGHandError, OSError):
+        if not profile.disturbed:
+            with writing(file) as temporary:
+                temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            return True
+    return False
+
+
+def _key(size_px: tuple[int, int], threads: int) -> str:
+    return f"{size_px[0]}x{size_px[1]}, {threads} threads"
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}

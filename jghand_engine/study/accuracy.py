@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.learn.tables import NONE, Table, number
-from jghand_engine.render.profile import LOOKS_SAME_DB
+from jghand_engine.render.budget import LOOKS_SAME_DB
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.study.accuracy_growth import Growth
 from jghand_engine.study.accuracy_reference import Error

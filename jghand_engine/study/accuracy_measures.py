@@ -16,7 +16,7 @@ from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
 from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out, means, measure_pictures
 from jghand_engine.learn.log import read_log
-from jghand_engine.render.profile import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
+from jghand_engine.render.budget import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject

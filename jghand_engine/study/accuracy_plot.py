@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.render.profile import LOOKS_SAME_DB, pareto_front
+from jghand_engine.render.budget import LOOKS_SAME_DB, pareto_front
 from jghand_engine.study.accuracy import Accuracy, Row
 from jghand_engine.study.accuracy_growth import PANELS, POSES, Growth
 from jghand_engine.study.accuracy_variants import TOGETHER

@@ -16,8 +16,7 @@ from jghand_engine.avatar.file import stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.learn.distill import distill, poses_near
 from jghand_engine.native.threads import thread_count
-from jghand_engine.render.budget import candidates, has_seen_shadow
-from jghand_engine.render.profile import NO_CORRECTIVES
+from jghand_engine.render.budget import NO_CORRECTIVES, candidates, has_seen_shadow
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.study.tier_prices import with_correctives
 from jghand_engine.study.tier_yardsticks import ExactPictures

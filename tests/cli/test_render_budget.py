@@ -11,7 +11,6 @@ from small_avatars import trained_avatar
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
 from jghand_engine.render import budget
-from jghand_engine.render.profile import NO_CORRECTIVES, Profile, Rated
 from jghand_engine.render.settings import preset
 from jghand_engine.template.builtin import load_template
 
@@ -21,8 +20,7 @@ NAME = "viewport, no correctives"
 @pytest.fixture
 def avatar(tmp_path, monkeypatch):
     """A trained hand on a machine that can only afford it without correctives."""
-    rated = Rated(NAME, replace(preset("viewport"), effects=NO_CORRECTIVES), 1.0, 1.0, 34.0)
-    chosen = budget.Chosen(rated, True, 5.0, 300, Profile((rated,), "a test", False))
+    chosen = budget.Chosen(replace(preset("viewport"), effects=budget.NO_CORRECTIVES), NAME, f"5 ms buy {NAME}.")
     monkeypatch.setattr(budget, "best_for", lambda *_: chosen)
     made = trained_avatar(300)
     save_avatar(tmp_path / "hand.jghand", replace(made, info=replace(made.info, template=load_template().identifier)))

@@ -17,7 +17,7 @@ from small_avatars import small_avatar
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
-from jghand_engine.render.profile import Profile, Rated, read_profile
+from jghand_engine.render.budget import Profile, Rated, read_profile
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.study import accuracy_measures, accuracy_plot, stability, stability_plot, stability_views
 from jghand_engine.study.accuracy import Accuracy, Row
@@ -116,7 +116,7 @@ def test_the_study_of_accuracy_writes_its_folder_and_keeps_what_budgets_choose_f
 ):
     monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(accuracy_measures, "measure_accuracy", lambda plan, say: accuracy)
-    profile = Profile((Rated("one", RenderSettings(), 1.0, 1.0, 50.0),), "the study", False)
+    profile = Profile((Rated("viewport", RenderSettings(), 1.0, 1.0, 50.0),), "the study", False)
     monkeypatch.setattr(accuracy_measures, "profile_of", lambda found, plan: profile)
     avatar, out = small_avatar(30), tmp_path / "study"
     save_avatar(tmp_path / "small.jghand", avatar)
