@@ -16,8 +16,6 @@ import sys
 import threading
 import time
 import tomllib
-from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -34,14 +32,8 @@ from jghand_engine.files import make_folder, writing
 
 DESCRIPTION = """Train a list of hands, some at once here, or as an array of jobs of a SLURM cluster.
 
-The list is a TOML file (docs/SCALE.md): what `jghand train` is told, for all of them and for each.
-
-    minutes = 60
-    [[training]]
-    folder = "captures/id3"
-
-The same command again goes on: what is finished stays, what was stopped, killed or preempted goes on with its last
-checkpoint.
+The list is a TOML file (docs/SCALE.md): options of `jghand train`, for all of them and for each. The same command again
+resumes what was stopped, killed or preempted, and leaves what is finished.
 
 Examples:
   jghand train-many captures.toml --out avatars --jobs 2
@@ -91,8 +83,8 @@ class TrainMany:
             say(f"Submitted: {', '.join(numbers) or 'nothing'}. The same command later takes up what is left.")
             return 0
         codes = {job.name: 0 for job in jobs} | run_here(waiting, self.jobs)
-        words = {0: "finished", STOPPED: "stopped"}
-        rows = [(job.name, words.get(codes[job.name], "failed"), job.last_words) for job in jobs]
+        states = {0: "finished", STOPPED: "stopped"}
+        rows = [(job.name, states.get(codes[job.name], "failed"), job.last_words) for job in jobs]
         say_table(str(self.out), ("training", "state", "last words"), rows)
         if self.report.json is not None:
             told = {name: {"state": state, "exit_code": codes[name], "text": text} for name, state, text in rows}
@@ -110,19 +102,17 @@ def read_list(path: Path) -> dict[str, tuple[str, ...]]:
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}", wanted="TOML", came=str(error)) from error
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}", wanted="a TOML file", came=str(error)) from error
     tables = content.pop("training", None)
     if not isinstance(tables, list) or not 1 <= len(tables) <= TRAININGS_MAX:
         raise InputError(f"{path}", wanted=f"1 to {TRAININGS_MAX} tables [[training]]", came="something else")
     named = [_training({**content, **table}, path.parent, f"{path}: training {n}") for n, table in enumerate(tables, 1)]
-    # a disk may know no capital letters
-    if twice := [name for name, count in Counter(name.casefold() for name, _ in named).items() if count > 1]:
-        remedy = 'Give them a name of their own: name = "…".'
-        raise InputError(f"{path}", wanted="a name for each", came=f"{twice[0]} more than once", remedy=remedy)
-    for name, words in {words[1:]: (name, words) for name, words in reversed(named)}.values():
+    for name, words in named:
+        # a disk may know no capital letters
+        if sum(name.casefold() == other.casefold() for other, _ in named) > 1:
+            remedy = 'Give them a name of their own: name = "…".'
+            raise InputError(f"{path}", wanted="a name for each", came=f"{name} more than once", remedy=remedy)
         _check(words, f"{path}: {name}")
     return dict(named)
 
@@ -138,13 +128,11 @@ def _training(table: dict[str, Any], base: Path, where: str) -> tuple[str, tuple
     if own := sorted(table.keys() & OF_THE_LIST):
         raise InputError(f"{where}: {own[0]}", wanted="options of the training alone", came="what train-many decides")
     words = [str(folder)]
-    # not in the order of the list: the same options are to be the same words
+    # sorted: the same options are to be the same words
     for key, value in sorted(table.items()):
-        option = "--" + key.replace("_", "-")
-        if value is True:
-            words.append(option)
-        elif value is not False:
-            words += [option, *map(str, value if isinstance(value, list) else [value])]
+        if value is not False:
+            values = [] if value is True else value if isinstance(value, list) else [value]
+            words += ["--" + key.replace("_", "-"), *map(str, values)]
     return name, tuple(words)
 
 
@@ -164,14 +152,17 @@ def _check(words: tuple[str, ...], where: str) -> None:
 
 @dataclass
 class TrainingJob:
-    """A training as a process: what is run here, and what submitit runs, again after every preemption."""
+    """A training as a process: what is run here, and what submitit runs, again after every preemption.
+
+    name:    of the avatar's file
+    words:   of `jghand train` but for --out
+    out:     folder of the avatars, absolute
+    program: what stands before the words of the command
+    """
 
     name: str
-    # of `jghand train` but for --out
     words: tuple[str, ...]
-    # folder of the avatars, absolute
     out: Path
-    # what stands before the words of the command
     program: tuple[str, ...] = field(default_factory=lambda: PROGRAM)
     _child: subprocess.Popen[bytes] | None = field(default=None, repr=False, compare=False)
 
@@ -198,13 +189,9 @@ class TrainingJob:
                     return str(text)
         return ""
 
-    def train(self, stop: threading.Event, in_child: Callable[[], None] | None = None) -> int:
-        """Trains, from its checkpoint where there is one, until the end or until `stop` is set; the exit code.
-        in_child: called in the new process before it begins"""
-        # as late as it is needed: it brings torch
-        from jghand_engine.learn.work_folder import MARK
-
-        begun = (self.out / f"{self.name}.training" / MARK).is_file()
+    def train(self, stop: threading.Event) -> int:
+        """Trains, from its checkpoint where there is one, until the end or until `stop` is set; the exit code."""
+        begun = (self.out / f"{self.name}.training" / "training.json").is_file()
         command = [
             *self.program, "train", *self.words, "--out", str(self.out / f"{self.name}.jghand"), "--progress-json",
             *(["--resume"] if begun else []),
@@ -212,11 +199,11 @@ class TrainingJob:
         with (self.out / f"{self.name}.log").open("ab") as log:
             # a session of its own: Ctrl-C in a terminal reaches this process alone, which stops the training once
             self._child = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True, preexec_fn=in_child
+                command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True, preexec_fn=_deaf
             )
         try:
-            while (code := self._child.poll()) is None and not stop.is_set():
-                time.sleep(POLL_S)
+            while self._child.poll() is None and not stop.wait(POLL_S):
+                pass
         finally:
             code = self._stop()
         if code == 0:
@@ -225,21 +212,20 @@ class TrainingJob:
         return code
 
     def _stop(self) -> int:
-        """Asks for the checkpoint and waits for the end; the exit code."""
+        """Asks for the checkpoint by closing standard input, and waits for the end; the exit code."""
         if (child := self._child) is None or child.stdin is None:
             return STOPPED
         with contextlib.suppress(OSError):
             child.stdin.close()
-        until_s = time.monotonic() + CHECKPOINT_WAIT_S
-        while (code := child.poll()) is None:
-            if time.monotonic() > until_s:
-                child.kill()
-            time.sleep(POLL_S)
-        return code
+        try:
+            return child.wait(CHECKPOINT_WAIT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            return child.wait()
 
     def __call__(self) -> str:
-        """What submitit runs. RuntimeError when it failed: then the scheduler calls the job failed."""
-        code = self.train(threading.Event(), _ignore_the_signal_of_the_job)
+        """What submitit runs; after a RuntimeError the scheduler calls the job failed."""
+        code = self.train(threading.Event())
         if code == STOPPED:
             time.sleep(REQUEUE_WAIT_S)
         if code:
@@ -254,7 +240,8 @@ class TrainingJob:
         return DelayedSubmission(replace(self, _child=None))
 
 
-def _ignore_the_signal_of_the_job() -> None:
+def _deaf() -> None:
+    """The signal of preemption is meant for the job, which stops its training by closing its standard input."""
     signal.signal(signal.SIGUSR2, signal.SIG_IGN)
 
 
@@ -305,6 +292,5 @@ def submit(jobs: list[TrainingJob], asked: tuple[str, ...], logs: Path) -> list[
         return [job.job_id for job in executor.submit_array(jobs)]
     # submitit's own errors are RuntimeErrors
     except (RuntimeError, OSError, subprocess.SubprocessError) as error:
-        said = str(error).strip().splitlines()
-        remedy = "Look at the partition and the limits."
-        raise RetryError("SLURM did not take the jobs", came=said[-1] if said else "", remedy=remedy) from error
+        came, remedy = str(error).strip().splitlines()[-1:], "Check the partition and the limits."
+        raise RetryError("SLURM did not take the jobs", came="".join(came), remedy=remedy) from error

@@ -185,21 +185,13 @@ class Snapshot:
 
 def check_fits(tensors: Mapping[str, torch.Tensor], trainable: Trainable, thing: str) -> None:
     """InputError when `tensors`, which errors call `thing`, are not those of `trainable`: by name, shape and type."""
+
+    def form(tensor: torch.Tensor | None) -> str:
+        return "none" if tensor is None else f"{str(tensor.dtype).removeprefix('torch.')} {tuple(tensor.shape)}"
+
     wanted = trainable.tensors()
-    if tensors.keys() != wanted.keys():
-        missing, unknown = sorted(wanted.keys() - tensors.keys()), sorted(tensors.keys() - wanted.keys())
-        raise _other_model(
-            f"{thing}: its tensors", "those of this model", f"missing {missing}, unknown {unknown}"[:300]
-        )
-    for name, tensor in wanted.items():
-        want, came = _form(tensor), _form(tensors[name])
+    for name in {**wanted, **tensors}:
+        want, came = form(wanted.get(name)), form(tensors.get(name))
         if want != came:
-            raise _other_model(f"{thing}: {name}", want, came)
-
-
-def _form(tensor: torch.Tensor) -> str:
-    return f"{str(tensor.dtype).removeprefix('torch.')} {tuple(tensor.shape)}"
-
-
-def _other_model(thing: str, wanted: str, came: str) -> InputError:
-    return InputError(thing, wanted=wanted, came=came, remedy="It belongs to another model: restart with --fresh.")
+            remedy = "It belongs to another model: restart with --fresh."
+            raise InputError(f"{thing}: {name}", wanted=want, came=came, remedy=remedy)

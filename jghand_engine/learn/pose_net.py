@@ -124,11 +124,6 @@ class LinearNet:
         tensors = {name: torch.tensor(getattr(linear, name)) for name in names}
         return cls(AnglePlanes.of(linear.angles), bone_weights=bone_weights, **tensors)
 
-    def plain(self) -> LinearCorrectives:
-        """As arrays."""
-        names = ("mean", "projection", "constant", "direction", "scale")
-        return LinearCorrectives(self.angles.plain(), **{name: getattr(self, name).numpy() for name in names})
-
     @cached_property
     def _directions(self) -> Tensor:
         """(N, K, 6) float32."""

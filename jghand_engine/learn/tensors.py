@@ -109,7 +109,7 @@ def _as_arrays(value: Any) -> Any:
     """The reverse."""
     if isinstance(value, Tensor):
         return value.detach().cpu().numpy().copy()
-    if isinstance(value, PoseNet | LinearNet):
+    if isinstance(value, PoseNet):
         return value.plain()
     kind: Any = _ARRAYS_OF.get(type(value))
     names = [] if kind is None else [f.name for f in fields(type(value))]
