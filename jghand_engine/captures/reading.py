@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.orders import (
-    HAND_LENGTH_MAX_M,
-    HAND_LENGTH_MIN_M,
-    METERS_PER_UNIT,
-    JointOrder,
-    check_order,
-    hand_length,
-)
+from jghand_engine.hand.orders import JointOrder, check_hand_size, check_order
 from jghand_engine.json_files import numbers
 from jghand_engine.render.camera import Camera
 
@@ -128,28 +121,13 @@ def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str
 
     joints_m: (P, 21, 3) level order, meters · order, unit: as the data set's layout has them · source: the file to name
     """
-    length_m = hand_length(joints_m)
-    if not HAND_LENGTH_MIN_M <= length_m <= HAND_LENGTH_MAX_M:
-        raise InputError(
-            f"joints in {source}",
-            wanted=f"a hand of {HAND_LENGTH_MIN_M:g} to {HAND_LENGTH_MAX_M:g} m, in {unit}",
-            came=f"{length_m:.3g} m from wrist to middle tip",
-            remedy=_unit_remedy(length_m, unit),
-        )
     try:
+        check_hand_size(joints_m, unit)
         check_order(joints_m, order)
     except InputError as error:
         raise InputError(
             f"joints in {source} ({error.thing})", wanted=error.wanted, came=error.came, remedy=error.remedy
         ) from error
-
-
-def _unit_remedy(length_m: float, unit: str) -> str:
-    for name, meters in METERS_PER_UNIT.items():
-        likely_m = length_m / METERS_PER_UNIT[unit] * meters
-        if HAND_LENGTH_MIN_M <= likely_m <= HAND_LENGTH_MAX_M:
-            return f"They look like {name}; this layout has {unit}: convert them, or take the original file."
-    return "Take the original file, or scale the hand to its real size."
 
 
 class Sieve:

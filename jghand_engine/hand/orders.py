@@ -7,7 +7,7 @@ outside pass `check_order` and `check_hand_size`, which look at bone lengths onl
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -27,13 +27,6 @@ KNUCKLE_DETOUR_MAX = 1.35
 # place of a metacarpal's base on the line wrist to knuckle, which OpenXR lists (0.33 to 0.37 in the rig that the
 # template comes from)
 OPENXR_METACARPAL_PART = 0.34
-
-
-class HasShape(Protocol):
-    """An array of numpy or torch."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...
 
 
 class JointOrder(StrEnum):
@@ -95,8 +88,9 @@ def joint_count(order: JointOrder) -> int:
     return _OPENXR_COUNT if order is JointOrder.OPENXR else JOINT_COUNT
 
 
-def check_joint_shape(joints: HasShape, order: JointOrder = JointOrder.LEVEL) -> None:
-    """Raises InputError unless `joints` is (..., n, 3) with the n of `order`; says what another n looks like."""
+def check_joint_shape(joints: Any, order: JointOrder = JointOrder.LEVEL) -> None:
+    """Raises InputError unless `joints`, of numpy or torch, is (..., n, 3) with the n of `order`; says what another n
+    looks like."""
     shape = tuple(joints.shape)
     if len(shape) < 2 or shape[-1] != 3:
         raise InputError("joints", wanted=f"shape (..., {joint_count(order)}, 3)", came=str(shape))
@@ -244,7 +238,7 @@ def check_hand_size(joints_m: np.ndarray, unit: str = "m") -> None:
         name for name, scale in METERS_PER_UNIT.items() if HAND_LENGTH_MIN_M <= given * scale <= HAND_LENGTH_MAX_M
     ]
     if likely:
-        remedy = f"It looks like {_UNIT_NAMES[likely[0]]}: give the unit {likely[0]}."
+        remedy = f"It looks like {_UNIT_NAMES[likely[0]]}: name the unit {likely[0]}, or convert it."
     else:
         remedy = "Check the unit, or scale the hand to its real size."
     raise InputError(

@@ -244,7 +244,7 @@ def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.n
     For poses of neighboring moments, many times a frame: the palm is not turned as a whole as in `poses_between`.
     """
     first_m, second_m, share = first_m[None], second_m[None], np.full((1, 1), part)
-    between = _directions_between(bone_directions(first_m), bone_directions(second_m), share)
+    between = slerp(bone_directions(first_m), bone_directions(second_m), share)
     return _rebuilt_between(first_m, second_m, between, share)[0]
 
 
@@ -280,18 +280,13 @@ def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -
     """
     share = part[..., 0]
     palm_first, palm_second, palm = _palms_between(first_m, second_m, share[:, 0])
-    inside = _directions_between(
+    inside = slerp(
         np.einsum("fji,fbj->fbi", palm_first, bone_directions(first_m)),
         np.einsum("fji,fbj->fbi", palm_second, bone_directions(second_m)),
         share,
     )
     between = _rebuilt_between(first_m, second_m, np.einsum("fij,fbj->fbi", palm, inside), share)
     return np.where(np.isfinite(between), between, (1 - part) * first_m + part * second_m)
-
-
-def _directions_between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Unit directions (F, 20, 3) at `share` (F, 1) of the great circles between two."""
-    return slerp(first, second, share)
 
 
 def _rebuilt_between(first: np.ndarray, second: np.ndarray, directions: np.ndarray, share: np.ndarray) -> np.ndarray:

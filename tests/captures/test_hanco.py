@@ -107,7 +107,7 @@ def test_joints_in_millimeters_and_in_another_order_are_refused(changeable):
         frame_file(changeable, "xyz", frame).write_text(
             json.dumps((from_level(sets.pose(frame), JointOrder.STANDARD) * 1e3).tolist())
         )
-    with pytest.raises(InputError, match="They look like mm; this layout has m"):
+    with pytest.raises(InputError, match="It looks like millimeters"):
         open_capture(changeable)
     for frame in range(2):
         frame_file(changeable, "xyz", frame).write_text(

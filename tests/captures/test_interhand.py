@@ -249,13 +249,13 @@ def test_joints_listed_base_first_are_refused_and_their_order_is_named(changeabl
         open_capture(changeable)
 
 
-@pytest.mark.parametrize(("unit_per_m", "name"), [(1.0, "m"), (100.0, "cm")])
+@pytest.mark.parametrize(("unit_per_m", "name"), [(1.0, "meters"), (100.0, "centimeters")])
 def test_joints_in_another_unit_are_refused_and_the_unit_is_named(changeable, unit_per_m, name):
     wrong = listed(JointOrder.INTERHAND, unit_per_m)
     with edited(changeable, "joint_3d") as content:
         for frame, entry in content["0"].items():
             entry["world_coord"][:21] = wrong[frame]
-    with pytest.raises(InputError, match=rf"They look like {name}; this layout has mm"):
+    with pytest.raises(InputError, match=rf"hand given in millimeters.*It looks like {name}"):
         open_capture(changeable)
 
 
@@ -302,7 +302,7 @@ def test_whoever_listens_gets_all_that_is_broken_and_the_rest_of_the_pictures(ch
     heard = []
     capture = open_capture(changeable, report=heard.append)
     assert (len(capture), capture.dropped) == (3, (("broken or missing", 1),))
-    assert ["no such file" in str(heard[0]), "They look like m;" in str(heard[1])] == [True, True]
+    assert ["no such file" in str(heard[0]), "It looks like meters" in str(heard[1])] == [True, True]
 
 
 def test_the_capture_of_other_scripts_is_read(shared_data):

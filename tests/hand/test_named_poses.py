@@ -133,15 +133,6 @@ def middle_finger_m(joints: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(joints[[0, 3, 8, 13, 18]], axis=0), axis=1).sum())
 
 
-@pytest.mark.parametrize("name", ["fist", "victory", "three", "pinch"])
-def test_what_contact_misses_is_measured_from_the_thumb_s_tip(name):
-    hand = ArticulatedHand(CANONICAL)
-    frames = np.stack([hand.joints(named_angles(pose)[None])[0] for pose in ("fist", "open", "claw")])
-    contact, finger = CONTACTS[name]
-    expected = [missed(joints, contact, finger, middle_finger_m(CANONICAL)) for joints in frames]
-    assert np.abs(hand._gap(frames, contact, finger) - expected).max() < 1e-15
-
-
 @pytest.mark.parametrize("name", CONTACTS)
 def test_no_other_angles_of_the_thumb_touch_better(name):
     """The air that is left against the turn away from the pose, each as a part of what is bearable."""

@@ -1,6 +1,5 @@
 """The motion that explains landmarks best."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.track import fit as fit_module
 from jghand_engine.track.costs import PoseCosts, Trust
-from jghand_engine.track.fit import FIT_GAP_S, _parts, fit
+from jghand_engine.track.fit import FIT_GAP_S, fit
 from jghand_engine.track.poses import LIMITS_RAD, JointChain, Landmarks, Poses
 from jghand_engine.track.track import FINGER_BONES, angles_between_deg, jitter_deg
 
@@ -208,25 +207,6 @@ def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeyp
     assert np.degrees(np.abs(np.diff(found.angle_rad, axis=0)).max()) < 0.006, "seen: 0.0039"
 
 
-def test_parts_of_a_long_video_end_where_the_hand_is_seen(monkeypatch):
-    monkeypatch.setattr(fit_module, "FIT_WINDOW_FRAMES", 20)
-    random = np.random.default_rng(0)
-    for _ in range(50):
-        seen = np.flatnonzero(random.random(150) < random.uniform(0.1, 1))
-        parts = list(_parts(seen, 6, 6))
-        kept = np.concatenate([part for part, _ in parts])
-        assert (np.diff(kept) > 0).all()
-        assert set(seen) <= set(kept)
-        for part, wide in parts:
-            assert set(part) <= set(wide)
-            assert part[0] in seen
-            assert {wide[0], wide[-1]} <= set(seen)
-            assert len(part) <= 20
-            assert len(wide) <= 20 + 4 * 6 + 1
-        before = set(range(kept[0], kept[-1] + 1)) - set(kept)
-        assert not before & set(seen), "what is left out are long gaps alone"
-
-
 # ---- the steps -------------------------------------------------------------------------------------------------------
 
 
@@ -280,18 +260,3 @@ def test_a_frame_that_fits_badly_does_not_end_the_fit_of_the_others(truth_m):
     for frame in (3, 20, 41):
         one = fit(CHAIN, seen.part(slice(frame, frame + 1)), Trust(smoothing=0.0)).joints_m(CHAIN)
         np.testing.assert_allclose(together[frame], one[0], atol=1e-12)
-
-
-def test_a_start_whose_first_steps_are_refused_still_comes_to_the_motion(truth_m, monkeypatch):
-    """The steps after those are so short that each gains next to nothing, which is no end yet."""
-    costs, asked = fit_module._costs, itertools.count()
-
-    def refused_at_first(weighed, poses, steadiness):
-        # asked of every step before it and after it
-        number = next(asked)
-        return costs(weighed, poses, steadiness) * (np.inf if number < 18 and number % 2 else 1)
-
-    monkeypatch.setattr(fit_module, "_costs", refused_at_first)
-    found = fit(CHAIN, landmarks(truth_m), Trust(rest_rad=1e3, smoothing=0.0)).joints_m(CHAIN)
-    # worst seen 2e-9 m, as without refused steps
-    np.testing.assert_allclose(found, truth_m, atol=1e-7)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -49,19 +45,6 @@ def test_every_identity_is_a_hand_that_is_not_the_template(name):
     assert np.abs(identity.weights25.sum(1) - 1).max() < 1e-12
     # the nearest of them, old_person, differs by 4.1 mm on average where both are laid wrist on wrist
     assert np.linalg.norm(identity.vertices_m - template.vertices_m, axis=1).mean() > 3e-3
-
-
-def test_the_shipped_identities_are_those_of_the_script_that_builds_them():
-    path = Path(__file__).parents[3] / "scripts" / "build_identities.py"
-    specification = importlib.util.spec_from_file_location("build_identities", path)
-    assert specification is not None
-    assert specification.loader is not None
-    script = importlib.util.module_from_spec(specification)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", list(sys.path))
-        specification.loader.exec_module(script)
-    assert tuple(script.IDENTITIES) == identity_names()
-    assert all(abs(change) <= 0.5 for _, local in script.IDENTITIES.values() for change in local.values())
 
 
 def test_an_identity_has_a_number_and_a_name():
@@ -120,16 +103,6 @@ def test_even_with_the_captures_own_shape_our_transform_does_not_give_its_skin(h
     # observed mean 0.47 mm
     assert gap_m.mean() > 3e-4
     assert gap_m.max() > 4e-3
-
-
-def test_a_rig_without_metacarpals_is_more_than_a_millimeter_away(hand, monkeypatch):
-    angles = np.stack([hand.angles_of(name) for name in ("fist", "grasp", "rock", "four")])
-    cupped = hand.skin(hand.pose(angles))
-    monkeypatch.setattr(hand, "_cupping", lambda angles: np.broadcast_to(np.eye(3), (len(angles), 5, 3, 3)))
-    gap_m = np.linalg.norm(hand.skin(hand.pose(angles)) - cupped, axis=-1)
-    # observed mean 1.4 mm
-    assert gap_m.mean() > 1e-3
-    assert gap_m.max() > 8e-3
 
 
 def _driven_gap_m(vertices_m, canonical_m, weights, hand: RiggedHand, pose: RigPose) -> np.ndarray:
