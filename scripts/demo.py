@@ -3,8 +3,8 @@
     python scripts/demo.py                     the result lies in demo_output/
     python scripts/demo.py --help              what the demo can be told
 
-Needs nothing but Python 3.11 or newer. Options are handed to `jghand demo`. With --blender-python no environment for
-Blender is set up: that Python is taken.
+Needs nothing but Python 3.11 or newer. Options are those of scripts/demo_job.py. With --blender-python no environment
+for Blender is set up: that Python is taken.
 """
 
 import sys
@@ -12,24 +12,21 @@ import sys
 if sys.version_info < (3, 11):  # noqa: UP036  (the very message this line is for)
     sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0])
 
-import ast
 import subprocess
 
 import environments
 from environments import BLENDER, ENGINE, ROOT, SetupError
 
-# where the options are declared
-CLI = ROOT / "jghand_engine" / "cli"
-OPTION_CLASSES = {"demo.py": ("Demo",), "options.py": ("AvatarOptions", "ReportOptions")}
+JOB = ROOT / "scripts" / "demo_job.py"
 
 
 def main() -> int:
     given = sys.argv[1:]
     if {"--help", "-h"} & set(given):
-        print(f"{__doc__}\nOptions:\n{option_list()}")
-        return 0
+        # its help is there before any environment is
+        return subprocess.run([sys.executable, str(JOB), "--help"], check=False).returncode
     engine = environments.ensure(ENGINE)
-    command = [str(engine), "-m", "jghand_engine", "demo", *given]
+    command = [str(engine), str(JOB), *given]
     if not names(given, "--out"):
         command += ["--out", str(ROOT / "demo_output")]
     if not names(given, "--blender-python"):
@@ -41,30 +38,8 @@ def main() -> int:
 
 
 def names(arguments: list[str], option: str) -> bool:
-    """Whether the option is among the arguments, as `--an-option X` or `--an_option=X`."""
-    return any(argument.partition("=")[0].replace("_", "-") == option for argument in arguments)
-
-
-def option_list() -> str:
-    """The options of `jghand demo`, one per line, read from its source: help must not wait for an environment."""
-    lines = []
-    for file, classes in OPTION_CLASSES.items():
-        tree = ast.parse((CLI / file).read_text(encoding="utf-8"))
-        for one in tree.body:
-            if isinstance(one, ast.ClassDef) and one.name in classes:
-                lines += [f"  --{name.replace('_', '-'):<18}{text}" for name, text in documented_fields(one)]
-    return "\n".join(lines)
-
-
-def documented_fields(one: ast.ClassDef) -> list[tuple[str, str]]:
-    """Name and docstring of every field of a dataclass that has one, and what it is when left out."""
-    found = []
-    for field, after in zip(one.body, one.body[1:], strict=False):
-        match field, after:
-            case ast.AnnAssign(target=ast.Name(id=name), value=default), ast.Expr(value=ast.Constant(value=text)):
-                known = default.value if isinstance(default, ast.Constant) else None
-                found.append((name, f"{text} ({known})" if known else str(text)))
-    return found
+    """Whether the option is among the arguments, as `--an-option X` or `--an-option=X`."""
+    return any(argument.partition("=")[0] == option for argument in arguments)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def test_a_hand_is_drawn_with_the_base_packages_alone(only_base, tmp_path):
 
 def test_splat_files_are_written_with_the_base_packages_alone(only_base, tmp_path):
     out = str(tmp_path / "splats")
-    done = run(only_base, "export", "splats", "--as", "ply", "--poses", "open", "--out", out)
+    done = run(only_base, "export", "ply", "--poses", "open", "--out", out)
     assert done.returncode == 0, done.stderr
     assert list((tmp_path / "splats").rglob("*.ply"))
 

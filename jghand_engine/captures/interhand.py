@@ -92,7 +92,7 @@ class _Reader:
                 f"data set {self.files.images}",
                 wanted="the pictures of one person",
                 came=f"{len(captures)} captures: {', '.join(f'Capture{name}' for name in captures)}",
-                remedy="Name the capture, or a protocol.",
+                remedy="Name the folder of one person, such as images/test/Capture0, or a protocol.",
             )
         of_person = [picture for picture in pictures if wanted in ("", picture.capture)]
         if not of_person:

@@ -115,7 +115,7 @@ def _split(present: list[str], with_images: list[str], wanted: str | None, root:
         f"split '{wanted}' of {root}" if wanted else f"data set {root}",
         wanted=f"one of {', '.join(present)}" if present else "annotations of a split, …_data.json",
         came=f"annotations of {', '.join(present)}" if present else "none",
-        remedy="Name one of them (--subset), or a protocol." if present else _DOWNLOAD,
+        remedy="Name the folder of one of them, such as images/test, or a protocol." if present else _DOWNLOAD,
     )
 
 

@@ -18,21 +18,23 @@ import tyro
 from jghand_engine import __version__
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
-from jghand_engine.cli.machine import JsonLines, started_by_a_program
-from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.machine import PROGRESS_JSON, JsonLines, started_by_a_program
 
 DESCRIPTION = """JGHand: 21 joint positions go in, a photorealistic hand comes out.
 
 Examples:
-  jghand demo --out demo_output                 the whole job, to see what JGHand does
   jghand render --poses open,fist --out pictures
   jghand render --help                          all about one command
-  jghand --version"""
+  jghand --version
+
+With the variable JGHAND_DEBUG=1 an error shows where in the program it happened. With --progress-json, for programs
+that start this one, every command tells its progress and errors as lines of JSON on standard error, and the end of
+standard input stops it as Ctrl-C does."""
 
 # each is a module of this package, `train-many` is cli/train_many.py with the dataclass TrainMany; only the one that is
 # called gets imported
 VERBS = (
-    *("demo", "render", "export", "info", "motion", "check-data", "check-usd", "track", "capture"),
+    *("render", "export", "info", "motion", "check-data", "check-usd", "track", "capture"),
     *("train", "train-many", "evaluate", "distill", "ablate", "bench", "study", "serve"),
 )
 STYLE = (
@@ -56,20 +58,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
 
 
-def _main(words: Sequence[str]) -> int:
+def _main(words: list[str]) -> int:
     if words == ["--version"]:
         say(f"jghand {__version__}")
         return 0
-    verb = parsed(words)
-    report = getattr(verb, "report", None)
-    report = report if isinstance(report, ReportOptions) else ReportOptions()
-    lines = JsonLines(sys.stderr) if report.progress_json else None
+    lines = JsonLines(sys.stderr) if PROGRESS_JSON in words else None
+    verb = parsed([word for word in words if word != PROGRESS_JSON])
     # around all of it: where its input has ended already, the stop comes before the command has begun
     try:
         with started_by_a_program(lines):
             return verb.run() or 0
     except (Exception, KeyboardInterrupt) as error:
-        if os.environ.get("JGHAND_DEBUG") or report.traceback:
+        if os.environ.get("JGHAND_DEBUG"):
             traceback.print_exc()
         failure = explain(error)
         if lines is not None:
@@ -95,5 +95,6 @@ def parsed(words: Sequence[str]) -> Any:
 
 def verb_called(name: str) -> tuple[type, str]:
     """The dataclass of a verb, and its description."""
-    module = importlib.import_module(f"jghand_engine.cli.{name.replace('-', '_')}")
+    file = "machine" if name == "serve" else name.replace("-", "_")
+    module = importlib.import_module(f"jghand_engine.cli.{file}")
     return getattr(module, name.title().replace("-", "")), module.DESCRIPTION

@@ -12,8 +12,6 @@ import tyro
 from jghand_engine.cli.console import err, progress, say, say_whole_table, write_json
 from jghand_engine.cli.evaluate import framing_cameras
 from jghand_engine.cli.failures import STOPPED
-from jghand_engine.cli.learning import DeviceName
-from jghand_engine.cli.options import ReportOptions
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
@@ -50,12 +48,9 @@ class Ablate:
     """What the parts are taken out of."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """The same seed gives the same avatars on the same machine."""
-    device: DeviceName = "auto"
-    """Where torch's part of the trainings runs, as of `jghand train`."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Measure at most so many pictures of each kind, evenly spread; 0 takes all."""
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
@@ -69,7 +64,7 @@ class Ablate:
         for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
             if value < least:
                 raise InputError(name, wanted=f"{least} or more", came=str(value))
-        device = device_called(self.device)
+        device = device_called("auto")
         full, perceptual = train_options(self.preset, self.seed, device)
         variants = chosen_variants(full, self.variants)
         capture = self.pictures.open(self.folder)
@@ -125,9 +120,7 @@ class Ablate:
             "command": "ablate", "preset": self.preset, "steps": self.steps, "seed": self.seed,
             "variants": {name: one.evaluation.as_dict() for name, one in results.items()},
         }  # fmt: skip
-        for path in (self.out / "ablation.json", self.report.json):
-            if path is not None:
-                write_json(path, figures)
+        write_json(self.out / "ablation.json", figures)
         everything = [sample for group in tested.categories.values() for sample in group]
         samples = sheets.varied_samples(everything, 6)
         drawers = {name: one.draw for name, one in results.items()}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, say_table, write_json
-from jghand_engine.cli.options import AvatarOptions, PresetName, ReportOptions, pixels
+from jghand_engine.cli.console import progress, say, say_table, write_figures
+from jghand_engine.cli.options import AvatarOptions, FiguresFile, PresetName, pixels
 from jghand_engine.errors import InputError
 
 DESCRIPTION = """Measure where the milliseconds of a frame go on this machine, for every preset.
@@ -31,13 +31,13 @@ class Bench:
     threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Threads of the renderer; 0 chooses."""
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.render.settings import preset
-        from jghand_engine.study import frame_time
-        from jghand_engine.study.timing import measure
+        from jghand_engine.render.subject import moving_subject
+        from jghand_engine.render.timing import COLUMNS, frame_case, machine, measure, table_rows
 
         if self.rounds < 1:
             raise InputError("--rounds", wanted="1 or more", came=str(self.rounds))
@@ -45,20 +45,18 @@ class Bench:
             raise InputError("--presets", wanted="at least one of draft, viewport, final, reference", came="none")
         width, height = pixels(self.size)
         avatar = load_avatar_called(self.avatar.avatar)
-        facts = frame_time.machine(self.threads)
-        subject = frame_time.builtin_subject(width, height, avatar, avatar.info.name)
+        facts = machine(self.threads)
+        subject = moving_subject(avatar.info.name, avatar, width, height)
         cases = [
             # a frame that only repeats the last one would say nothing
-            frame_time.frame_case(subject, replace(preset(name), threads=self.threads, reuse=False), f"preset {name}")
+            frame_case(subject, replace(preset(name), threads=self.threads, reuse=False), f"preset {name}")
             for name in self.presets
         ]
         with progress("Measuring", WARM_UP + self.rounds) as bar:
-            task = bar.task_ids[0]
-            measured = measure(cases, rounds=self.rounds, warm_up=WARM_UP, tick=lambda: bar.advance(task))
+            measured = measure(cases, rounds=self.rounds, warm_up=WARM_UP, tick=lambda: bar.advance(bar.task_ids[0]))
         say(", ".join(f"{name} {value}" for name, value in facts.items()))
-        say_table(f"From joints to picture, {len(avatar)} Gaussians", frame_time.COLUMNS, frame_time.rows(measured))
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "bench", "machine": facts, "size_px": [width, height], "avatar": avatar.info.name,
-                "rounds": self.rounds, "measurements": [one.as_dict() for one in measured],
-            })  # fmt: skip
+        say_table(f"From joints to picture, {len(avatar)} Gaussians", COLUMNS, table_rows(measured))
+        write_figures(self.json, {
+            "command": "bench", "machine": facts, "size_px": [width, height], "avatar": avatar.info.name,
+            "rounds": self.rounds, "measurements": [asdict(one) for one in measured],
+        })  # fmt: skip

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import File, FormatOptions, ReportOptions, parse_shard, pixels
+from jghand_engine.cli.console import progress, say, write_figures
+from jghand_engine.cli.options import FiguresFile, File, FormatOptions, parse_shard, pixels
 from jghand_engine.errors import InputError, RetryError
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Capture:
     """The Python that can import bpy. Left out: that of .envs/blender, else the running one."""
     threads: Annotated[int, _OneNumber] = 0
     """Threads of Cycles; 0 takes one for each processor that this process may use."""
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         from jghand_engine.captures.making.plan import annotate, open_or_make, shard_locked
@@ -120,11 +120,10 @@ class Capture:
             raise RetryError(f"{len(broken)} pictures are not whole, the first {file}: {fault}", remedy="Start again.")
         each = sum(seconds) / len(seconds) if seconds else 0.0
         say(f"Wrote {self.out}: {len(todo)} pictures, {each:.1f} s each.")
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "capture", "pictures": len(jobs), "rendered": len(todo), "remade": spoilt,
-                "seconds_each": each, "poses": list(plan.pose_names), "cameras": len(plan.cameras),
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "capture", "pictures": len(jobs), "rendered": len(todo), "remade": spoilt,
+            "seconds_each": each, "poses": list(plan.pose_names), "cameras": len(plan.cameras),
+        })  # fmt: skip
 
     def _annotate_finished(self, options) -> None:
         from jghand_engine.captures.making.plan import annotate, open_begun

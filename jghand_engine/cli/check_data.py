@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.console import progress, say, write_figures
+from jghand_engine.cli.options import FiguresFile
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
@@ -20,11 +20,15 @@ DESCRIPTION = """Look at a folder of pictures to learn from, and say what is wro
 
 Examples:
   jghand check-data captures/id3
-  jghand check-data InterHand2.6M_5fps_batch1 --subset test --capture Capture0 --sequences ROM04_RT_Occlusion
+  jghand check-data InterHand2.6M_5fps_batch1/images/test/Capture0 --sequences ROM04_RT_Occlusion
   jghand check-data InterHand2.6M_5fps_batch1 --protocol test-capture0
   jghand check-data HanCo --sequences 0191"""
 
 BAD_DATA = InputError.exit_code
+# pictures that the overlay shows
+SHOWN = 12
+# more pictures than any set has
+ALL = 2**31
 
 
 @dataclass(frozen=True)
@@ -33,26 +37,21 @@ class CheckData:
     """InterHand2.6M, HanCo, or what `jghand capture` made."""
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("check_data.png")
-    """Picture with joints and bones drawn over some of the pictures."""
-    shown: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 12
-    """How many pictures it shows; a third are those whose joints fit worst. 0: no picture."""
+    """Picture with joints and bones drawn over a dozen of the pictures, a third of them those that fit worst."""
     all: bool = False
     """Look at every picture; else at 400, evenly spread."""
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> int:
         """0 when the data can be learned from, the exit code of bad input when not."""
         from jghand_engine.captures.check_data import CHECK_PICTURES, check_data, facts
 
-        if self.shown < 0:
-            raise InputError("--shown", wanted="0 or more", came=str(self.shown))
-        most = 2**31 if self.all else CHECK_PICTURES
         with progress("Looking at pictures", 1) as bar:
             checked = check_data(
                 self.folder,
                 protocol=self.pictures.protocol,
                 choice=self.pictures.choice(),
-                most=most,
+                most=ALL if self.all else CHECK_PICTURES,
                 tick=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
             )
         named = facts(checked)
@@ -61,19 +60,12 @@ class CheckData:
             say(f"{name:<{width}}  {value}")
         self._say(checked)
         shown = self._overlay(checked)
-        if self.report.json is not None:
-            write_json(
-                self.report.json,
-                {
-                    "command": "check-data",
-                    "folder": str(self.folder),
-                    "usable": checked.is_usable,
-                    "errors": [finding.text for finding in checked.findings if finding.is_error],
-                    "warnings": [finding.text for finding in checked.findings if not finding.is_error],
-                    "overlay": shown,
-                    **named,
-                },
-            )
+        write_figures(self.json, {
+            "command": "check-data", "folder": str(self.folder), "usable": checked.is_usable,
+            "errors": [finding.text for finding in checked.findings if finding.is_error],
+            "warnings": [finding.text for finding in checked.findings if not finding.is_error],
+            "overlay": shown, **named,
+        })  # fmt: skip
         return 0 if checked.is_usable else BAD_DATA
 
     def _say(self, checked: DataReport) -> None:
@@ -81,17 +73,14 @@ class CheckData:
             say(str(finding))
         for note in checked.capture.notes if checked.capture else ():
             say(f"Note: {note}")
-        if checked.is_usable:
-            say("The data can be learned from.")
-        else:
-            say("The data cannot be learned from like this.")
+        say(f"The data {'can be learned from.' if checked.is_usable else 'cannot be learned from like this.'}")
 
     def _overlay(self, checked: DataReport) -> str | None:
         """Writes the picture and says so; its name, or None when there is nothing to show."""
         from jghand_engine.captures.projection import overlay
         from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, write_png
 
-        pictures = checked.worst_and_typical(self.shown)
+        pictures = checked.worst_and_typical(SHOWN)
         if not pictures:
             return None
         cells = [

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from jghand_engine.cli.console import say, write_json
-from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.console import say, write_figures
+from jghand_engine.cli.options import FiguresFile
 from jghand_engine.errors import InputError
 
 DESCRIPTION = """Look at a USD file with Gaussian splats, anybody's, in every variant and frame, and say what is wrong.
@@ -30,7 +30,7 @@ BAD_FILE = InputError.exit_code
 class CheckUsd:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """.usda, .usdc, .usd or .usdz."""
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> int:
         """0 when there is no error, the exit code of bad input when there is one."""
@@ -45,9 +45,8 @@ class CheckUsd:
         if not errors:
             say("No error was found." if notes else "Nothing is wrong.")
         say(f"Looked at: {done.gaussians} Gaussians, variants {done.variants}, frames {done.frames}.")
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "check-usd", "file": str(self.file), "errors": errors, "notes": notes,
-                "gaussians": done.gaussians, "variants": done.variants, "frames": done.frames,
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "check-usd", "file": str(self.file), "errors": errors, "notes": notes,
+            "gaussians": done.gaussians, "variants": done.variants, "frames": done.frames,
+        })  # fmt: skip
         return BAD_FILE if errors else 0

@@ -85,6 +85,12 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_figures(path: Path | None, content: dict[str, Any]) -> None:
+    """What --json asks for; nothing where it was left out."""
+    if path is not None:
+        write_json(path, content)
+
+
 def read_json(path: Path) -> Any:
     """The content of a small JSON file, without NaN and Infinity, which JSON does not know; 1e400 is infinite still.
     InputError names what is wrong."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from jghand_engine.avatar.correctives import BASIS_MAX
-from jghand_engine.cli.console import progress, say, say_table, write_json
-from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.console import progress, say, say_table, write_figures
+from jghand_engine.cli.options import FiguresFile
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
@@ -20,8 +20,7 @@ DISTIL_POSES = 400
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.study.tier_prices import Offer
-    from jghand_engine.study.tier_yardsticks import Yardstick
+    from jghand_engine.learn.tier_prices import Measure, Offer
 
 DESCRIPTION = """Prepare a trained avatar for fast drawing, and say what each way costs.
 
@@ -54,10 +53,8 @@ class Distill:
     """How the avatar is written: compact is a third of the size."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 40
     """At most so many held-out pictures of each kind; 0 takes all."""
-    poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = DISTIL_POSES
-    """Poses to make up around the known ones, for the linear form to be fitted to."""
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         import torch
@@ -69,13 +66,15 @@ class Distill:
         from jghand_engine.avatar.validation import as_text
         from jghand_engine.files import check_place
         from jghand_engine.learn.distill import distill, poses_near
+        from jghand_engine.learn.shadow_seen import with_shadow_seen
+        from jghand_engine.learn.tier_prices import distilled, pose_net_of, price_tiers
         from jghand_engine.native.machine import processor
         from jghand_engine.native.threads import thread_count
-        from jghand_engine.study.shadow_seen import with_shadow_seen
-        from jghand_engine.study.tier_prices import distilled, pose_net_of, price_tiers
 
         if self.out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
+        if self.limit < 0:
+            raise InputError("--limit", wanted="0 or more", came=str(self.limit))
         if self.folder is None and self.pictures != PictureSetOptions():
             remedy = "Give the folder of the pictures after the avatar, or drop the choice of pictures."
             raise InputError("pictures of which folder", wanted="a folder of pictures", came="none", remedy=remedy)
@@ -83,16 +82,14 @@ class Distill:
         storage = Storage(self.storage)
         # what is measured is what will be read again
         avatar = stored_form(load_avatar_called(self.avatar), storage)
-        net = pose_net_of(avatar)
-        bases = self._bases(min(BASIS_MAX, largest_basis(net.shape)))
-        yard = self._yardstick(avatar)
-        known = yard.known_poses(avatar)
-        poses = torch.cat([known, poses_near(known, self.poses, seed=0)])
+        bases = self._bases(min(BASIS_MAX, largest_basis(pose_net_of(avatar).shape)))
+        by = self._measure(avatar)
+        poses = torch.cat([by.known_poses, poses_near(by.known_poses, DISTIL_POSES, seed=0)])
         with progress("Distilling", 100) as bar:
             linear = distill(avatar, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
-        measured_on = as_text(f"{yard.measured_on}; times on {processor()}, {thread_count(0)} threads")
+        measured_on = as_text(f"{by.on}; times on {processor()}, {thread_count(0)} threads")
         say(f"Measuring {len(linear) + 1} tiers on {measured_on}.")
-        offers = price_tiers(avatar, linear, yard)
+        offers = price_tiers(avatar, linear, by)
         with progress("Measuring the shadow", 100) as bar:
             measured = with_shadow_seen(avatar, lambda part: bar.update(bar.task_ids[0], completed=100 * part))
         finished = distilled(measured, offers, measured_on)
@@ -105,18 +102,14 @@ class Distill:
         except ValueError:
             bases = []
         if not bases or not all(1 <= basis <= most for basis in bases):
-            wanted = f"numbers of 1 to {most}, such as 4,8"
-            raise InputError("--basis", wanted=wanted, came=repr(self.basis))
-        for name, value in (("--limit", self.limit), ("--poses", self.poses)):
-            if value < 0:
-                raise InputError(name, wanted="0 or more", came=str(value))
+            raise InputError("--basis", wanted=f"numbers of 1 to {most}, such as 4,8", came=repr(self.basis))
         return bases
 
-    def _yardstick(self, avatar: HandAvatar) -> Yardstick:
-        from jghand_engine.study.tier_yardsticks import ExactPictures, HeldOutPictures
+    def _measure(self, avatar: HandAvatar) -> Measure:
+        from jghand_engine.learn.tier_prices import exact_tier_measure, held_out_measure
 
         if self.folder is None:
-            return ExactPictures(avatar)
+            return exact_tier_measure(avatar)
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.learn.evaluate import held_out
 
@@ -125,36 +118,29 @@ class Distill:
         told = held_out(avatar, capture, split)
         if told.warning:
             say(f"Warning: {told.warning}")
-        return HeldOutPictures(capture, split, self.limit, NOT_CERTAIN if told.warning else "")
+        return held_out_measure(avatar, capture, split, self.limit, NOT_CERTAIN if told.warning else "")
 
     def _tell(self, offers: Sequence[Offer], avatar: HandAvatar, measured_on: str) -> None:
         from jghand_engine.avatar.tiers import Tier
 
-        kept = {price.name for price in avatar.learned.distilled.prices}  # type: ignore[union-attr]
-        rows = [
-            (
-                offer.price.name,
-                f"{offer.price.frame_ms:.1f}",
-                f"{offer.price.megabytes:.2f}",
-                f"{offer.price.psnr_db:.2f}",
-                f"{offer.price.lost_db:.3f}",
-                "yes" if offer.price.name in kept else "",
-            )
-            for offer in offers
-        ]
-        say_table(f"Tiers, on {measured_on}", ("tier", "frame ms", "MB", "PSNR dB", "lost dB", "kept"), rows)
         learned = avatar.learned
-        taken = None if learned is None else learned.with_tier(Tier.AUTO)[1]
+        assert learned is not None
+        assert learned.distilled is not None
+        kept = {price.name for price in learned.distilled.prices}
+        rows = [
+            (one.name, f"{one.frame_ms:.1f}", f"{one.megabytes:.2f}", f"{one.psnr_db:.2f}", f"{one.lost_db:.3f}",
+             "yes" if one.name in kept else "")
+            for one in (offer.price for offer in offers)
+        ]  # fmt: skip
+        say_table(f"Tiers, on {measured_on}", ("tier", "frame ms", "MB", "PSNR dB", "lost dB", "kept"), rows)
+        taken = learned.with_tier(Tier.AUTO)[1]
         say(f"The renderer takes {taken.name if taken else 'exact'} unless told otherwise.")
-        shadow = None if learned is None else learned.shadow
-        seen = None if shadow is None else shadow.seen
-        if shadow is not None and seen is not None:
-            drawn = "it is drawn where the pose asks for it" if shadow.is_seen else "it is not drawn"
+        seen = None if learned.shadow is None else learned.shadow.seen
+        if learned.shadow is not None and seen is not None:
+            drawn = "it is drawn where the pose asks for it" if learned.shadow.is_seen else "it is not drawn"
             say(f"Its shadow on itself changes a pixel by at most {255 * seen:.1f} of 255 steps: {drawn}.")
         say(f"{self.out}: {len(avatar)} Gaussians, {self.out.stat().st_size / 1e6:.1f} MB")
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "distill", "measured_on": measured_on, "bytes": self.out.stat().st_size,
-                "shadow_seen": seen,
-                "tiers": [{**vars(offer.price), "kept": offer.price.name in kept} for offer in offers],
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "distill", "measured_on": measured_on, "bytes": self.out.stat().st_size, "shadow_seen": seen,
+            "tiers": [{**vars(offer.price), "kept": offer.price.name in kept} for offer in offers],
+        })  # fmt: skip

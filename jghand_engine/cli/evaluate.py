@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
-from jghand_engine.cli.options import File, PresetName, ReportOptions
+from jghand_engine.cli.options import File, PresetName
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
@@ -31,7 +31,7 @@ DESCRIPTION = """Measure an avatar on pictures that it did not learn from: figur
 
 Examples:
   jghand evaluate id3.jghand captures/id3 --split test --out id3_evaluation
-  jghand evaluate id3.jghand captures/id3 --limit 20 --no-sheets
+  jghand evaluate id3.jghand captures/id3 --limit 20 --figures-only
   jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses"""
 
 TIMED_ROUNDS, WARM_UP = 100, 10
@@ -83,23 +83,19 @@ class Evaluate:
     """At most so many pictures of each kind, evenly spread; 0 takes all."""
     preset: PresetName = "final"
     """How the avatar is drawn."""
-    threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
-    """Threads of the renderer; 0 chooses."""
     beside: File = None
     """Another avatar, shown beside the first on poses between poses: isotropic against anisotropic."""
-    sheets: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    """Leave out the sheets of pictures."""
-    timed: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    """Leave out the time per picture, which is measured on its own after the rest."""
+    figures_only: bool = False
+    """Leave out the sheets of pictures, and the time per picture, which is measured on its own after the rest."""
     perceptual: PerceptualOptions = field(default_factory=PerceptualOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.files import make_folder
         from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out
+        from jghand_engine.render.settings import preset
 
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
@@ -111,27 +107,17 @@ class Evaluate:
         # of an avatar that learned all of them, none was held out
         which = self.split if told.split.test else "train"
         categories = categories_of(told.split, which, self.limit)
-        out, settings = make_folder(self.out or self._default_out()), self._settings()
+        out, settings = make_folder(self.out or Path(self.avatar).with_suffix(".evaluation")), preset(self.preset)
         draw = avatar_picturer(avatar, settings)
         evaluation = self._measured(draw, capture, categories, told.split.origin)
         tables = self._tables(evaluation, avatar, capture, settings)
         self._write(out, evaluation, tables, settings)
-        if self.sheets:
+        if not self.figures_only:
             drawers = {Path(self.avatar).stem: draw}
             if other is not None and self.beside is not None:
                 drawers[self.beside.stem] = avatar_picturer(other, settings)
             write_sheets(out, evaluation, categories, drawers)
-        say(f"\n{out}: tables.md, evaluation.json{', sheets' if self.sheets else ''}")
-
-    def _default_out(self) -> Path:
-        return Path(self.avatar).with_suffix(".evaluation")
-
-    def _settings(self) -> RenderSettings:
-        from dataclasses import replace
-
-        from jghand_engine.render.settings import preset
-
-        return replace(preset(self.preset), threads=self.threads)
+        say(f"\n{out}: tables.md, evaluation.json{'' if self.figures_only else ', sheets'}")
 
     def _measured(
         self, draw: Picturer, capture: Capture, categories: Mapping[str, tuple[Sample, ...]], origin: str
@@ -154,7 +140,7 @@ class Evaluate:
 
         tables = [rendering_table([evaluation]), figures_table(evaluation, "full"), figures_table(evaluation, "box"),
                   flexion_table(evaluation)]  # fmt: skip
-        if self.timed:
+        if not self.figures_only:
             tables.append(timed_table(evaluation.name, avatar, capture, settings))
         for table in tables:
             say_whole_table(table)
@@ -168,9 +154,7 @@ class Evaluate:
         with writing(out / "tables.md") as temporary:
             temporary.write_text("\n".join([drawn, "", *(table.markdown() for table in tables)]), encoding="utf-8")
         figures = {"command": "evaluate", "preset": self.preset, "settings": settings.as_dict(), "box": BOX_RULE}
-        for path in (out / "evaluation.json", self.report.json):
-            if path is not None:
-                write_json(path, figures | evaluation.as_dict())
+        write_json(out / "evaluation.json", figures | evaluation.as_dict())
 
 
 def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Table:
@@ -178,19 +162,19 @@ def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: Rende
     from dataclasses import replace
 
     from jghand_engine.learn.tables import inference_table
-    from jghand_engine.study import frame_time
-    from jghand_engine.study.timing import measure
+    from jghand_engine.render.subject import Subject
+    from jghand_engine.render.timing import frame_case, machine, measure
 
     sample = capture.samples[0]
-    subject = frame_time.Subject(name, avatar.for_hand(capture.handedness), capture.joints_m(), sample.camera)
+    subject = Subject(name, avatar.for_hand(capture.handedness), capture.joints_m(), sample.camera)
     # a frame that only repeats the last one would say nothing
-    case = frame_time.frame_case(subject, replace(settings, reuse=False), "inference")
+    case = frame_case(subject, replace(settings, reuse=False), "inference")
     whole = measure([case], rounds=TIMED_ROUNDS, warm_up=WARM_UP)[0]
-    facts = frame_time.machine(settings.threads)
-    machine = f"{facts['processor']}, {facts['threads']} threads, {facts['backend']}"
+    facts = machine(settings.threads)
+    on = f"{facts['processor']}, {facts['threads']} threads, {facts['backend']}"
     size = f"{sample.camera.width} x {sample.camera.height}, {len(avatar):,} Gaussians"
     mark = ", machine not free" if whole.disturbed else ""
-    return inference_table([(f"{name}, {size}{mark}", whole.median_ms, whole.p95_ms)], machine)
+    return inference_table([(f"{name}, {size}{mark}", whole.median_ms, whole.p95_ms)], on)
 
 
 def write_sheets(

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.console import progress, say, write_figures
 from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 from jghand_engine.cli.learning import hand_template
-from jghand_engine.cli.options import AvatarOptions, CameraName, File, MotionOptions, ReportOptions
+from jghand_engine.cli.options import AvatarOptions, CameraName, FiguresFile, File, MotionOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """Write a motion as OpenUSD, as splat files, or as a web page.
 
-OpenUSD: hand.usda with its layers: splats, points, skeleton and mesh, cameras. Splat files: one for every frame,
-hand.0000.ply and so on. The web page plays the motion and poses the hand.
+OpenUSD: hand.usda with its layers: splats, points, skeleton and mesh, cameras. Splat files: one for every
+frame, hand.0000.ply and so on. The web page plays the motion and poses the hand.
 
 A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
 is shown first, and how large points are. Only --package usdc and --precision half leave some out.
@@ -41,7 +41,7 @@ Examples:
   jghand export --poses open,fist --for blender --out usd
   jghand export --poses open,fist --for usdview --package usdz --out usd
   jghand export ply --poses open,fist --out splats
-  jghand export splats --as glb --poses fist --frames 0 --out splats
+  jghand export glb --poses fist --frames 0 --out splats
   jghand export web --poses open,fist,ok --out page"""
 
 # part by which constant radii may be off those of a frame before it is said: less is not seen
@@ -84,9 +84,6 @@ class UsdStageOptions:
 class SplatFileOptions:
     """What splat files hold"""
 
-    format: Annotated[Literal["ply", "splat", "glb", "spz", "sog"], tyro.conf.arg(name="as")] = "ply"
-    """ply and glb keep every number as it is; splat, spz and sog are 2, 6 and 9 times smaller than ply. sog needs the
-    extra formats."""
     axes: Annotated[Literal["rdf", "rub"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Axes of the numbers. Left out: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or
     rub (y up), which is glTF's and SPZ's own."""
@@ -108,9 +105,10 @@ class WebPageOptions:
 class Export:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where the files are written."""
-    format: Annotated[Literal["usd", "splats", "ply", "web"], tyro.conf.Positional] = "usd"
-    """usd: one animated stage. splats: a file of splats for every frame. ply: the same as PLY. web: a folder whose
-    index.html any browser opens."""
+    format: Annotated[Literal["usd", "ply", "glb", "splat", "spz", "sog", "web"], tyro.conf.Positional] = "usd"
+    """usd: one animated stage. ply, glb, splat, spz, sog: a file of splats for every frame; ply and glb keep every
+    number as it is, splat, spz and sog are 2, 6 and 9 times smaller than ply, and sog needs the extra formats. web: a
+    folder whose index.html any browser opens."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
     """Stem of the files: letters, digits and _."""
     first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
@@ -126,7 +124,7 @@ class Export:
     web: WebPageOptions = field(default_factory=WebPageOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         self.motion.check()
@@ -141,21 +139,18 @@ class Export:
         write = {"usd": self._write_usd, "web": self._write_web}.get(self.format, self._write_splats)
         with polite_kill_is_ctrl_c():
             figures = write(avatar.for_hand(motion.sequence.handedness), motion)
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "export", "format": self.format, "motion": motion.source, "notes": motion.notes,
-                "avatar": avatar.info.name, **figures,
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "export", "format": self.format, "motion": motion.source, "notes": motion.notes,
+            "avatar": avatar.info.name, **figures,
+        })  # fmt: skip
 
     def _check_options(self) -> None:
         """InputError for options of another format: they would change nothing."""
-        chosen = self.splats.format
         unused = {
-            "splats": self.format in ("usd", "web") and self.splats != SplatFileOptions(),
-            "splats --as " + chosen: self.format == "ply" and chosen != "ply",
+            "ply": self.format in ("usd", "web") and self.splats != SplatFileOptions(),
             "usd": self.format != "usd" and self.usd != UsdStageOptions(),
             # a page has no names of files, no numbers of frames, and is turned as one likes
-            "usd or splats": self.format == "web"
+            "usd or ply": self.format == "web"
             and (self.name, self.first_frame, self.up, self.overwrite) != ("hand", 0, "y", False),
             "web": self.format != "web" and self.web != WebPageOptions(),
         }
@@ -223,7 +218,7 @@ class Export:
         from jghand_engine.export.splats.files import SplatOptions, export_splats
 
         axes, start = self.splats.axes, self.first_frame
-        options = SplatOptions(self.splats.format, self.name, axes, start, self.up, self.overwrite)
+        options = SplatOptions(self.format, self.name, axes, start, self.up, self.overwrite)
         with progress(f"Writing {options.format}", len(motion.frames)) as bar:
             task = bar.task_ids[0]
             report = export_splats(

@@ -55,8 +55,8 @@ def explain(error: BaseException) -> Failure:
         came, remedy = f"no package {error.name}", install_extra(_EXTRA_OF[error.name])
         return explain(InputError("this command", wanted="what learning needs", came=came, remedy=remedy))
     return Failure(
-        f"JGHand failed: {type(error).__name__}: {error}. This should not happen: run it again with --traceback and "
-        "report what it prints.",
+        f"JGHand failed: {type(error).__name__}: {error}. This should not happen: run it again with JGHAND_DEBUG=1 "
+        "and report what it prints.",
         FAULT,
     )
 

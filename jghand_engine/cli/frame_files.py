@@ -270,11 +270,9 @@ def _motion_facts(options: MotionOptions, motion: Motion) -> dict[str, Any]:
     gave says nothing, but in some formats which hand it is; those of the others are how they are found."""
     facts = dataclasses.asdict(options)
     del facts["frames"]
-    bones = options.format.bones
     given = None if options.motion is None else options.motion.resolve()
     files = [("" if file.resolve() == given else file.name, file_digest(file)) for file in motion.files]
     facts["motion"] = [motion.sequence.handedness, sorted(files)]
-    facts["format"]["bones"] = None if bones is None else file_digest(bones)
     return facts
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from jghand_engine.avatar import SHIPPED
-from jghand_engine.cli.console import say, write_json
-from jghand_engine.cli.options import FormatOptions, ReportOptions
+from jghand_engine.cli.console import say, write_figures
+from jghand_engine.cli.options import FiguresFile, FormatOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Info:
     """A .jghand avatar (or the word builtin or painted), a motion (docs/MOTION.md), a USD file, or a splat file (.ply,
     .splat, .glb, .spz)."""
     format: FormatOptions = field(default_factory=FormatOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         facts = self._facts()
@@ -50,8 +50,7 @@ class Info:
             lines = value if name == FINDINGS and value else [_text(value)]
             for index, line in enumerate(lines):
                 say(f"{'' if index else name.replace('_', ' '):<{width}}  {line}")
-        if self.report.json is not None:
-            write_json(self.report.json, {"command": "info", "file": self.file, **facts})
+        write_figures(self.json, {"command": "info", "file": self.file, **facts})
 
     def _facts(self) -> dict[str, Any]:
         if self.file in SHIPPED:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.cli.console import read_json, say
-from jghand_engine.cli.options import FormatOptions, MotionOptions, pose_list
+from jghand_engine.cli.options import ForeignOptions, FormatOptions, MotionOptions, pose_list
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
@@ -85,8 +85,9 @@ def without_gaps(sequence: PoseSequence, *, hold: bool) -> tuple[PoseSequence, s
     return filled.sequence, filled.sentence()
 
 
-def read_file(path: Path, options: FormatOptions) -> MotionRead:
+def read_file(path: Path, options: FormatOptions, foreign: ForeignOptions | None = None) -> MotionRead:
     """The motion of a file, as it is, and what was recognized on the way. Raises InputError."""
+    foreign = foreign or ForeignOptions()
     wanted = MotionFormat(
         order=None if options.order is None else JointOrder(options.order),
         unit=options.unit,
@@ -94,10 +95,10 @@ def read_file(path: Path, options: FormatOptions) -> MotionRead:
         fps=options.checked_fps(),
         check_hand=not options.any_proportions,
         part=options.part,
-        mirrored_labels=None if options.labels == "auto" else options.labels == "mirrored",
-        hand_length_m=None if options.hand_length is None else 1e-3 * options.hand_length,
-        bones=None if options.bones is None else _bones(options.bones),
-        up=options.file_up,
+        mirrored_labels=None if foreign.labels == "auto" else foreign.labels == "mirrored",
+        hand_length_m=None if foreign.hand_length is None else 1e-3 * foreign.hand_length,
+        bones=None if foreign.bones is None else _bones(foreign.bones),
+        up=foreign.file_up,
     )
     return read_motion_file(path, wanted)
 

@@ -1,4 +1,5 @@
-"""Commands that another program started: progress as lines of JSON, and an end of its input that means Ctrl-C.
+"""Commands that another program started: `jghand serve`, progress as lines of JSON, and an end of its input that means
+Ctrl-C.
 
 With --progress-json every line of standard error that begins with `{` is one object whose key `jghand` says what it is:
 
@@ -23,17 +24,20 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 from rich.progress import Progress
 
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
-from jghand_engine.errors import DiskFullError
+from jghand_engine.errors import DiskFullError, InputError
 from jghand_engine.service.handles import print_any_letter, take_stdin
 
 if TYPE_CHECKING:
     from jghand_engine.learn.progress import Status
 
+# the option, which every verb takes, wherever it stands
+PROGRESS_JSON = "--progress-json"
 # seconds between two lines of progress: a panel is not read faster, and a pipe is not flooded
 PROGRESS_JSON_S = 0.25
 # seconds after the end of standard input until such a command ends regardless: a step of a training and its checkpoint
@@ -42,6 +46,26 @@ STOP_WITHOUT_INPUT_S = 90.0
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # what an exit code is called, as in the replies of the service
 _KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "canceled"}
+
+
+# of `jghand serve`
+DESCRIPTION = """The engine as a process. Blender starts it; people have no need to.
+
+A line with a token comes in on standard input, a line with the port goes out on standard output."""
+
+
+@dataclass(frozen=True)
+class Serve:
+    stdio_handshake: bool = False
+    """Exchange token and port over standard input and output (the only way there is)."""
+
+    def run(self) -> int:
+        if not self.stdio_handshake:
+            raise InputError("serve", wanted="--stdio-handshake", came="nothing", remedy="Blender starts it like that.")
+        from jghand_engine.service.hands import EngineHands
+        from jghand_engine.service.server import serve
+
+        return serve(EngineHands())
 
 
 class JsonLines:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import FormatOptions, ReportOptions
+from jghand_engine.cli.console import progress, say, write_figures
+from jghand_engine.cli.options import FiguresFile, ForeignOptions, FormatOptions
 from jghand_engine.errors import InputError
 from jghand_engine.files import check_place
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
@@ -54,7 +54,8 @@ class Motion:
     overwrite: bool = False
     """Replace a file that is there."""
     format: FormatOptions = field(default_factory=FormatOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    foreign: ForeignOptions = field(default_factory=ForeignOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         from jghand_engine.cli.inputs import read_file
@@ -62,7 +63,7 @@ class Motion:
 
         self._check()
         with progress("Reading the motion", 3) as bar:
-            read = read_file(self.file, self.format)
+            read = read_file(self.file, self.format, self.foreign)
             bar.advance(bar.task_ids[0])
             sequence, said = self._changed(read.sequence, read.up)
             length_mm = _length_mm(sequence)
@@ -77,13 +78,12 @@ class Motion:
             f"Wrote {self.out} from {read.kind}: {sequence.handedness} hand {long}, {len(sequence)} frames at "
             f"{sequence.fps:g} fps ({sequence.duration_s:.1f} s)"
         )
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "motion", "file": str(self.file), "out": str(self.out), "format": read.kind, "notes": notes,
-                "hand": str(sequence.handedness), "frames": len(sequence), "fps": sequence.fps,
-                "seconds": sequence.duration_s, "filled_frames": int(sequence.filled.sum()),
-                "frames_with_missing_joints": len(sequence.gaps.frames), "hand_length_mm": length_mm,
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "motion", "file": str(self.file), "out": str(self.out), "format": read.kind, "notes": notes,
+            "hand": str(sequence.handedness), "frames": len(sequence), "fps": sequence.fps,
+            "seconds": sequence.duration_s, "filled_frames": int(sequence.filled.sum()),
+            "frames_with_missing_joints": len(sequence.gaps.frames), "hand_length_mm": length_mm,
+        })  # fmt: skip
 
     def _check(self) -> None:
         """What can be refused before the file is read. Raises InputError."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
 
@@ -27,19 +27,10 @@ PresetName = Literal["draft", "viewport", "final", "reference"]
 CameraName = Literal["quarter", "front", "back", "side", "outside", "top", "quarter-back"]
 # an option that may be left out, shown without "(default: None)"
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """Reporting"""
-
-    json: File = None
-    """Also write the figures to this file."""
-    traceback: bool = False
-    """After an error show where in the program it happened (also: JGHAND_DEBUG=1)."""
-    progress_json: bool = False
-    """For programs that start this one: progress and errors as lines of JSON on standard error, and a stop as by
-    Ctrl-C when standard input ends."""
+FiguresFile = Annotated[
+    Path | None,
+    tyro.conf.arg(metavar="FILE", help_behavior_hint="", help="Also write what was done, with figures, as JSON."),
+]
 
 
 @dataclass(frozen=True)
@@ -60,14 +51,6 @@ class FormatOptions:
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several skeletons, people or captures of a file: its name, or a part of it."""
-    bones: File = None
-    """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognized."""
-    labels: Literal["auto", "true", "mirrored"] = "auto"
-    """Whether a detector's "Left" and "Right" are true or those of a mirrored picture. auto: as is usual there."""
-    hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
-    """Scale the hand to this length, wrist to the middle finger's tip, whatever the unit of the file is."""
-    file_up: Annotated[Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """The axis that points up in the file, where it does not say so (BVH), or says so wrongly; for motion --up."""
 
     def checked_fps(self) -> float | None:
         """`fps`. InputError when no motion can have it (NaN included)."""
@@ -75,6 +58,20 @@ class FormatOptions:
             wanted = f"{FPS_MIN:g} to {FPS_MAX:g} frames per second"
             raise InputError("--fps", wanted=wanted, came=f"{self.fps:g}")
         return self.fps
+
+
+@dataclass(frozen=True)
+class ForeignOptions:
+    """What files of other programs leave open."""
+
+    bones: File = None
+    """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognized."""
+    labels: Literal["auto", "true", "mirrored"] = "auto"
+    """Whether a detector's "Left" and "Right" are true or those of a mirrored picture. auto: as is usual there."""
+    hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
+    """Scale the hand to this length, wrist to the middle finger's tip, whatever the unit of the file is."""
+    file_up: Annotated[Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """The axis that points up in the file, where it does not say so (BVH), or says so wrongly; for --up."""
 
 
 @dataclass(frozen=True)
@@ -130,10 +127,10 @@ class AvatarOptions:
 class PictureOptions:
     """How the pictures are made."""
 
-    camera: CameraName = "quarter"
-    """Side that is seen: front is the palm, side the thumb's, outside the little finger's, top the finger tips."""
-    camera_file: File = None
-    """Instead: a pinhole camera as JSON (width, height, fx, fy, cx, cy, camera_from_world), as --out holds one."""
+    camera: Annotated[str, tyro.conf.arg(metavar="SIDE|FILE.json")] = "quarter"
+    """Side that is seen: quarter, front (the palm), back, side (the thumb), outside (the little finger), top (the
+    finger tips) or quarter-back. Or a pinhole camera as JSON (width, height, fx, fy, cx, cy, camera_from_world), as
+    --out holds one."""
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
     """Pixels."""
     preset: PresetName = "final"
@@ -142,6 +139,16 @@ class PictureOptions:
     """transparent, or a color such as #e8e6e3. A video has no transparency: there it is a light gray."""
     threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Threads of the renderer; 0 chooses."""
+
+    @property
+    def camera_file(self) -> Path | None:
+        """The file that --camera names; None for a side. InputError for what is neither."""
+        if self.camera in get_args(CameraName):
+            return None
+        if not self.camera.lower().endswith(".json"):
+            wanted = f"{', '.join(get_args(CameraName))} or a file that ends in .json"
+            raise InputError("--camera", wanted=wanted, came=repr(self.camera))
+        return Path(self.camera)
 
     def background_rgb(self) -> tuple[float, float, float] | None:
         """sRGB 0..1, None for transparent. Raises InputError."""

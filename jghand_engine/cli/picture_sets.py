@@ -16,19 +16,15 @@ if TYPE_CHECKING:
     from jghand_engine.captures.captures import Capture, CaptureChoice
 
 ProtocolName = Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"]
-_Text = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
 class PictureSetOptions:
-    """Which pictures of the folder are meant, where it holds those of several persons or hands."""
+    """Which pictures of the folder are meant, where it holds those of several persons or hands. A folder inside a data
+    set chooses too: InterHand2.6M_5fps_batch1/images/test/Capture0."""
 
     protocol: Annotated[ProtocolName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """The pictures that published figures stand for: three persons of InterHand2.6M, one sequence of HanCo."""
-    split: Annotated[Literal["train", "val", "test"] | None, tyro.conf.arg(name="subset", help_behavior_hint="")] = None
-    """Which of the sets that InterHand2.6M itself is divided into."""
-    capture: _Text = None
-    """One person's folder of InterHand2.6M, such as Capture0."""
     sequences: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = ()
     """Only these sequences, such as ROM04_RT_Occlusion, or 0191 of HanCo."""
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
@@ -61,8 +57,6 @@ class PictureSetOptions:
         if self.protocol is not None:
             return None
         return CaptureChoice(
-            split=self.split,
-            capture=self.capture,
             sequences=self.sequences or None,
             handedness=Handedness(self.hand) if self.hand else None,
             interacting=self.interacting,

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import say, write_json
+from jghand_engine.cli.console import say, write_figures, write_json
 from jghand_engine.cli.options import (
     AvatarOptions,
     EffectOptions,
+    FiguresFile,
     File,
     MotionOptions,
     PictureOptions,
-    ReportOptions,
     parse_shard,
     pixels,
 )
@@ -69,7 +69,7 @@ class Render:
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
     effect: EffectOptions = field(default_factory=EffectOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         # before what takes seconds to import
@@ -140,15 +140,14 @@ class Render:
             say(f"Frame {one.frame}: {one.sentence()}.")
         if len(unseen) > _OUT_OF_RANGE_SAID:
             say(f"… and {len(unseen) - _OUT_OF_RANGE_SAID} angles more, less far outside; --json FILE lists all.")
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
-                "out_of_range": [one.as_dict() for one in unseen],
-                "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
-                "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
-                "effects": writer.receipts.figures() if writer.receipts is not None else {},
-                "shard": self.shard, **vars(outcome),
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
+            "out_of_range": [one.as_dict() for one in unseen],
+            "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
+            "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
+            "effects": writer.receipts.figures() if writer.receipts is not None else {},
+            "shard": self.shard, **vars(outcome),
+        })  # fmt: skip
 
     def _shard(self) -> Shard:
         """Which pictures are made. InputError for what the processes of a shared render would not agree on."""
@@ -177,7 +176,9 @@ class Render:
         picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
         # how fast, and what is told
         del picture["threads"], effect["explain"]
-        look = {**picture, **effect, "passes": self.passes, "camera_file": None if file is None else file_digest(file)}
+        # of a file what it holds, not what it is called
+        camera = self.picture.camera if file is None else file_digest(file)
+        look = {**picture, **effect, "passes": self.passes, "camera": camera}
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
         avatar = avatar_sha256(self.avatar.avatar)
         return made_from(avatar, self.motion, motion, settings, look, whole=whole)
@@ -224,10 +225,10 @@ class Render:
         return chosen.settings, chosen.name
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
-        if self.picture.camera_file is not None:
+        if (file := self.picture.camera_file) is not None:
             from jghand_engine.cli.camera_file import read_camera
 
-            return read_camera(self.picture.camera_file)
+            return read_camera(file)
         from jghand_engine.render.framing import framing_camera
 
         sequence = motion.sequence

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import AvatarOptions, File, ReportOptions
+from jghand_engine.cli.console import progress, say, write_figures, write_json
+from jghand_engine.cli.options import AvatarOptions, FiguresFile, File
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.track import CAMERA_ANGLE_DEG
@@ -40,7 +40,7 @@ Examples:
   jghand track hand.mp4 --out motion.npz --hand right --hand-length 190
   jghand render --motion motion.npz --out pictures --video hand_again.mp4
   jghand track hand.mp4 --out motion.npz --film-camera camera.json
-  jghand render --motion motion.npz --camera-file camera.json --out pictures          seen as in the film"""
+  jghand render --motion motion.npz --camera camera.json --out pictures          seen as in the film"""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Track:
     proof: File = None
     """Also write a video of the input and the avatar side by side (.mp4)."""
     film_camera: File = None
-    """Also write the camera of the film (.json). `jghand render --camera-file` shows the hand from there, as the film
+    """Also write the camera of the film (.json). `jghand render --camera` shows the hand from there, as the film
     did; from other sides one sees how deep the detector took it to be."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Frames per second of the motion. Left out: the video's own, made even if they are not."""
@@ -90,7 +90,7 @@ class Track:
     """Fetch them with pip if they are not here yet (35 MB, once, MediaPipe's, Apache-2.0)."""
     fit: FitOptions = field(default_factory=FitOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
@@ -133,14 +133,13 @@ class Track:
             say(_sentence(side, hand, files[side]))
         others = " and ".join(str(path) for path in (self.proof, self.film_camera) if path)
         say(f"Done in {time.perf_counter() - started:.1f} s" + (f": {others}" if others else "."))
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "track", "video": str(self.video), "fps": video.fps, "frames": len(sightings.frames),
-                "size_px": [video.width, video.height], "notes": notes,
-                "seconds_looking": seconds_looking, "seconds_fitting": seconds_fitting,
-                "hands": [_figures(side, hand, files[side]) for side, hand in hands.items()],
-                "film_camera": None if self.film_camera is None else str(self.film_camera),
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "track", "video": str(self.video), "fps": video.fps, "frames": len(sightings.frames),
+            "size_px": [video.width, video.height], "notes": notes,
+            "seconds_looking": seconds_looking, "seconds_fitting": seconds_fitting,
+            "hands": [_figures(side, hand, files[side]) for side, hand in hands.items()],
+            "film_camera": None if self.film_camera is None else str(self.film_camera),
+        })  # fmt: skip
 
     def _checked(self) -> TrackOptions:
         """The options of the fit. InputError for what can be refused before the work, their places included."""
@@ -182,7 +181,7 @@ class Track:
         written = [("--out", path) for path in motions]
         written += [("--proof", self.proof)] if self.proof is not None else []
         written += [("--film-camera", self.film_camera)] if self.film_camera is not None else []
-        written += [("--json", self.report.json)] if self.report.json is not None else []
+        written += [("--json", self.json)] if self.json is not None else []
         read = [("the video", self.video), ("the avatar", Path(self.avatar.avatar))]
         read += [("--model", self.model)] if self.model is not None else []
         for number, (name, path) in enumerate(written):

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine.cli.console import err, say, write_json
+from jghand_engine.cli.console import err, say, write_figures
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.cli.learning import DeviceName
-from jghand_engine.cli.options import File, ReportOptions
+from jghand_engine.cli.options import FiguresFile, File
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
@@ -81,7 +81,7 @@ class Train:
     JGHand's own. MANO's texture layout (MANO_UV_right.obj) counts where it lies beside it."""
     start: StartOptions = field(default_factory=StartOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
@@ -176,9 +176,8 @@ class Train:
             say(f"Stopped after {done}. Nothing is lost: the same command with --resume goes on.")
         if course.skipped:
             say(f"Left out, because they gave values that are not finite: steps {course.skipped}")
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "train", "folder": str(self.folder), "out": str(run.out), "work": str(run.work),
-                "finished": outcome.finished, "steps": course.step, "seconds": course.seconds,
-                "fixed_view_psnr_db": outcome.psnr, "skipped_steps": course.skipped, "stamp": dict(run.stamp),
-            })  # fmt: skip
+        write_figures(self.json, {
+            "command": "train", "folder": str(self.folder), "out": str(run.out), "work": str(run.work),
+            "finished": outcome.finished, "steps": course.step, "seconds": course.seconds,
+            "fixed_view_psnr_db": outcome.psnr, "skipped_steps": course.skipped, "stamp": dict(run.stamp),
+        })  # fmt: skip

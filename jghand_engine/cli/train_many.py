@@ -23,9 +23,9 @@ from typing import Annotated, Any
 
 import tyro
 
-from jghand_engine.cli.console import say, say_table, write_json
+from jghand_engine.cli.console import say, say_table, write_figures
 from jghand_engine.cli.failures import polite_kill_is_ctrl_c
-from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.options import FiguresFile
 from jghand_engine.cli.train import Train
 from jghand_engine.errors import STOPPED, InputError, RetryError, install_extra
 from jghand_engine.files import make_folder, writing
@@ -50,7 +50,7 @@ REQUEUE_WAIT_S = 300.0
 # how often a job may come to the end of its time: each time it goes on
 TIMEOUTS_MAX = 1000
 # options of `jghand train` that a list may not give
-OF_THE_LIST = {"out", "work", "resume", "fresh", "json", "traceback", "progress_json"}
+OF_THE_LIST = {"out", "work", "resume", "fresh", "json", "progress_json"}
 PROGRAM = (sys.executable, "-m", "jghand_engine")
 # seconds between two looks at the process of a training
 POLL_S = 0.2
@@ -68,7 +68,7 @@ class TrainMany:
     slurm: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME=VALUE", help_behavior_hint="")] = None
     """Submit an array of jobs instead, with these options of sbatch beside time=240 (minutes of one start; a longer
     training is queued again and goes on), cpus_per_task=4 and mem=8GB. Needs the extra farm."""
-    report: ReportOptions = field(default_factory=ReportOptions)
+    json: FiguresFile = None
 
     def run(self) -> int:
         """0 when all trainings are finished or submitted; else the exit code of the first that is not finished."""
@@ -86,9 +86,8 @@ class TrainMany:
         states = {0: "finished", STOPPED: "stopped"}
         rows = [(job.name, states.get(codes[job.name], "failed"), job.last_words) for job in jobs]
         say_table(str(self.out), ("training", "state", "last words"), rows)
-        if self.report.json is not None:
-            told = {name: {"state": state, "exit_code": codes[name], "text": text} for name, state, text in rows}
-            write_json(self.report.json, {"command": "train-many", "out": str(self.out), "trainings": told})
+        told = {name: {"state": state, "exit_code": codes[name], "text": text} for name, state, text in rows}
+        write_figures(self.json, {"command": "train-many", "out": str(self.out), "trainings": told})
         return next((code for code in codes.values() if code), 0)
 
 

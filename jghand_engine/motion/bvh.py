@@ -96,7 +96,7 @@ def _up(names: list[str], rest: np.ndarray) -> tuple[str, list[str]]:
     _, along_y, along_z = np.ptp(rest[:, :3, 3], axis=0)
     has_body = any(word in name.casefold() for name in names for word in ("spine", "hips", "pelvis", "head"))
     if not has_body:
-        return "y", ["It does not say which axis points up: y is taken; --file-up says otherwise."]
+        return "y", ["It does not say which axis points up: y is taken; jghand motion --file-up says otherwise."]
     return ("z" if along_z > _Z_UP_MIN * along_y else "y"), []
 
 

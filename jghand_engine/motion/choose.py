@@ -104,7 +104,7 @@ def recognized_unit(level_joints: np.ndarray, source: str) -> tuple[float, str]:
         f"unit of {source}",
         wanted="a hand of 60 to 400 mm in meters, centimeters or millimeters",
         came=f"{length:.4g} from the wrist to the middle finger's tip",
-        remedy="Say how long the hand is with --hand-length, in millimeters (180 is usual).",
+        remedy="Say how long the hand is with jghand motion --hand-length, in millimeters (180 is usual).",
     )
 
 

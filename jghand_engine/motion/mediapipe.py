@@ -67,7 +67,7 @@ def _read(source: Source, wanted: MotionFormat) -> MotionContent:
     if turned:
         notes.append(
             'MediaPipe\'s old interface calls a right hand of a picture that is not mirrored "Left": the labels were '
-            "turned round (--labels true keeps them)."
+            "turned round (jghand motion --labels true keeps them)."
         )
     if collected.two_of_a_side:
         notes.append(f"{collected.two_of_a_side} frames show a side twice: the surer one was taken.")

@@ -55,11 +55,6 @@ class Row:
     def preset(self) -> bool:
         return self.axis == TOGETHER and self.name in PRESETS
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        kept = {name: value for name, value in vars(self).items() if name not in ("crop", "error")}
-        return kept | {"psnr_db": self.error.psnr_db, "worst": self.error.worst}
-
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -112,16 +107,6 @@ class Accuracy:
             f"frames, all settings in turn; {facts['processor']}, {facts['threads']} of {facts['cores']} threads, "
             f"kernels {facts['backend']}"
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {
-            "avatar": self.avatar, "gaussians": self.gaussians, "size_px": list(self.size_px),
-            "machine": dict(self.machine), "disturbed": self.disturbed,
-            "reference": f"{self.poses} poses in float64", "truth": self.truth,
-            "rows": [row.as_dict() for row in self.rows], "growth": [vars(point) for point in self.growth],
-            "learning": [{"minutes": minutes, "psnr_db": psnr_db} for minutes, psnr_db in self.learning],
-        }  # fmt: skip
 
     def tables(self) -> list[Table]:
         """What can be chosen, every axis alone, growth, and the training where there is one."""

@@ -17,9 +17,7 @@ from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.subject import Subject, moving_subject
-from jghand_engine.study.frame_time import frame_case
-from jghand_engine.study.synthetic_hands import synthetic_hand
-from jghand_engine.study.timing import Case, Measurement
+from jghand_engine.render.timing import Case, Measurement, frame_case
 
 GAUSSIANS, PIXELS, HANDS, POSES = (
     "Gaussians in the hand",
@@ -29,11 +27,7 @@ GAUSSIANS, PIXELS, HANDS, POSES = (
 )
 PANELS = (GAUSSIANS, PIXELS, HANDS, POSES)
 _SECTION = "growth: "
-# points of the curves, sizes up to 4K, and frames of each point
-GROWTH_GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
-GROWTH_SIZES_PX = ((256, 167), (512, 334), (1024, 668), (1920, 1080), (3840, 2160))
-GROWTH_HANDS = (1, 2, 4)
-GROWTH_POSES = (1, 10, 100, 1000)
+# frames of each point
 GROWTH_ROUNDS = 12
 
 
@@ -63,25 +57,27 @@ class Growth:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far each curve goes."""
+    """How far each curve goes; sizes up to 4K."""
 
-    gaussians: Sequence[int] = GROWTH_GAUSSIANS
-    sizes_px: Sequence[tuple[int, int]] = GROWTH_SIZES_PX
-    hands: Sequence[int] = GROWTH_HANDS
-    poses: Sequence[int] = GROWTH_POSES
+    gaussians: Sequence[int] = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+    sizes_px: Sequence[tuple[int, int]] = ((256, 167), (512, 334), (1024, 668), (1920, 1080), (3840, 2160))
+    hands: Sequence[int] = (1, 2, 4)
+    poses: Sequence[int] = (1, 10, 100, 1000)
+
+
+QUICK_REACH = Reach((10_000, 30_000, 100_000), ((256, 167), (512, 334), (1024, 668)), (1, 2), (1, 10, 100))
 
 
 def growth_cases(
     avatar: HandAvatar, size_px: tuple[int, int], settings: RenderSettings, reach: Reach
 ) -> Iterator[Case]:
-    """Cases whose names are the x of their curves. Gaussians: of synthetic hands of volume B, which cover the picture
-    alike however many they are; all else: of `avatar`."""
-    for count in reach.gaussians:
-        yield _grown(frame_case(_synthetic(count, size_px), settings, ""), GAUSSIANS, count)
-    for width, height in reach.sizes_px:
-        subject = moving_subject(avatar.info.name, avatar, width, height)
-        yield _grown(frame_case(subject, settings, ""), PIXELS, width * height)
+    """Cases whose names are the x of their curves."""
     subject = moving_subject(avatar.info.name, avatar, *size_px)
+    for count in reach.gaussians:
+        yield _grown(frame_case(replace(subject, avatar=resampled(avatar, count)), settings, ""), GAUSSIANS, count)
+    for width, height in reach.sizes_px:
+        sized = moving_subject(avatar.info.name, avatar, width, height)
+        yield _grown(frame_case(sized, settings, ""), PIXELS, width * height)
     for hands in reach.hands:
         yield _grown(_scene_case(subject, hands, settings), HANDS, hands)
     transform = transform_of(avatar)
@@ -95,12 +91,18 @@ def _grown(case: Case, panel: str, x: int) -> Case:
     return replace(case, section=_SECTION + panel, name=str(x), rounds=GROWTH_ROUNDS)
 
 
-def _synthetic(count: int, size_px: tuple[int, int]) -> Subject:
-    hand = synthetic_hand("B", count)
-    # as many as fill the same volume, each as far from the next as its size
-    smaller = (len(hand.avatar) / 60_000) ** (-1 / 3)
-    avatar = replace(hand.avatar, sigma_m=hand.avatar.sigma_m * smaller)
-    return Subject("volume B", avatar, hand.poses(50), hand.camera(*size_px))
+def resampled(avatar: HandAvatar, count: int) -> HandAvatar:
+    """The hand of `count` Gaussians that fill the same volume: its own taken again and again, each a little beside its
+    place and smaller the more they are. Without what training added to a pose."""
+    random, taken = np.random.default_rng(0), np.arange(count) % len(avatar)
+    size = (count / len(avatar)) ** (-1 / 3)
+    beside = random.normal(size=(count, 3)).astype(np.float32) * avatar.sigma_m[taken, None]
+    names = ("opacity", "rgb", "bone_weights", "uvd")
+    return HandAvatar(
+        info=avatar.info, handedness=avatar.handedness, canonical_joints_m=avatar.canonical_joints_m,
+        position_m=avatar.position_m[taken] + beside, sigma_m=avatar.sigma_m[taken] * np.float32(size),
+        **{name: getattr(avatar, name)[taken] for name in names},
+    )  # fmt: skip
 
 
 def _scene_case(subject: Subject, hands: int, settings: RenderSettings) -> Case:

@@ -20,15 +20,14 @@ from jghand_engine.render.budget import APPROXIMATE, Profile, Rated, how_it_look
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
+from jghand_engine.render.timing import Case, Measurement, frame_case, machine, measure
 from jghand_engine.study.accuracy import Accuracy, Row, faster_than
 from jghand_engine.study.accuracy_growth import Growth, Reach, growth_cases
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
 from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tiers, variants
-from jghand_engine.study.frame_time import frame_case, machine
-from jghand_engine.study.timing import Case, Measurement, measure
 
 # frames of each setting, and those before them that are not counted (RENDERING 9.2)
-ROUNDS = 150
+ROUNDS, QUICK_ROUNDS = 150, 15
 WARM_UP = 10
 # pictures of each kind of a capture that every setting is compared with: each takes its time with each setting
 PICTURES = 3
@@ -58,8 +57,6 @@ class Plan:
     # as users call it
     name: str
     size_px: tuple[int, int] = (512, 334)
-    # as in RenderSettings
-    threads: int = 0
     # None without a capture
     truth: Truth | None = None
     # frames of each setting
@@ -75,7 +72,7 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     learning = () if plan.log is None else learning_curve(plan.log)
     subject = moving_subject(plan.name, plan.avatar, *plan.size_px)
     say("Fitting linear correctives")
-    compared = variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar), plan.threads)
+    compared = variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar))
     poses = pose_count(plan.size_px)
     say(f"Drawing {poses} poses in double precision")
     exact = ExactPictures64(subject, spread_poses(subject, poses))
@@ -93,14 +90,14 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     ]
     rows = _described(rows, compared, subject)
     return Accuracy(
-        plan.name, len(plan.avatar), plan.size_px, machine(plan.threads), tuple(rows), tuple(growth), poses,
+        plan.name, len(plan.avatar), plan.size_px, machine(0), tuple(rows), tuple(growth), poses,
         "" if plan.truth is None else plan.truth.origin, tuple(learning),
     )  # fmt: skip
 
 
 def profile_of(study: Accuracy, plan: Plan) -> Profile:
     """What `render.budget` chooses from."""
-    settings = {one.name: one.settings for one in variants(plan.avatar, plan.size_px, {}, 0) if one.axis == TOGETHER}
+    settings = {one.name: one.settings for one in variants(plan.avatar, plan.size_px, {}) if one.axis == TOGETHER}
     rows = tuple(
         Rated(row.name, settings[row.name], row.median_ms, row.p95_ms, row.error.psnr_db)
         for row in study.rows
@@ -125,7 +122,7 @@ def _times(
         )
         for number, variant in enumerate(compared)
     ]
-    viewport = replace(PRESETS["viewport"], threads=plan.threads, reuse=False)
+    viewport = replace(PRESETS["viewport"], reuse=False)
     cases += growth_cases(plan.avatar, plan.size_px, viewport, plan.reach)
     measured = measure(cases, rounds=plan.rounds, warm_up=min(WARM_UP, plan.rounds))
     by_section: dict[str, list[Measurement]] = {}

@@ -15,11 +15,10 @@ from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork, lar
 from jghand_engine.avatar.file import stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.learn.distill import distill, poses_near
+from jghand_engine.learn.tier_prices import known_poses, with_correctives
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.budget import NO_CORRECTIVES, candidates, has_seen_shadow
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
-from jghand_engine.study.tier_prices import with_correctives
-from jghand_engine.study.tier_yardsticks import ExactPictures
 
 TOGETHER = "all together"
 GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS = (
@@ -46,13 +45,11 @@ class Variant:
     avatar: HandAvatar | None = None
 
 
-def variants(
-    avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, LinearCorrectives], threads: int
-) -> list[Variant]:
-    """All variants. linear: tiers of the correctives by size, see `linear_tiers` · threads: as in RenderSettings"""
-    own = replace(PRESETS["final"], threads=threads, reuse=False)
+def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, LinearCorrectives]) -> list[Variant]:
+    """All variants. linear: tiers of the correctives by size, see `linear_tiers`"""
+    own = replace(PRESETS["final"], reuse=False)
     found = [
-        Variant(TOGETHER, name, replace(settings, threads=threads, reuse=False))
+        Variant(TOGETHER, name, replace(settings, reuse=False))
         for name, settings in candidates(avatar, size_px).items()
     ]
     found += [Variant(GAUSSIANS, _thousands(n), replace(own, gaussians=n)) for n in _counts(len(avatar))]
@@ -66,7 +63,7 @@ def variants(
     found += _shadows(avatar, own)
     found.append(Variant(STORED, "float32", own))
     found.append(Variant(STORED, "float16 and smaller", own, stored_form(avatar, Storage.COMPACT)))
-    found += [Variant(THREADS, str(count), replace(own, threads=count)) for count in _thread_counts(threads)]
+    found += [Variant(THREADS, str(count), replace(own, threads=count)) for count in _thread_counts()]
     return found
 
 
@@ -87,7 +84,7 @@ def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:
     net = None if avatar.learned is None else avatar.learned.correctives
     if not isinstance(net, PoseNetwork):
         return {}
-    known = ExactPictures(avatar).known_poses(avatar)
+    known = known_poses(avatar)
     poses = torch.cat([known, poses_near(known, DISTIL_POSES, seed=0)])
     return distill(avatar, poses, [k for k in BASES if k <= largest_basis(net.shape)])
 
@@ -106,8 +103,8 @@ def _counts(total: int) -> list[int]:
     return [count for count in COUNTS if count < total] + [total]
 
 
-def _thread_counts(threads: int) -> list[int]:
-    most, count, found = thread_count(threads), 1, []
+def _thread_counts() -> list[int]:
+    most, count, found = thread_count(0), 1, []
     while count < most:
         found.append(count)
         count *= 2

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.render.gate import GATE_LOW
-from jghand_engine.study.effects_study import EffectsStudy
-from jghand_engine.study.report import HARMLESS, INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL, title
+from jghand_engine.study.effects import EffectsStudy
+from jghand_engine.study.report import INK, OURS, PAGE, QUIET, STYLE, UNSEEN, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,22 +15,21 @@ if TYPE_CHECKING:
 
 
 def draw_figure(study: EffectsStudy) -> Figure:
-    """Above: what ran on each frame of the motion. Below: milliseconds saved, and what the gate skips."""
+    """Above: what ran on each frame of the motion. Below: milliseconds saved."""
     import matplotlib
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11, 8.4), facecolor=PAGE)
-        grid = figure.add_gridspec(2, 2, height_ratios=(1.25, 1), hspace=0.38, wspace=0.42, left=0.17, right=0.97,
-                                   top=0.86, bottom=0.09)  # fmt: skip
+        grid = figure.add_gridspec(2, 1, height_ratios=(1.25, 1), hspace=0.38, left=0.17, right=0.97, top=0.86,
+                                   bottom=0.09)  # fmt: skip
         figure.text(0.02, 0.955, "Only what the scene calls for", fontsize=20, weight="bold", color=INK)
         figure.text(
             0.02, 0.92, "Each column is a frame; a filled cell is work that was done.", fontsize=11.5, color=QUIET
         )
         figure.text(0.02, 0.895, study.subject, fontsize=9.5, color=QUIET)
-        _draw_strip(figure.add_subplot(grid[0, :]), study)
-        _draw_savings(figure.add_subplot(grid[1, 0]), study)
-        _draw_gate(figure.add_subplot(grid[1, 1]), study)
+        _draw_strip(figure.add_subplot(grid[0]), study)
+        _draw_savings(figure.add_subplot(grid[1]), study)
     return figure
 
 
@@ -51,30 +49,16 @@ def _draw_strip(axes: Axes, study: EffectsStudy) -> None:
 
 
 def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
-    rows = [row for row in study.rows if row.saved_median_ms is not None and row.saved_median_ms > 0]
+    rows = [row for row in study.effects if row.saved_median_ms is not None and row.saved_median_ms > 0]
     rows.sort(key=lambda row: row.saved_median_ms or 0)
     axes.barh([str(row.effect) for row in rows], [row.saved_median_ms or 0 for row in rows], color=OURS, height=0.62)
     axes.set_xscale("log")
-    for place, row in enumerate(rows):
+    for index, row in enumerate(rows):
         worst = 255 * max(row.errors, default=0.0)
         told = f", off by up to {worst:.1f} of 255" if worst >= 0.05 else ", no difference" if row.errors else ""
         saved_ms = row.saved_median_ms or 0
         figures = f"{saved_ms:.1f}" if saved_ms < 10 else f"{saved_ms:.0f}"
-        axes.text(saved_ms, place, f" {figures} ms{told}", va="center", fontsize=8.5)
+        axes.text(saved_ms, index, f" {figures} ms{told}", va="center", fontsize=8.5)
     axes.set_xlim(right=60 * max((row.saved_median_ms or 1 for row in rows), default=1))
     title(axes, "Saved on a frame that skips it")
     axes.set_xlabel("milliseconds", fontsize=9.5)
-
-
-def _draw_gate(axes: Axes, study: EffectsStudy) -> None:
-    title(axes, "How dark the self-shadow of a pose is")
-    axes.axvspan(1e-2, GATE_LOW, color=UNSEEN, lw=0)
-    axes.set_xscale("log")
-    for row in study.gate:
-        color = QUIET if row.strength == 0 else USUAL
-        axes.plot(max(row.score, 1.1e-2), 255 * row.darkest, "o", color=color, ms=5, alpha=0.7)
-    axes.text(0.02, 0.97, "skipped", va="top", transform=axes.transAxes, color=HARMLESS, fontsize=9.5)
-    axes.set_xlim(left=1e-2)
-    axes.set_xlabel("how near the fingers are to each other (gate)", fontsize=9.5)
-    axes.set_ylabel("darkest pixel, steps of 255", fontsize=9.5)
-    axes.set_ylim(bottom=0)

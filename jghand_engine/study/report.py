@@ -8,11 +8,14 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import re
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from PIL import Image
 
 from jghand_engine.errors import InputError, install_extra
@@ -44,32 +47,46 @@ class Report:
     # the result in a sentence or two
     headline: str
     tables: list[Table]
-    # plain data for JSON
-    figures: dict[str, Any]
-    plot: Figure | None = field(default=None, repr=False)
+    # everything that was measured, a dataclass
+    study: Any
+    plot: Figure = field(repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         tables = [vars(table) for table in self.tables]
-        return {"command": f"study {self.name}", "headline": self.headline, "tables": tables, **self.figures}
+        return {"command": f"study {self.name}", "headline": self.headline, "tables": tables, **plain(self.study)}
 
 
-def check_folder(folder: Path, *, plots: bool) -> None:
+def plain(value: Any) -> Any:
+    """Dataclasses, arrays and numbers as JSON knows them: None for what is not finite; pictures (uint8) are left
+    out."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {each.name: getattr(value, each.name) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items() if getattr(one, "dtype", None) != np.uint8}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def check_folder(folder: Path) -> None:
     """InputError, before anything is measured, for an output folder that is a file and for missing matplotlib."""
     if folder.exists() and not folder.is_dir():
         raise InputError("--out", wanted="a folder", came=f"the file {folder}")
-    if plots:
-        try:
-            import matplotlib  # noqa: F401
-        except ImportError as error:
-            remedy = install_extra("study")
-            raise InputError("matplotlib", wanted="an installed package", came="none", remedy=remedy) from error
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        remedy = install_extra("study")
+        raise InputError("matplotlib", wanted="an installed package", came="none", remedy=remedy) from error
 
 
 def write_report(report: Report, folder: Path) -> list[Path]:
-    """Writes NAME.json, NAME.png where there is a plot, and every table as NAME_TITLE.csv; returns their paths."""
-    content = {f"{report.name}.json": json.dumps(report.as_dict(), indent=2, allow_nan=False).encode() + b"\n"}
-    if report.plot is not None:
-        content[f"{report.name}.png"] = png_of(report.plot)
+    """Writes NAME.json, NAME.png, and every table as NAME_TITLE.csv; returns their paths."""
+    content = {
+        f"{report.name}.json": json.dumps(report.as_dict(), indent=2, allow_nan=False).encode() + b"\n",
+        f"{report.name}.png": png_of(report.plot),
+    }
     for table in report.tables:
         title = re.sub(r"\W+", "_", table.title.split(",")[0].lower()).strip("_")
         content[f"{report.name}_{title}.csv"] = csv_of(table)

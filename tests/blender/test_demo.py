@@ -1,24 +1,25 @@
-"""The whole job through Blender: the engine's command starts Blender's Python, which starts an engine."""
+"""The whole job through Blender: the script starts Blender's Python, which starts an engine."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
 # a fifth of a second of motion
-QUICK = ("--poses", "point", "--size", "64x64", "--preset", "draft")
+QUICK = ("--poses", "point", "--size", "64x64")
+JOB = Path(__file__).parents[2] / "scripts" / "demo_job.py"
 
 
 @pytest.fixture(scope="module")
 def folder(engine_python, tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
-    command = [engine_python, "-I", "-m", "jghand_engine", "demo", *QUICK, "--out", str(out)]
+    command = [engine_python, "-I", JOB, *QUICK, "--out", str(out)]
     done = subprocess.run(
         [*command, "--blender-python", sys.executable], capture_output=True, encoding="utf-8", check=False
     )
@@ -28,7 +29,7 @@ def folder(engine_python, tmp_path_factory):
 
 def test_everything_that_the_page_names_is_there(folder):
     page = (folder / "README.txt").read_text(encoding="utf-8")
-    named = [line.split()[0] for line in page.splitlines()[2:] if line and not line.startswith((" ", "Change"))]
+    named = [line.split()[0] for line in page.splitlines()[2:] if line and not line.startswith(" ")]
     assert "hand.blend" in named
     for name in named:
         assert (folder / name).exists(), name
@@ -37,8 +38,6 @@ def test_everything_that_the_page_names_is_there(folder):
 def test_pictures_came_through_blender(folder):
     figures = json.loads((folder / "report.json").read_text())
     assert figures["blender"] is True
-    assert figures["finished"] is True
-    assert figures["blend_sha256"] == hashlib.sha256((folder / "hand.blend").read_bytes()).hexdigest()
     assert {"Blender's evaluation", "request (engine, transport)", "Blender's colors and the PNG"} <= set(
         figures["stages"]
     )

@@ -56,9 +56,3 @@ def test_the_choice_of_pictures_reaches_the_loader(folder, tmp_path, capsys):
     assert "ROM_JGHAND" in capsys.readouterr().out
     assert run(folder, "--protocol", "test-capture0", "--hand", "left") == 2
     assert "Drop one of them" in capsys.readouterr().err
-
-
-def test_no_picture_is_written_when_none_is_wanted(folder, tmp_path):
-    assert run(folder, "--out", tmp_path / "o.png", "--shown", 0) == 0
-    assert not (tmp_path / "o.png").exists()
-    assert run(folder, "--shown", -1) == 2

@@ -15,12 +15,11 @@ from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import LinearCorrectives, Tier
-from jghand_engine.cli import main
+from jghand_engine.cli import distill, main
 from jghand_engine.cli.distill import Distill
+from jghand_engine.learn import shadow_seen, tier_prices
+from jghand_engine.learn.tier_prices import Offer, best_linear, exact_tier_measure, flat_poses, measured_poses
 from jghand_engine.native.machine import processor
-from jghand_engine.study import shadow_seen, tier_prices
-from jghand_engine.study.tier_prices import Offer, best_linear
-from jghand_engine.study.tier_yardsticks import ExactPictures, _flat
 from jghand_engine.template.builtin import load_template
 
 
@@ -34,6 +33,7 @@ def few_rounds(monkeypatch):
     monkeypatch.setattr(shadow_seen, "SIDES", shadow_seen.SIDES[:1])
     monkeypatch.setattr(tier_prices, "FRAME_ROUNDS", 2)
     monkeypatch.setattr(tier_prices, "WARM_UP", 1)
+    monkeypatch.setattr(distill, "DISTIL_POSES", 40)
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +52,7 @@ def file(trained, tmp_path):
 @pytest.mark.parametrize("storage", ["compact", "exact"])
 def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     out, told = tmp_path / "fast.jghand", tmp_path / "told.json"
-    assert (
-        run("distill", file, "--out", out, "--basis", "1,4,9", "--poses", 40, "--storage", storage, "--json", told) == 0
-    )
+    assert run("distill", file, "--out", out, "--basis", "1,4,9", "--storage", storage, "--json", told) == 0
     said = capsys.readouterr().out
     for name in ("exact", "linear-1", "linear-4", "linear-9", "frame ms", "lost dB", "made-up poses"):
         assert name in said
@@ -74,15 +72,15 @@ def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     assert processor() in distilled.learned.distilled.measured_on
     # a fast avatar can be distilled again
     assert load_avatar(out).learned.shadow.seen == json.loads(told.read_text())["shadow_seen"]
-    assert run("distill", out, "--out", out, "--basis", "2", "--poses", 10, "--overwrite") == 0
+    assert run("distill", out, "--out", out, "--basis", "2", "--overwrite") == 0
     assert load_avatar(out).learned.distilled.linear.basis == 2
 
 
-def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, capsys):
+def test_pictures_that_were_held_out_measure_best(file, tmp_path, capsys):
     folder = write_set(tmp_path / "set", recorded(frames=4, cameras=4))
     held_out = {"format": 1, "test_frames": {"ROM_JGHAND": [2006, 2018]}, "test_cameras": ["400262", "400265"]}
     (folder / "splits.json").write_text(json.dumps(held_out))
-    words = (folder, "--limit", 1, "--basis", "4", "--poses", 20)
+    words = (folder, "--limit", 1, "--basis", "4")
     assert run("distill", file, "--out", tmp_path / "fast.jghand", *words) == 0
     said = capsys.readouterr().out
     # the linear tier is fitted to learned poses: from a new view they would say little of it
@@ -104,10 +102,9 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
         (("--basis", "65"), "1 to 14"),
         (("--basis", "15"), "1 to 14"),
         (("--basis", "4", "--limit", "-1"), "--limit"),
-        (("--basis", "4", "--poses", "-1"), "--poses"),
         (("--basis", "4", "--out", "fast.safetensors"), ".jghand"),
         (("nowhere", "--basis", "4"), "nowhere"),
-        (("--basis", "4", "--capture", "Capture0"), "pictures of which folder"),
+        (("--basis", "4", "--sequences", "ROM"), "pictures of which folder"),
         (("--basis", "4", "--out", "."), ".jghand"),
     ],
 )
@@ -118,7 +115,7 @@ def test_wrong_options_are_named(file, tmp_path, capsys, words, said):
 
 
 def test_a_place_that_cannot_be_written_is_told_at_the_start(file, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(Distill, "_yardstick", lambda *_: pytest.fail("the work had begun"))
+    monkeypatch.setattr(Distill, "_measure", lambda *_: pytest.fail("the work had begun"))
     (tmp_path / "in_the_way").write_text("a file")
     (tmp_path / "folder.jghand").mkdir()
     content = file.read_bytes()
@@ -153,15 +150,15 @@ def test_the_smallest_basis_that_loses_little_is_kept(trained):
 
 
 def test_made_up_poses_are_not_measured_where_the_tier_was_fitted(trained):
-    yard = ExactPictures(trained)
-    measured = _flat(trained, yard._poses_m)
-    nearest = torch.cdist(measured, yard.known_poses(trained), p=float("inf")).amin(1)
+    by = exact_tier_measure(trained)
+    measured = flat_poses(trained, measured_poses(by.subject))
+    nearest = torch.cdist(measured, by.known_poses, p=float("inf")).amin(1)
     assert float(torch.rad2deg(nearest).median()) > 10.0  # observed 14
 
 
 def test_an_independent_error_costs_what_the_sum_of_errors_says(trained):
-    yard = ExactPictures(trained)
-    assert yard.lost_db(100.0, 100.0) == 0
-    assert yard.lost_db(100.0, 33.4) == pytest.approx(3.0103, abs=1e-4)
-    assert yard.lost_db(100.0, 59.0) == pytest.approx(0.012, abs=1e-3)
-    assert yard.psnr_db(trained) == 100.0
+    by = exact_tier_measure(trained)
+    assert by.lost_db(100.0, 100.0) == 0
+    assert by.lost_db(100.0, 33.4) == pytest.approx(3.0103, abs=1e-4)
+    assert by.lost_db(100.0, 59.0) == pytest.approx(0.012, abs=1e-3)
+    assert by.psnr_db(trained) == 100.0

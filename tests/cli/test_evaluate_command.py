@@ -1,4 +1,4 @@
-"""`jghand evaluate` and `jghand study` as people use them."""
+"""`jghand evaluate` as people use it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import pytest
 from picture_sets import recorded, write_set
 
-from jghand_engine.cli import main, study
+from jghand_engine.cli import main
 from jghand_engine.export.pictures import read_png
 
 
@@ -42,7 +42,7 @@ def test_an_evaluation_leaves_figures_tables_and_sheets(folder, tmp_path, capsys
 
 
 def test_figures_alone_can_be_had(folder, tmp_path, capsys):
-    words = ("--out", tmp_path, "--limit", 1, "--preset", "draft", "--no-sheets", "--no-timed", "--split", "train")
+    words = ("--out", tmp_path, "--limit", 1, "--preset", "draft", "--figures-only", "--split", "train")
     assert run("evaluate", "builtin", folder, *words) == 0
     assert not list(tmp_path.glob("*.png"))
     means = json.loads((tmp_path / "evaluation.json").read_text())["means"]
@@ -59,14 +59,5 @@ def test_figures_alone_can_be_had(folder, tmp_path, capsys):
     ],
 )
 def test_bad_options_are_refused(folder, tmp_path, capsys, words, said):
-    assert run("evaluate", "builtin", folder, "--out", tmp_path, "--no-sheets", *words) == 2
+    assert run("evaluate", "builtin", folder, "--out", tmp_path, "--figures-only", *words) == 2
     assert said in capsys.readouterr().err
-
-
-def test_a_study_of_the_transform_writes_its_table(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(study, "TRANSFORM_POSES", 1)
-    assert run("study", "transform", "--out", tmp_path) == 0
-    assert "HALO-like" in capsys.readouterr().out
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["transform.json", "transform_transformation.csv"]
-    for scores in json.loads((tmp_path / "transform.json").read_text())["scores"].values():
-        assert scores["ours, axial"]["joints_matrices_mm"] < 1e-9

@@ -27,7 +27,7 @@ class OutOfMemoryError(RuntimeError):
         (OSError(errno.EIO, "Input/output error"), 3, "Input/output"),
         (KeyboardInterrupt(), 130, "Stopped"),
         (ModuleNotFoundError("No module named 'torch'", name="torch"), 2, "jghand[learn]"),
-        (ZeroDivisionError("division by zero"), 1, "--traceback"),
+        (ZeroDivisionError("division by zero"), 1, "JGHAND_DEBUG=1"),
     ],
 )
 def test_an_error_has_its_exit_code_and_its_sentence(error, exit_code, word):

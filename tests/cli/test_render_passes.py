@@ -56,7 +56,7 @@ def test_a_camera_in_the_wrist_gets_its_pictures_too(tmp_path):
     }
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     out = tmp_path / "out"
-    assert render(out, "--passes", "joints", "--camera-file", str(tmp_path / "camera.json")) == 0
+    assert render(out, "--passes", "joints", "--camera", str(tmp_path / "camera.json")) == 0
     frame = json.loads((out / "joints.json").read_text())["frames"][0]
     assert frame["depth_m"][0] == 0
     assert frame["px"][0] is None

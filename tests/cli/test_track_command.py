@@ -310,7 +310,7 @@ def test_before_the_camera_of_the_film_the_motion_is_where_the_film_shows_it(fil
     assert depth_m.min() > 0.2
     # worst observed 0.17: the fit also follows directions
     assert np.abs(shown_px - seen_px).max() < 0.3
-    pictures = ("--motion", str(out), "--camera-file", str(file), "--out", str(tmp_path / "pictures"))
+    pictures = ("--motion", str(out), "--camera", str(file), "--out", str(tmp_path / "pictures"))
     assert main(["render", *pictures, "--frames", "0", "--preset", "draft"]) == 0
     drawn = read_png(tmp_path / "pictures" / "frame_00000.png")
     x, y = seen_px[0].mean(0).round().astype(int)

@@ -36,8 +36,8 @@ def test_a_camera_or_a_map_of_bones_that_is_no_json_ends_in_a_sentence(tmp_path,
     path = written(tmp_path, content)
     (tmp_path / "a.bvh").write_text("HIERARCHY")
     for words in (
-        ("render", "--poses", "open", "--camera-file", path),
-        ("info", str(tmp_path / "a.bvh"), "--bones", path),
+        ("render", "--poses", "open", "--camera", path),
+        ("motion", str(tmp_path / "a.bvh"), "--out", str(tmp_path / "out.npz"), "--bones", path),
     ):
         more = ("--out", str(tmp_path / "out")) if words[0] == "render" else ()
         assert main([*words, *more]) == 2

@@ -14,6 +14,7 @@ from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
+from jghand_engine.render.timing import measure
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants
 from jghand_engine.study.accuracy import Accuracy, Row, faster_than
 from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Growth, Reach, growth_cases
@@ -32,7 +33,7 @@ from jghand_engine.study.accuracy_variants import (
     linear_tiers,
     variants,
 )
-from jghand_engine.study.timing import measure
+from jghand_engine.study.report import plain
 
 SMALL = (48, 32)
 SHORT = Reach((200, 400), ((24, 16), (48, 32)), (1, 2), (1, 5))
@@ -60,12 +61,12 @@ def subject_of(avatar) -> Subject:
 
 def test_every_axis_is_compared_and_changes_only_itself():
     avatar = trained_avatar(100)
-    found = variants(avatar, SMALL, linear_tiers(avatar), 1)
+    found = variants(avatar, SMALL, linear_tiers(avatar))
     assert {one.axis for one in found} == set(AXES)
     names = [(one.axis, one.name) for one in found]
     assert len(set(names)) == len(names)
     assert not any(one.settings.reuse for one in found)
-    final = replace(PRESETS["final"], threads=1, reuse=False)
+    final = replace(PRESETS["final"], reuse=False)
     for one in found:
         changed = {name for name in vars(final) if getattr(one.settings, name) != getattr(final, name)}
         allowed = {"Gaussians": {"gaussians"}, CORRECTIVES: {"effects"}, "blend": {"alpha_min", "t_stop"},
@@ -79,13 +80,13 @@ def test_every_axis_is_compared_and_changes_only_itself():
 
 
 def test_a_painted_hand_has_no_correctives_to_compare():
-    found = variants(small_avatar(100), SMALL, linear_tiers(small_avatar(100)), 1)
+    found = variants(small_avatar(100), SMALL, linear_tiers(small_avatar(100)))
     assert not [one for one in found if one.axis == CORRECTIVES]
 
 
 def test_what_nobody_can_choose_is_no_choice():
     avatar = trained_avatar(100)
-    assert all(one.avatar is None for one in variants(avatar, SMALL, {}, 1) if one.axis == TOGETHER)
+    assert all(one.avatar is None for one in variants(avatar, SMALL, {}) if one.axis == TOGETHER)
 
 
 # ---- errors ----------------------------------------------------------------------------------------------------------
@@ -142,7 +143,7 @@ def study(log):
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in SMALL_NUMBERS:
             patch.setattr(module, name, value)
-        plan = Plan(trained_avatar(300), "small", SMALL, 1, None, 2, SHORT, log)
+        plan = Plan(trained_avatar(300), "small", SMALL, None, 2, SHORT, log)
         return plan, measure_accuracy(plan)
 
 
@@ -181,8 +182,8 @@ def test_the_profile_holds_what_can_be_chosen(study):
 
 @needs_native
 def test_figures_are_plain_data(study):
-    content = json.loads(json.dumps(study[1].as_dict(), allow_nan=False))
-    assert {"rows", "growth", "machine", "disturbed", "learning"} <= set(content)
+    content = json.loads(json.dumps(plain(study[1]), allow_nan=False))
+    assert {"rows", "growth", "machine", "learning"} <= set(content)
     assert "crop" not in content["rows"][0]
 
 

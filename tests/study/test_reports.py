@@ -17,6 +17,7 @@ from small_avatars import small_avatar
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
+from jghand_engine.native.threads import thread_count
 from jghand_engine.render.budget import Profile, Rated, read_profile
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.study import accuracy_measures, accuracy_plot, stability, stability_plot, stability_views
@@ -120,7 +121,7 @@ def test_the_study_of_accuracy_writes_its_folder_and_keeps_what_budgets_choose_f
     monkeypatch.setattr(accuracy_measures, "profile_of", lambda found, plan: profile)
     avatar, out = small_avatar(30), tmp_path / "study"
     save_avatar(tmp_path / "small.jghand", avatar)
-    words = ["study", "accuracy", str(tmp_path / "small.jghand"), "--threads", "1", "--size", "48x32"]
+    words = ["study", "accuracy", str(tmp_path / "small.jghand"), "--size", "48x32"]
     assert main([*words, "--out", str(out)]) == 0
     assert "12 ms: looks the same; 6 ms: soft fingertips" in capsys.readouterr().out
     assert {"accuracy.json", "accuracy.png", "accuracy_what_can_be_chosen.csv"} <= {path.name for path in out.iterdir()}
@@ -128,7 +129,7 @@ def test_the_study_of_accuracy_writes_its_folder_and_keeps_what_budgets_choose_f
     assert content["headline"] == accuracy.headline
     with (out / "accuracy_what_can_be_chosen.csv").open(newline="") as stream:
         assert list(csv.reader(stream)) == [content["tables"][0]["columns"], *content["tables"][0]["rows"]]
-    assert read_profile(avatar, (48, 32), 1) is not None
+    assert read_profile(avatar, (48, 32), thread_count(0)) is not None
 
 
 # ---- stability -------------------------------------------------------------------------------------------------------
@@ -167,7 +168,6 @@ def test_the_study_of_stability_writes_its_folder(hard_cases, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("accuracy", "--rounds", "0"), "1 or more"),
         (("accuracy", "--size", "much"), "WIDTHxHEIGHT"),
         (("stability", "--out", "README.md"), "a folder"),
     ],

@@ -9,7 +9,7 @@ from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.study import shadow_seen as study
+from jghand_engine.learn import shadow_seen as study
 
 
 @pytest.fixture(autouse=True)

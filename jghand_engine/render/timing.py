@@ -1,12 +1,16 @@
-"""Honest times: interleaved, after warm-up, and only while the machine is ours (RENDERING 9.2).
+"""Times of frames: interleaved, after warm-up, and only while the machine is ours (RENDERING 9.2).
 
 A case that is measured alone sees a different machine than the next one a minute later; so the cases take turns. On a
 shared machine a neighbor can take a core: before and after every sample two independent loops tell how many cores
-there really were, and disturbed samples are dropped.
+there really were, and disturbed samples are dropped. A frame is run end to end, never the sum of its stages; files and
+sockets are not part of it.
 """
 
 from __future__ import annotations
 
+import itertools
+import os
+import platform
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -14,41 +18,48 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.native.machine import FREE_PART, FreeCores
+from jghand_engine.native.build import read_stamp
+from jghand_engine.native.library import load
+from jghand_engine.native.machine import FREE_PART, FreeCores, processor
+from jghand_engine.native.threads import thread_count
+from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.report import FrameReport
+from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.subject import Subject
+
+# heads of the columns of `table_rows`
+COLUMNS = ("", "median ms", "p95 ms", "CPU ms", "samples")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to be timed. run: called once per sample; a FrameReport that it returns gives the times of stages.
-
-    rounds: 0 = as many as the others; slow references get few · threads: cores that must be free
-    """
+    """One thing to be timed."""
 
     section: str
     name: str
+    # called once per sample; a FrameReport that it returns gives the times of stages
     run: Callable[[], FrameReport | None]
+    # 0: as many as the others; slow references get few
     rounds: int = 0
+    # cores that must be free
     threads: int = 2
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Milliseconds of one case. dropped: samples during which the machine was not free; when nearly all were, they are
-    kept and `disturbed` says so. cpu_ms: processor time of all threads, median; None for a stage."""
+    """Milliseconds of one case."""
 
     section: str
     name: str
     median_ms: float
     p95_ms: float
+    # processor time of all threads, median; None for a stage
     cpu_ms: float | None
     samples: int
+    # samples during which the machine was not free
     dropped: int
+    # nearly all samples were: they are kept
     disturbed: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON, which has no NaN."""
-        return {name: None if value != value else value for name, value in vars(self).items()}
 
 
 @dataclass
@@ -118,3 +129,50 @@ def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:
     for stage in dict.fromkeys(name for frame in sample.stages for name in frame):
         # a stage that a frame did not come to took nothing there
         yield line(f"  {stage}", [frame.get(stage, 0.0) for frame in sample.stages], None)
+
+
+# ---- frames ----------------------------------------------------------------------------------------------------------
+
+
+def frame_case(subject: Subject, settings: RenderSettings, section: str) -> Case:
+    """Whole frames of a hand in motion, from joints to picture, with their stages."""
+    renderer, poses = HandRenderer(subject.avatar, settings), itertools.cycle(subject.poses)
+
+    def run() -> FrameReport:
+        return renderer.render(next(poses), subject.camera).report
+
+    return Case(section, title_of(subject), run, threads=thread_count(settings.threads))
+
+
+def title_of(subject: Subject) -> str:
+    return f"{subject.name}, {subject.camera.width} x {subject.camera.height}"
+
+
+def machine(threads: int) -> dict[str, Any]:
+    """Hardware, threads, variant of the kernels and compiler, for the head of a table. threads: as in RenderSettings"""
+    library = load("auto")
+    stamp = read_stamp(library.path)
+    return {
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "threads": thread_count(threads),
+        "backend": library.variant,
+        "compiler": stamp.compiler if stamp else "",
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+    }
+
+
+def table_rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
+    """Rows under COLUMNS: every section, then its cases."""
+    rows: list[tuple[str, ...]] = []
+    for section in dict.fromkeys(one.section for one in measurements):
+        rows.append((section, "", "", "", ""))
+        for one in measurements:
+            if one.section == section:
+                samples = f"{one.samples}" + (f" of {one.samples + one.dropped}" if one.dropped else "")
+                cpu = "" if one.cpu_ms is None else f"{one.cpu_ms:.2f}"
+                mark = " disturbed" if one.disturbed else ""
+                rows.append((f"  {one.name}", f"{one.median_ms:.2f}", f"{one.p95_ms:.2f}", cpu, samples + mark))
+    return rows

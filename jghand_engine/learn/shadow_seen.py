@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.learn.shadow import darken
+from jghand_engine.native.library import load
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
-from jghand_engine.study.effects_study import gate_row
+from jghand_engine.render.shadow import ShadowStyle
 
 # sides from which every pose is looked at: the faces and the corners of a cube
 SIDES = tuple(
@@ -26,6 +30,37 @@ SIDES = tuple(
 SIZE_PX = (256, 256)
 # how much of the picture's height the hand's reach around its middle takes: the whole hand, and a close-up
 FILLS = (0.9, 3.0)
+SAMPLES = 32
+
+
+@dataclass(frozen=True)
+class WholeShadow:
+    """A picture without the avatar's shadow on itself, and with the whole of it."""
+
+    # (H, W, 4) premultiplied, without it
+    rgba: np.ndarray
+    # (H, W, 3) with it
+    shaded: np.ndarray
+    # (H, W) 0..1: how much of the light does not arrive; 0 beside the hand
+    occlusion: np.ndarray
+
+    @property
+    def darkest(self) -> float:
+        """Largest difference of a channel, 0..1."""
+        return float(np.abs(self.shaded - self.rgba[..., :3]).max())
+
+
+def whole_shadow(renderer: HandRenderer, avatar: HandAvatar, joints_m: np.ndarray, camera: Camera) -> WholeShadow:
+    """The shadow of joints (21, 3) as if no gate ever closed it. renderer: of `avatar`, without shadow, with depth"""
+    frame = renderer.render(joints_m, camera)
+    look = ShadowLook() if avatar.learned is None else avatar.learned.shadow or ShadowLook()
+    planes = torch.from_numpy(np.concatenate([frame.rgba, (frame.rgba[..., 3] * frame.depth_m)[..., None]], -1))
+    planes = planes.permute(2, 0, 1).contiguous()
+    style = ShadowStyle(gain=look.gain, tint=(1.0, 1.0, 1.0), samples=SAMPLES)
+    visible = (darken(planes, camera, style, library=load()) / planes[:3].clamp_min(1e-6))[1].numpy()
+    occlusion = np.where(frame.rgba[..., 3] > 0.5, 1 - visible, 0.0)
+    shaded = frame.rgba[..., :3] * (1 - occlusion[..., None] * np.array(look.tint, np.float32))
+    return WholeShadow(frame.rgba, shaded, occlusion)
 
 
 def with_shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda part: None) -> HandAvatar:
@@ -42,24 +77,23 @@ def shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda part:
     renderer = HandRenderer(avatar, RenderSettings(shadow=ShadowMode.OFF))
     views = list(_views(avatar))
     darkest = 0.0
-    for number, view in enumerate(views, start=1):
-        darkest = max(darkest, gate_row(renderer, avatar, view).darkest)
+    for number, (joints_m, camera) in enumerate(views, start=1):
+        darkest = max(darkest, whole_shadow(renderer, avatar, joints_m, camera).darkest)
         tick(number / len(views))
     return darkest
 
 
-def _views(avatar: HandAvatar) -> Iterator[tuple[str, np.ndarray, Camera]]:
+def _views(avatar: HandAvatar) -> Iterator[tuple[np.ndarray, Camera]]:
     width, height = SIZE_PX
     for name in pose_names():
         joints_m = named_pose(name, avatar.canonical_joints_m, handedness=avatar.handedness)
         middle = joints_m.mean(0)
-        reach_m = float(np.linalg.norm(joints_m - joints_m.mean(0), axis=1).max())
+        reach_m = float(np.linalg.norm(joints_m - middle, axis=1).max())
+        # from far enough that the nearest finger is not much larger than the rest
+        away_m = 6.0 * reach_m
         for side, fill in itertools.product(SIDES, FILLS):
             direction = np.array(side, np.float64)
-            # from far enough that the nearest finger is not much larger than the rest
-            away_m = 6.0 * reach_m
             eye = middle + away_m * direction / np.linalg.norm(direction)
             up = (0.0, 0.0, 1.0) if abs(side[1]) == sum(map(abs, side)) else (0.0, 1.0, 0.0)
             focal_px = fill * height * away_m / (2 * reach_m)
-            camera = Camera.looking_at(eye, middle, up, width=width, height=height, focal_px=focal_px)
-            yield name, joints_m, camera
+            yield joints_m, Camera.looking_at(eye, middle, up, width=width, height=height, focal_px=focal_px)

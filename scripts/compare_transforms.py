@@ -1,5 +1,7 @@
 """How well the transform from joints to skin does beside simpler ones: the paper's transform table (PAPER 3).
 
+    .envs/engine/bin/python scripts/compare_transforms.py [--json FILE]
+
 The truth is another hand than the template: an identity of the captures, of other proportions, posed and skinned by
 its own rig of 25 joints. Each transform is given the 21 joints of that hand and carries the template's skin there.
 
@@ -13,15 +15,21 @@ Part of the last two is the shape of the other hand itself (thickness, fingernai
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, load_identity
+from jghand_engine.cli.console import progress, say, say_whole_table, write_json
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
 from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
@@ -31,6 +39,8 @@ from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weight_field import WeightField
 
+# hands whose proportions differ from the template's, as `jghand capture` numbers them, and poses of each
+HANDS, POSES = ("1", "2"), 30
 # points on the skin: 1.4 mm apart, well below the distances that the table tells apart
 SKIN_POINTS = 20_000
 
@@ -50,9 +60,6 @@ class TransformScore:
     joints_skinned_mm: float
     chamfer_mm: float
     skin_mm: float
-
-    def as_dict(self) -> dict[str, float]:
-        return dict(vars(self))
 
 
 @dataclass(frozen=True)
@@ -136,7 +143,7 @@ def transform_table(scores: dict[str, dict[str, TransformScore]], poses: int) ->
     rows = []
     for identity, by_transform in scores.items():
         for name, score in by_transform.items():
-            cells = [number(value, 2) for value in score.as_dict().values()]
+            cells = [number(value, 2) for value in vars(score).values()]
             rows.append((name, identity, *cells))
     for name, sets in PAPER_TRANSFORM.items():
         for capture, (joints, chamfer) in zip(("test/Capture0", "test/Capture1"), sets, strict=True):
@@ -160,7 +167,19 @@ def headline(scores: dict[str, dict[str, TransformScore]]) -> str:
     return f"Skin of other hands: {ours:.2f} mm from where it belongs, by the naive transform {naive:.2f} mm."
 
 
-def figures(scores: dict[str, dict[str, TransformScore]], poses: int) -> dict:
-    """Plain data for JSON."""
-    by_hand = {hand: {name: score.as_dict() for name, score in found.items()} for hand, found in scores.items()}
-    return {"poses": poses, "scores": by_hand}
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="write the figures here too")
+    options = parser.parse_args()
+    names = [load_identity(identity).name for identity in HANDS]
+    with progress("Measuring", POSES * len(names)) as bar:
+        scores = {name: measure_transforms(name, POSES, tick=lambda: bar.advance(bar.task_ids[0])) for name in names}
+    say_whole_table(transform_table(scores, POSES))
+    say(headline(scores))
+    if options.json:
+        by_hand = {hand: {name: asdict(score) for name, score in found.items()} for hand, found in scores.items()}
+        write_json(options.json, {"poses": POSES, "scores": by_hand})
+
+
+if __name__ == "__main__":
+    main()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jghand_engine.render.report import FrameReport
-from jghand_engine.study.timing import Case, FreeCores, measure
+from jghand_engine.render.timing import Case, FreeCores, machine, measure
 
 
 def test_cases_take_turns_after_the_warm_up():
@@ -80,3 +80,7 @@ def test_control_sees_about_as_many_cores_as_it_uses():
     control.close()
     # one thread is at most one core, but for the clock of processor time, which may tick coarsely
     assert 0 < min(seen) <= max(seen) < 1.5
+
+
+def test_head_of_the_table_names_the_machine():
+    assert {"processor", "cores", "threads", "backend", "compiler"} <= set(machine(0))
