@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.cli.frame_files import made_from
 from jghand_engine.cli.inputs import load_motion
 from jghand_engine.cli.options import FormatOptions, MotionOptions
-from jghand_engine.hand.joints import LEVEL_NAMES
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.settings import preset
@@ -23,8 +21,8 @@ AVATAR = load_avatar_called("painted")
 MOVED = np.array([0.001, 0.0, 0.0])
 
 
-def stamp(path: Path | None = None, *, bones: Path | None = None, **words) -> dict[str, str]:
-    options = MotionOptions(motion=path, format=FormatOptions(hand="right", bones=bones), **words)
+def stamp(path: Path | None = None, **words) -> dict[str, str]:
+    options = MotionOptions(motion=path, format=FormatOptions(hand="right"), **words)
     return made_from("avatar", options, load_motion(options, AVATAR), preset("draft"), {}, whole=True)
 
 
@@ -71,18 +69,6 @@ def test_numbers_of_openpose_frames_count(tmp_path, motion):
     last = sorted((tmp_path / "gap").iterdir())[-1]
     last.rename(last.with_name(last.name.replace("12_", "13_")))
     assert stamp(tmp_path / "whole")["motion"] != stamp(tmp_path / "gap")["motion"]
-
-
-def test_names_of_bones_count_by_their_content_and_not_by_where_they_lie(tmp_path, motion):
-    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100))
-    bones = tmp_path / "bones.json"
-    bones.write_text(json.dumps(dict(zip(LEVEL_NAMES, samples.MIXAMO_TIPS, strict=True))))
-    before = stamp(tmp_path / "a.bvh", bones=bones)
-    (tmp_path / "elsewhere").mkdir()
-    copy = Path(shutil.copy(bones, tmp_path / "elsewhere" / "rig.json"))
-    assert stamp(tmp_path / "a.bvh", bones=copy) == before
-    bones.write_text(bones.read_text() + " ")
-    assert stamp(tmp_path / "a.bvh", bones=bones)["motion"] != before["motion"]
 
 
 def test_the_same_frames_are_the_same_choice_however_they_are_said(tmp_path, motion):

@@ -169,7 +169,7 @@ def test_the_axis_that_points_up_can_be_said(tmp_path, capsys):
     for words in ((), ("--file-up", "z")):
         assert run("motion", path, "--out", tmp_path / "a.npz", "--up", "z", "--overwrite", *words) == 0
         made[words] = read_motion_file(tmp_path / "a.npz").sequence.joints_m
-        assert ("y is taken; --file-up" in capsys.readouterr().out) is (not words)
+        assert ("y is taken; jghand motion --file-up" in capsys.readouterr().out) is (not words)
     x, y, z = np.moveaxis(samples.motion().joints_m, -1, 0)
     np.testing.assert_allclose(made[()], np.stack([x, -z, y], axis=-1), atol=5e-8)
     np.testing.assert_allclose(made["--file-up", "z"], np.stack([x, y, z], axis=-1), atol=5e-8)
