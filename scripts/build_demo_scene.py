@@ -140,7 +140,7 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
     scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colors
     rest = posing.rest_joints_m(motion.handedness, joints_m)
     hand = armature.build_armature(context, f"Hand {motion.handedness}", rest, motion.handedness)
-    motions.key_motion(hand, joints_m, scene, first_frame=FIRST_FRAME)
+    motions.key_motion(hand, joints_m, scene, range(FIRST_FRAME, FIRST_FRAME + len(joints_m)))
     # in motions +y is up, in Blender +z
     world_from_motion = view.LIGHT_FROM_WORLD.T
     hand.matrix_world = Matrix(world_from_motion)
