@@ -12,7 +12,6 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import PosedHand, Posing
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 
@@ -29,8 +28,8 @@ class BonePoses:
     """Where the engine puts the bones of F frames, level order, in the world of the hand itself.
 
     joints_m: (F, 21, 3) meters
-    axes: (F, 21, 3, 3) joint axes of every bone, row 0 the palm's
-    scales: (F, 21, 3) along those axes
+    axes:     (F, 21, 3, 3) joint axes of every bone, row 0 the palm's
+    scales:   (F, 21, 3) along those axes
     """
 
     joints_m: np.ndarray
@@ -46,11 +45,10 @@ class HandMotion:
     """
 
     def __init__(self, avatar: HandAvatar, sequence: PoseSequence) -> None:
-        check_sequence(sequence)
-        self.handedness = Handedness(sequence.handedness)
+        self.sequence = sequence.without_gaps()
+        self.handedness = sequence.handedness
         self.avatar = avatar.for_hand(self.handedness)
         self._skeleton = self.avatar.skeleton()
-        self.sequence = sequence
         self._joints_m = sequence.joints_m
         self._posing = Posing(self.avatar)
 
@@ -116,17 +114,6 @@ class HandMotion:
         bones = [self._skeleton.bones(pose_m, np.float64) for pose_m in joints_m]
         frames, scales = (np.stack(parts) for parts in zip(*map(self._skeleton.frames, bones), strict=True))
         return BonePoses(joints_m, joint_axes(frames, self.handedness), scales[..., JOINT_AXES])
-
-
-def check_sequence(sequence: PoseSequence) -> None:
-    """Raises InputError when joints are missing in any frame."""
-    if sequence.gaps:
-        raise InputError(
-            "motion",
-            wanted="all 21 joints in every frame",
-            came=sequence.gaps.sentence(),
-            remedy="Hold the last good pose over the gaps (PoseSequence.with_gaps_held) or cut these frames.",
-        )
 
 
 def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:

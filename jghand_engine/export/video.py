@@ -6,6 +6,7 @@ The program comes with the optional package imageio-ffmpeg (extra `video`).
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import mmap
 import subprocess
@@ -85,7 +86,7 @@ def write_video(path: Path | str, pictures: Iterable[np.ndarray], fps: float) ->
         command = _command(program, (width, height), fps, temporary)
         count = 0
         with _running(command, log, path) as pipe:
-            for picture in _chained(first, stream):
+            for picture in itertools.chain([first], stream):
                 pipe.write(np.ascontiguousarray(padded_to_even(_checked(picture, (height, width)))).tobytes())
                 count += 1
     return count
@@ -131,11 +132,6 @@ def _running(command: list[str], log: IO[bytes], path: Path | str) -> Iterator[I
         if any("No space left" in line for line in said):
             raise RetryError(f"cannot write {path}: the disk is full", remedy="Free some space and try again.")
         raise RetryError(f"ffmpeg could not write {path}", came=reason, remedy="Try again, or leave the video out.")
-
-
-def _chained(first: np.ndarray, rest: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
-    yield first
-    yield from rest
 
 
 def _checked(picture: np.ndarray, even_size: tuple[int, int] | None) -> np.ndarray:

@@ -368,7 +368,7 @@ def test_progress_counts_the_frames(tmp_path):
 def test_missing_joints_are_refused_with_a_remedy(tmp_path):
     joints = lively_motion(Handedness.RIGHT, 4).joints_m.copy()
     joints[2, 7] = np.nan
-    with pytest.raises(InputError, match="with_gaps_held"):
+    with pytest.raises(InputError, match="hold the last whole pose"):
         export_usd(tmp_path, small_avatar(), PoseSequence(joints, FPS, Handedness.RIGHT))
     assert list(tmp_path.iterdir()) == []
 

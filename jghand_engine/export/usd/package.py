@@ -39,8 +39,6 @@ from jghand_engine.export.made_from import made_from
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.splats.cloud import SteadyAxes
 from jghand_engine.export.usd.rig import (
-    Rig,
-    SkinnedCloud,
     build_skeleton,
     in_motion,
     vertex_colors,
@@ -51,7 +49,6 @@ from jghand_engine.export.usd.shot import write_shot
 from jghand_engine.export.usd.splats import Cloud, Look, Sample, SplatLayer
 from jghand_engine.export.usd.stage import (
     HAND_PATH,
-    Interface,
     LayerNames,
     TimeRange,
     Variant,
@@ -358,10 +355,10 @@ class _Writer:
         with self._clock("rig"):
             skeleton = build_skeleton(motion.rest_poses())
             colors = vertex_colors(template.vertices_m, self._cloud)
-            write_rig(layers / names.rig, Rig(skeleton, in_motion(skeleton, motion.poses()), template, colors), span)
+            write_rig(layers / names.rig, skeleton, in_motion(skeleton, motion.poses()), template, colors, span)
         with self._clock("skinned points"):
             weights = np.asarray(motion.avatar.bone_weights)
-            write_skinned(layers / names.skinned, SkinnedCloud(self._cloud, weights, options.width_factor), span)
+            write_skinned(layers / names.skinned, self._cloud, weights, options.width_factor, span)
         with self._clock("splats"):
             splats = SplatLayer.new(layers / names.splats, self._cloud, span, self._look, self._rest())
         if options.package != "usdc":
@@ -369,10 +366,12 @@ class _Writer:
         else:
             with self._clock("splats"):
                 splats.finish()
-        about = describe(motion.avatar, motion.handedness, options)
-        interface = Interface(motion.avatar.info.name, about, options.variants, Variant(options.default_variant))
         with self._clock("stage"):
-            write_interface(layers, names, interface, span)
+            write_interface(
+                layers, names, span, asset=motion.avatar.info.name,
+                about=describe(motion.avatar, motion.handedness, options),
+                variants=options.variants, default=Variant(options.default_variant),
+            )  # fmt: skip
             if options.package == "layers":
                 write_shot(layers, names, cameras, motion.sequence.joints_m, span)
         with self._clock("package"):

@@ -200,60 +200,52 @@ def _homogeneous(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
 # ---- layers ---------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Rig:
-    """What the armature's layer holds.
+def write_rig(
+    path: Path,
+    skeleton: UsdSkeleton,
+    motion: Iterable[LocalPoses],
+    skin: HandTemplate,
+    rgb: np.ndarray,
+    time: TimeRange,
+) -> None:
+    """Writes /Rig with Skeleton, Skeleton/Anim and Mesh. One prim at the root, so that one reference brings everything:
+    separate references would drop skel:skeleton with a mere warning.
 
     motion: of the skeleton, in parts that are saved one by one
-    template: the surface of the hand itself, mirrored for a left one
-    rgb: (V, 3) display-referred sRGB of its vertices
+    skin:   the surface of the hand itself, mirrored for a left one
+    rgb:    (V, 3) display-referred sRGB of its vertices
     """
-
-    skeleton: UsdSkeleton
-    motion: Iterable[LocalPoses]
-    template: HandTemplate
-    rgb: np.ndarray
-
-
-def write_rig(path: Path, rig: Rig, time: TimeRange) -> None:
-    """Writes /Rig with Skeleton, Skeleton/Anim and Mesh. One prim at the root, so that one reference brings everything:
-    separate references would drop skel:skeleton with a mere warning."""
     stage = new_layer(path, time)
     root = UsdSkel.Root.Define(stage, RIG_PATH).GetPrim()
     stage.SetDefaultPrim(root)
-    skeleton = UsdSkel.Skeleton.Define(stage, f"{RIG_PATH}/Skeleton")
-    skeleton.CreateJointsAttr(rig.skeleton.tokens)
-    skeleton.CreateBindTransformsAttr(_matrices(rig.skeleton.bind))
-    skeleton.CreateRestTransformsAttr(_matrices(rig.skeleton.rest))
+    prim = UsdSkel.Skeleton.Define(stage, f"{RIG_PATH}/Skeleton")
+    prim.CreateJointsAttr(skeleton.tokens)
+    prim.CreateBindTransformsAttr(_matrices(skeleton.bind))
+    prim.CreateRestTransformsAttr(_matrices(skeleton.rest))
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
-    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    _add_mesh(stage, rig, skeleton)
-    _animate(stage, animation, rig, time)
-
-
-def _animate(stage: Usd.Stage, animation: UsdSkel.Animation, rig: Rig, span: TimeRange) -> None:
-    animation.CreateJointsAttr(rig.skeleton.tokens)
+    UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    _add_mesh(stage, skin, rgb, prim)
+    animation.CreateJointsAttr(skeleton.tokens)
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
 
-    def put(poses: LocalPoses, index: int, time: Usd.TimeCode) -> None:
-        translations.Set(vec3f(poses.translations_m[index]), time)
-        rotations.Set(quatf(poses.rotations_xyzw[index]), time)
-        scales.Set(vec3h(poses.scales[index]), time)
+    def put(poses: LocalPoses, index: int, at: Usd.TimeCode) -> None:
+        translations.Set(vec3f(poses.translations_m[index]), at)
+        rotations.Set(quatf(poses.rotations_xyzw[index]), at)
+        scales.Set(vec3h(poses.scales[index]), at)
 
     # Default values are the rest pose: Blender and others read them before any sample
-    put(rig.skeleton.default, 0, Usd.TimeCode.Default())
+    put(skeleton.default, 0, Usd.TimeCode.Default())
     frame = 0
-    for poses in rig.motion:
+    for poses in motion:
         for index in range(len(poses.scales)):
-            put(poses, index, span.code(frame))
+            put(poses, index, time.code(frame))
             frame += 1
         stage.Save()
     stage.Save()
 
 
-def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
-    template = rig.template
+def _add_mesh(stage: Usd.Stage, template: HandTemplate, rgb: np.ndarray, skeleton: UsdSkel.Skeleton) -> None:
     mesh = UsdGeom.Mesh.Define(stage, f"{RIG_PATH}/Mesh")
     mesh.CreatePointsAttr(vec3f(template.vertices_m))
     mesh.CreateFaceVertexIndicesAttr(ints(template.faces))
@@ -262,7 +254,7 @@ def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
     mesh.CreateNormalsAttr(vec3f(vertex_normals(template.vertices_m, template.faces)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
-    set_display(mesh.GetPrim(), rig.rgb)
+    set_display(mesh.GetPrim(), rgb)
     corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     coordinates.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(corners, np.float32)))
@@ -297,45 +289,38 @@ def vertex_colors(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
     return colors
 
 
-@dataclass(frozen=True)
-class SkinnedCloud:
-    """Gaussians that follow the skeleton.
+def write_skinned(path: Path, cloud: Cloud, bone_weights: np.ndarray, width_factor: float, time: TimeRange) -> None:
+    """Writes all Gaussians as /Points, and every tenth, larger, as /Proxy: at rest, with a skin, for the interface to
+    bind to the rig's skeleton. What training adds to a pose, and how Gaussians shrink and stretch, is in the splats and
+    points of every frame alone. The joints' scales are halves, which moves a point by up to 0.04 mm.
 
-    cloud: the Gaussians at rest
     bone_weights: (N, 21), level order
     width_factor: diameter of a point in two standard deviations
     """
-
-    cloud: Cloud
-    bone_weights: np.ndarray
-    width_factor: float = 1.0
-
-
-def write_skinned(path: Path, points: SkinnedCloud, time: TimeRange) -> None:
-    """Writes all Gaussians as /Points, and every tenth, larger, as /Proxy: at rest, with a skin, for the interface to
-    bind to the rig's skeleton. What training adds to a pose, and how Gaussians shrink and stretch, is in the splats and
-    points of every frame alone. The joints' scales are halves, which moves a point by up to 0.04 mm."""
     stage = new_layer(path, time)
-    stage.SetDefaultPrim(_add_points(stage, SKINNED_PATH, points, 1))
-    proxy = _add_points(stage, PROXY_PATH, points, PROXY_STEP)
+    stage.SetDefaultPrim(_add_points(stage, SKINNED_PATH, cloud, bone_weights, width_factor))
+    some = slice(None, None, PROXY_STEP)
+    tenth = Cloud(cloud.rest_m[some], cloud.sigma_m[some], cloud.opacity[some], cloud.rgb[some])
+    # fewer points are larger, as their distance on a surface grows
+    proxy = _add_points(stage, PROXY_PATH, tenth, bone_weights[some], width_factor * np.sqrt(PROXY_STEP), PROXY_STEP)
     set_uniform(proxy, "purpose", TYPES.Token, UsdGeom.Tokens.proxy)
     stage.Save()
 
 
-def _add_points(stage: Usd.Stage, path: str, points: SkinnedCloud, step: int) -> Usd.Prim:
-    """Every `step`-th Gaussian: Gaussians are in farthest-point order, so these cover the hand evenly. Fewer points
-    are larger, as their distance on a surface grows."""
-    cloud, part = points.cloud, slice(None, None, step)
+def _add_points(
+    stage: Usd.Stage, path: str, cloud: Cloud, bone_weights: np.ndarray, width_factor: float, step: int = 1
+) -> Usd.Prim:
+    """Points that are every `step`-th Gaussian: Gaussians are in farthest-point order, so these cover the hand."""
     prim = UsdGeom.Points.Define(stage, path)
-    radii_m = points.width_factor * np.sqrt(step) * cloud.sigma_m[part]
-    prim.CreatePointsAttr(vec3f(cloud.rest_m[part]))
+    radii_m = width_factor * cloud.sigma_m
+    prim.CreatePointsAttr(vec3f(cloud.rest_m))
     prim.CreateWidthsAttr(floats(2 * radii_m))
     prim.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-    prim.CreateExtentAttr(bound(cloud.rest_m[part], radii_m))
+    prim.CreateExtentAttr(bound(cloud.rest_m, radii_m))
     # which of the splats it is: skinning tools may sort
-    prim.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(cloud.sigma_m))[part].copy()))
-    set_display(prim.GetPrim(), cloud.rgb[part], cloud.opacity[part])
-    joints, weights = skin_influences(points.bone_weights[part].astype(np.float64), most=SKIN_BONES, fine=False)
+    prim.CreateIdsAttr(Vt.Int64Array.FromNumpy(step * np.arange(len(cloud.sigma_m))))
+    set_display(prim.GetPrim(), cloud.rgb, cloud.opacity)
+    joints, weights = skin_influences(bone_weights.astype(np.float64), most=SKIN_BONES, fine=False)
     # not applied yet: alone, without a skeleton, these are points
     binding = UsdSkel.BindingAPI(prim)
     binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))

@@ -48,32 +48,14 @@ class Variant(StrEnum):
         return self in (Variant.SPLATS, Variant.POINTS)
 
 
-@dataclass(frozen=True)
 class LayerNames:
     """File names of one export, all in one folder."""
 
-    name: str
-
-    @property
-    def interface(self) -> str:
-        return f"{self.name}.usda"
-
-    @property
-    def rig(self) -> str:
-        return f"{self.name}.rig.usdc"
-
-    @property
-    def splats(self) -> str:
-        return f"{self.name}.splats.usdc"
-
-    @property
-    def skinned(self) -> str:
-        """Points that follow the skeleton: all of them, and the tenth that stands in for splats."""
-        return f"{self.name}.skinned.usdc"
-
-    @property
-    def shot(self) -> str:
-        return f"{self.name}.shot.usda"
+    def __init__(self, name: str) -> None:
+        self.interface, self.shot = f"{name}.usda", f"{name}.shot.usda"
+        self.rig, self.splats = f"{name}.rig.usdc", f"{name}.splats.usdc"
+        # points that follow the skeleton: all of them, and the tenth that stands in for splats
+        self.skinned = f"{name}.skinned.usdc"
 
 
 @dataclass(frozen=True)
@@ -184,24 +166,23 @@ def matrix4d(matrix: np.ndarray) -> Gf.Matrix4d:
 # ---- the layer that others reference ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Interface:
-    """What the layer that others reference says.
+def write_interface(
+    folder: Path,
+    names: LayerNames,
+    time: TimeRange,
+    *,
+    asset: str,
+    about: Mapping[str, Any],
+    variants: Sequence[Variant],
+    default: Variant,
+) -> None:
+    """/Hand with the rig and the variants, heavy layers as payloads.
 
-    name: of the asset
-    about: customData `jghand` of the hand, by name
+    asset:    its name
+    about:    customData `jghand` of the hand, by name
     variants: those it offers
-    default: the one that is chosen
+    default:  the one that is chosen
     """
-
-    name: str
-    about: Mapping[str, Any]
-    variants: Sequence[Variant]
-    default: Variant
-
-
-def write_interface(folder: Path, names: LayerNames, interface: Interface, time: TimeRange) -> None:
-    """/Hand with the rig and the variants, heavy layers as payloads."""
     stage = new_layer(folder / names.interface, time)
     # an Xform: a SkelRoot here would stop the bounds at what is skinned, and the splats would have none
     hand = UsdGeom.Xform.Define(stage, HAND_PATH).GetPrim()
@@ -209,19 +190,19 @@ def write_interface(folder: Path, names: LayerNames, interface: Interface, time:
     announce_fallback(stage)
     model = Usd.ModelAPI(hand)
     model.SetKind(Kind.Tokens.component)
-    model.SetAssetName(interface.name)
+    model.SetAssetName(asset)
     model.SetAssetVersion(__version__)
     model.SetAssetIdentifier(Sdf.AssetPath(f"./{names.interface}"))
-    for key, value in interface.about.items():
+    for key, value in about.items():
         hand.SetCustomDataByKey(f"jghand:{key}", value)
     stage.DefinePrim(RIG_PATH, "SkelRoot").GetReferences().AddReference(f"./{names.rig}")
-    variants = hand.GetVariantSets().AddVariantSet(VARIANT_SET)
-    for variant in interface.variants:
-        variants.AddVariant(variant)
-        variants.SetVariantSelection(variant)
-        with variants.GetVariantEditContext():
+    offered = hand.GetVariantSets().AddVariantSet(VARIANT_SET)
+    for variant in variants:
+        offered.AddVariant(variant)
+        offered.SetVariantSelection(variant)
+        with offered.GetVariantEditContext():
             _fill_variant(stage, variant, names)
-    variants.SetVariantSelection(interface.default)
+    offered.SetVariantSelection(default)
     stage.Save()
 
 

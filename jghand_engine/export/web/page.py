@@ -30,7 +30,6 @@ from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.export.motion import check_sequence
 from jghand_engine.export.web.hand import pack_hand, with_cheap_correctives
 from jghand_engine.export.web.pack import Pack
 from jghand_engine.files import make_folder, writing
@@ -118,7 +117,7 @@ def export_web(
     """
     options = options or WebOptions()
     check_follows_joints(avatar)
-    check_sequence(sequence)
+    sequence.without_gaps()
     if len(sequence) > FRAMES_MAX:
         raise InputError(
             "motion for a web page", wanted=f"at most {FRAMES_MAX} frames", came=f"{len(sequence)}",
