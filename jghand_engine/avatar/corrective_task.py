@@ -21,6 +21,7 @@ from jghand_engine.avatar.correctives import (
     positional_encoding,
     products,
 )
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import HIDDEN_MAX, NETWORK_TILE, CorrectiveKind, LearnedTask
@@ -43,40 +44,14 @@ def corrective_step(
         return NoStep()
     if isinstance(correctives, LinearCorrectives):
         return LinearStep(correctives, blocks, task)
-    kind = NetworkStep if correctives.shape.hidden <= HIDDEN_MAX else WideNetworkStep
-    return kind(correctives, avatar, blocks, task)
+    return NetworkStep(correctives, avatar, blocks, task)
 
 
 class NoStep:
     """Nothing but the bones moves the skin."""
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See CorrectiveStep."""
         task.correctives = CorrectiveKind.NONE
-
-
-class WideNetworkStep:
-    """A network that is wider than the kernel knows: NumPy computes it for every pose, and the kernel adds it."""
-
-    def __init__(self, net: PoseNetwork, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
-        self._net, self._blocks, self._bone_weights = net, blocks, avatar.bone_weights
-        self._features = PoseFeatures(net.angles)
-        weights = net.weights
-        encoding = positional_encoding(avatar.uvd, net.shape.octaves)
-        self._places = encoding @ weights["encoding_in.weight"].T + weights["encoding_in.bias"]
-        self._given = aligned_zeros((blocks.count, 6, LANES))
-        task.correctives, task.given = CorrectiveKind.GIVEN, self._given.ctypes.data
-
-    def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See CorrectiveStep."""
-        weights, shape = self._net.weights, self._net.shape
-        bones = (self._features(angles_rad) @ weights["angles_in.weight"].T).astype(np.float32)
-        hidden = np.maximum(self._places + self._bone_weights @ bones, 0)
-        hidden = np.maximum(hidden @ weights["middle.weight"].T + weights["middle.bias"], 0)
-        out = np.tanh(hidden @ weights["out.weight"].T + weights["out.bias"])
-        both = np.zeros((len(out), 6), np.float32)
-        both[:, : out.shape[1]] = out
-        self._given[...] = self._blocks.blocked(both * np.repeat([shape.reach_m, SHADE_MAX], 3))
 
 
 class LinearStep:
@@ -97,7 +72,6 @@ class LinearStep:
         set_pointers(task, self.arrays)
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See CorrectiveStep."""
         simple = (self.features(angles_rad) - self.mean) @ self.projection
         count = min(simple.shape[1], self._numbers.shape[1])
         self._numbers[:, :count] = simple[:, :count]
@@ -109,6 +83,8 @@ class NetworkStep:
     the first layer from a bone's features"""
 
     def __init__(self, net: PoseNetwork, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
+        if net.shape.hidden > HIDDEN_MAX:
+            raise InputError("width of the pose's network", wanted=f"at most {HIDDEN_MAX}", came=str(net.shape.hidden))
         self.features = PoseFeatures(net.angles)
         weights = {name: value.astype(np.float64) for name, value in net.weights.items()}
         hidden = -(-net.shape.hidden // NETWORK_TILE) * NETWORK_TILE
@@ -136,7 +112,6 @@ class NetworkStep:
         task.reach = (net.shape.reach_m, SHADE_MAX)
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See CorrectiveStep."""
         task.correctives = CorrectiveKind.NETWORK
         self._bones[...] = self.features(angles_rad) @ self.angles_in
 

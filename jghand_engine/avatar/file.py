@@ -39,9 +39,6 @@ from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
 from jghand_engine.json_files import JsonObject, is_number
 
-# a longer header is refused before anything is allocated
-AVATAR_HEADER_MAX_BYTES = 65_536
-
 FORMAT_VERSION = 2
 # the newest without anything learned
 PAINTED_VERSION = 1
@@ -112,7 +109,6 @@ def load_avatar(path: Path | str) -> HandAvatar:
 
 def _load(file: Path, thing: str) -> HandAvatar:
     """`load_avatar`, which errors call `thing`."""
-    _check_header_length(file, thing)
     try:
         with safetensors.safe_open(file, framework="numpy") as content:
             about = _Description(thing, (content.metadata() or {}).get(METADATA_KEY))
@@ -172,7 +168,7 @@ class _Description:
         )
         is_learned = content["format_version"] > PAINTED_VERSION
         learned = of.inner(content.get("learnt"), "learned") if is_learned else None
-        self.learned = None if learned is None else LearnedAbout.parsed(learned, self.gaussians)
+        self.learned = None if learned is None else LearnedAbout.parsed(learned)
 
 
 def _text(of: JsonObject, name: str) -> str:
@@ -216,22 +212,6 @@ def _is_box(value: object) -> bool:
         isinstance(row, list) and len(row) == 3 and all(is_number(x, -_FINITE_MAX, _FINITE_MAX) for x in row)
         for row in rows
     )
-
-
-def _check_header_length(file: Path, thing: str) -> None:
-    """Refuses a header that is longer than any of ours or than the file, before anything is parsed or allocated."""
-    try:
-        size = file.stat().st_size
-        with file.open("rb") as stream:
-            start = stream.read(8)
-    except OSError as error:
-        raise _unreadable(thing, error) from error
-    length = int.from_bytes(start, "little")
-    if len(start) < 8 or 8 + length > size:
-        raise InputError(thing, wanted="a whole .jghand file", came=f"only {size} bytes of it", remedy=REMEDY)
-    if length > AVATAR_HEADER_MAX_BYTES:
-        limit = f"a header of at most {AVATAR_HEADER_MAX_BYTES} bytes"
-        raise InputError(thing, wanted=limit, came=f"{length} bytes", remedy=REMEDY)
 
 
 def _unreadable(thing: str, error: OSError) -> InputError:

@@ -45,31 +45,24 @@ from jghand_engine.avatar.validation import AVATAR_REACH_M, LIGHT_LOBES_MAX, SHA
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.json_files import JsonObject
-
-# what a file may hold, so that its header alone cannot ask for more memory than a machine has: octaves of an encoding,
-# widths and texels of the pose's network
-POSE_NET_OCTAVES_MAX = 12
-POSE_NET_WIDTH_MAX = 1024
-POSE_NET_TEXELS_MAX = 256
-# ... Gaussians times the width of the network: a trained hand has 60,000 x 128, an eighth of it
-POSE_NET_UNITS_MAX = 64_000_000
-# ... lamps of the cast shadow, and anchors times lamps: the torch form holds some ten float32 for each; ours has
-# 131,072 pairs
-CAST_LAMPS_MAX = 256
-CAST_PAIRS_MAX = 4_000_000
+from jghand_engine.native.learned_tasks import HIDDEN_MAX
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
 
 # no figure of a tier is larger
 PRICE_MAX = 1e9
-# prices in a file: of the exact tier, the linear one, and `cached` in files of 0.1
-PRICES_MAX = 3
+# sizes beyond these come from no training; all but the network's width are those of arrays that the file has
+COUNT_MAX = UINT16_MAX
 
 
 @dataclass(frozen=True)
 class DistilledAbout:
-    """What the JSON says of tiers: size of the linear one's basis, 0 for none · the rest as in Distilled."""
+    """What the JSON says of tiers.
+
+    basis:               size of the linear one's, 0 for none
+    prices, measured_on: as in Distilled
+    """
 
     basis: int
     prices: tuple[Price, ...]
@@ -81,31 +74,24 @@ class DistilledAbout:
 
     @classmethod
     def parsed(cls, of: JsonObject, net: PoseNetShape) -> DistilledAbout:
-        """Every field looked at. A linear tier has a price, and a price of it is of the tier that there is."""
+        """A linear tier has a price, and a price of it is of the tier that there is."""
         basis = of.count("basis", 0, min(BASIS_MAX, largest_basis(net)))
-        measured_on = of.value("measured_on", is_text, "a text of one line")
-        prices = of.value(
-            "prices", lambda value: isinstance(value, list) and len(value) <= PRICES_MAX, "a list of tiers"
-        )
+        prices = of.value("prices", lambda value: isinstance(value, list), "a list of tiers")
         # files of 0.1 have the price of a tier `cached`, which the compiled skin's exact tier is
         kept = [price for price in prices if not (isinstance(price, dict) and price.get("tier") == "cached")]
         parsed = tuple(_parsed_price(of.inner(price, "price"), basis) for price in kept)
         if len({price.tier for price in parsed}) != len(parsed):
             raise of.wrong("prices", "one of each tier")
-        return cls(basis, parsed, measured_on)
+        return cls(basis, parsed, of.value("measured_on", is_text, "a text of one line"))
 
 
 def _parsed_price(of: JsonObject, basis: int) -> Price:
-    names = {field.name for field in fields(Price)}
-    if set(of.fields) != names:
-        raise of.wrong("entries", ", ".join(sorted(names)))
     tier = Tier(of.one_of("tier", (Tier.EXACT, Tier.LINEAR)))
     wanted = basis if tier is Tier.LINEAR else 0
     if of.count("basis", 0, BASIS_MAX) != wanted or (tier is Tier.LINEAR and basis == 0):
         raise of.wrong("basis", f"that of the tier in the file, {basis}")
-    # an accuracy may be below 0 dB, and a tier nearer to the pictures than the network; time and size are never below 0
-    least = {"frame_ms": 0.0, "megabytes": 0.0, "psnr_db": -PRICE_MAX, "lost_db": -PRICE_MAX}
-    return Price(tier=tier, basis=wanted, **{name: of.number(name, low, PRICE_MAX) for name, low in least.items()})
+    figures = ("frame_ms", "megabytes", "psnr_db", "lost_db")
+    return Price(tier=tier, basis=wanted, **{name: of.number(name, -PRICE_MAX, PRICE_MAX) for name in figures})
 
 
 @dataclass(frozen=True)
@@ -117,20 +103,23 @@ class CastAbout:
 
     @classmethod
     def parsed(cls, of: JsonObject) -> CastAbout:
-        """Every field looked at."""
-        lamps, anchors = of.count("lamps", 2, CAST_LAMPS_MAX), of.count("anchors", 1, UINT16_MAX)
+        lamps = of.count("lamps", 2, COUNT_MAX)
         if lamps % 2:
             raise of.wrong("lamps", "an even count")
-        if lamps * anchors > CAST_PAIRS_MAX:
-            raise of.wrong("anchors", f"lamps times anchors of at most {CAST_PAIRS_MAX:,}")
-        return cls(lamps, anchors)
+        return cls(lamps, of.count("anchors", 1, COUNT_MAX))
 
 
 @dataclass(frozen=True)
 class LearnedAbout:
-    """What the JSON says: lobes of the light's gloss · shape of the network, None for none · whether the Gaussians are
-    ellipsoids · the cast shadow, None where there is none · what it says of cheaper tiers, None where nothing was
-    measured · the rest as in Learned."""
+    """What the JSON says.
+
+    lobes:                 of the light's gloss
+    net:                   shape of the network, None for none
+    shadow, world_offsets: as in Learned
+    ellipsoids:            whether the Gaussians are ellipsoids
+    cast:                  the cast shadow, None where there is none
+    baked:                 cheaper tiers, None where nothing was measured
+    """
 
     lobes: int
     net: PoseNetShape | None
@@ -158,9 +147,9 @@ class LearnedAbout:
         return asdict(self)
 
     @classmethod
-    def parsed(cls, of: JsonObject, gaussians: int) -> LearnedAbout:
-        """The inverse of `as_dict`, every field looked at. gaussians: how many the file has."""
-        net = None if (shape := of.object("net")) is None else _parsed_net(shape, gaussians)
+    def parsed(cls, of: JsonObject) -> LearnedAbout:
+        """The inverse of `as_dict`, every field looked at."""
+        net = None if (shape := of.object("net")) is None else _parsed_net(shape)
         distilled, cast, shadow = of.object("baked"), of.object("cast"), of.object("shadow")
         if distilled is not None and net is None:
             raise of.wrong("baked", "an object, beside a network")
@@ -181,22 +170,19 @@ def _parsed_shadow(of: JsonObject) -> ShadowLook:
     return ShadowLook(of.number("gain", 0, SHADOW_GAIN_MAX), (red, green, blue), seen)
 
 
-def _parsed_net(of: JsonObject, gaussians: int) -> PoseNetShape:
-    octaves = of.numbers("octaves", 3, 0, POSE_NET_OCTAVES_MAX)
+def _parsed_net(of: JsonObject) -> PoseNetShape:
+    octaves = of.numbers("octaves", 3, 0, COUNT_MAX)
     if not any(octaves) or not all(isinstance(count, int) for count in of.fields["octaves"]):
         raise of.wrong("octaves", "three counts, not all 0")
-    hidden = of.count("hidden", 1, POSE_NET_WIDTH_MAX)
-    if gaussians * hidden > POSE_NET_UNITS_MAX:
-        most = POSE_NET_UNITS_MAX // gaussians
-        raise of.wrong("hidden", f"at most {most} units for each of {gaussians} Gaussians")
     return PoseNetShape(
         octaves=(int(octaves[0]), int(octaves[1]), int(octaves[2])),
         level1=of.flag("level1"),
         shaded=of.flag("shaded"),
         reach_m=of.number("reach_m", 0, AVATAR_REACH_M),
-        angle_channels=of.count("angle_channels", 1, POSE_NET_WIDTH_MAX),
-        angle_texels=of.count("angle_texels", 2, POSE_NET_TEXELS_MAX),
-        hidden=hidden,
+        angle_channels=of.count("angle_channels", 1, COUNT_MAX),
+        angle_texels=of.count("angle_texels", 2, COUNT_MAX),
+        # the widest that the kernel draws
+        hidden=of.count("hidden", 1, HIDDEN_MAX),
     )
 
 

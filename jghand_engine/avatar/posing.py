@@ -1,6 +1,5 @@
-"""The one recipe of a posed hand, for pictures and files: bone transforms -> correctives -> skin -> light.
-
-    hand = pose(avatar, joints_m)
+"""The one recipe of a posed hand: bone transforms -> correctives -> skin -> light. `Poser` does it in the rows of an
+image, `Posing` for files.
 
 All of it is done by the native kernels, in tenths of a millisecond; the differentiable form that training goes through
 is `learn/skinning.py`, and tests hold the two together. Only what the skin reflects depends on the camera: it is found
@@ -45,11 +44,6 @@ class PosedHand:
     sigma_m: np.ndarray
     rgb: np.ndarray | None
     covariance_m2: np.ndarray | None = None
-
-
-def pose(avatar: HandAvatar, joints_m: np.ndarray) -> PosedHand:
-    """The Gaussians for joints (21, 3), level order, meters. For many poses of one avatar keep a `Posing`."""
-    return Posing(avatar)(joints_m)
 
 
 class Posing:
@@ -97,10 +91,10 @@ def new_rows(rows: int, *, ellipsoids: bool) -> GaussianArrays:
 
 
 class Poser:
-    """Poses one avatar, painted or trained, into rows of a picture's arrays, without gradients.
+    """Poses one avatar, painted or trained, into rows of an image's arrays, without gradients.
 
     blocks: which Gaussian stands in which row; rows beyond the avatar have sigma 0 and opacity 0
-    into:   the rows, `blocks.rows` of them; with covariances where any hand of the picture has ellipsoids
+    into:   the rows, `blocks.rows` of them; with covariances where any hand of the image has ellipsoids
     teams:  counters to be set to zero before what was prepared is run again
     """
 
@@ -155,7 +149,7 @@ class Poser:
         """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
         when nothing is reflected or the pose was seen from there last."""
         if not self._posed:
-            raise InputError("picture", wanted="a pose", came="none")
+            raise InputError("gloss", wanted="a pose before it", came="none")
         light = self._light
         if light is None or not light.reflects or (self._eye_m is not None and np.array_equal(eye_m, self._eye_m)):
             return False
