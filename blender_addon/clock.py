@@ -16,7 +16,8 @@ from collections.abc import Callable
 
 import bpy
 
-from .core import limits
+# how often the timer looks when nothing is open. Blender's own loop sleeps 5 ms between looks
+IDLE_TICK_S = 0.1
 
 _tick: Callable[[], float] | None = None
 _next_s = 0.0
@@ -91,7 +92,7 @@ def _call() -> float | None:
         seconds = _tick()
     except Exception as error:  # whatever it is: the next tick may go well
         tell_once(error)
-        seconds = limits.IDLE_TICK_S
+        seconds = IDLE_TICK_S
     finally:
         _inside = False
     _next_s = time.monotonic() + seconds

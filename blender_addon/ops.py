@@ -15,6 +15,12 @@ from .errors import JGHandFailure
 from .hand import armature, controls
 from .ui import redraw
 
+# one turn of work on Blender's main thread, between two of which Blender draws and hears Esc (which is to be answered
+# within 0.2 s); how often the status bar is drawn anew, which draws the whole window; the time between turns
+WORK_TURN_S, WORK_TELL_S, WORK_REST_S = 0.1, 0.25, 0.005
+# how long it is slept between two looks at work elsewhere, without a window
+ASIDE_LOOK_S = 0.02
+
 DONE, CANCELLED = {"FINISHED"}, {"CANCELLED"}
 # what operators are registered as: changing data, importing, changing nothing that undo knows, plumbing of panels
 UNDOABLE, UNDOABLE_IMPORT = {"REGISTER", "UNDO"}, {"REGISTER", "UNDO", "PRESET"}
@@ -77,7 +83,7 @@ class InTurns(Reporting):
         """All of it."""
         for part in self.steps(context):
             if isinstance(part, Elsewhere):
-                time.sleep(limits.ASIDE_LOOK_S)
+                time.sleep(ASIDE_LOOK_S)
         self.finished(context)
 
     def finished(self, _context: bpy.types.Context) -> None:
@@ -88,7 +94,7 @@ class InTurns(Reporting):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         self._steps, self._started = self.steps(context), time.monotonic()
-        self._tick_every(context, limits.WORK_REST_S)
+        self._tick_every(context, WORK_REST_S)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
@@ -118,8 +124,8 @@ class InTurns(Reporting):
             return DONE
         if isinstance(part, Elsewhere) != self._is_elsewhere:
             self._is_elsewhere = not self._is_elsewhere
-            self._tick_every(context, limits.JOB_LOOK_S if self._is_elsewhere else limits.WORK_REST_S)
-        if time.monotonic() - self._told > limits.WORK_TELL_S:
+            self._tick_every(context, limits.JOB_LOOK_S if self._is_elsewhere else WORK_REST_S)
+        if time.monotonic() - self._told > WORK_TELL_S:
             context.workspace.status_text_set(self._progress(part))
             self._told = time.monotonic()
         return goes_on
@@ -148,7 +154,7 @@ class InTurns(Reporting):
 
     def _turn(self) -> float | None:
         """The part that is done after one turn; None at the end. What is elsewhere is looked at once."""
-        ends = time.monotonic() + limits.WORK_TURN_S
+        ends = time.monotonic() + WORK_TURN_S
         part: float | None = 0.0
         while time.monotonic() < ends:
             part = next(self._steps, None)

@@ -11,17 +11,19 @@ from types import ModuleType
 
 import bpy
 
-from . import folders, manual, preferences, properties
+from . import folders, manual, preferences
 from .export import ops as export_ops
 from .export import panel as export_panel
 from .export import usd_hook
 from .hand import ops as hand_ops
 from .hand import ops_motion, ops_pose
 from .hand import panel as hand_panel
+from .hand import properties as hand_properties
 from .render import command, pages, rendering
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
+from .render import properties as scene_properties
 from .renderer import ops as renderer_ops
 from .renderer import runtime
 from .train import ops as train_ops
@@ -30,14 +32,14 @@ from .viewport import handlers
 
 # a class comes after those that it uses; Blender shows panels in the order in which they come
 WITH_CLASSES = (
-    *(preferences, properties, render_engine, renderer_ops),
+    *(preferences, hand_properties, scene_properties, render_engine, renderer_ops),
     *(hand_ops, ops_pose, ops_motion),
     *(render_ops, export_ops, train_ops),
     *(hand_panel, render_panel, export_panel, train_panel, pages),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(manual, properties, runtime, usd_hook, train_panel),
+    *(manual, hand_properties, scene_properties, runtime, usd_hook, train_panel),
     *(folders, handlers, rendering, render_engine, command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

@@ -35,7 +35,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from blender_addon.core import limits, pacing
+from blender_addon.core import pacing
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
 from blender_addon.errors import JGHandFailure
@@ -187,10 +187,10 @@ def blocks(plan: Plan, figures: Figures) -> None:
     slept = []
     for _ in range(10 * plan.trials):
         begun = time.perf_counter()
-        time.sleep(limits.PLAY_WAIT_S)
+        time.sleep(pacing.PLAY_WAIT_S)
         slept.append(1e3 * (time.perf_counter() - begun))
     text = f"{max(slept):6.1f} ms longest, {np.percentile(slept, 99):6.1f} p99 of {len(slept)}"
-    figures.say(f"control: a sleep of {1e3 * limits.PLAY_WAIT_S:.0f} ms on this machine", text)
+    figures.say(f"control: a sleep of {1e3 * pacing.PLAY_WAIT_S:.0f} ms on this machine", text)
     over = sum(value > BLOCK_MS for values in longest.values() for value in values)
     for name, values in longest.items():
         text = f"{max(values):6.1f} ms longest, {statistics.median(values):6.1f} median of {len(values)} trials"

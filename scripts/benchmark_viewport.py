@@ -48,13 +48,13 @@ def step_measure(window):
     (window.out / RESULT).write_text(json.dumps(figures), encoding="utf-8")
 
 
-_MODULES = ("viewport.views", "viewport.handlers", "core.cropping", "core.pacing", "core.limits", "renderer.runtime")
+_MODULES = ("viewport.views", "viewport.handlers", "core.view", "core.pacing", "renderer.runtime")
 
 
 def _fix_the_size(part) -> None:
     """Every picture is of the same part of the view, the one around the hand's middle."""
-    cropping, limits = part["core.cropping"], part["core.limits"]
-    original = cropping.part_with
+    crop, pacing = part["core.view"], part["core.pacing"]
+    original = crop.part_with
 
     def fixed(view, hands):
         seen = original(view, hands)
@@ -62,10 +62,10 @@ def _fix_the_size(part) -> None:
             return None
         left = max(0, min(view.width - SIZE[0], (seen.left + seen.right - SIZE[0]) // 2))
         top = max(0, min(view.height - SIZE[1], (seen.top + seen.bottom - SIZE[1]) // 2))
-        return cropping.Part(left, top, left + SIZE[0], top + SIZE[1])
+        return crop.Part(left, top, left + SIZE[0], top + SIZE[1])
 
-    cropping.part_with = fixed
-    assert SIZE[0] * SIZE[1] <= limits.MOVING_PIXELS_MAX
+    part["viewport.views"].part_with = fixed
+    assert SIZE[0] * SIZE[1] <= pacing.MOVING_PIXELS_MAX
 
 
 def _measure(bpy, part, window, hand) -> dict[str, list[float]]:

@@ -15,9 +15,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ..errors import JGHandFailure
-from . import limits
 from .joints import FINGERS, HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
 from .wire import conventions
+
+# so many of the 16 joints other than tips must have a bone before a convention counts as recognized: a wrist and one
+# finger. Fewer are chance hits (a lone "wrist" empty)
+RECOGNIZED_MIN = 4
 
 HEAD, TAIL = "head", "tail"
 ENDS = (HEAD, TAIL)
@@ -104,7 +107,7 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
         for candidate in _candidates(convention, index, handedness, tails)
     ]
     best = max((candidate.score for candidate in found), default=0)
-    if best < limits.RECOGNIZED_MIN:
+    if best < RECOGNIZED_MIN:
         known = ", ".join(convention.title for convention in conventions.CONVENTIONS)
         return Recognition(
             handedness,

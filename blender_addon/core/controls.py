@@ -14,8 +14,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from . import limits
 from .joints import FINGERS, NAMES, RIGHT, WRIST
+
+# flexion of the three bones at a full curl, degrees from straight: those of the engine's pose "fist"; thumb, fingers
+CURL_DEG = ((16.0, 44.0, 44.0), (86.0, 107.0, 66.0))
+# turn of a control that means a full curl, how far it goes the other way, and the turn that means a full spread
+CURL_FULL_DEG, CURL_BACK_DEG, SPREAD_FULL_DEG = 90.0, 20.0, 25.0
+# what a full splay spreads of each finger, thumb first: the engine's pose "spread", the little finger counts one
+SPLAY_PARTS = (0.8, 0.75, 0.0, 0.65, 1.0)
+# lowest and highest angle of a joint, degrees: flexion and spread of the first bone, flexion of the second and third;
+# thumb (from its rest), fingers (from straight). The same as the engine's `hand.poses.RANGES_DEG`; a test compares
+JOINT_RANGES_DEG = (
+    ((-15.0, 45.0), (-15.0, 35.0), (-10.0, 55.0), (-15.0, 85.0)),
+    ((-25.0, 92.0), (-22.0, 25.0), (-5.0, 112.0), (-8.0, 82.0)),
+)
+# the middle and last joints are hinges, with some play (METHOD 4.1); thumb, fingers. The thumb's axes here follow its
+# nail and lie up to 30 degrees from the engine's, so that its hinges seem to bend sideways too and its first joint goes
+# a little further: by what the engine's named poses need (28.6 and 4.1)
+SIDEWAYS_RANGE_DEG = (29.0, 15.0)
+THUMB_PLAY_DEG = 5.0
+# turn of a bone about itself: passive play of a knuckle, and what swings about two axes have of it (assumed)
+TWIST_RANGE_DEG = 30.0
 
 HAND_CONTROL = "control_hand"
 FINGER_CONTROLS = tuple(f"control_{finger}" for finger in FINGERS)
@@ -83,8 +102,8 @@ def spread_sign(finger: int, handedness: str) -> float:
 
 def finger_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
     """What the control of a finger does to its three bones. rest: (21, 4, 4)."""
-    full = np.radians(limits.CURL_DEG[0 if finger == 0 else 1]) - rest_flexions(rest)[finger]
-    spread = spread_sign(finger, handedness) * np.radians(limits.SPREAD_FULL_DEG)
+    full = np.radians(CURL_DEG[0 if finger == 0 else 1]) - rest_flexions(rest)[finger]
+    spread = spread_sign(finger, handedness) * np.radians(SPREAD_FULL_DEG)
     return tuple(
         Move(bone, float(full[level]), level == 0, float(spread) if level == 0 else 0.0)
         for level, bone in enumerate(moving_bones(finger))
@@ -93,7 +112,7 @@ def finger_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, 
 
 def hand_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
     """What the control of the hand does to the three bones of a finger."""
-    part = limits.SPLAY_PARTS[finger]
+    part = SPLAY_PARTS[finger]
     return tuple(replace(move, spread=part * move.spread) for move in finger_moves(rest, finger, handedness))
 
 
@@ -104,13 +123,13 @@ def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
     """
     result = []
     flexions = rest_flexions(rest)
-    twist = np.radians(limits.TWIST_RANGE_DEG)
+    twist = np.radians(TWIST_RANGE_DEG)
     for finger in range(len(FINGERS)):
-        table = np.radians(limits.JOINT_RANGES_DEG[0 if finger == 0 else 1])
-        sideways = np.radians(limits.SIDEWAYS_RANGE_DEG[0 if finger == 0 else 1])
+        table = np.radians(JOINT_RANGES_DEG[0 if finger == 0 else 1])
+        sideways = np.radians(SIDEWAYS_RANGE_DEG[0 if finger == 0 else 1])
         sign = spread_sign(finger, handedness)
         for level, bone in enumerate(moving_bones(finger)):
-            play = np.radians(limits.THUMB_PLAY_DEG) if finger == level == 0 else 0.0
+            play = np.radians(THUMB_PLAY_DEG) if finger == level == 0 else 0.0
             low, high = table[0 if level == 0 else level + 1] - flexions[finger, level] + (-play, play)
             spread = sorted(sign * table[1]) if level == 0 else (-sideways, sideways)
             result.append(

@@ -14,7 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import JGHandFailure
-from . import limits
+
+# how long a file that somebody else looks at is waited for before it is replaced, on Windows, seconds
+REPLACE_RESTS_S = (0.02, 0.05, 0.1, 0.2)
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -60,7 +62,7 @@ def _cannot_write(path: Path, error: OSError) -> JGHandFailure:
 
 def _replace(temporary: Path, path: Path) -> None:
     """Renames over what may be there. Windows refuses that while somebody, a virus scanner or an index, looks at it."""
-    for rest_s in limits.REPLACE_RESTS_S if sys.platform == "win32" else ():
+    for rest_s in REPLACE_RESTS_S if sys.platform == "win32" else ():
         try:
             os.replace(temporary, path)
         except PermissionError:

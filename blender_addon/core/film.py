@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from . import limits
+# depth of nothing, Blender units: what Blender's own engines write, and Z combine expects
+NOTHING_DEPTH = 1e10
 
 
 def scene_linear(rgba: np.ndarray) -> np.ndarray:
@@ -40,7 +41,7 @@ def over(rgba: np.ndarray, background: Sequence[float]) -> np.ndarray:
 
 def depth_units(depth_m: np.ndarray, unit_m: float) -> np.ndarray:
     """(H, W) meters along the view axis, 0 = nothing -> Blender units, with what a Z combine takes for nothing."""
-    return np.where(depth_m > 0, depth_m / np.float32(unit_m), np.float32(limits.NOTHING_DEPTH)).astype(np.float32)
+    return np.where(depth_m > 0, depth_m / np.float32(unit_m), np.float32(NOTHING_DEPTH)).astype(np.float32)
 
 
 def from_bottom(values: np.ndarray) -> np.ndarray:

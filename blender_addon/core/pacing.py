@@ -18,7 +18,31 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
 from ..errors import GIVEN_UP
-from . import limits
+
+# while playing a view waits so long for its picture, or one frame if that is shorter: Blender's main thread is then
+# never blocked for 50 ms, though a busy system wakes a sleeper up to 12 ms late (`scripts/benchmark_link.py`)
+PLAY_WAIT_S = 0.033
+# after so many late frames in a row nobody waits any more, until an answer was fast enough again: a hung renderer costs
+# playback nothing
+LATE_PATIENCE = 3
+# a view that is orbited waits so long for the picture from the new side, where recent pictures came that fast: a view
+# that turns 30 times a second with its hand is better than a faster one without
+ORBIT_WAIT_S = 0.033
+# after the last change: the settings of the viewport instead of the fast ones, and then the settings of renders
+SETTLE_S, SHARPEN_S = 0.15, 0.6
+# a picture of an earlier pose is shown for so long while no newer one comes: afterwards it would be taken for the truth
+STALE_S = 2.0
+# pixels of one picture: while something moves (a little more than 512 x 334), while nothing moves, and the most that is
+# asked for at all (full HD): larger views are drawn from a smaller picture. Making textures of it holds the main thread
+# for 15 ms; of a 4K picture it was 50, and 300 the first time
+MOVING_PIXELS_MAX, STILL_PIXELS_MAX, SHARP_PIXELS_MAX = 200_000, 1_000_000, 2_100_000
+# requests and failures that a view remembers
+ASKS_KEPT, FAILURES_KEPT = 8, 32
+# how often in a row a view tries to draw what the graphics driver refuses, and its rest between, seconds: after
+# a lost context a driver needs a moment; one that cannot draw at all would fail, and say so, at every redraw
+DRAW_TRIES, DRAW_REST_S = 3, 2.0
+# reach of shadows, millimeters: the renderer's own
+SHADOW_RADIUS_MM = 20.0
 
 
 class Grade(IntEnum):
@@ -47,7 +71,7 @@ class ViewSettings:
     budget_ms: float | None = None
     density: float = 1.0
     shadow_strength: float = 1.0
-    shadow_radius_m: float = limits.SHADOW_RADIUS_MM / 1e3
+    shadow_radius_m: float = SHADOW_RADIUS_MM / 1e3
 
 
 @dataclass(frozen=True)
@@ -190,10 +214,10 @@ def quality_of(grade: Grade, settings: ViewSettings) -> Quality:
     """The settings of a picture of a grade."""
     shadow = settings.shadow_strength, settings.shadow_radius_m
     if grade is Grade.SHARP and settings.sharp_preset is not None:
-        return Quality(settings.sharp_preset, None, 1.0, *shadow, limits.SHARP_PIXELS_MAX)
+        return Quality(settings.sharp_preset, None, 1.0, *shadow, SHARP_PIXELS_MAX)
     moving = grade is Grade.MOVING
     preset = "draft" if moving and settings.budget_ms is None else settings.preset
-    pixels_max = limits.MOVING_PIXELS_MAX if moving else limits.STILL_PIXELS_MAX
+    pixels_max = MOVING_PIXELS_MAX if moving else STILL_PIXELS_MAX
     return Quality(preset, settings.budget_ms, settings.density, *shadow, pixels_max)
 
 
@@ -205,7 +229,7 @@ def step(pace: Pace, want: Want, moment: DrawMoment, settings: ViewSettings) -> 
     pace = replace(_promoted(pace, ask), grade=grade)
     decision = Decision()
     if _is_new(pace, ask):
-        pace = replace(pace, asks=(*pace.asks, ask)[-limits.ASKS_KEPT :])
+        pace = replace(pace, asks=(*pace.asks, ask)[-ASKS_KEPT:])
         decision = Decision(ask=ask)
     wait_s = _wait_s(pace, want, moment)
     if wait_s > 0 and pace.asks and pace.asks[-1].want == want:
@@ -218,9 +242,9 @@ def due_s(pace: Pace, settings: ViewSettings) -> float:
     if pace.want is None:
         return math.inf
     if pace.grade is Grade.MOVING:
-        return pace.changed_s + limits.SETTLE_S
+        return pace.changed_s + SETTLE_S
     if pace.grade is Grade.STILL and settings.sharp_preset is not None and _has_still(pace):
-        return pace.changed_s + limits.SHARPEN_S
+        return pace.changed_s + SHARPEN_S
     return math.inf
 
 
@@ -233,9 +257,9 @@ def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, mom
         newest = pace.asks[-1].tag == tag
         return replace(pace, asks=() if newest else tuple(each for each in pace.asks if each.tag != tag)), False
     if failure is not None:
-        return replace(pace, failures=(*pace.failures, (tag, failure))[-limits.FAILURES_KEPT :]), False
+        return replace(pace, failures=(*pace.failures, (tag, failure))[-FAILURES_KEPT:]), False
     if ask.grade is Grade.MOVING:
-        pace = replace(pace, fast_enough=round_trip_s <= limits.ORBIT_WAIT_S)
+        pace = replace(pace, fast_enough=round_trip_s <= ORBIT_WAIT_S)
         if round_trip_s <= _play_wait_s(moment.frame_s):
             pace = replace(pace, late_in_a_row=0)
     if not _is_better(pace, ask):
@@ -263,7 +287,7 @@ def may_show(pace: Pace, moment: DrawMoment) -> bool:
         return False
     if pace.shown.want == pace.want:
         return True
-    return moment.answering and is_open(pace) and moment.now_s - pace.behind_s <= limits.STALE_S
+    return moment.answering and is_open(pace) and moment.now_s - pace.behind_s <= STALE_S
 
 
 def is_open(pace: Pace) -> bool:
@@ -294,7 +318,7 @@ def _noticed(pace: Pace, want: Want, moment: DrawMoment) -> Pace:
         pace = replace(pace, late=0, late_in_a_row=0, late_want=None)
     changed_s = pace.changed_s
     if pace.want is None:  # the first picture of a view need not be a fast one: nothing moves
-        changed_s = moment.now_s - 2 * limits.SETTLE_S
+        changed_s = moment.now_s - 2 * SETTLE_S
     elif want != pace.want or moment.activity is not Activity.POSING:
         changed_s = moment.now_s
     behind_s = math.inf
@@ -305,9 +329,9 @@ def _noticed(pace: Pace, want: Want, moment: DrawMoment) -> Pace:
 
 def _grade(pace: Pace, moment: DrawMoment, settings: ViewSettings) -> Grade:
     # the same sums as in `due_s`, so that what is due is done
-    if moment.activity is not Activity.POSING or moment.now_s < pace.changed_s + limits.SETTLE_S:
+    if moment.activity is not Activity.POSING or moment.now_s < pace.changed_s + SETTLE_S:
         return Grade.MOVING
-    if settings.sharp_preset is None or moment.now_s < pace.changed_s + limits.SHARPEN_S:
+    if settings.sharp_preset is None or moment.now_s < pace.changed_s + SHARPEN_S:
         return Grade.STILL
     return Grade.SHARP if _has_still(pace) else Grade.STILL
 
@@ -360,16 +384,16 @@ def _wait_s(pace: Pace, want: Want, moment: DrawMoment) -> float:
     if not moment.answering or (shown is not None and shown.want == want) or pace.failure() is not None:
         return 0.0
     if moment.activity is Activity.PLAYING:
-        if pace.late_in_a_row >= limits.LATE_PATIENCE or pace.late_want == want:
+        if pace.late_in_a_row >= LATE_PATIENCE or pace.late_want == want:
             return 0.0
         return max(0.0, _play_wait_s(moment.frame_s) - max(0.0, moment.now_s - moment.step_s))
     if moment.activity is Activity.SCRUBBING or shown is None or shown.want.camera == want.camera:
         return 0.0
-    return limits.ORBIT_WAIT_S if pace.fast_enough else 0.0
+    return ORBIT_WAIT_S if pace.fast_enough else 0.0
 
 
 def _play_wait_s(frame_s: float) -> float:
-    return min(limits.PLAY_WAIT_S, frame_s)
+    return min(PLAY_WAIT_S, frame_s)
 
 
 def _content(want: Want) -> str:
@@ -392,12 +416,12 @@ class Attempts:
 
     def allowed(self, now_s: float) -> bool:
         """Whether it may be tried now."""
-        return self.failed < limits.DRAW_TRIES and now_s >= self.again_s
+        return self.failed < DRAW_TRIES and now_s >= self.again_s
 
     def after_failure(self, now_s: float) -> Attempts:
         """It failed once more."""
-        return Attempts(self.failed + 1, now_s + limits.DRAW_REST_S)
+        return Attempts(self.failed + 1, now_s + DRAW_REST_S)
 
     def due_s(self) -> float | None:
         """When it is tried again; None where that is not to come."""
-        return self.again_s if 0 < self.failed < limits.DRAW_TRIES else None
+        return self.again_s if 0 < self.failed < DRAW_TRIES else None

@@ -13,8 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import JGHandFailure
-from . import limits
 from .joints import HANDEDNESSES, INDEX, LEFT, MIDDLE, NAMES, PARENTS, PINKY, REST_RIGHT_M, TAILS, THUMB, WRIST
+
+# a rest bone shorter than this part of the mean bone has no direction, and Blender deletes bones of no length
+REST_BONE_MIN = 1e-2
+# sine between palm bones below which a frame has no palm plane and holds the orientation of the one before
+PALM_SINE_MIN = 1e-3
+# cosine below which two directions count as opposite: the smallest rotation between them has no axis of its own
+OPPOSITE_COSINE = -0.999999
 
 # Where the thumb's pad looks at rest, in the palm's axes (to the index side, to the fingers, out of the palm):
 # opposite to the mean normal of the thumb nail of the built-in hand.
@@ -132,7 +138,7 @@ def check_handedness(handedness: str) -> None:
 def _check_bones(joints: np.ndarray) -> None:
     """Refuses a rest pose with a bone that has no direction, relative to the hand."""
     lengths = np.linalg.norm(joints[1:] - joints[list(PARENTS[1:])], axis=-1)
-    if lengths.min() < limits.REST_BONE_MIN * lengths.mean():
+    if lengths.min() < REST_BONE_MIN * lengths.mean():
         raise JGHandFailure("bad_joints", f"the bone to {NAMES[1 + int(lengths.argmin())]} has no length at rest")
 
 
@@ -144,8 +150,8 @@ def palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
     """
     index, middle, pinky = (joints[:, place] - joints[:, WRIST] for place in (INDEX, MIDDLE, PINKY))
     normal = np.cross(index, pinky) * (-1.0 if handedness == LEFT else 1.0)
-    good = _sine(index, pinky) > limits.PALM_SINE_MIN
-    good &= _sine(middle, normal) > limits.PALM_SINE_MIN
+    good = _sine(index, pinky) > PALM_SINE_MIN
+    good &= _sine(middle, normal) > PALM_SINE_MIN
     if not good.any():
         raise JGHandFailure("bad_joints", "wrist and knuckles lie on a line in every frame")
     last_good = last_good_frames(good)
@@ -181,7 +187,7 @@ def _smallest_rotation(axes: np.ndarray, along: np.ndarray) -> np.ndarray:
     b = np.where(length > 0, along / np.where(length > 0, length, 1.0), a)
     cosine = np.sum(a * b, -1)
     v = np.cross(a, b)
-    opposite = cosine < limits.OPPOSITE_COSINE
+    opposite = cosine < OPPOSITE_COSINE
     k = 1.0 / np.where(opposite, 1.0, 1.0 + cosine)
     turn = cosine[:, None, None] * np.eye(3) + _cross_matrix(v) + k[:, None, None] * v[:, :, None] * v[:, None, :]
     x = axes[..., 0]

@@ -3,14 +3,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .wire import protocol
+
+# a hand is looked at from near: where new cameras, and the part of a view that can show hands, begin, meters
+CLIP_START_M = 0.01
+# the part of a view that can show a hand ends so far from its joints, meters: skin, forearm, and the blur of splats;
+# it is rounded outwards to so many pixels, so that a small move keeps the picture's size
+REACH_M = 0.06
+CROP_STEP_PX = 32
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), -1).reshape(-1, 3) * REACH_M
 
 # OpenCV looks along +z with y down, Blender along -z with y up
 OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -159,3 +168,65 @@ def moments_request(
             [LIGHT_FROM_WORLD @ hand.world_from_hand for hand in moment.hands] for moment in moments
         ]
     return header, {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
+
+
+# ---- the part of a view that can show hands: what is empty is neither drawn nor sent ---------------------------------
+
+
+@dataclass(frozen=True)
+class Part:
+    """A rectangle of a view in whole pixels; (left, top) is inside, (right, bottom) just outside; y goes down."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def width(self) -> int:
+        return self.right - self.left
+
+    @property
+    def height(self) -> int:
+        return self.bottom - self.top
+
+    @property
+    def pixels(self) -> int:
+        return self.width * self.height
+
+
+def part_with(view: Pinhole, hands: Sequence[HandInSpace]) -> Part | None:
+    """The part of a view outside which no hand can be; None when none can be seen."""
+    if not hands:
+        return None
+    joints_m = np.concatenate([hand.joints_world_m for hand in hands])
+    points = view.project((joints_m[:, None] + _CORNERS).reshape(-1, 3))
+    near_m = -math.inf if view.orthographic else CLIP_START_M
+    if (points[:, 2] <= near_m).all():
+        return None
+    if (points[:, 2] <= near_m).any():  # what is beside the camera can be anywhere in the view
+        return Part(0, 0, view.width, view.height)
+    step = CROP_STEP_PX
+    size = np.array([view.width, view.height])
+    # far outside the view the numbers may be beyond what an integer holds
+    first = np.clip(np.floor(points[:, :2].min(0) / step) * step, 0, size).astype(int)
+    last = np.clip(np.ceil(points[:, :2].max(0) / step) * step, 0, size).astype(int)
+    if (last <= first).any():
+        return None
+    return Part(int(first[0]), int(first[1]), int(last[0]), int(last[1]))
+
+
+def picture_of(view: Pinhole, part: Part, pixels_max: int) -> Pinhole:
+    """The camera of the picture of a part of a view, made smaller where it has more pixels than that."""
+    scale = min(1.0, math.sqrt(pixels_max / part.pixels))
+    width, height = max(1, round(part.width * scale)), max(1, round(part.height * scale))
+    across, down = width / part.width, height / part.height
+    return replace(
+        view,
+        width=width,
+        height=height,
+        fx=view.fx * across,
+        fy=view.fy * down,
+        cx=(view.cx - part.left) * across,
+        cy=(view.cy - part.top) * down,
+    )

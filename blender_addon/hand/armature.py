@@ -18,10 +18,15 @@ import numpy as np
 from mathutils import Vector
 
 from .. import versions
-from ..core import limits, posing
+from ..core import posing
 from ..core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS, WRIST
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
+
+# a finger tip ends the hand; its bone only marks the place
+TIP_BONE_M = 0.005
+# det of the normalized axes of an object: below it, its scale is (nearly) zero in some direction
+SCALE_MIN = 1e-6
 
 # custom property of the armature object: which hand it is; an armature that has it is a hand
 HANDEDNESS_PROPERTY = "jghand_handedness"
@@ -191,7 +196,7 @@ def _heads(evaluated: bpy.types.Object) -> np.ndarray:
 
 def _check_scale(linear: np.ndarray, name: str) -> None:
     size = np.linalg.norm(linear, axis=0)
-    if size.min() <= 0 or abs(np.linalg.det(linear / size)) < limits.SCALE_MIN or size.min() < limits.SCALE_MIN:
+    if size.min() <= 0 or abs(np.linalg.det(linear / size)) < SCALE_MIN or size.min() < SCALE_MIN:
         raise JGHandFailure("zero_scale", name)
     if np.linalg.det(linear) < 0:
         raise JGHandFailure("mirrored", name)
@@ -204,7 +209,7 @@ def _add_bones(armature: bpy.types.Armature, matrices: np.ndarray, unit_m: float
         tail = TAILS[place]
         along = matrices[place, :3, 1]
         bone.head = Vector(heads[place])
-        bone.tail = Vector(heads[tail] if tail >= 0 else heads[place] + along * limits.TIP_BONE_M / unit_m)
+        bone.tail = Vector(heads[tail] if tail >= 0 else heads[place] + along * TIP_BONE_M / unit_m)
         bone.align_roll(Vector(matrices[place, :3, 2]))
         bone.use_connect = False
         if PARENTS[place] >= 0:

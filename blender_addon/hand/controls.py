@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..core import controls, limits
+from ..core import controls
 from ..core.controls import (
     CONTROLS,
     CURL,
@@ -35,6 +35,12 @@ from ..core.controls import (
 from ..core.joints import FINGERS, NAMES, WRIST
 from ..errors import JGHandFailure
 from . import armature, motion
+
+# turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
+IK_ITERATIONS = 500
+# how large the shapes of the controls are drawn, meters: radius of a ring around a finger, of a ball at a tip; half the
+# width and depth of the bracelet around the palm, and its way from the wrist
+FINGER_SHAPE_M, TIP_SHAPE_M, HAND_SHAPE_M = 0.014, 0.006, (0.062, 0.03, 0.05)
 
 COLLECTION = "JGHand Controls"
 # the tips' controls, hidden until one is held: they stay where they are while the fingers move
@@ -251,7 +257,7 @@ def _make_bones(data: bpy.types.Armature, matrices: dict[str, np.ndarray], unit_
     for name, matrix in matrices.items():
         bone = data.edit_bones.get(name) or data.edit_bones.new(name)
         head, along = Vector(matrix[:3, 3]), Vector(matrix[:3, 1])
-        bone.head, bone.tail = head, head + along * (limits.TIP_BONE_M / unit_m)
+        bone.head, bone.tail = head, head + along * (armature.TIP_BONE_M / unit_m)
         bone.align_roll(Vector(matrix[:3, 2]))
         bone.use_connect = bone.use_deform = False
         bone.parent = None if name in TIP_CONTROLS else data.edit_bones[NAMES[WRIST]]
@@ -298,9 +304,9 @@ def _keep_in_range(bone: bpy.types.PoseBone) -> None:
     rule.name, rule.owner_space, rule.euler_order = RANGE, "LOCAL", "XYZ"
     rule.use_transform_limit = True
     rule.use_limit_x = rule.use_limit_y = rule.use_limit_z = True
-    rule.min_x, rule.max_x = -np.radians(limits.CURL_BACK_DEG), np.radians(limits.CURL_FULL_DEG)
+    rule.min_x, rule.max_x = -np.radians(controls.CURL_BACK_DEG), np.radians(controls.CURL_FULL_DEG)
     rule.min_y = rule.max_y = 0.0
-    rule.min_z, rule.max_z = -np.radians(limits.SPREAD_FULL_DEG), np.radians(limits.SPREAD_FULL_DEG)
+    rule.min_z, rule.max_z = -np.radians(controls.SPREAD_FULL_DEG), np.radians(controls.SPREAD_FULL_DEG)
 
 
 def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> None:
@@ -317,7 +323,7 @@ def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> No
         last = hand.pose.bones[controls.moving_bones(finger)[-1]]
         rule = last.constraints.new("IK")
         rule.name, rule.target, rule.subtarget = TIP, hand, TIP_CONTROLS[finger]
-        rule.chain_count, rule.iterations, rule.use_stretch = 3, limits.IK_ITERATIONS, False
+        rule.chain_count, rule.iterations, rule.use_stretch = 3, IK_ITERATIONS, False
         rule.influence = 0.0
 
 
@@ -326,7 +332,7 @@ def _follow(hand: bpy.types.Object, bone: bpy.types.PoseBone, name: str, control
 
     The map is one line through zero; where a bone does not go back with the control, it begins at zero.
     """
-    full, spread = np.radians(limits.CURL_FULL_DEG), np.radians(limits.SPREAD_FULL_DEG)
+    full, spread = np.radians(controls.CURL_FULL_DEG), np.radians(controls.SPREAD_FULL_DEG)
     rule = bone.constraints.new("TRANSFORM")
     rule.name, rule.target, rule.subtarget = name, hand, control
     rule.owner_space = rule.target_space = "LOCAL"
@@ -335,7 +341,7 @@ def _follow(hand: bpy.types.Object, bone: bpy.types.PoseBone, name: str, control
     rule.mix_mode_rot = "AFTER"
     rule.map_to_x_from, rule.map_to_y_from, rule.map_to_z_from = "X", "Y", "Z"
     slope = move.flexion / full
-    rule.from_min_x_rot = -np.radians(limits.CURL_BACK_DEG) if move.goes_back else 0.0
+    rule.from_min_x_rot = -np.radians(controls.CURL_BACK_DEG) if move.goes_back else 0.0
     rule.from_max_x_rot = full
     rule.to_min_x_rot, rule.to_max_x_rot = slope * rule.from_min_x_rot, move.flexion
     rule.from_min_z_rot, rule.from_max_z_rot = -spread, spread
@@ -382,12 +388,12 @@ def shape(kind: str) -> bpy.types.Object:
 
 def _wires(kind: str) -> tuple[list[tuple[float, float, float]], list[tuple[int, int]]]:
     if kind == "finger":  # a ring that the finger goes through
-        return _rings([((1, 0, 0), (0, 0, 1))], limits.FINGER_SHAPE_M)
+        return _rings([((1, 0, 0), (0, 0, 1))], FINGER_SHAPE_M)
     if kind == "tip":
         axes = np.eye(3)
-        return _rings([(axes[0], axes[1]), (axes[1], axes[2]), (axes[2], axes[0])], limits.TIP_SHAPE_M)
+        return _rings([(axes[0], axes[1]), (axes[1], axes[2]), (axes[2], axes[0])], TIP_SHAPE_M)
     # a bracelet around the palm, flat as the palm is, half way to the knuckles
-    wide, deep, along = limits.HAND_SHAPE_M
+    wide, deep, along = HAND_SHAPE_M
     points, edges = _rings([((wide, 0, 0), (0, 0, deep))], 1.0)
     return [(x, y + along, z) for x, y, z in points], edges
 

@@ -7,8 +7,19 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..core import limits, posing
+from ..core import posing
 from ..core.joints import LEFT, WRIST
+from ..core.view import CLIP_START_M
+
+# how far skin reaches beyond a joint, and beyond the wrist joint, where the avatar's forearm ends, meters
+SKIN_M, WRIST_SKIN_M = 0.015, 0.045
+# air around the hand, as a part of the distance
+MARGIN = 0.06
+# focal length of new cameras, mm on a 36 mm sensor: a portrait lens, little perspective on so near a thing
+LENS_MM = 85.0
+# Blender's 3D views have a sensor of this width, mm; and what is kept of a view at the least for what it shows, where
+# its bars leave nothing
+VIEW_SENSOR_MM, VIEW_PART_MIN = 72.0, 0.2
 
 # name -> direction from the hand to the camera: to the index side, to the fingers, out of the palm
 SIDES = {"CamPalm": (0.0, 0.15, 1.0), "CamSide": (0.85, 0.2, 0.5)}
@@ -30,8 +41,8 @@ def add_framing_camera(
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(back, right), back], -1)
     data = bpy.data.cameras.new(name)
-    data.lens = limits.LENS_MM
-    data.clip_start = limits.CLIP_START_M / unit_m
+    data.lens = LENS_MM
+    data.clip_start = CLIP_START_M / unit_m
     camera = bpy.data.objects.new(name, data)
     context.scene.collection.objects.link(camera)
     camera.matrix_world = _matrix(axes, np.zeros(3))
@@ -39,7 +50,7 @@ def add_framing_camera(
     depsgraph = context.evaluated_depsgraph_get()
     place = np.array(camera.camera_fit_coords(depsgraph, points.ravel().tolist())[0])
     distance = np.median((place - points) @ back)
-    camera.matrix_world = _matrix(axes, place + back * distance * limits.MARGIN)
+    camera.matrix_world = _matrix(axes, place + back * distance * MARGIN)
     return camera
 
 
@@ -52,12 +63,12 @@ def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> N
         left = right = 0
     points = np.asarray(joints_m, dtype=np.float64) / unit_m
     center = (points.min(0) + points.max(0)) / 2
-    radius = (np.linalg.norm(points - center, axis=-1).max() + limits.WRIST_SKIN_M / unit_m) * (1.0 + limits.MARGIN)
+    radius = (np.linalg.norm(points - center, axis=-1).max() + WRIST_SKIN_M / unit_m) * (1.0 + MARGIN)
     largest = max(region.width, region.height)
-    seen = max(min(region.width - left - right, region.height), largest * limits.VIEW_PART_MIN)
+    seen = max(min(region.width - left - right, region.height), largest * VIEW_PART_MIN)
     # a view shows its sensor over the larger side, at the distance of what it turns about
-    distance = radius * space.lens / limits.VIEW_SENSOR_MM * 2.0 * largest / seen
-    pixel = distance * limits.VIEW_SENSOR_MM / space.lens / largest
+    distance = radius * space.lens / VIEW_SENSOR_MM * 2.0 * largest / seen
+    pixel = distance * VIEW_SENSOR_MM / space.lens / largest
     view = space.region_3d
     if view.view_perspective == "CAMERA":
         view.view_perspective = "PERSP"
@@ -67,8 +78,8 @@ def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> N
 
 def _skin_points(joints: np.ndarray) -> np.ndarray:
     """(N, 3) points around every joint of every frame that the skin stays within, meters."""
-    reach = np.full(joints.shape[1], limits.SKIN_M)
-    reach[WRIST] = limits.WRIST_SKIN_M
+    reach = np.full(joints.shape[1], SKIN_M)
+    reach[WRIST] = WRIST_SKIN_M
     offsets = np.concatenate([np.eye(3), -np.eye(3)])
     return (joints[:, :, None, :] + reach[:, None, None] * offsets).reshape(-1, 3)
 

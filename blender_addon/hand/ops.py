@@ -12,13 +12,18 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Vector
 
 from .. import ops as common
-from ..core import bone_maps, limits, posing
+from ..core import bone_maps, posing
 from ..core.bone_maps import BoneMap, Recognition
 from ..core.joints import HANDEDNESSES, NAMES, RIGHT
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
-from ..properties import HANDS
 from . import armature, controls, framing, sources
+from .properties import HANDS
+
+# det of an object's axes below which it is flat and can hide nothing that is inside of it
+FLAT_DETERMINANT = 1e-12
+# how large the empty that stands for a hand of objects is drawn, meters
+HOLDER_SHAPE_M = 0.02
 
 _EITHER = (("BOTH", "Both", "Every hand that is found", "NONE", -1), *HANDS)
 # Blender keeps no texts of dynamic items
@@ -223,7 +228,7 @@ class UseObjects(Reporting, bpy.types.Operator):
         holder = bpy.data.objects.new(f"{bone_map.handedness.capitalize()} Hand (objects)", None)
         holder.empty_display_type, holder.empty_display_size = (
             "SPHERE",
-            limits.HOLDER_SHAPE_M / context.scene.unit_settings.scale_length,
+            HOLDER_SHAPE_M / context.scene.unit_settings.scale_length,
         )
         context.scene.collection.objects.link(holder)
         common.link_to_active_collection(context, holder)
@@ -370,7 +375,7 @@ def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.ty
     for thing in context.view_layer.objects:
         if thing.type != "MESH" or not thing.visible_get(view_layer=context.view_layer) or not thing.data.polygons:
             continue
-        if abs(thing.matrix_world.determinant()) < limits.FLAT_DETERMINANT:
+        if abs(thing.matrix_world.determinant()) < FLAT_DETERMINANT:
             continue
         local = np.array(thing.matrix_world.inverted() @ place)
         corners = np.array(thing.bound_box)

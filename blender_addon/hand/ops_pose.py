@@ -11,10 +11,10 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from .. import ops as common
 from ..core import poses
 from ..ops import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_bones, poll_controls, poll_hand, poll_hands
-from ..properties import FINGER_ITEMS, POSES
 from . import armature, controls
 from . import poses as hand_poses
 from .controls import Touched
+from .properties import FINGER_ITEMS, POSES
 
 
 class _Posing(Reporting):

@@ -10,8 +10,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core import limits
-from ..core.cropping import Part
-from ..core.view import OPENCV_FROM_BLENDER, Pinhole, pinhole_from
+from ..core.view import CLIP_START_M, OPENCV_FROM_BLENDER, Part, Pinhole, pinhole_from
 from ..errors import JGHandFailure
 from ..hand.armature import evaluated_object
 
@@ -74,7 +73,7 @@ def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.type
     data.lens = view.fx * data.sensor_width / view.width
     data.shift_x = 0.5 - view.cx / view.width
     data.shift_y = (view.cy - 0.5 * view.height) / view.width  # in widths as well: Blender's unit is the fitted side
-    data.clip_start = limits.CLIP_START_M / unit_m
+    data.clip_start = CLIP_START_M / unit_m
     camera = bpy.data.objects.new(name, data)
     world_from_camera = np.linalg.inv(view.camera_from_world) @ OPENCV_FROM_BLENDER
     world_from_camera[:3, 3] /= unit_m

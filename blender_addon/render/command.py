@@ -29,9 +29,9 @@ from ..core.files import write_whole
 from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS
 from ..errors import BAD_INPUT, JGHandFailure
 from ..hand import armature
-from ..properties import PRESETS
 from ..renderer import runtime
 from . import ENGINE, composite, samples
+from .properties import PRESETS
 
 _FRAMES = re.compile(r"(-?\d+)(?:-(-?\d+))?(?:,([1-9]\d*))?")
 _handle: Any = None

@@ -17,14 +17,13 @@ import bpy
 import numpy as np
 
 from ..core import film, limits
-from ..core.cropping import Part
-from ..core.view import Moment, moments_request
+from ..core.view import Moment, Part, moments_request
 from ..errors import JGHandFailure
 from ..ops import sentence_of
 from ..preferences import preferences
 from ..renderer import runtime
 from ..renderer.runtime import RenderNote
-from ..viewport.rendered import ViewportEngine
+from ..viewport.views import ViewportEngine
 from . import ENGINE, camera, composite, rendering, samples
 
 COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"

@@ -14,8 +14,7 @@ import bpy
 import numpy as np
 
 from .. import versions
-from ..core.cropping import Part, picture_of
-from ..core.view import HandInSpace, Moment
+from ..core.view import HandInSpace, Moment, Part, picture_of
 from ..errors import JGHandFailure
 from ..hand import armature, seen_hands, sources
 from . import camera

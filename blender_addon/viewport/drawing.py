@@ -14,7 +14,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from ..core.cropping import Part
+from ..core.view import Part
 
 _VERTEX = """
 void main()

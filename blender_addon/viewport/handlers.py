@@ -16,13 +16,18 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .. import clock
-from ..core import limits, pacing
+from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands
 from ..render import rendering
 from ..renderer import runtime
-from . import drawing, overlay, views
+from . import drawing, views
 
+# how often, at most, panels are drawn again for figures that change with every picture
+PANEL_TICK_S = 0.5
+
+# the draw handler
+_handle: Any = None
 _status: tuple[object, ...] = ()
 # what the panels say of hands that do not show: names and kinds
 _problems: list[tuple[str, str]] = []
@@ -37,7 +42,7 @@ def tick() -> float:
     views.end_turn()
     if rendering.check():
         _drop_stale()
-        return limits.IDLE_TICK_S
+        return clock.IDLE_TICK_S
     rendering.show()
     usd_hook.show()
     _follow_status()
@@ -45,14 +50,14 @@ def tick() -> float:
     _redraw(views.try_again())
     shown = views.all_views()
     if not shown:
-        return limits.IDLE_TICK_S
-    return min(_look_after(shown), limits.IDLE_TICK_S)
+        return clock.IDLE_TICK_S
+    return min(_look_after(shown), clock.IDLE_TICK_S)
 
 
 def _look_after(shown: list[views.View]) -> float:
     """Takes what came for each view, asks for what is due; returns after how many seconds something is next."""
     regions = {region.as_pointer(): (window, area, region) for window, area, region in views.open_regions()}
-    soonest_s = limits.IDLE_TICK_S
+    soonest_s = clock.IDLE_TICK_S
     for view in shown:
         if view.region not in regions:
             views.remove(view)
@@ -75,7 +80,7 @@ def _look_after(shown: list[views.View]) -> float:
 
 def _drop_stale() -> None:
     """Draws views anew that show a picture of long ago while a render has the engine."""
-    _redraw({view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > limits.STALE_S})
+    _redraw({view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > pacing.STALE_S})
 
 
 def _redraw(wanted: set[int]) -> None:
@@ -118,13 +123,41 @@ def _redraw_panels(*, soon: bool) -> None:
     """Lets the sidebars of 3D views be drawn again; figures that change all the time not too often."""
     global _panels_drawn_s
     now_s = views.now_s()
-    if not soon and now_s - _panels_drawn_s < limits.PANEL_TICK_S:
+    if not soon and now_s - _panels_drawn_s < PANEL_TICK_S:
         return
     _panels_drawn_s = now_s
     for _, area, _ in views.open_regions():
         for region in area.regions:
             if region.type == "UI":
                 region.tag_redraw()
+
+
+# ---- Solid and Material Preview: after the scene, tested against its depth -------------------------------------------
+
+
+def draw_overlay() -> None:
+    """Blender calls it for every 3D view that it draws."""
+    drawing.free_unwanted()  # also where nothing is drawn any more
+    context = bpy.context
+    if views.draws(context.space_data, context.scene, views.SOLID):
+        views.draw(context, context.evaluated_depsgraph_get, views.SOLID)
+    else:
+        views.may_draw_again(context.region.as_pointer(), views.SOLID)
+
+
+def add_drawing() -> None:
+    """Begins to draw; once, however often it is called."""
+    global _handle
+    if _handle is None:
+        _handle = bpy.types.SpaceView3D.draw_handler_add(draw_overlay, (), "WINDOW", "POST_VIEW")
+
+
+def remove_drawing() -> None:
+    """Ends it."""
+    global _handle
+    if _handle is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
+        _handle = None
 
 
 # ---- handlers --------------------------------------------------------------------------------------------------------
@@ -211,13 +244,13 @@ def install() -> None:
             functions.append(function)
     if not clock.runs():  # it begins with the first hand that is seen
         clock.use(tick)
-    overlay.install()
+    add_drawing()
 
 
 def remove() -> None:
     """Takes them away, those that are there."""
     global _status
-    overlay.remove()
+    remove_drawing()
     clock.stop()
     for name, function in HANDLERS:
         functions = getattr(bpy.app.handlers, name)

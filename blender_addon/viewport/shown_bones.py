@@ -16,7 +16,9 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Euler, Matrix
 
-from ..core import limits
+# how wide the picture of a hand is left open for its bones and for the wires of its controls, pixels: no wider than
+# Blender draws them; and the most wires of one control
+BONE_CUT_PX, SHAPE_CUT_PX, SHAPE_EDGES_MAX = 3.0, 1.5, 512
 
 _NEAREST = -0.99999
 
@@ -33,7 +35,7 @@ def keep_visible(things: Sequence[bpy.types.Object], context: bpy.types.Context)
         if _is_in_front(thing, context):
             for lines, is_shape in _lines(thing.evaluated_get(depsgraph)):
                 (shapes if is_shape else bones).append(lines)
-    for lines, width_px in ((bones, limits.BONE_CUT_PX), (shapes, limits.SHAPE_CUT_PX)):
+    for lines, width_px in ((bones, BONE_CUT_PX), (shapes, SHAPE_CUT_PX)):
         if lines:
             _cut(np.concatenate(lines), width_px * context.preferences.system.ui_scale)
 
@@ -57,7 +59,7 @@ def _lines(evaluated: bpy.types.Object) -> Iterator[tuple[np.ndarray, bool]]:
         shape = bone.custom_shape if shaped else None
         if shape is None:
             yield np.array([[world @ bone.head, world @ bone.tail]], np.float32), False
-        elif shape.type == "MESH" and 0 < len(shape.data.edges) <= limits.SHAPE_EDGES_MAX:
+        elif shape.type == "MESH" and 0 < len(shape.data.edges) <= SHAPE_EDGES_MAX:
             yield _wires(shape.data, np.array(world @ _shape_matrix(bone), np.float32)), True
 
 

@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ..core import limits
 from ..core.view import HandInSpace, Pinhole, pinhole_from
+
+# an orthographic view of Blender has things behind its camera: the renderer's camera stands so far in front of the
+# nearest joint, meters
+ORTHO_ROOM_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class ViewCamera:
         if not self.whole.orthographic or not hands:
             return self.whole, 0.0
         nearest_m = min(self.whole.project(hand.joints_world_m)[:, 2].min() for hand in hands)
-        room_m = max(0.0, limits.ORTHO_ROOM_M - float(nearest_m))
+        room_m = max(0.0, ORTHO_ROOM_M - float(nearest_m))
         camera = self.whole.camera_from_world.copy()
         camera[2, 3] += room_m
         return replace(self.whole, camera_from_world=camera), room_m

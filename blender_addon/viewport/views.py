@@ -16,21 +16,25 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import bpy
+import gpu
 import numpy as np
 
 from .. import clock
-from ..core import cropping, limits, pacing
-from ..core.cropping import Part
+from ..core import pacing
 from ..core.pacing import Activity, Attempts, DrawMoment, Pace, ViewSettings, Want
-from ..core.view import HandInSpace, picture_request
+from ..core.view import HandInSpace, Part, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
 from ..render import ENGINE, rendering
+from ..render.samples import background
 from ..renderer import runtime
 from ..renderer.link import Answer
 from . import drawing as gpu_picture
 from . import shown_bones
 from .view_camera import ViewCamera, view_camera
+
+# how often the timer looks while a request is open, and at the least while its answer is due
+OPEN_TICK_S, SHORTEST_TICK_S = 0.05, 0.005
 
 # kinds of views: a draw handler in Solid and Material Preview, the render engine in Rendered
 SOLID, RENDERED = "viewport", "rendered"
@@ -194,7 +198,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     view.settings = settings_of(context.scene)
     view.camera = view_camera(region, context.region_data, context.scene.unit_settings.scale_length)
     view.hands, view.unreadable = seen_hands.read(things, depsgraph)
-    view.part = cropping.part_with(view.camera.whole, view.hands)
+    view.part = part_with(view.camera.whole, view.hands)
     if view.part is None:
         _rest(view)
         return
@@ -217,7 +221,7 @@ def show_again(context: bpy.types.Context, kind: str) -> None:
         return
     view.camera = view_camera(context.region, context.region_data, context.scene.unit_settings.scale_length)
     same_side = view.pace.shown is not None and pacing.digest(view.camera.parts) == view.pace.shown.want.camera
-    view.drawn = same_side and rendering.lasts_s() <= limits.STALE_S
+    view.drawn = same_side and rendering.lasts_s() <= pacing.STALE_S
     if view.drawn:
         with _by_the_driver():
             _draw(view)
@@ -256,6 +260,24 @@ def _draw(view: View) -> None:
     )
 
 
+class ViewportEngine:
+    """What a `bpy.types.RenderEngine` needs to show hands in Rendered shading: inherit from both.
+
+    What `view_draw` writes is scene-linear, and the scene's view transform is applied to it: under Standard the view
+    shows the renderer's numbers, under AgX it does not. Source: BLENDER 7.2 and 7.3.
+    """
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Something changed in the scene. Every draw looks for itself what there is to show."""
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draws one 3D view: the world's color, unless the film is transparent, and the hands before it."""
+        scene = depsgraph.scene_eval
+        if not scene.render.film_transparent:
+            gpu.state.active_framebuffer_get().clear(color=(*background(scene.world), 1.0))
+        draw(context, lambda: depsgraph, RENDERED)
+
+
 # ---- asking ----------------------------------------------------------------------------------------------------------
 
 
@@ -283,7 +305,7 @@ def look(view: View, moment: DrawMoment, *, drawing: bool) -> None:
 def read_again(view: View, things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
     """Reads the hands of a view that is not drawn yet, from where it looked last."""
     view.hands, view.unreadable = seen_hands.read(things, depsgraph)
-    view.part = cropping.part_with(view.camera.whole, view.hands) if view.camera is not None else None
+    view.part = part_with(view.camera.whole, view.hands) if view.camera is not None else None
 
 
 def take(view: View, moment: DrawMoment) -> bool:
@@ -325,7 +347,7 @@ def _ask(view: View, ask: pacing.Ask) -> None:
     assert view.camera is not None
     assert view.part is not None
     whole, room_m = view.camera.in_front_of(view.hands)
-    pinhole = cropping.picture_of(whole, view.part, ask.quality.pixels_max)
+    pinhole = picture_of(whole, view.part, ask.quality.pixels_max)
     header, arrays = picture_request(pinhole, view.hands, outputs=_OUTPUTS, settings=ask.quality.settings())
     kept = {each.tag for each in view.pace.asks}
     view.places = {tag: place for tag, place in view.places.items() if tag in kept}
@@ -350,8 +372,8 @@ def next_look_s(view: View) -> float:
     wait_s = pacing.due_s(view.pace, view.settings) - now_s()
     if pacing.is_open(view.pace):
         left_s = view.round_trip_s - (now_s() - view.pace.asks[-1].asked_s)
-        wait_s = min(wait_s, abs(left_s), limits.OPEN_TICK_S)
-    return max(wait_s, limits.SHORTEST_TICK_S)
+        wait_s = min(wait_s, abs(left_s), OPEN_TICK_S)
+    return max(wait_s, SHORTEST_TICK_S)
 
 
 # ---- all views -------------------------------------------------------------------------------------------------------

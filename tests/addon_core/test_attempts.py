@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from blender_addon.core import limits
+from blender_addon.core import pacing
 from blender_addon.core.pacing import Attempts
 
 
@@ -15,12 +15,12 @@ def test_it_is_tried_again_after_a_rest_and_not_for_ever():
             tried.append(now_s)
             attempts = attempts.after_failure(now_s)
         now_s += 0.05
-    assert len(tried) == limits.DRAW_TRIES
-    assert all(later - earlier >= limits.DRAW_REST_S for earlier, later in itertools.pairwise(tried))
+    assert len(tried) == pacing.DRAW_TRIES
+    assert all(later - earlier >= pacing.DRAW_REST_S for earlier, later in itertools.pairwise(tried))
     assert attempts.due_s() is None
 
 
 def test_what_never_failed_has_nothing_due():
     assert Attempts().due_s() is None
     assert Attempts().allowed(0.0)
-    assert Attempts().after_failure(3.0).due_s() == 3.0 + limits.DRAW_REST_S
+    assert Attempts().after_failure(3.0).due_s() == 3.0 + pacing.DRAW_REST_S

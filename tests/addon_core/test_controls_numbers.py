@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_addon.core import controls, limits, posing
+from blender_addon.core import controls, posing
+from blender_addon.core import controls as control_numbers
 from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, PARENTS, RIGHT
 
 
@@ -38,7 +39,7 @@ def test_a_positive_spread_leads_away_from_the_middle_finger(handedness, finger)
     else:
         middle = rest[NAMES.index("middle4"), :3, 3]
         assert np.linalg.norm(moved - middle) > np.linalg.norm(end - middle) + 0.001
-    assert abs(move.spread) == pytest.approx(np.radians(limits.SPREAD_FULL_DEG))
+    assert abs(move.spread) == pytest.approx(np.radians(control_numbers.SPREAD_FULL_DEG))
 
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
@@ -57,7 +58,7 @@ def test_a_full_curl_bends_to_the_angles_of_a_fist_from_straight():
     bent = controls.rest_flexions(rest)
     for finger in range(1, 5):
         curl = [move.flexion for move in controls.finger_moves(rest, finger, RIGHT)]
-        np.testing.assert_allclose(np.degrees(bent[finger] + curl), limits.CURL_DEG[1])
+        np.testing.assert_allclose(np.degrees(bent[finger] + curl), control_numbers.CURL_DEG[1])
     assert [round(np.degrees(move.flexion)) for move in controls.finger_moves(rest, 0, RIGHT)] == [16, 44, 44]
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_addon.core import cropping, limits, posing
-from blender_addon.core.cropping import Part
-from blender_addon.core.view import HandInSpace, Pinhole
+from blender_addon.core import posing
+from blender_addon.core import view as cropping
+from blender_addon.core.view import HandInSpace, Part, Pinhole
 
 
 def hand_at(*place_m: float) -> HandInSpace:
@@ -26,7 +26,7 @@ def test_the_part_holds_every_joint_and_its_skin_and_not_the_whole_view():
     assert part is not None
     assert part.pixels < 0.5 * view.width * view.height
     pixels = view.project(hand.joints_world_m)[:, :2]
-    reach_px = 900 * limits.REACH_M / 1.2
+    reach_px = 900 * cropping.REACH_M / 1.2
     assert (pixels - reach_px >= (part.left, part.top)).all() or part.top == 0 or part.left == 0
     assert (pixels + reach_px <= (part.right, part.bottom)).all()
 

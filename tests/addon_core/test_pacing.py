@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_addon.core import limits, pacing
+from blender_addon.core import pacing
 from blender_addon.core.pacing import Activity, Ask, DrawMoment, Grade, Pace, ViewSettings, Want
 
 FRAME_S = 1 / 24
@@ -91,9 +91,9 @@ def test_a_pose_that_is_dragged_is_drawn_fast_then_better_then_sharp():
         view.answer()
         view.now_s += 0.02
     assert [ask.quality.preset for ask in view.asked] == ["draft", "draft"]
-    view.pass_s(limits.SETTLE_S)
+    view.pass_s(pacing.SETTLE_S)
     assert view.grades[-1] is Grade.STILL
-    view.pass_s(limits.SHARPEN_S)
+    view.pass_s(pacing.SHARPEN_S)
     assert view.grades[-1] is Grade.SHARP
     assert [ask.droppable for ask in view.asked] == [grade is Grade.SHARP for grade in view.grades]
     view.pass_s(60.0)
@@ -137,7 +137,7 @@ def test_equal_pictures_of_two_grades_are_asked_for_once():
 def test_a_late_picture_of_the_fast_settings_does_not_replace_the_better_one():
     view = view_of(A)
     view.draw(B)
-    view.now_s += limits.SETTLE_S * 1.01
+    view.now_s += pacing.SETTLE_S * 1.01
     view.draw(B)
     assert view.answer(1)
     assert not view.answer(0)
@@ -167,12 +167,12 @@ def test_an_earlier_pose_is_shown_for_a_short_time_only_while_nothing_newer_come
     view = view_of(A)
     for want in (B, C, B):
         view.draw(want)
-        view.now_s += limits.STALE_S / 2
+        view.now_s += pacing.STALE_S / 2
     assert view.shows() is None
     view.draw(C)
     assert view.answer(-2)
     assert view.shows() == B
-    view.now_s += limits.STALE_S * 1.1
+    view.now_s += pacing.STALE_S * 1.1
     assert view.shows() is None
     view.draw(B)
     assert view.shows() == B
@@ -189,7 +189,7 @@ def test_an_earlier_pose_is_not_shown_when_no_picture_is_coming():
 def test_an_orbited_view_waits_a_little_and_shows_nothing_from_another_side():
     view = view_of(A)
     decision = view.draw(A_FROM_BEHIND)
-    assert decision.wait_s == limits.ORBIT_WAIT_S
+    assert decision.wait_s == pacing.ORBIT_WAIT_S
     assert decision.wait_for == view.asked[-1].tag
     assert view.shows() is None
     view.answer()
@@ -205,7 +205,7 @@ def test_an_orbited_view_does_not_wait_for_an_engine_that_was_slow_until_it_is_f
     view.answer(took_s=0.2)
     assert view.draw(sides[1]).wait_s == 0
     view.answer(took_s=0.01)
-    assert view.draw(sides[2]).wait_s == limits.ORBIT_WAIT_S
+    assert view.draw(sides[2]).wait_s == pacing.ORBIT_WAIT_S
 
 
 def test_an_answer_from_another_side_is_dropped():
@@ -219,7 +219,7 @@ def test_while_playing_a_view_waits_for_the_rest_of_its_frame_and_no_longer_than
     view = view_of(A)
     start = view.now_s
     view.now_s += 0.01
-    assert math.isclose(view.draw(B, PLAYING, step_s=start).wait_s, limits.PLAY_WAIT_S - 0.01)
+    assert math.isclose(view.draw(B, PLAYING, step_s=start).wait_s, pacing.PLAY_WAIT_S - 0.01)
     view.now_s = start + 1.0
     assert view.draw(C, PLAYING, step_s=start).wait_s == 0
 
@@ -244,8 +244,8 @@ def test_after_some_late_frames_nobody_waits_until_an_answer_was_fast_enough():
     for want in frames[:10]:
         view.draw(want, PLAYING)
         view.pace = pacing.missed(view.pace, view.moment(PLAYING))
-    assert [wait > 0 for wait in view.waits[-10:]] == [True] * limits.LATE_PATIENCE + [False] * (
-        10 - limits.LATE_PATIENCE
+    assert [wait > 0 for wait in view.waits[-10:]] == [True] * pacing.LATE_PATIENCE + [False] * (
+        10 - pacing.LATE_PATIENCE
     )
     view.answer(took_s=0.01)
     assert view.draw(frames[11], PLAYING).wait_s > 0
@@ -346,7 +346,7 @@ def test_whatever_happens(events):
             want, activity, answering = more
             before = [ask.tag for ask in view.pace.asks[-1:]]
             decision = view.draw(want, activity, answering=answering)
-            assert 0 <= decision.wait_s <= limits.PLAY_WAIT_S
+            assert 0 <= decision.wait_s <= pacing.PLAY_WAIT_S
             assert not (activity is SCRUBBING and decision.wait_s)
             assert decision.ask is None or decision.ask.tag not in before
             shown = view.shows(activity, answering=answering)
@@ -376,9 +376,9 @@ def test_the_views_of_one_turn_wait_no_longer_together_than_one_of_them():
     turn, now_s, waited_s = pacing.Turn(), 10.0, 0.0
     for view in "abcd":
         turn.draws(view)
-        left_s = turn.left_s(now_s + limits.ORBIT_WAIT_S, now_s)
+        left_s = turn.left_s(now_s + pacing.ORBIT_WAIT_S, now_s)
         now_s, waited_s = now_s + left_s, waited_s + left_s
-    assert waited_s == pytest.approx(limits.ORBIT_WAIT_S)
+    assert waited_s == pytest.approx(pacing.ORBIT_WAIT_S)
 
 
 def test_each_turn_has_its_own_wait():

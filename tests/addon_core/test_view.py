@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_addon.core import limits
+from blender_addon.core import pacing
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import (
     HandInSpace,
@@ -18,6 +18,7 @@ from blender_addon.core.view import (
     picture_request,
     pinhole_from,
 )
+from blender_addon.render import properties
 from jghand_engine.native import contract
 from jghand_engine.service.picture_request import PictureSettings, read_request
 from jghand_engine.service.protocol import Message
@@ -81,8 +82,8 @@ def test_settings_lens_and_rays_arrive():
 
 
 def test_shadows_reach_as_far_as_the_engines_own_unless_it_is_said():
-    assert PictureSettings().shadow_radius_m == limits.SHADOW_RADIUS_MM / 1e3
-    assert limits.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
+    assert PictureSettings().shadow_radius_m == pacing.SHADOW_RADIUS_MM / 1e3
+    assert properties.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
 
 
 def test_moments_arrive_in_their_order_with_their_weights():

@@ -9,9 +9,9 @@ import pytest
 from recording_layout import RecordingLayout
 
 from blender_addon import ui
-from blender_addon.core import limits
+from blender_addon.core import pacing
 from blender_addon.render import rendering
-from blender_addon.viewport import drawing, overlay, rendered, views
+from blender_addon.viewport import drawing, handlers, views
 
 REGION = 0x1234
 
@@ -59,8 +59,8 @@ def redraw(driver: Driver, times: int = 1, kind: str = views.SOLID) -> None:
 def test_it_is_said_once_and_tried_a_few_times_with_a_rest_between(driver, capfd):
     for _ in range(20):
         redraw(driver, 50)
-        driver.now[0] += limits.DRAW_REST_S
-    assert driver.calls == limits.DRAW_TRIES
+        driver.now[0] += pacing.DRAW_REST_S
+    assert driver.calls == pacing.DRAW_TRIES
     assert capfd.readouterr().err.count("Traceback") == 2  # the driver's, and what became of it
     (problem,) = views.problems()
     assert problem[1].kind == "no_graphics"
@@ -71,7 +71,7 @@ def test_a_driver_that_recovers_shows_the_hand_and_the_sentence_goes(driver):
     redraw(driver, 10)
     assert driver.calls == 1
     assert not views.try_again()
-    driver.now[0] += limits.DRAW_REST_S
+    driver.now[0] += pacing.DRAW_REST_S
     assert views.try_again() == {REGION}
     driver.refuses = None
     redraw(driver)
@@ -83,13 +83,13 @@ def test_a_driver_that_recovers_shows_the_hand_and_the_sentence_goes(driver):
 def test_switching_the_view_off_and_on_tries_again(driver, monkeypatch):
     for _ in range(20):
         redraw(driver)
-        driver.now[0] += limits.DRAW_REST_S
-    monkeypatch.setattr(overlay, "bpy", SimpleNamespace(context=driver.context))
+        driver.now[0] += pacing.DRAW_REST_S
+    monkeypatch.setattr(handlers, "bpy", SimpleNamespace(context=driver.context))
     monkeypatch.setattr(views, "draws", lambda *_: False)
-    overlay.draw()
+    handlers.draw_overlay()
     assert views.problems() == []
     redraw(driver)
-    assert driver.calls == limits.DRAW_TRIES + 1
+    assert driver.calls == pacing.DRAW_TRIES + 1
 
 
 def test_one_view_that_fails_does_not_stop_another(driver):
@@ -113,11 +113,11 @@ def test_a_mistake_of_ours_is_no_fault_of_the_driver(driver, monkeypatch):
 def test_rendered_mode_and_solid_are_drawn_alike(driver, monkeypatch):
     monkeypatch.setattr(drawing, "free_unwanted", lambda: None)
     depsgraph = SimpleNamespace(scene_eval=SimpleNamespace(render=SimpleNamespace(film_transparent=True)))
-    rendered.ViewportEngine().view_draw(driver.context, depsgraph)
+    views.ViewportEngine().view_draw(driver.context, depsgraph)
     assert [key[1] for key in views._drawing] == [views.RENDERED]
     monkeypatch.setattr(rendering, "now", lambda: True)
-    driver.now[0] += limits.DRAW_REST_S
-    rendered.ViewportEngine().view_draw(driver.context, depsgraph)
+    driver.now[0] += pacing.DRAW_REST_S
+    views.ViewportEngine().view_draw(driver.context, depsgraph)
 
 
 def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, monkeypatch):
@@ -134,5 +134,5 @@ def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, m
     draw(SimpleNamespace(layout=layout), context)
     assert options == {"title": "JGHand", "icon": "ERROR"}
     assert " ".join(layout.texts[: len(layout.texts) - 1]) == text
-    assert max(map(len, layout.texts)) <= limits.POPUP_LETTERS
+    assert max(map(len, layout.texts)) <= ui.POPUP_LETTERS
     assert layout.operators == ["jghand.use_engine"]

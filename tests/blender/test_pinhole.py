@@ -7,7 +7,7 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon.core import limits, posing
+from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT
 from blender_addon.core.view import Pinhole
 from blender_addon.errors import JGHandFailure
@@ -251,7 +251,7 @@ def test_a_framing_camera_shows_the_whole_hand_and_not_much_else(context, handed
     eye = framing.add_framing_camera(context, side, joints, handedness)
     view = camera.pinhole(eye, context.evaluated_depsgraph_get())
     pixels = view.project(joints)
-    margin = limits.SKIN_M * view.fx / pixels[..., 2]
+    margin = framing.SKIN_M * view.fx / pixels[..., 2]
     for axis, edge in enumerate(size):
         assert (pixels[..., axis] - margin > 0).all()
         assert (pixels[..., axis] + margin < edge).all()

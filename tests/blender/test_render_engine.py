@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from blender_addon import registration
-from blender_addon.core import limits, posing
+from blender_addon.core import film, limits, posing
 from blender_addon.core.view import picture_request
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, sources
@@ -628,4 +628,4 @@ def test_depth_of_field_and_bones_come_from_the_real_engine(scene, real_engine, 
     numbers = np.unique(sharp["JGHandId.X"])
     assert set(numbers) <= set(range(21))
     assert len(numbers) > 8
-    assert limits.NOTHING_DEPTH in sharp["Depth.Z"]
+    assert film.NOTHING_DEPTH in sharp["Depth.Z"]

@@ -13,14 +13,15 @@ import pytest
 from hands import camera_on, keyed_hand, moving_hand_m, put
 
 from blender_addon import clock
-from blender_addon.core import cropping, limits, pacing, posing
+from blender_addon.core import pacing, posing
+from blender_addon.core.view import part_with
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, seen_hands
 from blender_addon.render import ENGINE, camera, composite, rendering
 from blender_addon.renderer import runtime
 from blender_addon.renderer.link import EngineLink
-from blender_addon.viewport import handlers, overlay, views
-from blender_addon.viewport.view_camera import view_camera
+from blender_addon.viewport import handlers, views
+from blender_addon.viewport.view_camera import ORTHO_ROOM_M, view_camera
 
 SIZE = (320, 200)
 
@@ -148,7 +149,7 @@ def test_without_a_window_the_extension_adds_no_handler(extension):
 
 
 def test_without_a_hand_the_timer_starts_no_engine(link):
-    assert handlers.tick() == limits.IDLE_TICK_S
+    assert handlers.tick() == clock.IDLE_TICK_S
     assert link.status.state == "stopped"
 
 
@@ -296,7 +297,7 @@ def test_an_orthographic_view_steps_back_until_it_has_the_hand_in_front_of_it(ex
     view = view_camera(*view_matrices(context, eye), 1.0)
     hands, _ = seen_hands.read([hand], context.evaluated_depsgraph_get())
     whole, room_m = view.in_front_of(hands)
-    assert whole.project(hands[0].joints_world_m)[:, 2].min() == pytest.approx(limits.ORTHO_ROOM_M)
+    assert whole.project(hands[0].joints_world_m)[:, 2].min() == pytest.approx(ORTHO_ROOM_M)
     before = view.whole.project(hands[0].joints_world_m)
     assert np.allclose(whole.project(hands[0].joints_world_m), before + np.array([0, 0, room_m]))
 
@@ -316,7 +317,7 @@ def test_a_view_gets_the_picture_of_its_part_with_depth(link, extension):
     assert covered.any()
     assert (rgba[covered][:, 3] > 0).all()
     assert 0.3 < depth_m[covered].min() < depth_m[covered].max() < 0.9
-    assert view.place.part == cropping.part_with(view.camera.whole, view.hands)
+    assert view.place.part == part_with(view.camera.whole, view.hands)
 
 
 def test_nothing_is_asked_for_while_nothing_changes(link, extension, monkeypatch):
@@ -358,7 +359,7 @@ def test_the_timer_rests_once_everything_is_there(link, extension):
     context = extension
     context.scene.jghand.sharpen_when_still = False
     view = view_on(context, add_hand(context))
-    assert limits.SHORTEST_TICK_S <= views.next_look_s(view) <= limits.OPEN_TICK_S
+    assert views.SHORTEST_TICK_S <= views.next_look_s(view) <= views.OPEN_TICK_S
     wait_for(context, view)
     assert views.next_look_s(view) == float("inf")
     assert not views.is_due(view)
@@ -472,7 +473,7 @@ def test_during_a_render_a_picture_is_shown_for_a_while_only(link, extension, mo
     try:
         views.show_again(drawing, views.SOLID)
         assert (drawn, view.drawn) == ([view], True)
-        monkeypatch.setattr(rendering, "lasts_s", lambda: limits.STALE_S + 0.1)
+        monkeypatch.setattr(rendering, "lasts_s", lambda: pacing.STALE_S + 0.1)
         views.show_again(drawing, views.SOLID)
         assert (drawn, view.drawn) == ([view], False)
     finally:
@@ -489,7 +490,7 @@ def test_a_tick_that_raises_is_called_again_and_told_once(capfd):
     clock.use(tick)
     clock.hasten(0.0)
     try:
-        assert [clock._call() for _ in range(3)] == [limits.IDLE_TICK_S] * 3
+        assert [clock._call() for _ in range(3)] == [clock.IDLE_TICK_S] * 3
         assert clock.runs()
         assert capfd.readouterr().err.count("Traceback") == 1
         bpy.app.timers.unregister(clock._call)
@@ -583,7 +584,7 @@ def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_
 
 
 def test_the_draw_handler_can_be_added_and_removed_twice(extension):
-    for function in (overlay.install, overlay.install, overlay.remove, overlay.remove):
+    for function in (*[handlers.add_drawing] * 2, *[handlers.remove_drawing] * 2):
         function()
 
 

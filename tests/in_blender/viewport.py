@@ -204,7 +204,7 @@ def step_playing_goes_on_while_the_engine_hangs(window):
             os.kill(pid, signal.SIGCONT)
     late = _part(window, ".viewport.views").late_frames()
     _check_kept(waits, kept)
-    assert len(waits) <= _part(window, ".core.limits").LATE_PATIENCE, "a hung engine is waited for again and again"
+    assert len(waits) <= _part(window, ".core.pacing").LATE_PATIENCE, "a hung engine is waited for again and again"
     assert late > len(waits)
     yield lambda: _is_sharp(window)
 
@@ -318,7 +318,7 @@ def _draw_into_floats(window, written: list):
     """A draw handler that draws a picture of all 256 values and keeps what the shader wrote."""
     import gpu
 
-    textures, cropping = _part(window, ".viewport.drawing"), _part(window, ".core.cropping")
+    textures, cropping = _part(window, ".viewport.drawing"), _part(window, ".core.view")
     rgba = np.zeros((256, 1, 4), np.uint8)
     rgba[..., 0], rgba[..., 3] = np.arange(256)[:, None], 255
 
@@ -359,9 +359,7 @@ def _watching(window):
     """Seconds that each call of ours keeps Blender's main thread, by its name; without those of making textures and
     drawing, which a software driver does on the same processor. Such a driver also needs longer for the scene than a
     view may wait after a new frame: here the frame is as new at each draw as with a quick one."""
-    sync, drawing, views = (
-        _part(window, name) for name in (".viewport.handlers", ".viewport.overlay", ".viewport.views")
-    )
+    sync, views = (_part(window, name) for name in (".viewport.handlers", ".viewport.views"))
     clock = _part(window, ".clock")
     kept: dict[str, list[float]] = {"tick": [], "frame change": [], "draw": []}
     spent = [0.0]
@@ -391,9 +389,9 @@ def _watching(window):
     original_draw, original_tick = views._draw, clock._tick
     frames, ours = bpy.app.handlers.frame_change_post, sync.on_frame_change
     theirs = bpy.app.handlers.persistent(timed("frame change", ours))
-    drawing.remove()
-    original_handler, drawing.draw = drawing.draw, timed("draw", draw)
-    drawing.install()
+    sync.remove_drawing()
+    original_handler, sync.draw_overlay = sync.draw_overlay, timed("draw", draw)
+    sync.add_drawing()
     views._draw, clock._tick = drawn, timed("tick", original_tick)
     frames[frames.index(ours)] = theirs
     try:
@@ -401,9 +399,9 @@ def _watching(window):
     finally:
         frames[frames.index(theirs)] = ours
         views._draw, clock._tick = original_draw, original_tick
-        drawing.remove()
-        drawing.draw = original_handler
-        drawing.install()
+        sync.remove_drawing()
+        sync.draw_overlay = original_handler
+        sync.add_drawing()
 
 
 def _check_kept(waits: list[float], kept: dict[str, list[float]]) -> None:

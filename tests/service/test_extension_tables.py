@@ -12,8 +12,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from blender_addon.core import bone_maps, posing
+from blender_addon.core import controls as control_numbers
 from blender_addon.core import joints as extension
-from blender_addon.core import limits as extension_limits
 from blender_addon.errors import ADVICE
 from blender_addon.hand import motion_files, motion_jobs
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
@@ -62,7 +62,7 @@ def test_the_preset_of_a_batch_run_exists():
 
 def test_joints_go_as_far():
     thumb, *fingers = RANGES_DEG
-    assert [list(map(list, table)) for table in extension_limits.JOINT_RANGES_DEG] == [
+    assert [list(map(list, table)) for table in control_numbers.JOINT_RANGES_DEG] == [
         thumb.tolist(),
         fingers[0].tolist(),
     ]

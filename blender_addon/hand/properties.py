@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is saved with a hand: `object.jghand`, and the rows of a foreign armature's bone map.
+
+Being Blender's own properties they are saved, duplicated, appended, overridden and undone with their owner. Renaming
+one orphans what older files hold: add a new name instead. Numbers of enum items are stored too, so they stand here.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core import poses
+from ..core.joints import FINGERS, RIGHT
+from ..versions import path_options
+from . import sources
+
+# identifier, name, tooltip, icon, number in files
+HANDS = (
+    ("right", "Right", "The right hand", "NONE", 0),
+    ("left", "Left", "The left hand", "NONE", 1),
+)
+ENDS = (
+    ("head", "Head", "The joint is where the bone begins", "NONE", 0),
+    ("tail", "Tail", "The joint is where the bone ends: the tip of a finger that has no bone of its own", "NONE", 1),
+)
+# a hand that is linked from another file, and overridden, keeps settings of its own
+OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
+FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at) for at, name in enumerate(FINGERS))
+
+# the named poses; both hands have the same, and numbers are places in the table
+POSES = tuple(
+    (
+        pose.name,
+        pose.title.partition(" (")[0],
+        pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
+        "NONE",
+        place,
+    )
+    for place, pose in enumerate(poses.all_poses(RIGHT))
+)
+
+
+# properties' functions have names of their own: a lambda in an annotation would not see this module
+def _bone(row: JGHandJoint) -> str:
+    return sources.bone_of(row.id_data, row.name)
+
+
+def _set_bone(row: JGHandJoint, bone: str) -> None:
+    sources.set_bone(row.id_data, row.name, bone)
+
+
+def _end(row: JGHandJoint) -> int:
+    return sources.end_of(row.id_data, row.name)
+
+
+def _set_end(row: JGHandJoint, place: int) -> None:
+    sources.set_end(row.id_data, row.name, place)
+
+
+def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
+    """Renders read what Blender evaluated, and keep it where the scene has Persistent Data."""
+    settings.id_data.update_tag()
+
+
+class JGHandJoint(bpy.types.PropertyGroup):
+    """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
+
+    bone: bpy.props.StringProperty(
+        name="Bone",
+        description="The bone of the rig that begins or ends at this joint",
+        get=_bone,
+        set=_set_bone,
+    )  # type: ignore[valid-type]
+    end: bpy.props.EnumProperty(
+        name="End",
+        description="Which end of the bone the joint is",
+        items=ENDS,
+        get=_end,
+        set=_set_end,
+    )  # type: ignore[valid-type]
+
+
+class JGHandObjectSettings(bpy.types.PropertyGroup):
+    """`object.jghand` of an armature, or of an empty that stands for 21 objects, that is a hand."""
+
+    avatar: bpy.props.StringProperty(
+        name="Avatar",
+        description="File of the avatar that is drawn on this hand. Empty: the one that comes with JGHand",
+        subtype="FILE_PATH",
+        update=_evaluate_again,
+        options=path_options(),
+        override=OVERRIDABLE,
+    )  # type: ignore[valid-type]
+    show_in_viewport: bpy.props.BoolProperty(
+        name="Show in Viewport",
+        description="Draw the avatar of this hand in Solid and Material Preview",
+        default=True,
+        override=OVERRIDABLE,
+    )  # type: ignore[valid-type]
+    bake: bpy.props.StringProperty(
+        name="Bake",
+        description="Folder of this hand's bake. Empty: it was not baked",
+        subtype="DIR_PATH",
+        options=path_options(),
+        override=OVERRIDABLE,
+    )  # type: ignore[valid-type]
+    map_hand: bpy.props.EnumProperty(
+        name="Hand",
+        description="Whose bones the list shows",
+        items=HANDS,
+        default="right",
+        override=OVERRIDABLE,
+    )  # type: ignore[valid-type]
+    joints: bpy.props.CollectionProperty(type=JGHandJoint)  # type: ignore[valid-type]
+    active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is selected in the list")  # type: ignore[valid-type]
+
+
+CLASSES = (JGHandJoint, JGHandObjectSettings)
+
+
+def register() -> None:
+    """Adds `object.jghand`."""
+    bpy.types.Object.jghand = bpy.props.PointerProperty(type=JGHandObjectSettings, override=OVERRIDABLE)
+
+
+def unregister() -> None:
+    """Takes it away; what files hold stays in them."""
+    del bpy.types.Object.jghand

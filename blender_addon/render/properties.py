@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is saved with a scene: `scene.jghand`, how its images are made, and what is written of it.
+
+As with those of hands (`hand/properties`), names and the numbers of enum items stay.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core.pacing import SHADOW_RADIUS_MM
+from ..export import properties as output_settings
+from ..hand.properties import OVERRIDABLE
+
+# identifier, name, tooltip, icon, number in files
+PRESETS = (
+    ("draft", "Draft", "Fastest: fewer splats, no self-shadow", "NONE", 0),
+    ("viewport", "Viewport", "Fast, with self-shadow where fingers are close", "NONE", 1),
+    ("final", "Final", "What the avatar looks like, for renders", "NONE", 2),
+    ("reference", "Reference", "Slow and exact, for comparisons", "NONE", 3),
+)
+# a viewport image at sixty frames a second
+BUDGET_MS = 16.0
+# below this part of its splats a hand has holes
+DENSITY_MIN = 0.1
+# the longest reach of shadows that the renderer takes, millimeters
+SHADOW_RADIUS_MAX_MM = 200.0
+# sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
+MOTION_SAMPLES, MOTION_SAMPLES_MAX = 8, 64
+
+
+class JGHandSceneSettings(bpy.types.PropertyGroup):
+    """`scene.jghand`: how pictures of this scene are made, and what is written of it."""
+
+    output: bpy.props.PointerProperty(type=output_settings.JGHandOutputSettings)  # type: ignore[valid-type]
+    training: bpy.props.PointerProperty(type=output_settings.JGHandTrainingSettings)  # type: ignore[valid-type]
+
+    show_in_viewport: bpy.props.BoolProperty(
+        name="Show Hands",
+        description="Draw the avatars in Solid and Material Preview",
+        default=True,
+    )  # type: ignore[valid-type]
+    viewport_preset: bpy.props.EnumProperty(
+        name="Viewport Quality",
+        description="How the viewport is drawn while nothing moves",
+        items=PRESETS,
+        default="viewport",
+    )  # type: ignore[valid-type]
+    sharpen_when_still: bpy.props.BoolProperty(
+        name="Sharpen When Still",
+        description="After a pause, draw the viewport with the settings of renders",
+        default=True,
+    )  # type: ignore[valid-type]
+    use_viewport_budget: bpy.props.BoolProperty(
+        name="Frame Budget",
+        description="Choose the most accurate measured settings that draw a viewport frame in the given time",
+    )  # type: ignore[valid-type]
+    viewport_budget_ms: bpy.props.FloatProperty(
+        name="Milliseconds",
+        description="Time that the renderer may take for a viewport frame, in milliseconds",
+        default=BUDGET_MS,
+        min=1.0,
+        soft_max=100.0,
+        precision=1,
+    )  # type: ignore[valid-type]
+    viewport_density: bpy.props.FloatProperty(
+        name="Density",
+        description="Part of the avatar's splats that the viewport draws",
+        subtype="FACTOR",
+        default=1.0,
+        min=DENSITY_MIN,
+        max=1.0,
+    )  # type: ignore[valid-type]
+    render_preset: bpy.props.EnumProperty(
+        name="Render Quality",
+        description="How F12 and animation renders are made",
+        items=PRESETS,
+        default="final",
+    )  # type: ignore[valid-type]
+    shadow_strength: bpy.props.FloatProperty(
+        name="Shadow Strength",
+        description="How dark the shadow is that a hand casts on itself and on the other",
+        subtype="FACTOR",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+    )  # type: ignore[valid-type]
+    shadow_radius_mm: bpy.props.FloatProperty(
+        name="Shadow Radius",
+        description="How far a shadow reaches from what casts it, in the size of a real hand",
+        unit="CAMERA",  # millimeters whatever the scene's unit is: a hand is as large in all of them
+        default=SHADOW_RADIUS_MM,
+        min=1.0,
+        max=SHADOW_RADIUS_MAX_MM,
+        soft_max=60.0,
+    )  # type: ignore[valid-type]
+    motion_samples: bpy.props.IntProperty(
+        name="Motion Samples",
+        description="Sub-frames that are averaged when the scene uses motion blur",
+        default=MOTION_SAMPLES,
+        min=2,
+        soft_max=32,
+        max=MOTION_SAMPLES_MAX,
+    )  # type: ignore[valid-type]
+    use_pass_ids: bpy.props.BoolProperty(
+        name="Bone Ids",
+        description="Add a pass with the number of the bone that a pixel belongs to, 0 where there is no hand",
+    )  # type: ignore[valid-type]
+
+
+CLASSES = (*output_settings.CLASSES, JGHandSceneSettings)
+
+
+def register() -> None:
+    """Adds `scene.jghand`."""
+    bpy.types.Scene.jghand = bpy.props.PointerProperty(type=JGHandSceneSettings, override=OVERRIDABLE)
+
+
+def unregister() -> None:
+    """Takes it away; what files hold stays in them."""
+    del bpy.types.Scene.jghand
