@@ -41,8 +41,8 @@ ASKS_KEPT, FAILURES_KEPT = 8, 32
 # how often in a row a view tries to draw what the graphics driver refuses, and its rest between, seconds: after
 # a lost context a driver needs a moment; one that cannot draw at all would fail, and say so, at every redraw
 DRAW_TRIES, DRAW_REST_S = 3, 2.0
-# reach of shadows, millimeters: the renderer's own
-SHADOW_RADIUS_MM = 20.0
+# reach of shadows, millimeters: the renderer's own, and the most that it takes
+SHADOW_RADIUS_MM, SHADOW_RADIUS_MAX_MM = 20.0, 200.0
 
 
 class Grade(IntEnum):

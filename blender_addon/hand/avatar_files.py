@@ -68,7 +68,7 @@ SHIPPED_CARDS = {
         "a rig with SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in Blender's studio light (CC0-1.0)",
         learned_from="432 images of builtin train/Capture0",
         written="",
-        accuracy="33.47 on held-out images of builtin train/Capture0 (40 of novel pose, 16 of both novel), preset "
+        accuracy="33.47 on held-out pictures of builtin train/Capture0 (40 of novel pose, 16 of both novel), preset "
         "final",
         gaussians=40_000,
         learned=True,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.pacing import SHADOW_RADIUS_MM
+from ..core.pacing import SHADOW_RADIUS_MAX_MM, SHADOW_RADIUS_MM
 from ..export import properties as output_settings
 from ..hand.properties import OVERRIDABLE
 
@@ -23,8 +23,6 @@ PRESETS = (
 BUDGET_MS = 16.0
 # below this part of its splats a hand has holes
 DENSITY_MIN = 0.1
-# the longest reach of shadows that the renderer takes, millimeters
-SHADOW_RADIUS_MAX_MM = 200.0
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES, MOTION_SAMPLES_MAX = 8, 64
 

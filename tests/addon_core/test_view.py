@@ -18,7 +18,6 @@ from blender_addon.core.view import (
     picture_request,
     pinhole_from,
 )
-from blender_addon.render import properties
 from jghand_engine.native import contract
 from jghand_engine.service.picture_request import PictureSettings, read_request
 from jghand_engine.service.protocol import Message
@@ -83,7 +82,7 @@ def test_settings_lens_and_rays_arrive():
 
 def test_shadows_reach_as_far_as_the_engines_own_unless_it_is_said():
     assert PictureSettings().shadow_radius_m == pacing.SHADOW_RADIUS_MM / 1e3
-    assert properties.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
+    assert pacing.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
 
 
 def test_moments_arrive_in_their_order_with_their_weights():
