@@ -24,7 +24,7 @@ from blender_addon.export.recording import (
     usd_options,
     with_file_name,
 )
-from blender_addon.hand.motion_files import MotionFile, read_motion, write_motion
+from blender_addon.hand.motion_files import read_motion
 from blender_addon.train.training_folder import capture_words, train_words
 
 
@@ -96,12 +96,6 @@ def test_the_engine_reads_it_back_too(tmp_path):
     back = engine.read_motion_file(tmp_path / "motion.npz").sequence
     assert (from_level(back.joints_m, JointOrder.STANDARD) == recording.joints_m).all()
     assert (back.fps, str(back.handedness)) == (24.0, "right")
-
-
-def test_a_motion_has_no_other_suffix_than_its_own(tmp_path):
-    with pytest.raises(JGHandFailure) as caught:
-        write_motion(tmp_path / "motion.json", MotionFile(a_recording().joints_m, 24.0, "right"))
-    assert caught.value.kind == "bad_motion"
 
 
 def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
