@@ -12,8 +12,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from jghand_engine.errors import InputError
-
 
 class FixedLookup(nn.Module):
     """A learnable plane of `rows` x `columns` texels with `channels` features, looked up at fixed points.
@@ -23,8 +21,6 @@ class FixedLookup(nn.Module):
 
     def __init__(self, points: Tensor, rows: int, columns: int, channels: int) -> None:
         super().__init__()
-        if rows < 2 or columns < 2:
-            raise InputError("feature plane", wanted="at least 2 x 2 texels", came=f"{rows} x {columns}")
         self.shape = (rows, columns, channels)
         self.texels = nn.Parameter(torch.zeros(rows * columns, channels))
         corner, weight = bilinear_corners(points, rows, columns)

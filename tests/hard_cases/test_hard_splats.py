@@ -70,9 +70,9 @@ def assert_finite(picture: Picture, gradients: list[torch.Tensor], what: str) ->
 @pytest.mark.parametrize(("name", "column"), SLOTS)
 def test_poisoned_values_never_reach_picture_or_gradients(name, column, backend):
     """Promise 10: 22 values in every input slot."""
-    camera = front_camera(64, 48, 200.0)
+    camera = front_camera(32, 24, 100.0)
     for value in POISON:
-        hand = hand_with(name, 600)
+        hand = hand_with(name, 200)
         tensor = getattr(hand, name)
         (tensor if tensor.ndim == 1 else tensor[:, column])[::7] = value
         assert_finite(*draw_and_differentiate(hand, camera, backend), f"{name}[{column}] = {value}")

@@ -23,7 +23,7 @@ from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.skeleton import Transform
-from jghand_engine.learn.ablation import LiveHand, chosen_variants, variant_folder
+from jghand_engine.learn.ablation import LiveHand, chosen_variants
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.render.camera import Camera
@@ -98,12 +98,6 @@ def test_variants_are_chosen_by_name_in_the_papers_order():
     assert list(chosen_variants(options, ("full", "w/o trans"))) == ["w/o trans", "full"]
     with pytest.raises(InputError, match="w/o shadow, "):
         chosen_variants(options, ("w/o hands",))
-
-
-def test_every_variant_has_a_folder_of_its_own(tmp_path):
-    folders = [variant_folder(tmp_path, name) for name in ablations(TrainOptions())]
-    assert len(set(folders)) == len(folders)
-    assert variant_folder(tmp_path, "w/o trans") == tmp_path / "without_trans"
 
 
 @pytest.fixture(scope="module")

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from small_avatars import trained_tensors
 
 from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH, LIGHT_TO_DISPLAY
-from jghand_engine.avatar.learned import CAPSULE_RADII_MM, OWN_FLESH_RADII, own_flesh
+from jghand_engine.avatar.learned import OWN_FLESH_RADII, own_flesh
 from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.cast_shadow import (
     CastTensors,
@@ -141,14 +139,6 @@ def test_flesh_is_ones_own_on_its_bone_and_not_elsewhere():
         assert bool((own[a][distance > far + 1e-4] == 0).all())
 
 
-def test_capsules_run_from_joint_to_joint_and_grow_with_the_hand():
-    start, end, radius_m = capsules(CANONICAL_M, torch.tensor(2.0).double())
-    for bone in range(20):
-        assert torch.equal(start[bone], CANONICAL_M[PARENTS[bone + 1]])
-        assert torch.equal(end[bone], CANONICAL_M[bone + 1])
-    torch.testing.assert_close(radius_m, 2e-3 * torch.tensor(CAPSULE_RADII_MM).double())
-
-
 # ---- the loss of light -----------------------------------------------------------------------------------------------
 
 
@@ -183,26 +173,9 @@ def test_only_the_hidden_lamp_and_its_color_are_missing():
     assert not loss[:, 1:].any()
 
 
-def test_brighter_lamps_of_the_same_ratios_cast_the_same_shadow():
-    seen = seen_of("fist")
-    brighter = replace(CAST, lamp_rgb=7 * CAST.lamp_rgb, bounced_rgb=7 * CAST.bounced_rgb)
-    torch.testing.assert_close(exponent(brighter, seen), exponent(CAST, seen))
-
-
 def test_no_light_at_all_is_no_shadow():
     dark = replace(CAST, lamp_rgb=torch.zeros(20, 3), bounced_rgb=torch.zeros(3))
     assert not exponent(dark, seen_of("fist")).any()
-
-
-def test_a_nudge_of_the_joints_changes_the_shadow_a_little():
-    joints_m = named_pose("fist", CANONICAL_M.numpy(), handedness=AVATAR.handedness)
-    nudged_m = joints_m + 1e-5 * np.random.default_rng(0).uniform(-1, 1, joints_m.shape)
-    transform = JointTransform(CANONICAL_M, handedness=AVATAR.handedness)
-    here, there = (
-        exponent(CAST, see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(j)))) for j in (joints_m, nudged_m)
-    )
-    # observed 0.013: ten micrometers
-    assert 0 < float((here - there).abs().max()) < 0.014
 
 
 def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
@@ -266,11 +239,6 @@ def test_an_anchor_keeps_its_own_value_and_others_mix_their_nearest():
     assert torch.equal(anchors.nearest.sort(1).values, distance.topk(3, largest=False).indices.sort(1).values)
 
 
-def test_a_prefix_spreads_the_same_to_fewer():
-    values = torch.rand(60, 3)
-    assert torch.equal(CAST.prefix(70).anchors.spread(values), CAST.anchors.spread(values)[:70])
-
-
 # ---- on the skin -----------------------------------------------------------------------------------------------------
 
 
@@ -283,10 +251,3 @@ def test_the_skin_is_darker_by_the_cast_shadow():
     torch.testing.assert_close(
         (with_ / without)[clear], exponent(CAST, seen_of("fist")).exp()[clear], atol=0, rtol=6e-16
     )
-
-
-def test_what_is_known_of_the_lamps_is_not_computed_again():
-    bones, seen = bones_of("fist"), seen_of("flat")
-    other = pose_skin(AVATAR, bones, seen=seen).matt.rgb
-    assert not torch.equal(other, pose_skin(AVATAR, bones).matt.rgb)
-    assert torch.equal(pose_skin(AVATAR, bones, seen=seen_of("fist")).matt.rgb, pose_skin(AVATAR, bones).matt.rgb)

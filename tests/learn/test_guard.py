@@ -78,7 +78,7 @@ PLACES = [
 @pytest.mark.parametrize(
     ("where", "name", "value"),
     [
-        *((*place, math.nan) for place in PLACES),
+        *((*place, math.nan) for place in PLACES[::3]),
         (*PLACES[0], math.inf),
         (*PLACES[7], -math.inf),
         (*PLACES[-1], math.inf),

@@ -182,8 +182,13 @@ def test_a_bad_joint_spoils_only_its_own_hand(bad):
         assert torch.equal(bones.matrices()[[0, 2]], good.matrices()[[0, 2]])
 
 
-@pytest.mark.parametrize(("swing", "mode"), MODES)
-@pytest.mark.parametrize("pose", ["generic", "straight", "collinear", "millimeters", "left"])
+@pytest.mark.parametrize(
+    ("swing", "mode", "pose"),
+    [
+        *((*mode, "generic") for mode in MODES),
+        *((*mode, pose) for mode in (MODES[1], MODES[5]) for pose in ("straight", "collinear", "millimeters", "left")),
+    ],
+)
 def test_gradients_are_the_derivatives(swing, mode, pose):
     joints = hands.sample(1, seed=3, palm_m=0.003, bone=0.1, shift_m=0.0, turned=False)[0]
     unit = 1000.0 if pose == "millimeters" else 1.0
@@ -196,7 +201,7 @@ def test_gradients_are_the_derivatives(swing, mode, pose):
     handedness = Handedness.LEFT if pose == "left" else Handedness.RIGHT
     transform = JointTransform(CANONICAL_M, handedness=handedness, swing=swing, scale_mode=mode)
     # a fixed random mixture of all entries: fewer backward passes, nothing cancels
-    mix = torch.randn(21 * 12, 24, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) / 16
+    mix = torch.randn(21 * 12, 12, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) / 16
 
     def outputs(x):
         bones = transform.bones(x)

@@ -56,12 +56,6 @@ def test_st_lpips_is_that_of_its_package(st_lpips, sigma, published):
     assert float(st_lpips.distance(blurred(picture(), sigma), picture())) == pytest.approx(published, rel=1e-4)
 
 
-def test_st_lpips_grows_with_blur(st_lpips):
-    distances = [float(st_lpips.distance(blurred(picture(), sigma), picture())) for sigma in (0.5, 1, 2, 4)]
-    assert distances == sorted(distances)
-    assert distances[0] > 0
-
-
 def test_st_lpips_has_a_finite_gradient_on_black_too(st_lpips):
     ours = (0.9 * picture()).requires_grad_(True)
     st_lpips.distance(ours, picture()).backward()
@@ -70,11 +64,6 @@ def test_st_lpips_has_a_finite_gradient_on_black_too(st_lpips):
     black = torch.zeros(40, 40, 3, requires_grad=True)
     st_lpips.distance(black, torch.zeros(40, 40, 3)).backward()
     assert torch.isfinite(black.grad).all()
-
-
-def test_st_lpips_is_never_called_lpips(st_lpips):
-    assert st_lpips.name == "ST-LPIPS"
-    assert "not comparable with LPIPS" in st_lpips.note
 
 
 def test_without_its_package_there_is_no_st_lpips_and_a_sentence_says_so(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from jghand_engine.learn.checkpoint import Course
-from jghand_engine.learn.progress import PlainLines, Status, display, duration
+from jghand_engine.learn.progress import Status, display, duration
 from jghand_engine.learn.schedule import Budget, Every, Timer
 
 STATUS = Status(120, 4000, loss=0.01234, psnr=31.456, gaussians=15000, steps_per_s=2.5, seconds_left=1552)
@@ -39,14 +39,6 @@ def test_without_a_terminal_there_are_plain_lines_now_and_then():
     assert stream.getvalue().splitlines() == ["step 0 of 60", "Preview: [a].png", "step 60 of 60"]
 
 
-def test_plain_lines_can_come_with_every_step():
-    stream = io.StringIO()
-    shown = PlainLines(Console(file=stream), every_s=0.0)
-    for step in range(3):
-        shown.update(Status(step, 60))
-    assert len(stream.getvalue().splitlines()) == 3
-
-
 def test_a_terminal_shows_a_live_line():
     stream = io.StringIO()
     with display(Console(file=stream, force_terminal=True, width=140)) as shown:
@@ -57,11 +49,6 @@ def test_a_terminal_shows_a_live_line():
 
 
 # ---- schedule --------------------------------------------------------------------------------------------------------
-
-
-def test_a_timer_counts_anew_each_time():
-    timer = Timer(Every(steps=10), 5, 0.0)
-    assert [step for step in range(6, 40) if timer.is_due(step, 0.0)] == [15, 25, 35]
 
 
 def test_the_first_time_may_come_earlier():

@@ -137,10 +137,10 @@ def test_a_collapsed_blend_has_finite_gradients():
     assert torch.isfinite(linear.grad).all()
 
 
-@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("pose", ["fist", "pinch"])
 def test_gradients_with_respect_to_the_joints_are_those_of_finite_differences(pose):
-    avatar = small_tensors(12)
-    offset_m = torch.full((12, 3), 1e-3, dtype=torch.float64)
+    avatar = small_tensors(6)
+    offset_m = torch.full((6, 3), 1e-3, dtype=torch.float64)
 
     def posed(joints_m: torch.Tensor) -> torch.Tensor:
         g = posed_with(avatar, bones_of(avatar, joints_m), offset_m)

@@ -109,12 +109,6 @@ def test_a_hand_that_fills_the_picture_keeps_all_of_it(tmp_path):
     assert corner_of(sample, view) == (0, 0)
 
 
-def test_a_picture_smaller_than_the_least_cut_is_kept_whole(tmp_path):
-    sample = sample_with(tmp_path, boxed(slice(5, 6), slice(3, 9), (20, 16)))
-    view = Pictures().view(sample)
-    assert (view.camera.width, view.camera.height) == (20, 16)
-
-
 def test_a_picture_without_a_hand_is_refused_by_name(tmp_path):
     sample = sample_with(tmp_path, boxed(slice(0, 0), slice(0, 0)), name="nobody")
     with pytest.raises(InputError, match=r"nobody\.png.*empty mask"):
@@ -157,15 +151,6 @@ def test_a_coarser_pixel_is_the_mean_of_those_it_covers(tmp_path, stride):
     torch.testing.assert_close(small.mask, mask.mean((1, 3)))
 
 
-def test_the_view_itself_is_not_changed_by_a_coarser_one(tmp_path):
-    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
-    first = pictures.view(sample)
-    pictures.view(sample, 2)
-    again = pictures.view(sample)
-    assert torch.equal(first.rgb, again.rgb)
-    assert (first.camera.width, first.camera.fx) == (again.camera.width, again.camera.fx)
-
-
 # ---- keeping ---------------------------------------------------------------------------------------------------------
 
 
@@ -180,13 +165,6 @@ def loads(monkeypatch) -> list[str]:
 
     monkeypatch.setattr(pictures_module, "load_picture", load)
     return names
-
-
-def test_a_picture_is_read_once(tmp_path, loads):
-    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
-    views = [pictures.view(sample), pictures.view(sample, 2), pictures.view(sample)]
-    assert loads == ["picture"]
-    assert torch.equal(views[0].rgb, views[2].rgb)
 
 
 def test_pictures_that_do_not_fit_are_read_again_the_longest_unused_first(tmp_path, loads, monkeypatch):
@@ -206,11 +184,3 @@ def test_one_picture_is_kept_even_when_it_is_larger_than_the_room(tmp_path, load
     pictures.view(sample)
     pictures.view(sample)
     assert loads == ["picture"]
-
-
-def test_changing_a_view_does_not_change_what_is_kept(tmp_path):
-    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
-    first = pictures.view(sample)
-    wanted = first.rgb.clone()
-    first.rgb.zero_()
-    assert torch.equal(pictures.view(sample).rgb, wanted)
