@@ -78,7 +78,6 @@ def vectors(array) -> Vt.Vec3fArray:
         ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
         ("extent", vectors([[-0.005, 0, -0.02], [0.1, 0.2, 0.1]]), None, "extent at Default time does not hold"),
         ("extent", vectors(np.zeros((1, 3))), None, "extent at Default time has 1 vectors"),
-        ("extent", vectors(np.zeros((3, 3))), 2, "extent at time 2 has 3 vectors"),
         ("extent", vectors(np.full((2, 3), np.nan)), 1, "extent at time 1 does not hold the Gaussians"),
         ("positions", None, None, "positions have no Default value"),
         (
@@ -88,14 +87,8 @@ def vectors(array) -> Vt.Vec3fArray:
             "scales are not all above 0 at time 1, but from -6.9 to -6.9",
         ),
         ("scales", vectors(np.full((7, 3), 0.001)), 1, "wanted 805, got 7 at time 1"),
-        ("scales", vectors(np.full((COUNT, 3), np.nan)), 1, "scales hold NaN or infinity at time 1"),
         ("opacities", floats(np.linspace(-4, 4, COUNT)), 1, "from -4 to 4: they are probably logits"),
-        ("opacities", floats([0.5]), 1, "wanted 805, got 1 at time 1"),
-        ("opacities", floats(np.full(COUNT, np.nan)), 1, "opacities hold NaN or infinity at time 1"),
         ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), 1, "unit quaternions at time 1"),
-        ("orientations", Vt.QuatfArray(3, Gf.Quatf(1)), 1, "orientations: wanted 805, got 3 at time 1"),
-        (HARMONICS, vectors(np.full((COUNT, 3), np.inf)), 1, "harmonics hold NaN or infinity at time 1"),
-        (HARMONICS, vectors(np.zeros((3, 3))), 1, "wanted 805, got 3 at time 1"),
         (
             HARMONICS,
             vectors(np.random.default_rng(0).uniform(0, 1, (COUNT, 3))),
@@ -183,14 +176,6 @@ def test_weights_that_do_not_sum_to_one_are_reported(export):
     assert any("do not sum to 1" in sentence for sentence in sentences(export.stage))
 
 
-def test_weights_that_are_not_so_many_per_point_are_reported(export):
-    stage = Usd.Stage.Open(str(export.stage.parent / "hand.rig.usdc"))
-    attr = stage.GetPrimAtPath("/Rig/Mesh").GetAttribute("primvars:skel:jointWeights")
-    attr.Set(floats(np.asarray(attr.Get())[:-1]))
-    stage.Save()
-    assert any("readers drop them all" in sentence for sentence in sentences(export.stage))
-
-
 @pytest.mark.parametrize("count", [1, 3])
 def test_points_with_an_extent_that_is_no_box_are_reported(export, count):
     stage = Usd.Stage.Open(str(export.stage.parent / "hand.splats.usdc"))
@@ -268,12 +253,6 @@ def test_notes_are_no_errors_and_come_last(export):
     stage.Save()
     kinds = [finding.is_error for finding in check_usd(export.stage)]
     assert kinds == [True, False]
-
-
-def test_what_is_wrong_in_every_variant_is_said_once(export):
-    found = broken_interface(export, "metersPerUnit = 1", "")
-    assert len([sentence for sentence in found if "metersPerUnit" in sentence]) == 1, found
-    assert not any(sentence.startswith("[") for sentence in found), found
 
 
 def lone_splats(path, parent: str = "/World", kind: str = "Xform", **values) -> Usd.Stage:
@@ -403,11 +382,3 @@ def test_a_color_space_may_be_said_above_the_splats(tmp_path):
     world.GetColorSpaceNameAttr().Set("ours")
     stage.Save()
     assert any("'ours' is unknown" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
-
-
-def test_one_value_that_slipped_is_not_called_a_logit(tmp_path):
-    stage = lone_splats(tmp_path / "theirs.usda")
-    stage.GetPrimAtPath("/World/Cloud").GetAttribute("opacities").Set(floats([1.25, 0.5, 0.5, 0.5, 0.5]))
-    stage.Save()
-    (found,) = sentences(tmp_path / "theirs.usda")
-    assert found.endswith("opacities are not all from 0 to 1 at Default time, but from 0.5 to 1.25")

@@ -18,7 +18,6 @@ from usd_stages import opened
 
 from jghand_engine.errors import InputError
 from jghand_engine.export.motion import HandMotion
-from jghand_engine.export.splats.cloud import SteadyAxes
 from jghand_engine.export.usd import package
 from jghand_engine.export.usd.check import NO_SPLATS, check_usd
 from jghand_engine.export.usd.package import UsdOptions, export_usd
@@ -215,21 +214,6 @@ def _shape_errors(splats: Usd.Prim, time, covariance_m2: np.ndarray) -> np.ndarr
     xx, xy, xz, yy, yz, zz = covariance_m2.astype(np.float64).T
     wanted = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
     return np.linalg.norm(covariance - wanted, axis=(1, 2)) / np.linalg.norm(wanted, axis=(1, 2))
-
-
-def test_ellipsoids_are_numbered_by_the_frames_that_are_written_and_by_no_other(tmp_path, monkeypatch):
-    """An estimate that looked at a frame too would change the files."""
-    avatar = ellipsoid_avatar(30)
-    avatar = replace(avatar, info=replace(avatar.info, template=load_template().identifier))
-    asked, steady = [], SteadyAxes.__call__
-
-    def counted(self, covariance_m2):
-        asked.append(covariance_m2)
-        return steady(self, covariance_m2)
-
-    monkeypatch.setattr(SteadyAxes, "__call__", counted)
-    export_usd(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
-    assert len(asked) == 3, "at rest and twice"
 
 
 def test_ellipsoids_between_two_frames_are_what_they_are_there(tmp_path):

@@ -151,11 +151,6 @@ def test_a_page_of_ours_is_replaced_and_other_files_stay(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == FILES | {"notes.txt"}
 
 
-def test_every_file_of_a_page_is_known_as_ours(tmp_path):
-    exported(tmp_path)
-    assert all(web._has(tmp_path / name, web._MARKS[name]) for name in FILES)
-
-
 @pytest.mark.parametrize("written", range(5))
 def test_an_export_that_the_disk_stopped_can_be_tried_again(tmp_path, monkeypatch, written):
     synced = []
@@ -182,12 +177,6 @@ def test_a_page_of_somebody_else_stays_as_it_is(tmp_path, name):
         exported(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "<html>mine</html>"
-
-
-def test_a_folder_that_is_a_file_is_named(tmp_path):
-    (tmp_path / "page").write_text("")
-    with pytest.raises(InputError, match="page"):
-        exported(tmp_path / "page")
 
 
 def test_a_motion_with_gaps_or_too_long_is_refused(tmp_path):
@@ -234,36 +223,6 @@ def test_every_license_is_with_the_scripts():
     assert all("integrity" in about for name, about in lock.items() if name)
 
 
-def test_packages_whose_installation_was_stopped_are_installed_again(tmp_path, monkeypatch):
-    calls = []
-
-    def npm(*command, cwd):
-        calls.append(command)
-        (cwd / "node_modules").mkdir(exist_ok=True)
-        if len(calls) in (1, 3):
-            raise RuntimeError("stopped half-way")
-
-    def install(name: str) -> None:
-        build_web_viewer.install_packages(tmp_path / name, tmp_path / "installed")
-
-    for name in ("ours", "other"):
-        (tmp_path / name).mkdir()
-        for file in ("package.json", "package-lock.json"):
-            (tmp_path / name / file).write_text(name)
-    monkeypatch.setattr(build_web_viewer, "run", npm)
-    with pytest.raises(RuntimeError):
-        install("ours")
-    for _ in range(2):
-        install("ours")
-    assert [command[:2] for command in calls] == [("npm", "ci")] * 2
-    # what is there then is half of the one and half of the other
-    with pytest.raises(RuntimeError):
-        install("other")
-    for _ in range(2):
-        install("ours")
-    assert len(calls) == 4
-
-
 def test_a_page_that_fails_is_reported_as_one_that_shows_nothing():
     shot = {"name": "slider", "watch": True, "steps": [["pose", "fist"], ["slide", "#curl1", 0.8]]}
     assert check_web_page.idle(shot, {"ready_s": 0.1, "message": "The hand cannot be shown."}) == []
@@ -284,15 +243,6 @@ def test_rounded_numbers_keep_zero_and_are_off_by_half_a_step():
     found = np.array(about["low"])[:, None] + np.array(about["step"])[:, None] * levels
     assert np.array_equal(found[0], np.zeros((3, 16)))
     assert (np.abs(found - values) <= 0.5 * np.array(about["step"])[:, None] + 1e-12).all()
-
-
-def test_counts_are_as_narrow_as_they_can_be():
-    pack = Pack()
-    pack.counts("few", np.array([0, 255]))
-    pack.counts("many", np.array([0, 65535]))
-    assert [about["kind"] for about in pack.about.values()] == ["u1", "u2"]
-    with pytest.raises(InputError, match="65536"):
-        pack.counts("too many", np.array([65536]))
 
 
 def test_a_task_in_words_has_every_number_at_its_place():

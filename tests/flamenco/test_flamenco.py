@@ -87,14 +87,6 @@ def test_a_blend_file_becomes_runs_of_frames(compiled):
     assert [" ".join(words) for words in commands(job)] == [f"{said} {run}" for run in ("1-5", "9", "20-21")]
 
 
-def test_words_in_quotes_stay_together(compiled):
-    job, _ = compiled(**BLEND, options="""--camera "Cam Palm" --avatar '/a b/c.jghand'  --overwrite""")
-    words = commands(job)[0]
-    assert words[words.index("--camera") + 1] == "Cam Palm"
-    assert words[words.index("--avatar") + 1] == "/a b/c.jghand"
-    assert "--overwrite" in words
-
-
 @pytest.mark.parametrize(
     ("settings", "said"),
     [

@@ -63,11 +63,6 @@ def test_a_body_in_bvh_shows_which_axis_points_up(tmp_path, motion, up):
     assert distance(read, motion) < TEXT_M
 
 
-def test_the_end_site_of_bvh_is_the_tip(tmp_path, motion):
-    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, samples.MIXAMO, 100))
-    assert distance(read_motion_file(tmp_path / "a.bvh"), motion) < TEXT_M
-
-
 def test_positions_of_every_joint_take_the_place_of_offsets(tmp_path, motion):
     samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100), all_positions=True)
     assert distance(read_motion_file(tmp_path / "a.bvh"), motion) < TEXT_M
@@ -387,40 +382,6 @@ def test_arrays_of_freemocap_whose_hands_stand_elsewhere_are_refused(tmp_path):
         read_motion_file(tmp_path / "rtmpose_skeleton_3d.npy")
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("0,right_hand_wrist,1,2", "a line of 4 cells, of 5"),
-        ("one,right_hand_wrist,1,2,3", "'one'"),
-        ("\n".join(f"0,right_hand_{name},1,2,far" for name in samples.MEDIAPIPE_NAMES), "far"),
-        ("0,nose,1,2,3", "no joints of a hand"),
-    ],
-)
-def test_bad_tables_with_a_line_for_each_joint_are_refused(tmp_path, text, told):
-    path = tmp_path / "recording_by_frame.csv"
-    path.write_text(f"frame,keypoint,x,y,z\n{text}\n")
-    with pytest.raises(InputError, match=told):
-        read_motion_file(path)
-
-
-@pytest.mark.parametrize(
-    "written",
-    [
-        lambda rows: [rows[0], *sorted(rows[1:], key=lambda row: row[1])],
-        lambda rows: [["# made by somebody"], [""], *rows],
-        lambda rows: [*rows[:50], ["# a remark"], [" "], *rows[50:]],
-        lambda rows: [[f" {cell} " for cell in row] for row in rows],
-        lambda rows: [rows[0], *([f"{row[0]}.0", *row[1:]] for row in rows[1:])],
-        lambda rows: [[*row, "timestamp" if row is rows[0] else "2026-11-22 10:00"] for row in rows],
-    ],
-)
-def test_a_line_for_each_joint_may_be_written_in_many_ways(tmp_path, motion, written):
-    path = tmp_path / "recording_by_frame.csv"
-    rows = [line.split(",") for line in samples.freemocap_lines([motion], 2).splitlines()]
-    path.write_text("\n".join(",".join(row) for row in written(rows)) + "\n")
-    assert distance(read_motion_file(path), motion) < EXACT_M
-
-
 def test_hands_of_two_trackers_are_told_apart_by_their_names(tmp_path):
     first, second = samples.motion(RIGHT), samples.motion(RIGHT, frames=30)
     path = tmp_path / "freemocap_data_by_frame.csv"
@@ -432,38 +393,6 @@ def test_hands_of_two_trackers_are_told_apart_by_their_names(tmp_path):
     assert distance(read_motion_file(path, MotionFormat(part="rtmpose")), first) < EXACT_M
 
 
-def test_files_of_two_trackers_are_told_apart_by_their_names(tmp_path):
-    hands = {"mediapipe": samples.motion(RIGHT), "rtmpose": samples.motion(RIGHT, frames=30)}
-    for name, motion in hands.items():
-        np.save(tmp_path / f"{name}_right_hand_3d_xyz.npy", samples.standard(motion) * 1000)
-    with pytest.raises(InputError, match="--part"):
-        read_motion_file(tmp_path)
-    for name, motion in hands.items():
-        assert distance(read_motion_file(tmp_path, MotionFormat(part=name)), motion) < EXACT_M
-
-
-def test_a_hand_that_is_seldom_there_and_has_no_times_leaves_the_other_alone(tmp_path, motion):
-    left = samples.freemocap_lines([samples.motion(LEFT, frames=2)], 1).splitlines()[1:]
-    blank = [",".join([line.split(",")[0], "", *line.split(",")[2:]]) for line in left]
-    path = tmp_path / "recording_by_frame.csv"
-    path.write_text(samples.freemocap_lines([motion], 1) + "\n".join(blank) + "\n")
-    read = read_motion_file(path, MotionFormat(handedness=RIGHT))
-    assert distance(read, motion) < EXACT_M
-    assert read.sequence.fps == 50
-    assert np.flatnonzero(read_motion_file(path, MotionFormat(handedness=LEFT)).sequence.valid.any(1)).tolist() == [
-        0,
-        1,
-    ]
-
-
-def test_a_table_without_hands_hides_no_other_of_its_folder(tmp_path, motion):
-    (tmp_path / "sales_by_frame.csv").write_text("a,b,c\n1,2,3\n")
-    with pytest.raises(InputError, match="neither frames of OpenPose nor hands of FreeMoCap"):
-        read_motion_file(tmp_path)
-    (tmp_path / "x_by_frame.csv").write_text(samples.freemocap_lines([motion], 2))
-    assert distance(read_motion_file(tmp_path), motion) < EXACT_M
-
-
 def test_each_file_of_a_recording_has_its_own_times(tmp_path):
     hands = {side: samples.motion(side, frames=frames) for side, frames in ((RIGHT, 40), (LEFT, 30))}
     for (side, motion), fps in zip(hands.items(), (50, 25), strict=True):
@@ -473,14 +402,6 @@ def test_each_file_of_a_recording_has_its_own_times(tmp_path):
     for (side, motion), fps in zip(hands.items(), (50, 25), strict=True):
         read = read_motion_file(tmp_path, MotionFormat(handedness=side))
         assert (len(read.sequence), read.sequence.fps) == (len(motion), fps)
-
-
-def test_what_a_file_of_freemocap_is_its_content_says(tmp_path, motion):
-    np.save(tmp_path / "a.npy", samples.standard(motion) * 1000)
-    (tmp_path / "a.npy").rename(tmp_path / "right_hand_3d_xyz")
-    (tmp_path / "lines.npy").write_text(samples.freemocap_lines([motion], 2))
-    for name in ("right_hand_3d_xyz", "lines.npy"):
-        assert distance(read_motion_file(tmp_path / name), motion) < EXACT_M
 
 
 @pytest.mark.parametrize(("centers", "face"), [(0, 0), (0, 478), (4, 0), (4, 136)])

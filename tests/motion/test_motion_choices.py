@@ -10,7 +10,6 @@ import pytest
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.motion import points
 from jghand_engine.motion.choose import named
 from jghand_engine.motion.content import MotionFormat
 from jghand_engine.motion.read import read_motion_file
@@ -74,13 +73,6 @@ def test_a_name_that_begins_another_one_is_chosen():
     assert named("run", ["WalkFast", "Walk"]) == []
 
 
-def test_capture_1_is_not_capture_10(tmp_path):
-    motion = samples.motion()
-    (tmp_path / "joint_3d.json").write_text(json.dumps(samples.interhand_document(motion, ("1", "10"))))
-    read = read_motion_file(tmp_path / "joint_3d.json", MotionFormat(part="Capture1"))
-    assert len(read.sequence) == len(motion)
-
-
 def test_frames_that_interhand_leaves_out_are_gaps_and_a_jump_begins_another_sequence(tmp_path):
     document = samples.interhand_document(samples.motion())
     for number in (5, 6, 7):
@@ -111,13 +103,6 @@ def test_a_good_file_is_not_called_damaged(tmp_path, content, says):
     with pytest.raises(InputError, match=says) as caught:
         read_motion_file(tmp_path / "motion.any")
     assert "damaged" not in str(caught.value)
-
-
-def test_a_damaged_file_is_called_so_in_words(tmp_path):
-    (tmp_path / "motion.any").write_bytes(b"HIERARCHY\n")
-    with pytest.raises(InputError, match=r"\.any: wanted an undamaged file, got no MOTION in it\.") as caught:
-        read_motion_file(tmp_path / "motion.any")
-    assert "ValueError" not in str(caught.value)
 
 
 def test_a_part_that_is_in_no_file_of_one_hand_is_refused(tmp_path):
@@ -157,21 +142,3 @@ def test_a_plain_array_that_says_no_rate_is_told_its_own(tmp_path):
     assert any("30 are taken; --fps" in note for note in read_motion_file(tmp_path / "a.npy", told).notes)
     (tmp_path / "a.json").write_text(json.dumps(samples.standard(samples.motion()).tolist()))
     assert any("30 are taken; --fps" in note for note in read_motion_file(tmp_path / "a.json", told).notes)
-
-
-def test_names_of_joints_that_stay_the_same_are_looked_at_once(tmp_path, monkeypatch):
-    looked = []
-    among = points.hands_among
-    monkeypatch.setattr(points, "hands_among", lambda names: looked.append(names) or among(names))
-    points._hands_among.cache_clear()
-    joints = samples.webxr_joints(samples.motion()).tolist()
-    frames = [
-        {"time": number / 30, "right": dict(zip(samples.WEBXR_NAMES, one, strict=True))}
-        for number, one in enumerate(joints)
-    ]
-    (tmp_path / "a.json").write_text(json.dumps(frames))
-    read = read_motion_file(tmp_path / "a.json", MotionFormat(handedness=Handedness.RIGHT))
-    assert len(read.sequence) == 40
-    assert np.abs(read.sequence.joints_m - samples.motion().joints_m).max() < 1e-15
-    # those of a hand, and those of the frame around it, which is none
-    assert len(looked) <= 2

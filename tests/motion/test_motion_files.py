@@ -53,23 +53,11 @@ def test_plain_arrays_are_read_in_the_order_and_unit_that_are_told(tmp_path, ord
     assert (again.fps, again.handedness) == (60.0, Handedness.LEFT)
 
 
-def test_single_precision_arrays_are_read(tmp_path):
-    path = tmp_path / "motion.npy"
-    np.save(path, from_level(_motion().joints_m, JointOrder.STANDARD).astype(np.float32))
-    assert np.abs(read_motion_file(path, TOLD).sequence.joints_m - _motion().joints_m).max() < 1e-7
-
-
 def test_the_hand_of_a_plain_array_is_asked_for(tmp_path):
     path = tmp_path / "motion.npy"
     np.save(path, from_level(_motion().joints_m, JointOrder.STANDARD))
     with pytest.raises(InputError, match="Say the hand with --hand"):
         read_motion_file(path, MotionFormat(JointOrder.STANDARD, "m"))
-
-
-def test_without_a_rate_it_is_30(tmp_path):
-    path = tmp_path / "motion.npy"
-    np.save(path, from_level(_motion().joints_m, JointOrder.STANDARD))
-    assert read_motion_file(path, MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT)).sequence.fps == 30.0
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -86,13 +74,6 @@ def test_what_the_file_declares_must_not_be_contradicted(tmp_path, suffix, told,
     write_motion(path, _motion())
     with pytest.raises(InputError, match=says):
         read_motion_file(path, told)
-
-
-def test_saying_the_same_as_the_file_or_another_rate_is_fine(tmp_path):
-    path = tmp_path / "motion.npz"
-    write_motion(path, _motion())
-    told = MotionFormat(JointOrder("mediapipe"), "m", Handedness.RIGHT, 48.0)
-    assert read_motion_file(path, told).sequence.fps == 48.0
 
 
 def test_wrong_order_and_unit_are_caught_by_the_bones(tmp_path):
@@ -196,26 +177,6 @@ def test_a_column_of_times_is_the_clock_where_no_rate_is_declared(tmp_path, name
     assert np.array_equal(read.sequence.joints_m, motion.joints_m)
     path.write_text("\n".join(["# fps: 25", *lines]))
     assert read_motion_file(path, MotionFormat(unit="m", handedness=Handedness.RIGHT)).sequence.fps == 25.0
-
-
-@pytest.mark.parametrize("clock", ["timestamp_ms", "Time (s)"])
-@pytest.mark.parametrize("named", [True, False])
-@pytest.mark.parametrize("place", ["behind the frame", "last"])
-def test_a_column_of_times_may_have_any_usual_name_and_stand_anywhere(tmp_path, clock, named, place):
-    motion = _motion()
-    listed = from_level(motion.joints_m, JointOrder.STANDARD).reshape(len(motion), 63).tolist()
-    names = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"] if named else [f"c{k}" for k in range(63)]
-    times = [str((1000 if "ms" in clock else 1) * number / 120) for number in range(len(motion))]
-    rows = [list(map(repr, row)) for row in listed]
-    if place == "last":
-        table = [[*names, clock], *([*row, time] for row, time in zip(rows, times, strict=True))]
-    else:
-        table = [["frame", clock, *names], *(["7", time, *row] for row, time in zip(rows, times, strict=True))]
-    path = tmp_path / "motion.csv"
-    path.write_text("\n".join(map(",".join, table)))
-    read = read_motion_file(path, MotionFormat(unit="m", handedness=Handedness.RIGHT))
-    assert read.sequence.fps == 120.0
-    assert np.array_equal(read.sequence.joints_m, motion.joints_m)
 
 
 def test_csv_errors_name_row_and_column(tmp_path):

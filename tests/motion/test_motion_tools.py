@@ -64,13 +64,6 @@ def test_gaps_at_both_ends_hold_what_is_next_to_them():
     np.testing.assert_allclose(filled[-1], whole.joints_m[35], atol=1e-15)
 
 
-def test_a_whole_motion_is_left_alone():
-    whole = motion_samples.motion()
-    filled = fill_gaps(whole)
-    assert filled.sequence is whole
-    assert filled.sentence() == ""
-
-
 def test_a_long_gap_says_that_nobody_knows():
     whole = motion_samples.motion(frames=80)
     assert "not known" in fill_gaps(_without(whole, slice(10, 40))).sentence()
@@ -226,23 +219,3 @@ def test_a_joint_beyond_a_missing_one_is_not_lost_at_another_rate():
     fine = whole.resampled(60.0).joints_m
     # the fingertip goes along a straight line for 6 degrees: worst seen 1.7e-4 m
     np.testing.assert_allclose(doubled.joints_m[doubled.valid], fine[doubled.valid], rtol=0, atol=2e-4)
-
-
-def test_in_place_frames_without_a_wrist_are_left():
-    motion = _without(motion_samples.motion(), slice(4, 6), [0])
-    still = in_place(motion)
-    assert np.array_equal(still.valid, motion.valid)
-    assert np.array_equal(still.joints_m[4:6, 1:], motion.joints_m[4:6, 1:])
-
-
-def test_more_frames_than_a_motion_has_are_refused():
-    slow = PoseSequence(motion_samples.motion().joints_m, 0.1, motion_samples.motion().handedness)
-    with pytest.raises(InputError, match="at most 1000000 frames"):
-        slow.resampled(10_000.0)
-
-
-def test_another_rate_is_the_same_however_many_frames_are_taken_at_once(monkeypatch):
-    motion = motion_samples.motion()
-    wanted = motion.resampled(77.0).joints_m
-    monkeypatch.setattr("jghand_engine.hand.sequence.POSES_AT_ONCE", 7)
-    np.testing.assert_allclose(motion.resampled(77.0).joints_m, wanted, atol=1e-15)
