@@ -26,6 +26,9 @@ from ..renderer.jobs import Job, JobSpec, Phase
 from ..ui import redraw
 from .recording import Recording, check_place, file_names, with_file_name
 
+# without a window, or for a script, a job is waited for a day
+_WAIT_S = 86400.0
+
 
 class StartsJob(InTurns):
     """An operator that records hands and then starts a job. `job(context, recordings)` says which, None for none;
@@ -88,7 +91,8 @@ class StartsJob(InTurns):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """All of it; of a click that was asked about, in turns, which Blender's dialog alone would not do."""
         if self.confirmed and context.window is not None and not bpy.app.background:
-            getattr(bpy.ops.jghand, self.bl_idname.partition(".")[2])("INVOKE_DEFAULT", **self.as_keywords())
+            # not self.bl_idname, which is JGHAND_OT_…
+            getattr(bpy.ops.jghand, type(self).bl_idname.partition(".")[2])("INVOKE_DEFAULT", **self.as_keywords())
             return DONE
         return super().execute(context)
 
@@ -111,7 +115,7 @@ class StartsJob(InTurns):
     def run(self, context: bpy.types.Context) -> None:
         super().run(context)
         if self._job is not None and (self.wait or not runtime.timers_fire()):
-            self._job.wait(limits.JOB_WAIT_S)
+            self._job.wait(_WAIT_S)
             self._end(context, self._job)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from ..core import limits
 from ..core.panel_text import Translate
 from ..core.view import SHIPPED_AVATARS
 from ..errors import JGHandFailure
@@ -29,6 +28,8 @@ _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM",
 # bytes of one Gaussian and frame; as the engine's exporters write them
 _PLY_BYTES = 68
 _POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
+# what a USD stage holds beside its samples: skeleton and mesh, and of every Gaussian what does not move (measured)
+_STATIC_BYTES, _STATIC_GAUSSIAN_BYTES = 300_000, 98
 
 
 # what suits a program: the variant that is shown first, and the size of points; a test compares it with the engine's
@@ -177,7 +178,7 @@ class Written:
         if self.ply:
             return gaussians * frames * _PLY_BYTES
         sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOR_BYTES * learned
-        still = gaussians * (limits.USD_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned)) + limits.USD_STATIC_BYTES
+        still = gaussians * (_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned)) + _STATIC_BYTES
         return gaussians * (frames + 1) * sample + still
 
 

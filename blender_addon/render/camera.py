@@ -9,10 +9,14 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..core import limits
 from ..core.view import CLIP_START_M, OPENCV_FROM_BLENDER, Part, Pinhole, pinhole_from
 from ..errors import JGHandFailure
 from ..hand.armature import evaluated_object
+
+# a camera whose normalized axes leave orthogonality by more than this is sheared by its parents
+_SHEAR_MAX = 1e-4
+# part by which fx and fy of a camera may differ and still mean square pixels
+_SQUARE_PIXEL_MAX = 1e-6
 
 
 def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
@@ -55,7 +59,7 @@ def region(render: bpy.types.RenderSettings, size: tuple[int, int] | None = None
     # Blender multiplies in single precision and cuts; it counts rows from the bottom
     left, right = (int(np.float32(edge) * np.float32(width)) for edge in (render.border_min_x, render.border_max_x))
     bottom, top = (int(np.float32(edge) * np.float32(height)) for edge in (render.border_min_y, render.border_max_y))
-    if right - left < limits.REGION_MIN_PX or top - bottom < limits.REGION_MIN_PX:
+    if right <= left or top <= bottom:
         raise JGHandFailure("empty_region")
     return Part(left, height - top, right, height - bottom)
 
@@ -65,7 +69,7 @@ def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.type
 
     Raises JGHandFailure (pixel_aspect) for pixels that are not square.
     """
-    if abs(view.fx / view.fy - 1) > limits.SQUARE_PIXEL_MAX:
+    if abs(view.fx / view.fy - 1) > _SQUARE_PIXEL_MAX:
         raise JGHandFailure("pixel_aspect", f"{name}: fx is {view.fx:g}, fy {view.fy:g}")
     unit_m = context.scene.unit_settings.scale_length
     data = bpy.data.cameras.new(name)
@@ -128,7 +132,7 @@ def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:
     if size.min() <= 0:
         raise JGHandFailure("zero_scale", camera.name)
     axes = axes / size
-    if np.abs(axes.T @ axes - np.eye(3)).max() > limits.SHEAR_MAX or np.linalg.det(axes) < 0:
+    if np.abs(axes.T @ axes - np.eye(3)).max() > _SHEAR_MAX or np.linalg.det(axes) < 0:
         raise JGHandFailure("sheared_camera", camera.name)
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = axes.T, -axes.T @ world_from_camera[:3, 3] * unit_m

@@ -32,8 +32,8 @@ from .process import HIDDEN, cleaned_environment
 
 # what every job gets; see jghand_engine/cli/machine.py
 PROGRESS_OPTION = "--progress-json"
-# letters of a job's text that are kept
-_TEXT_MAX = 300
+# bytes of one line of a job, and letters of its text that are kept
+_LINE_MAX, _TEXT_MAX = 65536, 300
 
 
 # ---- what is known of a job ------------------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ class Job:
     def _read(self, pipe: IO[bytes]) -> None:
         """Keeps a pipe from filling up. However much comes, only the newest is kept."""
         with pipe:
-            for raw in iter(lambda: pipe.readline(limits.JOB_LINE_MAX), b""):
+            for raw in iter(lambda: pipe.readline(_LINE_MAX), b""):
                 line = raw.decode("utf-8", "replace").rstrip()
                 self._heard_s = time.monotonic()
                 content = parse_line(line)

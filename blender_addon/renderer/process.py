@@ -29,6 +29,10 @@ HIDDEN = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 # what Blender's own process would impose on another Python
 _DROPPED = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "LD_LIBRARY_PATH", "LD_PRELOAD", "OCIO")
 _DROPPED_PREFIXES = ("DYLD_", "BLENDER_")
+# to a port of this machine: longer means that something is in between
+_CONNECT_S = 5.0
+# after the end of the process, what it printed last may still be on its way
+_LAST_WORDS_S = 0.2
 
 
 def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -105,7 +109,7 @@ class EngineProcess:
             raise LostError("protocol", f"extension {protocol.PROTOCOL_VERSION}, engine {theirs}")
         try:
             address = ("127.0.0.1", int(self.handshake.get("port", 0)))
-            self.socket = socket.create_connection(address, timeout=limits.WELCOME_S)
+            self.socket = socket.create_connection(address, timeout=_CONNECT_S)
             self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.socket.setblocking(False)
         except (OSError, ValueError, TypeError, OverflowError) as error:
@@ -155,7 +159,7 @@ class EngineProcess:
         if code is None:
             return None
         for drain in self._drains:  # its last words may still be on their way
-            drain.join(limits.LAST_WORDS_S)
+            drain.join(_LAST_WORDS_S)
         missing = [line for line in tuple(self._log) if "No module named" in line]
         if not self.handshake and missing:
             return LostError("no_engine", missing[-1].strip())

@@ -10,7 +10,6 @@ import bpy.utils.previews
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
-from ..core import limits
 from ..errors import JGHandFailure
 from ..export import ops_common
 from ..preferences import preferences
@@ -18,6 +17,9 @@ from ..renderer import runtime
 from ..renderer.panel import draw_job
 from ..ui import Sidebar
 from .training_folder import TrainingFolder, TrainingReader, curve_picture, folder_of
+
+# width and height of the picture of the loss
+_CURVE_PX = (256, 160)
 
 _reader: TrainingReader | None = None
 _icons: bpy.utils.previews.ImagePreviewCollection | None = None
@@ -101,7 +103,7 @@ def _show(seen: TrainingFolder) -> None:
     if before.loss != seen.loss or before.path != seen.path:
         _icons.pop("loss", None)
         if seen.loss.steps:
-            ui.store_picture(_icons, "loss", curve_picture(seen.loss, *limits.CURVE_PX))
+            ui.store_picture(_icons, "loss", curve_picture(seen.loss, *_CURVE_PX))
     if before.picture != seen.picture:
         _icons.pop("picture", None)
         if seen.picture is not None:

@@ -15,10 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ..core import limits
 from ..core.panel_text import Translate
 
 _SUFFIX = ".training"
+# of the log, read at a time
+_READ_BYTES = 2**20
+# of the picture of a loss: air around it, thickness of the line in pixels; sRGB and alpha of ground and line
+_MARGIN_PX, _LINE_PX = 4, 2
+_GROUND, _LINE = (0.12, 0.12, 0.12, 1.0), (0.85, 0.62, 0.35, 1.0)
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ class TrainingReader:
                 self._psnr.clear()
             with path.open("rb") as stream:
                 stream.seek(self._read)
-                new = stream.read(limits.LOG_READ_BYTES)
+                new = stream.read(_READ_BYTES)
         except OSError:
             return
         self._read += len(new)
@@ -160,12 +164,12 @@ def curve_picture(curve: Curve, width: int, height: int) -> np.ndarray:
     picture = np.zeros((height, width, 4), np.float32)
     if not curve.steps:
         return picture
-    picture[...] = limits.CURVE_GROUND
+    picture[...] = _GROUND
     values = np.array(curve.values, dtype=np.float64)
     values = np.log(values) if values.min() > 0 else values
     steps = np.array(curve.steps, dtype=np.float64)
     low, high = values.min(), values.max()
-    margin = limits.CURVE_MARGIN_PX
+    margin = _MARGIN_PX
     columns = np.arange(margin, width - margin)
     at = np.linspace(steps[0], steps[-1], len(columns)) if steps[-1] > steps[0] else np.full(len(columns), steps[0])
     heights = np.interp(at, steps, values)
@@ -174,5 +178,5 @@ def curve_picture(curve: Curve, width: int, height: int) -> np.ndarray:
     for index, column in enumerate(columns):
         before = rows[max(index - 1, 0)]
         top, bottom = sorted((before, rows[index]))
-        picture[top : bottom + limits.CURVE_LINE_PX, column] = limits.CURVE_LINE
+        picture[top : bottom + _LINE_PX, column] = _LINE
     return picture

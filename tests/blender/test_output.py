@@ -98,25 +98,6 @@ def test_a_motion_file_holds_the_joints_of_the_world_and_the_scene_stays_where_i
     assert np.abs(motion.joints_m - wanted).max() <= JOINT_ERROR_M
 
 
-def test_the_engine_reads_the_motion_file_back_to_the_same_joints(extension, engine_python, tmp_path):
-    hand = a_hand(extension)
-    settings = extension.scene.jghand.output
-    settings.format, settings.folder = "motion", str(tmp_path)
-    bpy.ops.jghand.export()
-    code = """
-import sys, numpy as np
-from jghand_engine.motion.read import read_motion_file
-from jghand_engine.hand.orders import JointOrder, from_level
-motion = read_motion_file(sys.argv[1]).sequence
-np.savez(sys.argv[2], joints=from_level(motion.joints_m, JointOrder.STANDARD), fps=motion.fps)
-"""
-    command = [engine_python, "-I", "-c", code, str(tmp_path / f"{hand.name}.npz"), str(tmp_path / "back.npz")]
-    subprocess.run(command, check=True, timeout=120)
-    back = np.load(tmp_path / "back.npz")
-    assert np.abs(back["joints"] - seen_joints(extension, hand)).max() <= JOINT_ERROR_M
-    assert back["fps"] == 24
-
-
 def test_a_rig_with_two_hands_is_two_recordings(extension):
     rig, joints = mixamo_rig(extension)
     for side in joints:
@@ -339,14 +320,6 @@ def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
         bpy.ops.jghand.play_bake()
 
 
-def test_a_bake_that_was_cut_off_is_none(baked):
-    _, hand, _ = baked
-    folder = bakes.folder_of(hand)
-    (folder / bakes.STAMP).unlink()
-    with pytest.raises(RuntimeError, match="no finished bake"):
-        bpy.ops.jghand.play_bake()
-
-
 def failing_engine(monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "die"))
 
@@ -417,46 +390,6 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
     before = set(folders.user_folder("jobs").iterdir())
     bpy.ops.jghand.export()
     assert set(folders.user_folder("jobs").iterdir()) == before
-
-
-def test_escape_that_ends_playback_leaves_the_job(extension):
-    canceled = []
-    job = SimpleNamespace(cancel=lambda: canceled.append(True))
-    escape = SimpleNamespace(type="ESC", value="PRESS")
-    for playing, expected in ((True, []), (False, [True])):
-        context = SimpleNamespace(screen=SimpleNamespace(is_animation_playing=playing))
-        assert StartsJob.modal(SimpleNamespace(_job=job), context, escape) == {"PASS_THROUGH"}
-        assert canceled == expected
-
-
-def test_the_log_of_a_job_is_one_text(extension, engine, tmp_path):
-    a_hand(extension).jghand.avatar = str(tmp_path / "none.jghand")
-    extension.scene.jghand.output.folder = str(tmp_path)
-    with pytest.raises(RuntimeError):
-        bpy.ops.jghand.export()
-    for _ in range(2):
-        bpy.ops.jghand.show_job_log(key=runtime.OUTPUT)
-    assert len([text for text in bpy.data.texts if text.name.startswith("JGHand")]) == 1
-
-
-def test_panels_look_at_disks_on_a_timer_and_not_when_they_are_drawn(extension, monkeypatch):
-    looked, timers = [], set()
-
-    def look(_context, value):
-        looked.append(value)
-        return value
-
-    registry = SimpleNamespace(is_registered=timers.__contains__, register=lambda one, **_: timers.add(one))
-    registry.unregister = timers.remove
-    app = SimpleNamespace(background=False, timers=registry)
-    monkeypatch.setattr(ui, "bpy", SimpleNamespace(app=app, context=bpy.context))
-    for _ in range(3):
-        assert ui.kept(extension, look, 7) is None
-    assert (looked, timers) == ([], {ui._look_up})
-    ui._look_up()
-    assert [ui.kept(extension, look, 7) for _ in range(3)] == [7, 7, 7]
-    assert looked == [7]
-    ui.forget_kept()
 
 
 # ---- Blender's own USD export ----------------------------------------------------------------------------------------

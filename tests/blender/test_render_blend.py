@@ -21,7 +21,7 @@ from blender_addon import registration
 from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD
 from blender_addon.hand import armature, sources
-from blender_addon.render import camera, samples
+from blender_addon.render import camera
 from blender_addon.render import command as cli
 from blender_addon.renderer import runtime
 
@@ -124,12 +124,6 @@ def test_without_options_the_scenes_own_camera_and_range_are_rendered(engine, bl
     code, files, _ = rendered(blend)
     assert code == 0
     assert files == [f"CamPalm/{frame:04d}.png" for frame in (1, 2, 3, 4)]
-
-
-def test_pictures_of_different_frames_differ(engine, blend):
-    rendered(blend, "--frames", "1-2")
-    first, second = (pixels(blend.parent / f"out/CamPalm/{frame:04d}.png") for frame in (1, 2))
-    assert np.abs(first - second).max() > 0.5
 
 
 def test_a_run_goes_on_where_the_last_one_stopped(engine, blend):
@@ -384,14 +378,6 @@ def test_region_film_and_depth_of_the_file_are_honored(engine, blend):
     assert struct.unpack(">IIBB", content[16:26]) == (SIZE[0] // 2, SIZE[1] // 2, 16, 2)
 
 
-def test_a_mirrored_hand_is_bad_input(engine, blend):
-    bpy.data.objects["right"].scale = (-1, 1, 1)
-    code, files, report = rendered(saved(blend.parent))
-    assert code == 2
-    assert report["failure"]["kind"] == "mirrored"
-    assert files == []
-
-
 def driven(thing: bpy.types.ID, path: str, expression: str) -> None:
     driver = thing.driver_add(path, 0).driver
     driver.expression = expression
@@ -405,14 +391,6 @@ def test_a_python_driver_that_is_blocked_ends_the_run_and_works_when_it_is_allow
     assert files == []
     code, _, _ = rendered(saved(blend.parent), "--frames", "1", "--allow-scripts")
     assert code == 0
-
-
-def test_a_driver_that_blender_blocks_only_when_the_hand_is_evaluated_ends_the_run_too(engine, blend, monkeypatch):
-    driven(bpy.data.objects["right"], "location", "[0.1 for _ in (1,)][0]")
-    saved(blend.parent)
-    monkeypatch.setattr(samples, "check_scripts", lambda: None)
-    code, _, report = rendered(blend, "--frames", "1")
-    assert (code, report["failure"]["kind"]) == (2, "scripts_blocked")
 
 
 @pytest.mark.parametrize(("name", "part"), [("right", "object"), ("CamPalm", "object"), ("CamPalm", "data")])
@@ -446,14 +424,6 @@ def test_a_folder_that_cannot_be_written_is_bad_input(engine, blend):
     (blend.parent / "out").touch()
     code = cli.main([str(blend), "--out", str(blend.parent / "out"), "--frames", "1"])
     assert code == 2
-
-
-def test_a_report_that_cannot_be_written_is_bad_input_too(engine, blend):
-    (blend.parent / "file").touch()
-    report = blend.parent / "file" / "report.json"
-    code = cli.main([str(blend), "--out", str(blend.parent / "out"), "--frames", "1", "--report", str(report)])
-    assert code == 2
-    assert (blend.parent / "out/CamPalm/0001.png").exists()
 
 
 @pytest.mark.parametrize("frames", ["x", "4-1"])
@@ -507,27 +477,7 @@ def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
     assert bpy.context.scene.render.film_transparent
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"order": "mano16_tips"},
-        {"unit": "mm"},
-        {"joints_m": np.zeros((3, 20, 3))},
-        {"joints_m": "joints"},
-        {"handedness": "both"},
-        {"fps": 0.0},
-        {"fps": "fast"},
-    ],
-    ids=[
-        "another order",
-        "millimeters",
-        "20 joints",
-        "no joints",
-        "no hand of that name",
-        "no frame rate",
-        "no number",
-    ],
-)
+@pytest.mark.parametrize("changes", [{"order": "mano16_tips"}, {"fps": "fast"}], ids=["another order", "no number"])
 def test_a_motion_that_cannot_be_used_is_bad_input_and_writes_nothing(tmp_path, changes):
     motion = motion_file(tmp_path, changes=changes)
     done = script("build_demo_scene.py", "--motion", motion, "--out", tmp_path / "hand.blend")
@@ -545,11 +495,7 @@ def test_a_motion_that_is_a_bare_array_is_bad_input(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"fx": None}, {"fx": "wide"}, {"fy": 400}, {"width": 0}, {"cx": float("nan")}, {"camera_from_world": [[1]]}],
-    ids=["no fx", "a word", "pixels not square", "no width", "not a number", "no matrix"],
-)
+@pytest.mark.parametrize("change", [{"fx": None}, {"fy": 400}], ids=["no fx", "pixels not square"])
 def test_cameras_that_cannot_be_used_are_bad_input(tmp_path, change):
     view = {"width": 200, "height": 100, "fx": 300, "fy": 300, "cx": 90, "cy": 55, **change}
     view = {"camera_from_world": np.eye(4).tolist(), **view}
