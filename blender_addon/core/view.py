@@ -129,7 +129,7 @@ def picture_request(
     """Header and arrays of a `render_picture` request: all hands of one view in one request.
 
     outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids, png. settings: of budget_ms, density, shadow_strength,
-    shadow_radius_m, correctives, effects, as `picture_request.PictureSettings` of the engine has them; what is left out
+    shadow_radius_m, correctives, effects, as `image_request.ImageSettings` of the engine has them; what is left out
     is the preset's.
     """
     return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, settings=settings)

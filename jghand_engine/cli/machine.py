@@ -21,6 +21,7 @@ import json
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -31,7 +32,6 @@ from rich.progress import Progress
 
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
 from jghand_engine.errors import DiskFullError, InputError
-from jghand_engine.service.handles import print_any_letter, take_stdin
 
 if TYPE_CHECKING:
     from jghand_engine.learn.progress import Status
@@ -62,10 +62,10 @@ class Serve:
     def run(self) -> int:
         if not self.stdio_handshake:
             raise InputError("serve", wanted="--stdio-handshake", came="nothing", remedy="Blender starts it like that.")
-        from jghand_engine.service.hands import EngineHands
+        from jghand_engine.service.hands import HandImages
         from jghand_engine.service.server import serve
 
-        return serve(EngineHands())
+        return serve(HandImages())
 
 
 class JsonLines:
@@ -117,14 +117,21 @@ def started_by_a_program(lines: JsonLines | None) -> Iterator[None]:
     if lines is None:
         yield
         return
+    from jghand_engine.service import server
+
     # whoever starts children in the background may have told them to ignore it
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    print_any_letter()
+    # what is printed may have every letter: on Windows a pipe takes those of one old code page alone, and any other
+    # would end the command
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(encoding="utf-8", errors="replace")
     _lines = lines
     begun = threading.Event()
     try:
         with contextlib.suppress(OSError):  # there may be no standard input
-            told = (lines, take_stdin(), begun)
+            told = (lines, server.take_stdin(), begun)
             threading.Thread(target=_await_end_of_input, args=told, daemon=True, name="jghand stdin").start()
         begun.set()
         yield

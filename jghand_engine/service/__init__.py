@@ -1,4 +1,4 @@
-"""The engine as a process of its own, for Blender.
+"""The renderer as a process of its own, for Blender.
 
 protocol   the messages on the socket; standard library only, copied into the Blender extension
 commands   what each request does, with no socket in sight

@@ -1,6 +1,6 @@
-"""What each request to the engine does. No socket here, and no torch: pictures come from a `PictureSource`.
+"""What each request to the renderer does. No socket here: images come from an `ImageSource`.
 
-What a picture may be asked for stands in `picture_request`. Source: BLENDER 3.2.
+What an image may be asked for stands in `image_request`. Source: BLENDER 3.2.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from jghand_engine import __version__
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
-from jghand_engine.service.picture_request import OUTPUT_BYTES, PictureRequest, read_request, text_of
+from jghand_engine.service.image_request import OUTPUT_BYTES, ImageRequest, read_request, text_of
 from jghand_engine.service.protocol import PROTOCOL_VERSION, Array, Message
 
 # letters of an error's detail on the wire: with the sentence it must fit the 64 kB header
@@ -32,11 +32,15 @@ def never() -> bool:
 
 
 @dataclass(frozen=True)
-class Painting:
-    """rgba: (H, W, 4) float32 premultiplied, display-referred sRGB; depth_m: (H, W) float32 along the view axis, 0 =
-    nothing; ids: (H, W) uint8, 1..20 the bone that ends at that joint of the standard order, 0 = nothing; both only
-    where they were asked for; covered_depth_m: (H, W) float32, the mean depth of all that covers a pixel, also where
-    only blur does; report: FrameReport as plain data."""
+class RenderedImage:
+    """An image with the maps that were requested.
+
+    rgba:            (H, W, 4) float32 premultiplied, display-referred sRGB
+    report:          FrameReport as plain data
+    depth_m:         (H, W) float32 along the view axis, 0 = nothing
+    ids:             (H, W) uint8, 1..20 the bone that ends at that joint of the standard order, 0 = nothing
+    covered_depth_m: (H, W) float32, the mean depth of all that covers a pixel, also where only blur does
+    """
 
     rgba: np.ndarray
     report: dict[str, Any]
@@ -53,8 +57,8 @@ class LoadedAvatar:
     canonical_joints_m: np.ndarray
 
 
-class PictureSource(Protocol):
-    """Whoever makes the pictures: the engine, or a stand-in in a test. doing: what takes long just now, else ""."""
+class ImageSource(Protocol):
+    """Whoever makes the images. doing: what takes long just now, else ""."""
 
     device: str
     doing: str
@@ -63,13 +67,13 @@ class PictureSource(Protocol):
         """Loads an avatar by path ("builtin" for the one that comes with JGHand)."""
         ...
 
-    def render(self, picture: PictureRequest, canceled: Callable[[], bool]) -> Painting:
-        """Draws all hands (at least one) into one picture, the nearer in front. `canceled` is asked between parts of
+    def render(self, request: ImageRequest, canceled: Callable[[], bool]) -> RenderedImage:
+        """Draws all hands (at least one) into one image, the nearer in front. `canceled` is asked between parts of
         it that take long; Canceled ends it then."""
         ...
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
-        """A premultiplied (H, W, 4) float32 picture as the bytes of an RGBA8 PNG (straight alpha)."""
+        """A premultiplied (H, W, 4) float32 image as the bytes of an RGBA8 PNG (straight alpha)."""
         ...
 
 
@@ -85,7 +89,7 @@ class Reply:
 class Commands:
     """Answers requests. `run` raises what goes wrong; `error_header` turns that into a reply."""
 
-    def __init__(self, source: PictureSource) -> None:
+    def __init__(self, source: ImageSource) -> None:
         self.source = source
         self._kinds: dict[str, Callable[[Message, Callable[[], bool]], Reply]] = {
             "info": self._info,
@@ -118,17 +122,17 @@ class Commands:
     def _render_picture(self, message: Message, canceled: Callable[[], bool]) -> Reply:
         request, outputs = read_request(message)
         size = (request.height, request.width)
-        picture = self.source.render(request, canceled) if request.hands else Painting(np.zeros((*size, 4)), {})
-        rgba = picture.rgba
+        image = self.source.render(request, canceled) if request.hands else RenderedImage(np.zeros((*size, 4)), {})
+        rgba = image.rgba
         makers = {
             "rgba_f32": lambda: _array(rgba, np.float32),
             "rgba_u8": lambda: _array(np.rint(np.clip(rgba, 0.0, 1.0) * 255.0), np.uint8),
-            "depth": lambda: _array(_or_nothing(picture.depth_m, size), np.float32),
-            "depth_covered": lambda: _array(_or_nothing(picture.covered_depth_m, size), np.float32),
-            "ids": lambda: _array(_or_nothing(picture.ids, size), np.uint8),
+            "depth": lambda: _array(_or_nothing(image.depth_m, size), np.float32),
+            "depth_covered": lambda: _array(_or_nothing(image.covered_depth_m, size), np.float32),
+            "ids": lambda: _array(_or_nothing(image.ids, size), np.uint8),
             "png": lambda: Array.of(self.source.encode_png(np.asarray(rgba, np.float32))),
         }
-        reports = [picture.report] if request.hands else []
+        reports = [image.report] if request.hands else []
         return Reply({"reports": reports}, {name: makers[name]() for name in outputs})
 
 
@@ -141,8 +145,8 @@ def error_header(error: BaseException) -> dict[str, str]:
     if kind:
         return {"kind": kind, "sentence": str(error)[:DETAIL_MAX], "detail": ""}
     if is_out_of_memory(error):
-        return {"kind": "out_of_memory", "sentence": "The picture does not fit into memory.", "detail": _short(error)}
-    sentence = str(error) if isinstance(error, JGHandError) else f"The engine failed: {type(error).__name__}."
+        return {"kind": "out_of_memory", "sentence": "The image does not fit into memory.", "detail": _short(error)}
+    sentence = str(error) if isinstance(error, JGHandError) else f"The renderer failed: {type(error).__name__}."
     trace = "".join(traceback.format_exception(error))[-DETAIL_MAX:]
     return {"kind": "internal", "sentence": sentence[:DETAIL_MAX], "detail": trace}
 

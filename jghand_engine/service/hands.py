@@ -1,8 +1,4 @@
-"""The engine's own pictures for the service: avatars from files, one renderer per set of hands and settings.
-
-torch and the renderer are imported with the first request that needs them, so that the handshake comes at once and a
-broken installation is an answer that Blender can show.
-"""
+"""Images of hands for the service: avatars from files, one renderer per set of hands and settings."""
 
 from __future__ import annotations
 
@@ -11,14 +7,25 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from jghand_engine.avatar import SHIPPED
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
-from jghand_engine.service.commands import Canceled, LoadedAvatar, Painting, never
-from jghand_engine.service.picture_request import Exposure, PictureRequest, PictureSettings
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder, from_level, to_level
+from jghand_engine.render import budget
+from jghand_engine.render.blur import Moment
+from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.render.effect_plan import Choice
+from jghand_engine.render.renderer import SceneRenderer
+from jghand_engine.render.settings import RenderSettings, preset
+from jghand_engine.service.commands import Canceled, LoadedAvatar, RenderedImage, never
+from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings
 
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
@@ -27,12 +34,6 @@ IDLE_AVATARS_MAX = 4
 # sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
-
-if TYPE_CHECKING:
-    from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.render.blur import Moment
-    from jghand_engine.render.renderer import SceneRenderer
-    from jghand_engine.render.settings import RenderSettings
 
 
 class _Version(NamedTuple):
@@ -61,13 +62,13 @@ class _Key(NamedTuple):
     """What a renderer is made for; how strong and long shadows are is none of it (`_LIVE`)."""
 
     hands: tuple[tuple[_Version, str], ...]
-    settings: PictureSettings
+    settings: ImageSettings
     depth: bool
     size_px: tuple[int, int] | None
 
 
-class EngineHands:
-    """A PictureSource (commands.py). The last few renderers are kept, and the avatars that they show, each as its file
+class HandImages:
+    """An ImageSource (commands.py). The last few renderers are kept, and the avatars that they show, each as its file
     was: one that changed meanwhile is read anew."""
 
     device = "cpu"
@@ -79,8 +80,6 @@ class EngineHands:
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
-        from jghand_engine.hand.orders import JointOrder, from_level
-
         loaded = self._load(_Version.now(avatar))
         facts = {
             "avatar": avatar,
@@ -92,26 +91,24 @@ class EngineHands:
         }
         return LoadedAvatar(facts, from_level(loaded.canonical_joints_m, JointOrder.STANDARD))
 
-    def render(self, picture: PictureRequest, canceled: Callable[[], bool] = never) -> Painting:
-        """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
+    def render(self, request: ImageRequest, canceled: Callable[[], bool] = never) -> RenderedImage:
+        """All hands in one image: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
-        with self._telling("Loading the renderer"):
-            import jghand_engine.render.renderer  # noqa: F401
-
-        moments = [_moment(exposure, picture) for exposure in picture.exposures]
-        weights = [exposure.weight for exposure in picture.exposures]
-        renderer = self._renderer(picture)
+        moments = [_moment(exposure, request) for exposure in request.exposures]
+        weights = [exposure.weight for exposure in request.exposures]
+        renderer = self._renderer(request)
 
         def check() -> None:
             if canceled():
                 raise Canceled
 
-        frame, covered_depth_m = renderer.render_moments(moments, weights, middle=picture.middle, check_canceled=check)
-        ids = renderer.bone_ids(moments[picture.middle].camera) if picture.ids else None
-        return Painting(frame.rgba, frame.report.as_dict(), frame.depth_m, ids, covered_depth_m)
+        frame, covered_depth_m = renderer.render_moments(moments, weights, middle=request.middle, check_canceled=check)
+        ids = renderer.bone_ids(moments[request.middle].camera) if request.ids else None
+        return RenderedImage(frame.rgba, frame.report.as_dict(), frame.depth_m, ids, covered_depth_m)
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """(H, W, 4) premultiplied float32 -> the bytes of a PNG with straight alpha."""
+        # needs Pillow, which Blender's own Python does not have
         from jghand_engine.export.pictures import encode_png
 
         return encode_png(rgba)
@@ -125,31 +122,27 @@ class EngineHands:
         finally:
             self.doing = ""
 
-    def _renderer(self, picture: PictureRequest) -> SceneRenderer:
-        from jghand_engine.render.renderer import SceneRenderer
-
-        asked = replace(picture.settings, **{name: getattr(PictureSettings, name) for name in _LIVE})
-        size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None
-        hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in picture.hands)
-        key = _Key(hands, asked, picture.depth, size_px)
+    def _renderer(self, request: ImageRequest) -> SceneRenderer:
+        wanted = replace(request.settings, **{name: getattr(ImageSettings, name) for name in _LIVE})
+        size_px = _measured_size(request.width * request.height) if wanted.budget_ms is not None else None
+        hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in request.hands)
+        key = _Key(hands, wanted, request.depth, size_px)
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
                 avatars = [self._avatar(*hand) for hand in hands]
-                settings = replace(_settings(asked, avatars, size_px), depth=picture.depth)
-                drawn = [_thinned(avatar, settings.gaussians, asked.density) for avatar in avatars]
+                settings = replace(_settings(wanted, avatars, size_px), depth=request.depth)
+                drawn = [_thinned(avatar, settings.gaussians, wanted.density) for avatar in avatars]
                 while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
                 self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
                 self._drop_idle()
         self._renderers.move_to_end(key)
         renderer = self._renderers[key]
-        chosen = {name: getattr(picture.settings, name) for name in _LIVE}
+        chosen = {name: getattr(request.settings, name) for name in _LIVE}
         renderer.settings = replace(renderer.settings, **chosen)
         return renderer
 
     def _avatar(self, version: _Version, handedness: str) -> HandAvatar:
-        from jghand_engine.hand.joints import Handedness
-
         if handedness not in list(Handedness):
             raise InputError("handedness", wanted=" | ".join(Handedness), came=handedness[:80])
         loaded = self._avatars[version] if version in self._avatars else self._load(version)
@@ -157,7 +150,7 @@ class EngineHands:
 
     def _load(self, version: _Version) -> HandAvatar:
         """Reads a file as it is now, in the place of all that was read from it before."""
-        loaded = self._read(version.avatar)
+        loaded = load_avatar_called(version.avatar)
         for older in [each for each in self._avatars if each.avatar == version.avatar]:
             del self._avatars[older]
         for key in [key for key in self._renderers if any(each.avatar == version.avatar for each, _ in key.hands)]:
@@ -173,36 +166,26 @@ class EngineHands:
         for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]
 
-    def _read(self, avatar: str) -> HandAvatar:
-        from jghand_engine.avatar.builtin import load_avatar_called
 
-        return load_avatar_called(avatar)
-
-
-def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
+def _settings(wanted: ImageSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
     """The preset, or what the budget buys, each hand taking an equal part of it; then what was asked for by name."""
-    from jghand_engine.avatar.tiers import Tier
-    from jghand_engine.render import budget
-    from jghand_engine.render.effect_plan import Choice
-    from jghand_engine.render.settings import preset
-
-    settings = preset(asked.preset)
-    if asked.budget_ms is not None and size_px is not None:
+    settings = preset(wanted.preset)
+    if wanted.budget_ms is not None and size_px is not None:
         largest = max(avatars, key=len)
-        settings = budget.best_for(asked.budget_ms / len(avatars), largest, size_px).settings
-    if asked.correctives is not None:
-        if asked.correctives not in tuple(Tier):
-            raise InputError("settings: correctives", wanted=" | ".join(Tier), came=asked.correctives[:80])
-        settings = replace(settings, correctives=Tier(asked.correctives))
-    if asked.effects != "auto":
-        settings = replace(settings, effects=Choice.parse(asked.effects))
+        settings = budget.best_for(wanted.budget_ms / len(avatars), largest, size_px).settings
+    if wanted.correctives is not None:
+        if wanted.correctives not in tuple(Tier):
+            raise InputError("settings: correctives", wanted=" | ".join(Tier), came=wanted.correctives[:80])
+        settings = replace(settings, correctives=Tier(wanted.correctives))
+    if wanted.effects != "auto":
+        settings = replace(settings, effects=Choice.parse(wanted.effects))
     # a scene has hands of any size, as `jghand render` has
     return replace(settings, antialias=True)
 
 
 def _measured_size(pixels: int) -> tuple[int, int]:
     """The least size of a few that has so many pixels: each is measured for two seconds when it is first met, and a
-    view's pictures change theirs all the time."""
+    view's images change theirs all the time."""
     widths = BUDGET_WIDTHS_PX
     sizes = [(width, round(width / BUDGET_ASPECT)) for width in widths]
     return next((size for size in sizes if size[0] * size[1] >= pixels), sizes[-1])
@@ -214,20 +197,16 @@ def _thinned(avatar: HandAvatar, gaussians: int, density: float) -> HandAvatar:
     return avatar.prefix(max(1, round(density * count)))
 
 
-def _moment(exposure: Exposure, picture: PictureRequest) -> Moment:
-    from jghand_engine.hand.orders import JointOrder, to_level
-    from jghand_engine.render.blur import Moment
-    from jghand_engine.render.camera import Camera, Lens
-
+def _moment(exposure: Exposure, request: ImageRequest) -> Moment:
     camera = Camera(
-        picture.width,
-        picture.height,
+        request.width,
+        request.height,
         exposure.fx,
         exposure.fy,
         exposure.cx,
         exposure.cy,
         exposure.camera_from_world,
         Lens(exposure.aperture_m, exposure.focus_m) if exposure.aperture_m > 0 else None,
-        orthographic=picture.orthographic,
+        orthographic=request.orthographic,
     )
     return Moment(list(to_level(exposure.joints_world_m, JointOrder.STANDARD)), camera)

@@ -1,12 +1,12 @@
-"""The engine as a process: `python -m jghand_engine serve --stdio-handshake`.
+"""The renderer as a process: `python -m jghand_engine serve --stdio-handshake`.
 
 The parent writes a token line to stdin; the first stdout line is the handshake as JSON. Everything later goes over a
-socket on the loopback, and the end of stdin ends the process, whatever became of the parent. Nothing heavy is imported
-before the handshake. Source: BLENDER 3.1 to 3.4, RENDERING 13 (26).
+socket on the loopback, and the end of stdin ends the process, whatever became of the parent. Source: BLENDER 3.1 to
+3.4, RENDERING 13 (26).
 
 Threads: the main thread answers requests one after the other; one reads the client's messages, so that it can cancel
 what runs; one accepts connections and one each checks greetings; one sends the heart-beat; one watches stdin. All of
-them sleep until something comes: an idle engine uses no processor.
+them sleep until something comes: an idle renderer uses no processor.
 """
 
 from __future__ import annotations
@@ -23,15 +23,13 @@ import socket
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import IO, Any, NoReturn
 
 from jghand_engine import __version__
 from jghand_engine.errors import InputError
 from jghand_engine.service import protocol
-from jghand_engine.service.commands import Canceled, Commands, PictureSource, Reply, error_header
-from jghand_engine.service.handles import take_stdin
+from jghand_engine.service.commands import Canceled, Commands, ImageSource, Reply, error_header
 from jghand_engine.service.protocol import Disconnected, Message, ProtocolError
 from jghand_engine.service.requests import Requests
 
@@ -39,8 +37,8 @@ from jghand_engine.service.requests import Requests
 HEARTBEAT_S = 1.0
 # a stranger's time to say the token
 GREETING_S = 2.0
-# connections that may be greeting at the same time; one more, and the oldest is closed
-GREETINGS_MAX = 8
+# connections that the system keeps until they are accepted
+BACKLOG = 8
 # after the end of stdin a running request may finish for so long before the process ends regardless
 STOP_GRACE_S = 3.0
 
@@ -51,8 +49,8 @@ CANCEL = "cancel"
 _ACCEPT_REST_S = 0.2
 
 
-def serve(source: PictureSource) -> NoReturn:
-    """Runs the engine until stdin ends or a client asks for the end, and then ends the process.
+def serve(source: ImageSource) -> NoReturn:
+    """Runs the renderer until stdin ends or a client asks for the end, and then ends the process.
 
     stdout carries the handshake line and nothing else: whatever is printed afterwards goes to stderr.
     """
@@ -65,22 +63,20 @@ def serve(source: PictureSource) -> NoReturn:
         handshake_out.write(json.dumps(server.handshake()) + "\n")
     server.run()
     sys.stderr.flush()
-    os._exit(0)  # nothing is left to be written, and to take torch apart takes seconds
+    os._exit(0)  # nothing is left to be written
 
 
 class Server:
     """Listens on a free port of the loopback and answers one client at a time."""
 
-    def __init__(self, source: PictureSource, token: bytes) -> None:
+    def __init__(self, source: ImageSource, token: bytes) -> None:
         self._commands = Commands(source)
         self._token = token
         self._stop = threading.Event()
         self._clients: queue.Queue[socket.socket | None] = queue.Queue()  # None: the end
         self._client: socket.socket | None = None
         self._busy = threading.Lock()
-        self._greetings: deque[socket.socket] = deque()  # the oldest first
-        self._greetings_lock = threading.Lock()
-        self._listener = socket.create_server((LOOPBACK, 0), backlog=GREETINGS_MAX)
+        self._listener = socket.create_server((LOOPBACK, 0), backlog=BACKLOG)
 
     @property
     def port(self) -> int:
@@ -125,11 +121,6 @@ class Server:
                 if self._stop.wait(_ACCEPT_REST_S):
                     return
                 continue
-            with self._greetings_lock:
-                if len(self._greetings) >= GREETINGS_MAX:
-                    with contextlib.suppress(OSError):  # its thread may be closing it
-                        self._greetings.popleft().shutdown(socket.SHUT_RDWR)
-                self._greetings.append(connection)
             threading.Thread(target=self._greet, args=(connection,), daemon=True, name="greeting").start()
 
     def _greet(self, connection: socket.socket) -> None:
@@ -138,30 +129,21 @@ class Server:
         try:
             deadline = time.monotonic() + GREETING_S
             version = protocol.receive_greeting(connection, self._token, deadline=deadline)
-            if version is None or not self._leave_greetings(connection):
+            if version is None:
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if version != protocol.PROTOCOL_VERSION:
-                _refuse(connection, "protocol", f"The engine speaks protocol {protocol.PROTOCOL_VERSION}.", deadline)
+                _refuse(connection, "protocol", f"The renderer speaks protocol {protocol.PROTOCOL_VERSION}.", deadline)
             elif not self._busy.acquire(blocking=False):
-                _refuse(connection, "busy", "The engine already has a client.", deadline)
+                _refuse(connection, "busy", "The renderer already has a client.", deadline)
             else:
                 admitted = True
                 self._clients.put(connection)
         except (OSError, Disconnected):
             return  # a stranger that says nothing, too little, or leaves; TimeoutError is an OSError
         finally:
-            self._leave_greetings(connection)
             if not admitted:
                 connection.close()
-
-    def _leave_greetings(self, connection: socket.socket) -> bool:
-        """Takes a connection off the list of those that greet; False when it is not there any more."""
-        with self._greetings_lock:
-            if connection not in self._greetings:
-                return False
-            self._greetings.remove(connection)
-            return True
 
     def _serve_client(self, connection: socket.socket) -> None:
         """Answers one client until it leaves, breaks the protocol, or asks for the end."""
@@ -237,7 +219,7 @@ class Server:
             header = {**_to(message), "ok": True, "took_ms": took_ms, **reply.header}
             protocol.encode(header, reply.arrays)  # a reply that cannot be sent becomes an error that can
             return header, reply
-        except Exception as error:  # whatever it is, the client hears of it and the engine lives on
+        except Exception as error:  # whatever it is, the client hears of it and the renderer lives on
             failure = error_header(error)
         if failure["kind"] == "out_of_memory":
             gc.collect()
@@ -281,6 +263,15 @@ def _takes_more(connection: socket.socket) -> bool:
 def _refuse(connection: socket.socket, kind: str, sentence: str, deadline: float) -> None:
     error = {"kind": kind, "sentence": sentence, "detail": ""}
     protocol.send(connection, {"kind": "refused", "error": error}, deadline=deadline)
+
+
+def take_stdin() -> int:
+    """A handle of stdin for the parent's word alone; whoever else looks finds nothing there. On Windows a library that
+    asks what stdin is waits for the thread that reads it: torch's and scipy's may, while they are loaded."""
+    mine, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    return mine
 
 
 def _take_stdout() -> IO[str]:
@@ -347,4 +338,4 @@ def _end_with_stdin(server: Server, parent: int) -> None:
 
 
 def _log(sentence: str) -> None:
-    print(f"jghand engine: {sentence}", file=sys.stderr, flush=True)
+    print(f"jghand renderer: {sentence}", file=sys.stderr, flush=True)

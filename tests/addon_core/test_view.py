@@ -19,7 +19,7 @@ from blender_addon.core.view import (
     pinhole_from,
 )
 from jghand_engine.native import contract
-from jghand_engine.service.picture_request import PictureSettings, read_request
+from jghand_engine.service.image_request import ImageSettings, read_request
 from jghand_engine.service.protocol import Message
 
 
@@ -81,7 +81,7 @@ def test_settings_lens_and_rays_arrive():
 
 
 def test_shadows_reach_as_far_as_the_engines_own_unless_it_is_said():
-    assert PictureSettings().shadow_radius_m == pacing.SHADOW_RADIUS_MM / 1e3
+    assert ImageSettings().shadow_radius_m == pacing.SHADOW_RADIUS_MM / 1e3
     assert pacing.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
 
 

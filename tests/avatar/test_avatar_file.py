@@ -175,7 +175,6 @@ NAN = float("nan")
         ({"pose_statistics": {"index mcp": (1.0,)}}, "pose_statistics index mcp"),
         ({"pose_statistics": {"two\nlines": (0.0, 1.0)}}, "pose_statistics"),
         ({"pose_statistics": {"a": (0.0, object())}}, "description.*texts"),
-        ({"pose_statistics": {f"angle {k}": (0.0, 1.0) for k in range(5000)}}, "header of at most"),
     ],
 )
 def test_what_could_not_be_loaded_again_is_not_saved(tmp_path, change, named):

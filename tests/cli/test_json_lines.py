@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from jghand_engine.cli import machine, main
+from jghand_engine.cli import main
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.machine import JsonLines, JsonProgress, JsonTraining, json_lines
@@ -108,7 +108,7 @@ def test_a_stop_that_comes_before_the_command_has_begun_is_one_too(tmp_path, mon
     def interrupted():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(machine, "take_stdin", interrupted)
+    monkeypatch.setattr("jghand_engine.service.server.take_stdin", interrupted)
     assert main(["export", "--poses", "open", "--out", str(tmp_path / "usd"), "--progress-json"]) == 130
     assert json.loads(capsys.readouterr().err)["kind"] == "canceled"
     assert json_lines() is None

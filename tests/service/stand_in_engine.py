@@ -25,15 +25,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.service import protocol, server
-from jghand_engine.service.commands import Canceled, LoadedAvatar, Painting, never
-from jghand_engine.service.picture_request import Exposure, PictureRequest
+from jghand_engine.service.commands import Canceled, LoadedAvatar, RenderedImage, never
+from jghand_engine.service.image_request import Exposure, ImageRequest
 
 # radius of a joint's disc, meters
 DISC_M = 0.004
 
 
 class StandInHands:
-    """A PictureSource: a disc at every joint, white for the right hand, blue for the left; the nearest one wins."""
+    """A ImageSource: a disc at every joint, white for the right hand, blue for the left; the nearest one wins."""
 
     device = "stand-in"
 
@@ -50,7 +50,7 @@ class StandInHands:
         joints = np.stack([np.linspace(0, 0.1, 21), np.zeros(21), np.zeros(21)], -1)
         return LoadedAvatar({"avatar": avatar, "gaussians": 21}, joints)
 
-    def render(self, picture: PictureRequest, canceled: Callable[[], bool] = never) -> Painting:
+    def render(self, picture: ImageRequest, canceled: Callable[[], bool] = never) -> RenderedImage:
         self._pictures += 1
         if self._pictures >= self._first:
             self._misbehave(canceled)
@@ -69,13 +69,13 @@ class StandInHands:
             if index == picture.middle:
                 depth, ids = near_m, numbers
         covered = near / np.where(behind > 0, behind, 1)
-        return Painting(rgba, {"total_ms": 1.0, "stages": []}, depth, ids, covered)
+        return RenderedImage(rgba, {"total_ms": 1.0, "stages": []}, depth, ids, covered)
 
-    def _blank(self, picture: PictureRequest) -> Painting:
+    def _blank(self, picture: ImageRequest) -> RenderedImage:
         size = (picture.height, picture.width)
         if self._canvas is None or self._canvas.shape[:2] != size:
             self._canvas = np.zeros((*size, 4), np.float32)
-        return Painting(self._canvas, {"total_ms": 0.0, "stages": []})
+        return RenderedImage(self._canvas, {"total_ms": 0.0, "stages": []})
 
     def _misbehave(self, canceled: Callable[[], bool]) -> None:
         match self.fault:
@@ -121,7 +121,7 @@ class StandInHands:
         )
 
 
-def _discs(picture: PictureRequest, moment: Exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _discs(picture: ImageRequest, moment: Exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Color, depth, and the number of the joint, of one moment."""
     size = (picture.height, picture.width)
     x, y = np.meshgrid(np.arange(picture.width) + 0.5, np.arange(picture.height) + 0.5)

@@ -24,11 +24,11 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service.commands import Canceled
-from jghand_engine.service.hands import IDLE_AVATARS_MAX, EngineHands
-from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
+from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
+from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand
 
 PINHOLE = (200.0, 200.0, 60.0, 45.0)
-DRAFT = PictureSettings("draft")
+DRAFT = ImageSettings("draft")
 # half a meter before the palm of a hand that points up
 CAMERA_FROM_WORLD = np.diag([1.0, -1, -1, 1])
 CAMERA_FROM_WORLD[:3, 3] = (0, 0.09, 0.5)
@@ -47,15 +47,15 @@ def exposure(hands: list[Hand], camera_from_world: np.ndarray = CAMERA_FROM_WORL
     return Exposure(*PINHOLE, camera_from_world, joints, places, **more)
 
 
-def asked(hands: list[Hand], *moments: Exposure, **more) -> PictureRequest:
+def asked(hands: list[Hand], *moments: Exposure, **more) -> ImageRequest:
     """120 x 90 pixels of hands; without moments at one, from CAMERA_FROM_WORLD."""
-    entries = tuple(HandAsked(hand.avatar, hand.handedness) for hand in hands)
-    return PictureRequest(120, 90, entries, moments or (exposure(hands),), **{"settings": DRAFT, "depth": True, **more})
+    entries = tuple(RequestedHand(hand.avatar, hand.handedness) for hand in hands)
+    return ImageRequest(120, 90, entries, moments or (exposure(hands),), **{"settings": DRAFT, "depth": True, **more})
 
 
 @pytest.fixture(scope="module")
-def source() -> EngineHands:
-    return EngineHands()
+def source() -> HandImages:
+    return HandImages()
 
 
 @pytest.fixture(scope="module")
@@ -122,10 +122,10 @@ def test_depth_is_left_out_when_nobody_asks_for_it(source, right):
 
 
 def test_a_renderer_is_kept_and_only_the_last_few_are(source, right):
-    fresh = EngineHands()
+    fresh = HandImages()
     for _ in range(2):
         fresh.render(asked([right]))
-        fresh.render(asked([right], settings=PictureSettings("viewport")))
+        fresh.render(asked([right], settings=ImageSettings("viewport")))
     assert len(fresh._renderers) == 2
     for count in range(3, 12):
         fresh.render(replace(asked([right] * count), width=8, height=6))
@@ -145,7 +145,7 @@ def test_an_avatar_that_changed_on_disk_is_seen_after_loading_it_again(source, r
 
 
 def test_an_avatar_whose_file_changed_is_drawn_anew_without_being_told(right, tmp_path):
-    fresh, path = EngineHands(), tmp_path / "hand.jghand"
+    fresh, path = HandImages(), tmp_path / "hand.jghand"
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(500)
     hand = replace(right, avatar=str(path))
     with pytest.raises(InputError):
@@ -160,7 +160,7 @@ def test_an_avatar_whose_file_changed_is_drawn_anew_without_being_told(right, tm
 
 
 def test_avatars_that_nothing_shows_are_let_go(tmp_path):
-    fresh, avatar = EngineHands(), load_painted(handedness=Handedness.RIGHT).prefix(50)
+    fresh, avatar = HandImages(), load_painted(handedness=Handedness.RIGHT).prefix(50)
     for number in range(IDLE_AVATARS_MAX + 2):
         save_avatar(tmp_path / f"{number}.jghand", avatar)
         fresh.load(str(tmp_path / f"{number}.jghand"))
@@ -176,7 +176,7 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
     turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
     for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
         moment = exposure([hand], camera_from_world)
-        came = source.render(asked([hand], moment, settings=PictureSettings("viewport")))
+        came = source.render(asked([hand], moment, settings=ImageSettings("viewport")))
         camera = Camera(120, 90, *PINHOLE, camera_from_world)
         wanted, matt = (
             HandRenderer(one, replace(preset("viewport"), antialias=True))
@@ -366,8 +366,8 @@ def test_density_draws_a_part_of_the_gaussians(source, right):
 
 
 def test_strength_and_radius_of_shadows_need_no_other_renderer(right):
-    fresh, fist = EngineHands(), fist_of(right)
-    settings = PictureSettings("viewport")
+    fresh, fist = HandImages(), fist_of(right)
+    settings = ImageSettings("viewport")
     large = replace(exposure([fist]), fx=800.0, fy=800.0, cx=240.0, cy=180.0)
     pictures = []
     for shadow in ({}, {"shadow_strength": 0.0}, {"shadow_radius_m": 0.005}):
@@ -399,7 +399,7 @@ def test_a_budget_chooses_settings(source, right, monkeypatch):
         return SimpleNamespace(settings=preset("draft"))
 
     monkeypatch.setattr(budget, "best_for", bought)
-    request = asked([right], settings=PictureSettings("final", budget_ms=9.0))
+    request = asked([right], settings=ImageSettings("final", budget_ms=9.0))
     for width, height in ((120, 90), (150, 100), (80, 400)):
         report = source.render(replace(request, width=width, height=height)).report
     assert asked_for == [(9.0, (256, 171))]

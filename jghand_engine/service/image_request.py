@@ -1,11 +1,11 @@
-"""What a `render_picture` request may ask for, read from its message and checked before anything is drawn.
+"""What a `render_picture` request may ask for, an image, read from its message and checked before anything is drawn.
 
 The world of a request is the one in which trained hands learned their light: meters, +y up, +z towards whoever looks at
 the palm of a hand that points up (as captures have it, `capture.look`). A hand's own space lies in it by
 `world_from_hand`, a camera by `camera_from_world`; everything is float64 or float32 on the wire and float64 here, so
 that a hand far from the origin loses nothing. Joints are in the standard order. Source: BLENDER 3.2.
 
-A picture of more than one moment (motion blur) carries each as one exposure, in the order of time.
+An image of more than one moment (motion blur) carries each as one exposure, in the order of time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jghand_engine.native import contract
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
 
 # hands in one image; each costs as much as the first
-PICTURE_HANDS_MAX = 16
+IMAGE_HANDS_MAX = 16
 # moments of one image with motion blur: as many as the extension may ask for
 EXPOSURES_MAX = 64
 # renderers of other settings are asked for one frame in so many milliseconds; a minute is no frame any more
@@ -34,17 +34,23 @@ PINHOLE_MAX_PX = 1e9
 # by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale
 RIGID_MAX = 1e-4
 
-# outputs that a picture may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
+# outputs that an image may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
 OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "depth_covered": 4, "ids": 1, "png": 5}
 JOINTS = 21
 
 
 @dataclass(frozen=True)
-class PictureSettings:
-    """preset: name of a preset of RenderSettings · budget_ms: instead of the preset's, the most accurate settings that
-    draw a frame in so many milliseconds; None for the preset · density: part of each avatar's Gaussians that is drawn ·
-    shadow_strength: 0..1 · shadow_radius_m: how far shadows reach, meters · correctives: a tier of `avatar.tiers`, None
-    for the preset's · effects: in the words of `effect_plan.Choice`"""
+class ImageSettings:
+    """How an image is made.
+
+    preset:          name of a preset of RenderSettings
+    budget_ms:       instead of the preset's, the most accurate settings that draw a frame in so many milliseconds
+    density:         part of each avatar's Gaussians that is drawn
+    shadow_strength: 0..1
+    shadow_radius_m: how far shadows reach, meters
+    correctives:     a tier of `avatar.tiers`, None for the preset's
+    effects:         in the words of `effect_plan.Choice`
+    """
 
     preset: str = "viewport"
     budget_ms: float | None = None
@@ -55,7 +61,7 @@ class PictureSettings:
     effects: str = "auto"
 
     @classmethod
-    def parse(cls, value: Any) -> PictureSettings:
+    def parse(cls, value: Any) -> ImageSettings:
         """From the JSON object of a request; InputError names what is unknown or cannot be."""
         if not isinstance(value, dict):
             raise InputError("settings", wanted="an object", came=repr(value)[:80])
@@ -95,7 +101,7 @@ _CHECKS = {
 
 
 @dataclass(frozen=True)
-class HandAsked:
+class RequestedHand:
     """avatar: as it was loaded; handedness: "right" or "left"."""
 
     avatar: str
@@ -104,10 +110,15 @@ class HandAsked:
 
 @dataclass(frozen=True)
 class Exposure:
-    """One moment of a picture. fx, fy, cx, cy: pixels (orthographic: fx and fy are pixels per meter) · aperture_m,
-    focus_m: of a thin lens, aperture 0 for a pinhole · camera_from_world: (4, 4) rigid, meters, OpenCV axes ·
-    joints_m: (n, 21, 3) in each hand's own space · world_from_hand: (n, 4, 4) rigid, meters ·
-    weight: of this moment in the mean of all"""
+    """One moment of an image.
+
+    fx, fy, cx, cy:      pixels (orthographic: fx and fy are pixels per meter)
+    camera_from_world:   (4, 4) rigid, meters, OpenCV axes
+    joints_m:            (n, 21, 3) in each hand's own space
+    world_from_hand:     (n, 4, 4) rigid, meters
+    aperture_m, focus_m: of a thin lens, aperture 0 for a pinhole
+    weight:              of this moment in the mean of all
+    """
 
     fx: float
     fy: float
@@ -128,29 +139,34 @@ class Exposure:
 
 
 @dataclass(frozen=True)
-class PictureRequest:
-    """One picture. width, height: pixels · hands: at least one, or none for an empty picture · exposures: at least one,
-    in the order of time; the middle one is the picture's moment · depth, ids: whether these maps are wanted"""
+class ImageRequest:
+    """One image.
+
+    width, height: pixels
+    hands:         none for an empty image
+    exposures:     at least one, in the order of time; the middle one is the image's moment
+    depth, ids:    whether these maps are wanted
+    """
 
     width: int
     height: int
-    hands: tuple[HandAsked, ...]
+    hands: tuple[RequestedHand, ...]
     exposures: tuple[Exposure, ...]
-    settings: PictureSettings = field(default_factory=PictureSettings)
+    settings: ImageSettings = field(default_factory=ImageSettings)
     orthographic: bool = False
     depth: bool = False
     ids: bool = False
 
     @property
     def middle(self) -> int:
-        """Which exposure shows the picture's moment: depth and ids are its."""
+        """Which exposure shows the image's moment: depth and ids are its."""
         return (len(self.exposures) - 1) // 2
 
 
-def read_request(message: Message) -> tuple[PictureRequest, list[str]]:
-    """The picture that a message asks for, and the outputs it is wanted in.
+def read_request(message: Message) -> tuple[ImageRequest, list[str]]:
+    """The image that a message asks for, and the outputs it is wanted in.
 
-    Raises InputError, or MemoryLimitError for a picture that one message cannot carry.
+    Raises InputError, or MemoryLimitError for an image that one message cannot carry.
     """
     header = message.header
     width, height = (_whole(header, name, contract.IMAGE_MAX_PX) for name in ("width", "height"))
@@ -160,12 +176,12 @@ def read_request(message: Message) -> tuple[PictureRequest, list[str]]:
     if type(orthographic) is not bool:
         raise InputError("orthographic", wanted="true or false", came=repr(orthographic)[:80])
     hands = _hands(header)
-    request = PictureRequest(
+    request = ImageRequest(
         width,
         height,
         hands,
         _exposures(message, len(hands)),
-        PictureSettings.parse(header.get("settings", {})),
+        ImageSettings.parse(header.get("settings", {})),
         orthographic,
         depth="depth" in outputs or "depth_covered" in outputs,
         ids="ids" in outputs,
@@ -191,25 +207,25 @@ def _outputs(header: dict[str, Any]) -> list[str]:
 
 
 def _check_size(width: int, height: int, outputs: list[str]) -> None:
-    """Refuses a picture that one message cannot carry, before it is drawn."""
+    """Refuses an image that one message cannot carry, before it is drawn."""
     size = width * height * sum(OUTPUT_BYTES[name] for name in outputs)
     if size > PAYLOAD_MAX_BYTES:
         raise MemoryLimitError(
-            f"a picture of {width} x {height} pixels",
+            f"an image of {width} x {height} pixels",
             wanted=f"at most {PAYLOAD_MAX_BYTES} bytes in one message",
             came=f"{size}",
-            remedy="Ask for a smaller picture or fewer outputs.",
+            remedy="Ask for a smaller image or fewer outputs.",
         )
 
 
-def _hands(header: dict[str, Any]) -> tuple[HandAsked, ...]:
+def _hands(header: dict[str, Any]) -> tuple[RequestedHand, ...]:
     entries = header.get("hands")
-    if not (isinstance(entries, list) and len(entries) <= PICTURE_HANDS_MAX):
-        raise InputError("hands", wanted=f"a list of at most {PICTURE_HANDS_MAX}", came=repr(entries)[:80])
+    if not (isinstance(entries, list) and len(entries) <= IMAGE_HANDS_MAX):
+        raise InputError("hands", wanted=f"a list of at most {IMAGE_HANDS_MAX}", came=repr(entries)[:80])
     for entry in entries:
         if not isinstance(entry, dict):
             raise InputError("hand", wanted="an object with avatar and handedness", came=repr(entry)[:80])
-    return tuple(HandAsked(text_of(entry, "avatar"), text_of(entry, "handedness")) for entry in entries)
+    return tuple(RequestedHand(text_of(entry, "avatar"), text_of(entry, "handedness")) for entry in entries)
 
 
 def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
