@@ -1,11 +1,11 @@
 """Makes the project's Python environments, with nothing but the standard library.
 
 `.envs/engine` holds the engine (torch, usd-core, the compiled kernels), `.envs/blender` holds Blender as a Python
-module (bpy), `.envs/blender52` a newer Blender for tests, where there is a Python for it. They never share one: bpy
-wants an older numpy and brings its own USD. Each is installed from one constraints file. A stamp in the environment
-remembers what it was made from, so that a second call costs nothing and a half-made or outdated environment is finished
-or brought up to date. It is made anew only when its interpreter is broken, or when it does not work although everything
-was installed: a failed update must not cost a working one.
+module (bpy), `.envs/blender52` and `.envs/blender45` other Blenders for tests, where there is a Python for them. They
+never share one: bpy wants an older numpy and brings its own USD. Each is installed from one constraints file. A stamp
+in the environment remembers what it was made from, so that a second call costs nothing and a half-made or outdated
+environment is finished or brought up to date. It is made anew only when its interpreter is broken, or when it does not
+work although everything was installed: a failed update must not cost a working one.
 
 Only Linux is tried by the project's tests; the ways of macOS and Windows are written but not tried.
 """
@@ -131,6 +131,8 @@ BLENDER = Environment(
 )
 # the long-term version, beside the one above, for the tests of what differs between them
 BLENDER52 = replace(BLENDER, name="blender52", pythons=((3, 13),), constrained_as="blender")
+# the oldest that the extension supports, also a long-term version
+BLENDER45 = replace(BLENDER, name="blender45", pythons=((3, 11),))
 
 
 def say(text: str) -> None:

@@ -1,13 +1,14 @@
 """Sets everything up, then passes the project's checks and tests.
 
     python scripts/test.py                     everything
-    python scripts/test.py --only engine       one part: checks, engine, blender or blender52
+    python scripts/test.py --only engine       one part; --help names them
     python scripts/test.py -k fist -x          what this script does not know goes to pytest
     python scripts/test.py tests/hand          a path runs only the tests below it
 
-Needs nothing but Python 3.11 or newer. The part blender52, the extension in Blender 5.2, wants a Python 3.13 on the
-machine and is left out without one. With two processors or more the parts of Blender run beside the others, and are
-shown after them. The exit code is 0 when everything passed, else 1.
+Needs nothing but Python 3.11 or newer. The parts blender45 and blender52, the extension in the oldest and the newest
+Blender, want a Python 3.11 and a Python 3.13 on the machine, and window wants what scripts/test_in_blender.py wants;
+each is left out without. With two processors or more two parts run at a time; what ran beside the first is shown after
+it. The exit code is 0 when everything passed, else 1.
 """
 
 import sys
@@ -17,24 +18,52 @@ if sys.version_info < (3, 11):  # noqa: UP036  (the very message this line is fo
 
 import argparse
 import os
+import queue
 import re
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import environments
-from environments import BLENDER, BLENDER52, DEVELOPER, ROOT, SetupError
+from environments import BLENDER, BLENDER45, BLENDER52, DEVELOPER, ROOT, Environment, SetupError
 
-PARTS = ("checks", "engine", "blender", "blender52")
-# parts that run one after the other, and beside the other lane
-LANES = (("checks", "engine"), ("blender", "blender52"))
+# the parts, the longest first so that what runs beside it fills its time, and the seconds that each should take on one
+# of two processors: shown beside its time, never asserted
+BUDGET_S = {
+    "engine": 420,
+    "learning": 420,
+    "blender52": 360,
+    "blender": 300,
+    "window": 240,
+    "checks": 90,
+    "blender45": 60,
+}
+# the same for everything, the environments made from nothing included
+ALL_S = 1200
+# how many parts run at a time
+LANES = 2
+OTHER_BLENDERS = {"blender45": BLENDER45, "blender52": BLENDER52}
+# what concerns a selection of tests; the others are of one piece
+SELECTABLE = ("checks", "engine", "blender", "blender52")
+# what learns, captures and measures: a part of its own, the rest of the engine's tests is about what draws
+LEARNING_PATHS = ("tests/learn", "tests/captures", "tests/track", "tests/study", "tests/template")
 # what is tried in Blender's Python
 BLENDER_PATHS = ("tests/blender",)
+# the extension in its oldest Blender: it registers, adds a hand, renders, reads old files, installs from its zip
+BLENDER45_PATHS = tuple(
+    f"tests/blender/test_{name}.py"
+    for name in ("extension", "armature", "render_engine", "saved_files", "built_extension")
+)
+# the stories in a window that take part, and the exit code of their script where it cannot try them here
+STORIES = ("newcomer",)
+CANNOT = 77
 # the part of the extension that needs no Blender: tried in the engine's Python, and in one of another version
 ADDON_PATHS = ("tests/addon_core",)
+# how many of the slowest tests each part lists
+SLOWEST = 25
 # pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
 NO_TESTS = 5
 
@@ -130,61 +159,89 @@ def run_part(part: str, selection: Selection, require_blender: bool, lane: Lane)
     """Sets up what the part needs and runs it; returns the lines of the summary and pytest's own."""
     if part == "checks":
         return run_checks(environments.ensure(DEVELOPER), lane), []
-    paths = selection.engine if part == "engine" else selection.blender
+    if part == "window":
+        return run_stories(lane), []
+    paths = selection.engine if part in ("engine", "learning") else selection.blender
     name = f"pytest, {part}"
     if paths is None:
         return [], []
     arguments = (*paths, *selection.options)
-    if part == "engine":
+    if not selection.selective:
+        arguments = (*arguments, f"--durations={SLOWEST}")
+    if part in ("engine", "learning"):
+        if part == "learning":
+            arguments = (*LEARNING_PATHS, *arguments[1:])
+        elif not selection.selective:
+            arguments = (*arguments, *(f"--ignore={path}" for path in LEARNING_PATHS))
         arguments = (*arguments, "--ignore=tests/blender")
         result, summary = run_pytest(name, environments.ensure(DEVELOPER), arguments, selection.selective, lane)
         return [result], [summary]
     environments.ensure(DEVELOPER)  # Blender's side talks to the real engine
-    if part == "blender52" and (reason := why_no_second_blender()):
+    if part != "blender" and (reason := why_no_other_blender(OTHER_BLENDERS[part])):
         return [Result(name, None, note=reason)], []
     try:
-        python = environments.ensure(BLENDER if part == "blender" else BLENDER52)
+        python = environments.ensure(OTHER_BLENDERS.get(part, BLENDER))
     except SetupError as error:
         print(f"\n{error}", file=sys.stderr, flush=True)
         return [Result(name, False if require_blender else None, note="there is no Blender environment, see above")], []
     if part == "blender52" and paths == BLENDER_PATHS:
         arguments = (*ADDON_PATHS, *arguments)
+    if part == "blender45":
+        arguments = (*BLENDER45_PATHS, *arguments[len(paths) :])
     result, summary = run_pytest(name, python, arguments, selection.selective, lane)
     return [result], [summary]
 
 
+def run_stories(lane: Lane) -> list[Result]:
+    """The stories in a real Blender window; not run where there can be none."""
+    results = []
+    for story in STORIES:
+        command = [sys.executable, str(ROOT / "scripts" / "test_in_blender.py"), story]
+        result, output = run(f"window, {story}", command, lane)
+        if result.note == f"exit code {CANNOT}":
+            result = Result(result.name, None, result.seconds, output.strip().splitlines()[-1])
+        results.append(result)
+    return results
+
+
 def run_lane(
-    parts: Sequence[str], selection: Selection, require_blender: bool, lane: Lane
+    parts: Iterable[str], selection: Selection, require_blender: bool, lane: Lane
 ) -> tuple[list[Result], list[str]]:
     """The same for several parts, one after the other."""
     results: list[Result] = []
     summaries: list[str] = []
     for part in parts:
+        started = time.perf_counter()
         new_results, new_summaries = run_part(part, selection, require_blender, lane)
+        seconds = time.perf_counter() - started
+        lane.show(f"\n{part}: {seconds:.0f} s with its set-up, of {BUDGET_S[part]} s\n")
         results += new_results
         summaries += new_summaries
     return results, summaries
 
 
 def run_lanes(selection: Selection, require_blender: bool) -> tuple[list[Result], list[str]]:
-    """All parts, side by side where there are processors for it: the first lane is shown as it runs, the second after
-    it."""
+    """All parts, side by side where there are processors for it: what the first lane runs is shown as it runs, what the
+    second does after it."""
     processors = os.cpu_count() or 1
-    if processors < len(LANES):
-        return run_lane(PARTS, selection, require_blender, Lane(show_now, {}))
+    if processors < LANES:
+        return run_lane(BUDGET_S, selection, require_blender, Lane(show_now, {}))
     environments.ensure(DEVELOPER)  # both lanes want it
     # threads that wait for each other while another lane has their processor cost more than they bring: each lane has
     # processors of its own, where the system can say so, and the engine takes as many threads
-    variables = {"OMP_NUM_THREADS": str(processors // len(LANES))}
-    own = [frozenset[int]()] * len(LANES)
-    if hasattr(os, "sched_setaffinity") and len(allowed := sorted(os.sched_getaffinity(0))) >= len(LANES):
+    variables = {"OMP_NUM_THREADS": str(processors // LANES)}
+    own = [frozenset[int]()] * LANES
+    if hasattr(os, "sched_setaffinity") and len(allowed := sorted(os.sched_getaffinity(0))) >= LANES:
         half = len(allowed) // 2
         own = [frozenset(allowed[:half]), frozenset(allowed[half:])]
+    left: queue.SimpleQueue[str] = queue.SimpleQueue()
+    for part in BUDGET_S:
+        left.put(part)
     kept: list[str] = []
-    with ThreadPoolExecutor(len(LANES)) as pool:
+    with ThreadPoolExecutor(LANES) as pool:
         shown, hidden = (
-            pool.submit(run_lane, parts, selection, require_blender, Lane(show, variables, cpus))
-            for parts, show, cpus in zip(LANES, (show_now, kept.append), own, strict=True)
+            pool.submit(run_lane, _taken(left), selection, require_blender, Lane(show, variables, cpus))
+            for show, cpus in zip((show_now, kept.append), own, strict=True)
         )
         results, summaries = shown.result()
         more_results, more_summaries = hidden.result()
@@ -192,14 +249,23 @@ def run_lanes(selection: Selection, require_blender: bool) -> tuple[list[Result]
     return [*results, *more_results], [*summaries, *more_summaries]
 
 
-def why_no_second_blender() -> str:
-    """Why the newer Blender is not tried beside the other; empty if it is."""
+def _taken(left: "queue.SimpleQueue[str]") -> Iterator[str]:
+    """Parts that nobody has begun, until there are none."""
+    while not left.empty():
+        try:
+            yield left.get_nowait()
+        except queue.Empty:
+            return
+
+
+def why_no_other_blender(environment: Environment) -> str:
+    """Why another Blender is not tried beside the first; empty if it is."""
     try:
-        environments.find_python(BLENDER52.pythons)
+        python = environments.find_python(environment.pythons)
         first = environments.find_python(BLENDER.pythons)
     except SetupError:
-        return "there is no Python 3.13 on this machine"
-    same = environments.find_python(BLENDER52.pythons) == first
+        return "there is no Python on this machine that it is built for"
+    same = environment is BLENDER52 and python == first
     return "the part blender has that version here" if same else ""
 
 
@@ -215,16 +281,18 @@ def print_summary(results: list[Result], summaries: list[str]) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
                                      allow_abbrev=False)  # fmt: skip
-    parser.add_argument("--only", choices=PARTS, help="run one part")
+    parser.add_argument("--only", choices=BUDGET_S, help="run one part")
     parser.add_argument("--require-blender", action="store_true", help="fail where Blender's part cannot run")
     options, rest = parser.parse_known_args()
     selection = Selection.of(rest)
+    started = time.perf_counter()
     if options.only or selection.selective:
-        parts = (options.only,) if options.only else PARTS
+        parts = (options.only,) if options.only else SELECTABLE
         results, summaries = run_lane(parts, selection, options.require_blender, Lane(show_now, {}))
     else:
         results, summaries = run_lanes(selection, options.require_blender)
     print_summary(results, summaries)
+    print(f"{time.perf_counter() - started:.0f} s in all, of {ALL_S} s")
     return 1 if any(result.passed is False for result in results) else 0
 
 

@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import environments
-from environments import BLENDER, BLENDER52, DEVELOPER, ENGINE, MissingLibraryError, SetupError
+from environments import BLENDER, BLENDER45, BLENDER52, DEVELOPER, ENGINE, MissingLibraryError, SetupError
 
 THIS = sys.version_info[:2]
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the stand-ins are shell scripts")
@@ -238,7 +238,7 @@ def test_nothing_of_another_python_leaks_into_an_environment(monkeypatch):
     assert not set(environments.LEAKING_VARIABLES) & set(environments.clean_variables())
 
 
-@pytest.mark.parametrize("environment", [ENGINE, BLENDER])
+@pytest.mark.parametrize("environment", [ENGINE, BLENDER, BLENDER45])
 def test_every_constraint_is_one_exact_public_version(environment):
     lines = [line for line in environment.constraints.read_text().splitlines() if line and not line.startswith("#")]
     assert lines

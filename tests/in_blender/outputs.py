@@ -20,7 +20,7 @@ def step_the_panels_of_output_and_training_alone(window):
     bpy.context.preferences.addons[window.addon.__name__].preferences.show_training = True
     for name in ("hand.panel", "render.panel"):
         for panel in reversed(window.module(name).CLASSES):
-            if panel.bl_label != "Hand":
+            if panel.__name__ not in ("HandPanel", "JointList"):
                 bpy.utils.unregister_class(panel)
     for name in ("export.panel", "train.panel"):
         panels = window.module(name).CLASSES
