@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,11 +17,14 @@ from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
+    import torch
+
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.captures.splits import Split
-    from jghand_engine.learn.ablation import Build, Measured, TestPictures
+    from jghand_engine.captures.sample import Sample
+    from jghand_engine.learn.ablation import LiveHand
+    from jghand_engine.learn.evaluate import Evaluation
     from jghand_engine.learn.options import TrainOptions
-    from jghand_engine.learn.schedule import Budget
+    from jghand_engine.learn.step import Material
 
 DESCRIPTION = """Train with parts of the method taken out, one at a time, and print the paper's ablation table.
 
@@ -28,7 +32,7 @@ Examples:
   jghand ablate captures/id3 --steps 4000 --out id3_ablation
   jghand ablate captures/id3 --steps 4000 --out id3_ablation --variants "w/o shadow" full
 
-It can be stopped with Ctrl-C; the same command goes on where it stood."""
+It can be stopped with Ctrl-C; the same command resumes it."""
 
 # variants that are shown beside each other on poses between poses: where ellipsoids are said to fail (PAPER 4)
 SHAPES = {"full": "isotropic", "w/o iso": "anisotropic"}
@@ -56,10 +60,9 @@ class Ablate:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, material, train_options
-        from jghand_engine.learn.ablation import TestPictures, chosen_variants
-        from jghand_engine.learn.evaluate import categories_of
-        from jghand_engine.learn.schedule import Budget
-        from jghand_engine.learn.step import HandTraining
+        from jghand_engine.learn.ablation import LiveHand, chosen_variants
+        from jghand_engine.learn.evaluate import Evaluation, categories_of, measure_pictures
+        from jghand_engine.render.settings import preset
 
         for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
             if value < least:
@@ -69,48 +72,57 @@ class Ablate:
         variants = chosen_variants(full, self.variants)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
-        tested = TestPictures(categories_of(split, "test", self.limit), capture.name, split.origin)
-        results = {}
-
-        def build(options: TrainOptions) -> HandTraining:
-            return HandTraining(material("ablation", capture.name, split, perceptual), options, device)
-
+        categories = categories_of(split, "test", self.limit)
+        learned_from = material("ablation", capture.name, split, perceptual)
+        drawers, results = {}, {}
         for name, options in variants.items():
             say(f"\n{name}")
-            avatar = self._trained(name, options, split, build, Budget(self.steps))
+            avatar = self._trained(name, options, learned_from, device)
             if avatar is None:
-                say("Stopped. Nothing is lost: the same command goes on.")
+                say("Stopped. Nothing is lost: the same command resumes it.")
                 return STOPPED
-            results[name] = measured(name, avatar, tested)
-        self._show(results, tested)
+            drawers[name] = LiveHand(avatar, preset("final"))
+            with progress("Measuring", sum(map(len, categories.values()))) as bar:
+                tick = partial(bar.advance, bar.task_ids[0])
+                scores = measure_pictures(categories, drawers[name], tick=tick)
+            results[name] = Evaluation(name, capture.name, split.origin, scores)
+        self._show(capture.name, [sample for group in categories.values() for sample in group], drawers, results)
         return 0
 
     def _trained(
-        self, name: str, options: TrainOptions, split: Split, build: Build, budget: Budget
+        self, name: str, options: TrainOptions, learned_from: Material, device: torch.device
     ) -> HandAvatar | None:
         from jghand_engine.learn.ablation import train_variant, variant_folder
         from jghand_engine.learn.progress import display
         from jghand_engine.learn.run import RunOptions
+        from jghand_engine.learn.schedule import Budget
+        from jghand_engine.learn.step import HandTraining
         from jghand_engine.learn.work_folder import Start, stamp_of
 
-        place = variant_folder(self.out, name)
+        work = variant_folder(self.out, name)
         run = RunOptions(
-            out=place.with_suffix(".jghand"),
-            work=place,
-            stamp=stamp_of(options, split.train),
-            budget=budget,
-            start=Start.RESUME if place.is_dir() and any(place.iterdir()) else Start.NEW,
+            out=work.with_suffix(".jghand"),
+            work=work,
+            stamp=stamp_of(options, learned_from.train),
+            budget=Budget(self.steps),
+            start=Start.RESUME if work.is_dir() and any(work.iterdir()) else Start.NEW,
         )
         with display(err()) as shown:
-            return train_variant(build, options, run, shown)
+            return train_variant(lambda: HandTraining(learned_from, options, device), run, shown)
 
-    def _show(self, results: Mapping[str, Measured], tested: TestPictures) -> None:
+    def _show(
+        self,
+        capture: str,
+        everything: Sequence[Sample],
+        drawers: Mapping[str, LiveHand],
+        results: Mapping[str, Evaluation],
+    ) -> None:
         from jghand_engine.export.pictures import write_png
         from jghand_engine.files import writing
         from jghand_engine.learn import sheets
         from jghand_engine.learn.tables import ablation_table
 
-        table = ablation_table({name: one.evaluation for name, one in results.items()})
+        table = ablation_table(results)
         say_whole_table(table)
         with writing(self.out / "ablation.md") as temporary:
             temporary.write_text(
@@ -118,25 +130,14 @@ class Ablate:
             )
         figures = {
             "command": "ablate", "preset": self.preset, "steps": self.steps, "seed": self.seed,
-            "variants": {name: one.evaluation.as_dict() for name, one in results.items()},
+            "variants": {name: one.as_dict() for name, one in results.items()},
         }  # fmt: skip
         write_json(self.out / "ablation.json", figures)
-        everything = [sample for group in tested.categories.values() for sample in group]
         samples = sheets.varied_samples(everything, 6)
-        drawers = {name: one.draw for name, one in results.items()}
-        write_png(self.out / "ablation.png", sheets.variant_sheet(samples, drawers, f"Ablation on {tested.capture}"))
+        write_png(self.out / "ablation.png", sheets.variant_sheet(samples, drawers, f"Ablation on {capture}"))
         shapes = {shown: drawers[name] for name, shown in SHAPES.items() if name in drawers}
         if len(shapes) > 1 and len({sample.pose for sample in everything}) > 1:
-            title = f"Poses in between, on {tested.capture}"
+            title = f"Poses in between, on {capture}"
             between = sheets.between_sheet(sheets.pairs_of(everything, 3), framing_cameras, shapes, title)
             write_png(self.out / "isotropic_anisotropic.png", between)
         say(f"\n{self.out}: ablation.md, ablation.json, sheets, the avatars and their trainings")
-
-
-def measured(name: str, avatar: HandAvatar, tested: TestPictures) -> Measured:
-    """Figures of a trained variant, behind a bar of progress."""
-    from jghand_engine.learn.ablation import measure_variant
-
-    with progress("Measuring", sum(map(len, tested.categories.values()))) as bar:
-        task = bar.task_ids[0]
-        return measure_variant(name, avatar, tested, lambda: bar.advance(task))

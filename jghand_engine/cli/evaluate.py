@@ -195,7 +195,6 @@ def write_sheets(
             write_png(file, sheets.comparison_sheet(chosen, draw, f"{title}: {category}"))
     samples = [sample for group in categories.values() for sample in group]
     poses = sheets.varied_samples(categories.get("novel pose", samples), 12)
-    write_png(out / "poses.png", sheets.pose_sheet(poses, draw, f"{title}: poses"))
     three = sheets.varied_samples(poses, 3)
     write_png(out / "views.png", sheets.view_sheet(three, framing_cameras, draw, f"{title}: views"))
     if len({sample.pose for sample in samples}) > 1:

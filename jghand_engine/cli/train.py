@@ -166,18 +166,18 @@ class Train:
     def _say(self, outcome: Outcome, run: RunOptions) -> None:
         from jghand_engine.learn.progress import duration
 
-        course = outcome.course
-        done = f"{course.step} steps in {duration(course.seconds)}"
+        state = outcome.state
+        done = f"{state.step} steps in {duration(state.seconds)}"
         if outcome.finished:
             say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed views, cut to the hand, after {done}.")
             say(f"Log and pictures: {run.work}")
             say(f"How good it is: jghand evaluate {run.out} {self.folder}")
         else:
             say(f"Stopped after {done}. Nothing is lost: the same command with --resume goes on.")
-        if course.skipped:
-            say(f"Left out, because they gave values that are not finite: steps {course.skipped}")
+        if state.skipped:
+            say(f"Left out, because they gave values that are not finite: steps {state.skipped}")
         write_figures(self.json, {
             "command": "train", "folder": str(self.folder), "out": str(run.out), "work": str(run.work),
-            "finished": outcome.finished, "steps": course.step, "seconds": course.seconds,
-            "fixed_view_psnr_db": outcome.psnr, "skipped_steps": course.skipped, "stamp": dict(run.stamp),
+            "finished": outcome.finished, "steps": state.step, "seconds": state.seconds,
+            "fixed_view_psnr_db": outcome.psnr, "skipped_steps": state.skipped, "stamp": dict(run.stamp),
         })  # fmt: skip

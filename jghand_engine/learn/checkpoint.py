@@ -1,7 +1,7 @@
 """Checkpoints: a training between two steps as one file, safetensors with a JSON description. Reading runs no code.
 
 The metadata holds one key, `jghand_training`, a JSON object: format_version, jghand_version, stamp (the options that
-decide what is learned; they must agree when the training goes on), scalars (the model's) and course (the loop's).
+decide what is learned; they must agree when the training goes on), scalars (the model's) and state (the loop's).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def save_checkpoint(path: Path, snapshot: Snapshot, stamp: Stamp) -> None:
         "jghand_version": __version__,
         "stamp": stamp,
         "scalars": snapshot.scalars,
-        "course": asdict(snapshot.course),
+        "state": asdict(snapshot.state),
     }
     tensors = {name: tensor.cpu().contiguous() for name, tensor in snapshot.tensors.items()}
     content = safetensors.torch.save(tensors, {METADATA_KEY: json.dumps(description, allow_nan=False)})
@@ -55,7 +55,7 @@ def load_checkpoint(path: Path) -> tuple[Snapshot, Stamp]:
             description = json.loads((content.metadata() or {})[METADATA_KEY])
             _check_version(path, description)
             tensors = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
-        return Snapshot(tensors, description["scalars"], Course(**description["course"])), description["stamp"]
+        return Snapshot(tensors, description["scalars"], LoopState(**description["state"])), description["stamp"]
     except (safetensors.SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
         came = f"{type(error).__name__}: {error}"[:200]
         raise InputError(f"{path}", wanted="a checkpoint of a training", came=came, remedy=RESTART) from error
@@ -96,9 +96,9 @@ class CheckpointFolder:
         self._folder, self._stamp = folder, stamp
 
     def save(self, snapshot: Snapshot) -> Path:
-        path = self._folder / f"step_{snapshot.course.step:08d}.safetensors"
+        path = self._folder / f"step_{snapshot.state.step:08d}.safetensors"
         save_checkpoint(path, snapshot, self._stamp)
-        self._forget_old(snapshot.course)
+        self._forget_old(snapshot.state)
         return path
 
     def newest(self) -> tuple[Snapshot | None, list[InputError]]:
@@ -128,11 +128,11 @@ class CheckpointFolder:
         for _, path in self._numbered():
             path.unlink()
 
-    def _forget_old(self, course: Course) -> None:
+    def _forget_old(self, state: LoopState) -> None:
         # a newer one can only be damaged: it was passed over when the training went on from an older one
-        own = [(step, path) for step, path in self._numbered() if step <= course.step]
+        own = [(step, path) for step, path in self._numbered() if step <= state.step]
         for step, path in own[:-CHECKPOINTS_KEPT]:
-            if step != course.best_step:
+            if step != state.best_step:
                 path.unlink(missing_ok=True)
 
     def _numbered(self) -> list[tuple[int, Path]]:
@@ -141,7 +141,7 @@ class CheckpointFolder:
 
 
 @dataclass
-class Course:
+class LoopState:
     """Where the loop stands; JSON can hold it.
 
     step:          steps done; the next one has this number
@@ -168,19 +168,19 @@ class Snapshot:
 
     tensors: dict[str, torch.Tensor]
     scalars: dict[str, Any]
-    course: Course
+    state: LoopState
 
     @classmethod
-    def of(cls, trainable: Trainable, course: Course) -> Snapshot:
+    def of(cls, trainable: Trainable, state: LoopState) -> Snapshot:
         tensors = {name: tensor.detach().clone() for name, tensor in trainable.tensors().items()}
-        return cls(tensors, copy.deepcopy(trainable.scalars()), copy.deepcopy(course))
+        return cls(tensors, copy.deepcopy(trainable.scalars()), copy.deepcopy(state))
 
-    def restore(self, trainable: Trainable) -> Course:
+    def restore(self, trainable: Trainable) -> LoopState:
         """Puts `trainable` back into this state; returns the loop's part, to go on with."""
         trainable.load_tensors(self.tensors)
         trainable.load_scalars(copy.deepcopy(self.scalars))
-        trainable.plan(self.course.planned_steps)
-        return copy.deepcopy(self.course)
+        trainable.plan(self.state.planned_steps)
+        return copy.deepcopy(self.state)
 
 
 def check_fits(tensors: Mapping[str, torch.Tensor], trainable: Trainable, thing: str) -> None:

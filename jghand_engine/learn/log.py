@@ -15,20 +15,20 @@ from typing import Any
 
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.files import file_error, writing
-from jghand_engine.learn.checkpoint import Course
+from jghand_engine.learn.checkpoint import LoopState
 
 
-def add_figures(course: Course, figures: Mapping[str, float]) -> None:
+def add_figures(state: LoopState, figures: Mapping[str, float]) -> None:
     """Adds a step's figures to those that the next line will average."""
     for name, value in figures.items():
-        course.sums[name] = course.sums.get(name, 0.0) + value
-    course.summed += 1
+        state.sums[name] = state.sums.get(name, 0.0) + value
+    state.summed += 1
 
 
-def take_means(course: Course) -> dict[str, float]:
+def take_means(state: LoopState) -> dict[str, float]:
     """The means since the last time, which are forgotten; empty when there was no step."""
-    means = {name: total / course.summed for name, total in course.sums.items()}
-    course.sums, course.summed = {}, 0
+    means = {name: total / state.summed for name, total in state.sums.items()}
+    state.sums, state.summed = {}, 0
     return means
 
 

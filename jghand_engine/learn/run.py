@@ -1,6 +1,6 @@
 """The training loop: steps, and between them the log, checkpoints, previews, and what a stop or a fault asks for.
 
-with a lock on the folder, a new or resumed course
+with a lock on the folder, a new or resumed state
     until the budget is spent or somebody stops it
         one step; the guard looks at it
         now and then: a copy for the guard, a line of the log, a checkpoint, a preview
@@ -20,7 +20,7 @@ from pathlib import Path
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import to_bytes, write_png
-from jghand_engine.learn.checkpoint import Course, Snapshot, Stamp, check_fits
+from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fits
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, Guard, find_non_finite
 from jghand_engine.learn.log import Board, Log, add_figures, take_means
 from jghand_engine.learn.progress import Display, Silent, Status
@@ -71,12 +71,12 @@ class Outcome:
     """How a training ended.
 
     finished: else somebody stopped it, and it can be resumed
-    course:   where it stands
+    state:   where it stands
     psnr:     of the fixed views, dB
     """
 
     finished: bool
-    course: Course
+    state: LoopState
     psnr: float
 
 
@@ -97,7 +97,7 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
             finished = loop.run(stop)
         if finished:
             _finish(trainable, options)
-        return Outcome(finished, loop.course, loop.psnr)
+        return Outcome(finished, loop.state, loop.psnr)
 
 
 def check_places(options: RunOptions) -> None:
@@ -124,33 +124,33 @@ class Loop:
         self._log, self._display = log, display
         self._figures: Mapping[str, float] = {}
         self._ends_s: deque[float] = deque(maxlen=LOG_EVERY_STEPS + 1)
-        self.psnr, self.course = math.nan, self._restored()
+        self.psnr, self.state = math.nan, self._restored()
 
-    def _restored(self) -> Course:
+    def _restored(self) -> LoopState:
         """Where the newest checkpoint stands, put into the trainable; the beginning without one."""
         found, damaged = self._work.checkpoints.newest()
         for error in damaged:
             self._display.note(f"Passed over: {error}")
         if found is not None:
             check_fits(found.tensors, self._trainable, str(self._options.work))
-            self._display.note(f"Resuming at step {found.course.step}.")
+            self._display.note(f"Resuming at step {found.state.step}.")
             return found.restore(self._trainable)
         if self._options.start is Start.RESUME:
             self._display.note("There is no checkpoint yet: beginning at step 0.")
-        return Course()
+        return LoopState()
 
     def run(self, stop: StopRequest) -> bool:
         """True when the budget is spent, False after a stop; in both cases the newest checkpoint is where it ended."""
         now_s = time.monotonic()
-        self._spent_before_s, self._began_s = self.course.seconds, now_s
-        self._checkpoint_timer = Timer(self._options.checkpoint, self.course.step, now_s)
-        self._preview_timer = Timer(self._options.preview, self.course.step, now_s)
-        self._log.cut_after(self.course.step)
+        self._spent_before_s, self._began_s = self.state.seconds, now_s
+        self._checkpoint_timer = Timer(self._options.checkpoint, self.state.step, now_s)
+        self._preview_timer = Timer(self._options.preview, self.state.step, now_s)
+        self._log.cut_after(self.state.step)
         self._plan()
         self._guard = Guard(self._snapshot())
-        if self.course.step == 0:
+        if self.state.step == 0:
             self._checkpoint()
-        while not (finished := self._options.budget.is_spent(self.course)) and not stop.requested:
+        while not (finished := self._options.budget.is_spent(self.state)) and not stop.requested:
             self._one_step()
         if finished:
             self._write_line()
@@ -161,35 +161,35 @@ class Loop:
     # ---- a step ------------------------------------------------------------------------------------------------------
 
     def _one_step(self) -> None:
-        number = self.course.step
-        if number not in self.course.skipped:
+        number = self.state.step
+        if number not in self.state.skipped:
             self._figures = self._trainable.step(number)
             if findings := find_non_finite(self._figures, self._trainable):
                 self._recover(number, findings)
                 return
-            add_figures(self.course, self._figures)
-        self.course.step += 1
+            add_figures(self.state, self._figures)
+        self.state.step += 1
         self._take_time()
         self._show()
         self._now_and_then()
 
     def _recover(self, number: int, findings: list[str]) -> None:
-        best = self.course.best_step, self.course.best_psnr
-        self.course = self._guard.recover(number, findings, self._trainable)
-        self.course.best_step, self.course.best_psnr = best
+        best = self.state.best_step, self.state.best_psnr
+        self.state = self._guard.recover(number, findings, self._trainable)
+        self.state.best_step, self.state.best_psnr = best
         self._take_time()
-        self._log.cut_after(self.course.step)
+        self._log.cut_after(self.state.step)
         what = "; ".join(findings[:FINDINGS_NAMED])
-        self._log.write(self.course.step, {}, not_finite=what, skipped=number)
+        self._log.write(self.state.step, {}, not_finite=what, skipped=number)
         self._display.note(
-            f"Step {number} gave values that are not finite ({what}): back to step {self.course.step}, "
+            f"Step {number} gave values that are not finite ({what}): back to step {self.state.step}, "
             f"step {number} is left out."
         )
 
     # ---- between steps -----------------------------------------------------------------------------------------------
 
     def _now_and_then(self) -> None:
-        step, now_s = self.course.step, time.monotonic()
+        step, now_s = self.state.step, time.monotonic()
         if step % GUARD_KEEP_STEPS == 0 or step in GUARD_KEEPS_AT_FIRST:
             self._plan()
             self._guard.good = self._snapshot()
@@ -203,47 +203,47 @@ class Loop:
             self._display.note(f"Preview: {picture} and {self._work.preview}")
 
     def _plan(self) -> None:
-        self.course.planned_steps = self._options.budget.planned_steps(self.course)
-        self._trainable.plan(self.course.planned_steps)
+        self.state.planned_steps = self._options.budget.planned_steps(self.state)
+        self._trainable.plan(self.state.planned_steps)
 
     def _snapshot(self) -> Snapshot:
-        return Snapshot.of(self._trainable, self.course)
+        return Snapshot.of(self._trainable, self.state)
 
     def _write_line(self) -> None:
-        if means := take_means(self.course):
-            self._log.write(self.course.step, means, seconds=round(self.course.seconds, 3), steps_per_s=self._speed())
+        if means := take_means(self.state):
+            self._log.write(self.state.step, means, seconds=round(self.state.seconds, 3), steps_per_s=self._speed())
 
     def _checkpoint(self) -> None:
         self.psnr = self._trainable.fixed_psnr()
-        if math.isfinite(self.psnr) and self.psnr > (self.course.best_psnr or -math.inf):
-            self.course.best_step, self.course.best_psnr = self.course.step, self.psnr
-        self._log.write(self.course.step, {"psnr": self.psnr})
+        if math.isfinite(self.psnr) and self.psnr > (self.state.best_psnr or -math.inf):
+            self.state.best_step, self.state.best_psnr = self.state.step, self.psnr
+        self._log.write(self.state.step, {"psnr": self.psnr})
         self._work.checkpoints.save(self._snapshot())
 
     def _write_preview_picture(self) -> Path:
-        path = self._work.pictures / f"step_{self.course.step:08d}.png"
+        path = self._work.pictures / f"step_{self.state.step:08d}.png"
         write_png(path, to_bytes(self._trainable.preview()))
         return path
 
     def _show(self) -> None:
-        course, speed = self.course, self._speed()
+        state, speed = self.state, self._speed()
         gaussians = self._figures.get(GAUSSIANS)
         self._display.update(
             Status(
-                step=course.step,
-                steps=course.planned_steps,
+                step=state.step,
+                steps=state.planned_steps,
                 loss=self._figures.get(LOSS),
                 psnr=self.psnr if math.isfinite(self.psnr) else None,
                 gaussians=None if gaussians is None else round(gaussians),
                 steps_per_s=speed,
-                seconds_left=self._options.budget.seconds_left(course, speed),
+                seconds_left=self._options.budget.seconds_left(state, speed),
             )
         )
 
     def _take_time(self) -> None:
         now_s = time.monotonic()
         self._ends_s.append(now_s)
-        self.course.seconds = self._spent_before_s + now_s - self._began_s
+        self.state.seconds = self._spent_before_s + now_s - self._began_s
 
     def _speed(self) -> float | None:
         """Steps per second lately; None before there were two."""

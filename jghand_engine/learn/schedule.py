@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from jghand_engine.learn.checkpoint import Course
+from jghand_engine.learn.checkpoint import LoopState
 
 # steps that a training with a time budget is taken to have until its speed is known
 PLANNED_STEPS_AT_FIRST = 10_000
@@ -21,12 +21,12 @@ class Budget:
     steps: int | None = None
     seconds: float | None = None
 
-    def is_spent(self, course: Course) -> bool:
-        return (self.steps is not None and course.step >= self.steps) or (
-            self.seconds is not None and course.seconds >= self.seconds
+    def is_spent(self, state: LoopState) -> bool:
+        return (self.steps is not None and state.step >= self.steps) or (
+            self.seconds is not None and state.seconds >= self.seconds
         )
 
-    def planned_steps(self, course: Course) -> int:
+    def planned_steps(self, state: LoopState) -> int:
         """How many steps the whole training will have, if they stay as fast as they were on average.
 
         Then step / planned steps is the part of the time that is spent: schedules end when the time does.
@@ -34,13 +34,13 @@ class Budget:
         by_time = PLANNED_STEPS_AT_FIRST
         if self.seconds is None:
             return self.steps or by_time
-        if course.step and course.seconds > 0:
-            by_time = max(course.step, round(course.step * self.seconds / course.seconds))
+        if state.step and state.seconds > 0:
+            by_time = max(state.step, round(state.step * self.seconds / state.seconds))
         return by_time if self.steps is None else min(by_time, self.steps)
 
-    def seconds_left(self, course: Course, steps_per_s: float | None) -> float | None:
-        by_steps = (self.steps - course.step) / steps_per_s if self.steps is not None and steps_per_s else None
-        by_time = self.seconds - course.seconds if self.seconds is not None else None
+    def seconds_left(self, state: LoopState, steps_per_s: float | None) -> float | None:
+        by_steps = (self.steps - state.step) / steps_per_s if self.steps is not None and steps_per_s else None
+        by_time = self.seconds - state.seconds if self.seconds is not None else None
         known = [max(left, 0.0) for left in (by_steps, by_time) if left is not None]
         return min(known, default=None)
 

@@ -113,23 +113,6 @@ def from_best_to_worst(pictures: Sequence[PictureScore], count: int) -> tuple[Pi
     return tuple(ranked[place] for place in places)
 
 
-def pose_sheet(samples: Sequence[Sample], draw: Picturer, title: str) -> np.ndarray:
-    """Poses that were not learned: the truth above ours, six poses a row; (H, W, 3) uint8."""
-    cells: list[Cell] = []
-    for start in range(0, len(samples), 6):
-        row = samples[start : start + 6]
-        upper, lower = [], []
-        for sample in row:
-            truth = load_picture(sample)
-            rgba = draw(sample.joints_m, sample.handedness, sample.camera)
-            square = _Square.around(truth.mask)
-            upper.append(Cell(f"truth · {_where(sample)}", square.hand(truth.rgb, truth.mask)))
-            lower.append(Cell("ours", square.hand(rgba[..., :3], rgba[..., 3])))
-        gap = [Cell("", _empty())] * (min(6, len(samples)) - len(row))
-        cells += [*upper, *gap, *lower, *gap]
-    return _with_head(_sheet(cells, min(6, len(samples))), title, "Poses that were not learned: the truth above ours")
-
-
 def view_sheet(samples: Sequence[Sample], cameras: Cameras, draw: Picturer, title: str) -> np.ndarray:
     """Each sample's pose, a row of its own, from cameras that no picture was taken by; (H, W, 3) uint8."""
     cells, columns = [], 1
@@ -205,10 +188,6 @@ def heat(values: np.ndarray) -> np.ndarray:
 
 def _cut_out(rgba: np.ndarray) -> np.ndarray:
     return _Square.around(rgba[..., 3]).hand(rgba[..., :3], rgba[..., 3])
-
-
-def _empty() -> np.ndarray:
-    return np.broadcast_to(to_bytes(np.asarray(_PAGE)), (_CELL_PX, _CELL_PX, 3)).copy()
 
 
 def _sheet(cells: Sequence[Cell], columns: int) -> np.ndarray:

@@ -36,7 +36,7 @@ def test_an_evaluation_leaves_figures_tables_and_sheets(folder, tmp_path, capsys
     assert {"novel pose", "novel view", "both novel", "all"} <= set(content["means"])
     assert content["means"]["all"]["pictures"] == 3
     assert "data differ" in (out / "tables.md").read_text(encoding="utf-8")
-    names = {"best_to_worst", "novel_pose", "novel_view", "both_novel", "poses", "views", "between"}
+    names = {"best_to_worst", "novel_pose", "novel_view", "both_novel", "views", "between"}
     assert {path.stem for path in out.glob("*.png")} == names
     assert all(min(read_png(path).shape[:2]) > 200 for path in out.glob("*.png"))
 

@@ -59,17 +59,6 @@ def test_what_is_trained_is_drawn_as_users_see_it(camera, name):
     np.testing.assert_allclose(came, wanted, rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["open", "point"])
-def test_a_painted_avatar_is_drawn_as_users_see_it(avatar, camera, name):
-    settings = RenderSettings(reuse=False)
-    renderer, live = HandRenderer(avatar, settings), LiveHand(avatar, settings)
-    wanted = renderer.render(posed(avatar, name), camera).rgba
-    came = live(posed(avatar, name), Handedness.RIGHT, camera)
-    # worst observed 2e-6 without shadow; with it 4.4e-3, at one pixel whose taps round the other way
-    np.testing.assert_allclose(came, wanted, rtol=0, atol=1e-5 if name == "open" else 6e-3)
-    assert np.abs(came - wanted).mean() < 1e-5
-
-
 def test_the_transform_that_the_avatar_names_is_used(avatar, camera):
     """On a hand with fingers a quarter longer, the transforms differ."""
     joints = posed(avatar, "open")
@@ -120,7 +109,7 @@ def ablate(two_poses_held_out, tiny, tmp_path, capsys):
 
 
 def test_an_ablation_leaves_a_table_figures_and_a_sheet(ablate, tmp_path):
-    code, out, err = ablate("--steps", 4, "--limit", 4, "--variants", "full", "w/o trans", "w/o iso")
+    code, out, err = ablate("--steps", 2, "--limit", 2, "--variants", "full", "w/o trans", "w/o iso")
     assert code == 0, err
     assert "Ablation" in out
     content = json.loads((tmp_path / "out" / "ablation.json").read_text())
@@ -145,7 +134,7 @@ def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, t
     monkeypatch.setattr(HandTraining, "step", counted)
     code, out, _ = ablate("--steps", 5, "--variants", "full")
     assert code == STOPPED
-    assert "goes on" in out
+    assert "resumes it" in out
     assert ablate("--steps", 5, "--variants", "full")[0] == 0
     assert steps == [0, 1, 2, 3, 4]
     code, _, err = ablate("--steps", 5, "--variants", "full", "--seed", 1)

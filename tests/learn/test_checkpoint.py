@@ -16,7 +16,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.learn.checkpoint import (
     METADATA_KEY,
     CheckpointFolder,
-    Course,
+    LoopState,
     Snapshot,
     check_fits,
     load_checkpoint,
@@ -31,8 +31,8 @@ def snapshot():
     model = StandIn()
     for number in range(3):
         model.step(number)
-    course = Course(step=3, planned_steps=9, seconds=0.1, skipped=[1], sums={"loss": 0.1 + 0.2}, summed=3)
-    return Snapshot.of(model, course)
+    state = LoopState(step=3, planned_steps=9, seconds=0.1, skipped=[1], sums={"loss": 0.1 + 0.2}, summed=3)
+    return Snapshot.of(model, state)
 
 
 def test_every_bit_comes_back(snapshot, tmp_path):
@@ -40,7 +40,7 @@ def test_every_bit_comes_back(snapshot, tmp_path):
     save_checkpoint(path, snapshot, STAMP)
     loaded, stamp = load_checkpoint(path)
     assert loaded.scalars == snapshot.scalars
-    assert loaded.course == snapshot.course
+    assert loaded.state == snapshot.state
     assert stamp == {"seed": 0, "rate": 1e-3, "range": [1, 2]}
     assert loaded.tensors.keys() == snapshot.tensors.keys()
     assert all(torch.equal(loaded.tensors[name], tensor) for name, tensor in snapshot.tensors.items())
@@ -48,11 +48,11 @@ def test_every_bit_comes_back(snapshot, tmp_path):
 
 def test_a_snapshot_does_not_change_when_the_training_goes_on(snapshot):
     model = StandIn()
-    course = snapshot.restore(model)
-    kept = Snapshot.of(model, course)
+    state = snapshot.restore(model)
+    kept = Snapshot.of(model, state)
     model.step(3)
-    course.skipped.append(7)
-    assert kept.course.skipped == [1]
+    state.skipped.append(7)
+    assert kept.state.skipped == [1]
     assert all(torch.equal(kept.tensors[name], tensor) for name, tensor in snapshot.tensors.items())
 
 
@@ -66,7 +66,7 @@ def test_options_that_json_writes_otherwise_still_agree(snapshot, tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_killed_at_random_moments_of_a_save_the_newest_checkpoint_is_whole(snapshot, tmp_path):
-    big = Snapshot({**snapshot.tensors, "large": torch.zeros(200_000)}, snapshot.scalars, snapshot.course)
+    big = Snapshot({**snapshot.tensors, "large": torch.zeros(200_000)}, snapshot.scalars, snapshot.state)
     folder, rng = CheckpointFolder(tmp_path, STAMP), random.Random(5)
     folder.save(big)
     for _ in range(40):
@@ -74,7 +74,7 @@ def test_killed_at_random_moments_of_a_save_the_newest_checkpoint_is_whole(snaps
         child = os.fork()
         if child == 0:
             while True:
-                big.course.step += 1
+                big.state.step += 1
                 os.write(begins, b".")
                 folder.save(big)
         # from the child's own word that a save begins: on a busy machine it may not have run at all before
@@ -88,9 +88,9 @@ def test_killed_at_random_moments_of_a_save_the_newest_checkpoint_is_whole(snaps
         found, damaged = folder.newest()
         assert found is not None
         assert not damaged
-        assert found.course.step >= big.course.step, "never back before what was there"
-        big.course.step = found.course.step
-    assert big.course.step > 20, "saves did happen"
+        assert found.state.step >= big.state.step, "never back before what was there"
+        big.state.step = found.state.step
+    assert big.state.step > 20, "saves did happen"
     folder.remove_leftovers()
     assert len(list(tmp_path.iterdir())) <= 3
 
@@ -111,7 +111,7 @@ def written(tmp_path, metadata):
         ({METADATA_KEY: "[1, 2"}, "wanted a checkpoint"),
         ({METADATA_KEY: "[1]"}, "wanted a checkpoint"),
         ({METADATA_KEY: '{"format_version": 1, "jghand_version": "0.1.0"}'}, "JGHand 0.1.0"),
-        ({METADATA_KEY: '{"format_version": 2, "stamp": {}, "scalars": {}, "course": {"steps": 1}}'}, "steps"),
+        ({METADATA_KEY: '{"format_version": 2, "stamp": {}, "scalars": {}, "state": {"steps": 1}}'}, "steps"),
     ],
 )
 def test_a_file_that_is_no_checkpoint_is_named(metadata, said, tmp_path):

@@ -92,7 +92,7 @@ def test_one_bad_value_anywhere_is_caught_in_its_step_and_the_training_goes_on(w
         "back to the copy, without the step"
     )
     assert outcome.finished
-    assert outcome.course.skipped == [FAULT]
+    assert outcome.state.skipped == [FAULT]
     assert any(f"{where} {name}" in note for note in shown.notes)
     last, _ = load_checkpoint(options.work / "checkpoints" / "step_00000030.safetensors")
     assert all(tensor.isfinite().all() for tensor in last.tensors.values())
@@ -156,7 +156,7 @@ def test_a_resumed_training_meets_the_same_fault_and_ends_the_same(options, tmp_
     a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000030.safetensors")[0] for o in (straight, options))
     assert a.scalars == b.scalars
     assert all(torch.equal(a.tensors[name], b.tensors[name]) for name in a.tensors)
-    assert b.course.skipped == [FAULT]
+    assert b.state.skipped == [FAULT]
 
 
 def test_the_best_checkpoint_stays_known_when_the_training_goes_back(options):

@@ -15,7 +15,7 @@ from jghand_engine.avatar.avatar import AvatarInfo
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.learn.checkpoint import Course, Snapshot, load_checkpoint
+from jghand_engine.learn.checkpoint import LoopState, Snapshot, load_checkpoint
 from jghand_engine.learn.guard import find_non_finite
 from jghand_engine.learn.log import read_log
 from jghand_engine.learn.pictures import Pictures
@@ -133,7 +133,7 @@ def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, smal
 def test_a_nan_in_any_tensor_is_caught_in_the_next_step(build):
     training = build()
     losses(training, 2)
-    good = Snapshot.of(training, Course(step=2, planned_steps=10))
+    good = Snapshot.of(training, LoopState(step=2, planned_steps=10))
     missed = []
     for name in training.tensors():
         training.tensors()[name].view(-1)[0] = math.nan
@@ -161,7 +161,7 @@ def test_the_gradient_that_was_not_finite_first_is_named(build, options):
 
     training.step = poisoned
     outcome = train(lambda: training, options)
-    assert outcome.course.skipped == [5]
+    assert outcome.state.skipped == [5]
     (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
     assert "gradient raw_rim (1 NaN)" in line["not_finite"]
     assert "gradient trunk" not in line["not_finite"]

@@ -8,7 +8,7 @@ import pytest
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn import log as log_module
-from jghand_engine.learn.checkpoint import Course
+from jghand_engine.learn.checkpoint import LoopState
 from jghand_engine.learn.log import Board, Log, add_figures, read_log, take_means
 
 
@@ -48,11 +48,11 @@ def test_a_log_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_means_are_taken_once():
-    course = Course()
+    state = LoopState()
     for value in (1.0, 2.0, 6.0):
-        add_figures(course, {"loss": value})
-    assert take_means(course) == {"loss": 3.0}
-    assert take_means(course) == {}
+        add_figures(state, {"loss": value})
+    assert take_means(state) == {"loss": 3.0}
+    assert take_means(state) == {}
 
 
 def test_tensorboard_that_is_not_installed_is_a_clear_error(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from jghand_engine.learn.checkpoint import Course
+from jghand_engine.learn.checkpoint import LoopState
 from jghand_engine.learn.progress import Status, display, duration
 from jghand_engine.learn.schedule import Budget, Every, Timer
 
@@ -58,16 +58,16 @@ def test_the_first_time_may_come_earlier():
 
 def test_a_time_budget_plans_by_the_part_of_time_that_is_spent():
     budget = Budget(seconds=60.0)
-    assert budget.planned_steps(Course(step=100, seconds=6.0)) == 1000
-    assert budget.planned_steps(Course(step=900, seconds=61.0)) == 900
-    assert Budget(steps=500, seconds=60.0).planned_steps(Course(step=100, seconds=6.0)) == 500
-    assert Budget(steps=500).planned_steps(Course(step=100, seconds=6.0)) == 500
+    assert budget.planned_steps(LoopState(step=100, seconds=6.0)) == 1000
+    assert budget.planned_steps(LoopState(step=900, seconds=61.0)) == 900
+    assert Budget(steps=500, seconds=60.0).planned_steps(LoopState(step=100, seconds=6.0)) == 500
+    assert Budget(steps=500).planned_steps(LoopState(step=100, seconds=6.0)) == 500
 
 
 def test_the_budget_that_is_spent_first_ends_it():
     budget = Budget(steps=500, seconds=60.0)
-    assert not budget.is_spent(Course(step=499, seconds=59.0))
-    assert budget.is_spent(Course(step=500, seconds=1.0))
-    assert budget.is_spent(Course(step=1, seconds=60.0))
-    assert budget.seconds_left(Course(step=100, seconds=40.0), 40.0) == 10.0
-    assert budget.seconds_left(Course(step=100, seconds=40.0), None) == 20.0
+    assert not budget.is_spent(LoopState(step=499, seconds=59.0))
+    assert budget.is_spent(LoopState(step=500, seconds=1.0))
+    assert budget.is_spent(LoopState(step=1, seconds=60.0))
+    assert budget.seconds_left(LoopState(step=100, seconds=40.0), 40.0) == 10.0
+    assert budget.seconds_left(LoopState(step=100, seconds=40.0), None) == 20.0

@@ -71,7 +71,7 @@ def same_state(a: Snapshot, b: Snapshot) -> bool:
 def test_a_finished_training_leaves_avatar_log_previews_and_checkpoints(options):
     outcome = train(StandIn, options)
     assert outcome.finished
-    assert outcome.course.step == 60
+    assert outcome.state.step == 60
     assert len(load_avatar(options.out)) == 50
     assert [step for step, *_ in curve(options.work)] == list(range(5, 61, 5))
     assert [path.name for path in sorted((options.work / "pictures").iterdir())] == [
@@ -115,7 +115,7 @@ def test_a_stopped_training_that_goes_on_equals_an_uninterrupted_one_bit_for_bit
     straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
     train(StandIn, straight)
     assert not train(lambda: Stops(23), options).finished
-    assert newest(options.work).course.step == 24, "the step is finished, then a checkpoint is written"
+    assert newest(options.work).state.step == 24, "the step is finished, then a checkpoint is written"
     assert not options.out.exists()
     assert not train(lambda: Stops(41), replace(options, start=Start.RESUME)).finished
     assert train(StandIn, replace(options, start=Start.RESUME)).finished
@@ -137,7 +137,7 @@ def test_the_same_seed_gives_the_same_losses(options, tmp_path):
 def test_a_finished_training_can_be_given_more_steps(options):
     train(StandIn, options)
     outcome = train(StandIn, replace(options, start=Start.RESUME, budget=Budget(steps=80)))
-    assert outcome.course.step == 80
+    assert outcome.state.step == 80
     assert [step for step, *_ in curve(options.work)] == list(range(5, 81, 5))
 
 
@@ -193,8 +193,8 @@ def test_a_time_budget_ends_the_training_and_its_schedule(options, clock):
     made = Timed(clock)
     outcome = train(lambda: made, replace(options, budget=Budget(seconds=3.125)))
     assert outcome.finished
-    assert outcome.course.seconds == 3.125
-    assert outcome.course.step == 250
+    assert outcome.state.seconds == 3.125
+    assert outcome.state.step == 250
     assert made.plans[0] == 10_000, "nothing is known yet"
     assert made.plans[2] == 400, "after a few steps the speed is"
     # planned after 250 steps, where it ends
@@ -210,10 +210,10 @@ def test_a_resumed_time_budget_keeps_its_plan(options, clock):
 
 def test_time_spent_counts_over_all_sessions(options):
     train(StandIn, options)
-    spent = newest(options.work).course.seconds
+    spent = newest(options.work).state.seconds
     assert spent > 0
     outcome = train(StandIn, replace(options, start=Start.RESUME, budget=Budget(seconds=spent)))
-    assert outcome.course.step == 60, "nothing is left"
+    assert outcome.state.step == 60, "nothing is left"
 
 
 # ---- being killed ----------------------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ def in_a_process(options: RunOptions) -> Iterator[tuple[int, int]]:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 def test_kill_9_at_any_moment_loses_at_most_one_interval(options, tmp_path):
-    """Killed again and again at random moments; the course ends as if nothing had happened."""
+    """Killed again and again at random moments; the state ends as if nothing had happened."""
     every = 10
     options = replace(options, budget=Budget(steps=120), checkpoint=Every(steps=every), log_steps=3)
     rng, start, reached = random.Random(3), Start.NEW, 0
@@ -261,7 +261,7 @@ def test_kill_9_at_any_moment_loses_at_most_one_interval(options, tmp_path):
                     break
             said = [line, *lines]
         reached = max([reached, *map(int, said)])
-        found = newest(options.work).course.step
+        found = newest(options.work).state.step
         assert reached - every <= found <= reached + 1, f"step {reached} was begun, the checkpoint has {found}"
         start = Start.RESUME
     assert train(StandIn, replace(options, start=start)).finished
@@ -283,7 +283,7 @@ def test_a_second_interrupt_ends_at_once(options):
 
     with pytest.raises(KeyboardInterrupt):
         train(Twice, options)
-    assert newest(options.work).course.step == 7
+    assert newest(options.work).state.step == 7
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
@@ -299,7 +299,7 @@ def test_a_folder_with_a_training_wants_to_be_told_what_to_do(options):
     with pytest.raises(InputError, match=r"--resume.*--fresh"):
         train(never, options)
     outcome = train(StandIn, replace(options, start=Start.FRESH, budget=Budget(steps=10)))
-    assert outcome.course.step == 10
+    assert outcome.state.step == 10
     assert [step for step, *_ in curve(options.work)] == [5, 10]
 
 
@@ -408,6 +408,6 @@ def test_a_full_disk_is_a_clear_error_and_the_last_checkpoint_stays(options, mon
     with pytest.raises(RetryError, match="disk is full"):
         train(FillsTheDisk, options)
     monkeypatch.undo()
-    assert newest(options.work).course.step == 14
+    assert newest(options.work).state.step == 14
     assert not [path for path in (options.work / "checkpoints").iterdir() if path.name.startswith(".")]
     assert train(StandIn, replace(options, start=Start.RESUME)).finished

@@ -60,7 +60,6 @@ def test_poses_show_each_pose_once(capture):
     chosen = sheets.varied_samples(capture.samples, 12)
     assert len(chosen) == len(capture.poses) == len({sample.pose for sample in chosen})
     assert len({sample.camera_name for sample in chosen}) == 3
-    assert rows_and_columns(sheets.pose_sheet(chosen, draw, "title"))[1] == 3
 
 
 def test_views_have_a_row_for_each_pose_and_a_column_for_each_camera(capture):
