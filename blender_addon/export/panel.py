@@ -16,7 +16,7 @@ from ..renderer import runtime
 from ..renderer.panel import draw_job
 from ..ui import Sidebar
 from . import bakes, ops_common, usd_hook
-from .recording import SizeEstimate, Written, estimate
+from .recording import export_bytes, free_bytes, size_sentence
 
 
 class BakePanel(Sidebar, bpy.types.Panel):
@@ -38,7 +38,7 @@ class BakePanel(Sidebar, bpy.types.Panel):
         if not versions.has_native_splats():
             column.prop(settings, "bake_width_factor")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
-        _draw_estimate(layout, context, settings.bake_folder, Written())
+        _draw_size(layout, context, settings.bake_folder)
         hand = ui.active(context)
         if hand is None or not hand.jghand.bake:
             return
@@ -78,8 +78,8 @@ class ExportPanel(Sidebar, bpy.types.Panel):
             column.prop(settings, "axes")
         layout.operator("jghand.export", icon="EXPORT")
         if settings.format != "motion":
-            written = Written(ply=settings.format == "ply", sizes=settings.sizes == "per_frame")
-            _draw_estimate(layout, context, settings.folder, written)
+            sizes = settings.sizes == "per_frame"
+            _draw_size(layout, context, settings.folder, ply=settings.format == "ply", sizes=sizes)
         layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
         for note in usd_hook.left_out():
             ui.paragraph(layout, context, note, icon="ERROR")
@@ -141,23 +141,30 @@ def _look_at_bake(context: bpy.types.Context, uid: int) -> _SeenBake | None:
     return _SeenBake("", baked[0].first_frame, baked[0].last_frame, tuple(reasons), plays)
 
 
-def _draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, written: Written) -> None:
-    """What the chosen hands and frames take, before the click."""
-    size = ui.kept(context, _look_at_size, folder, written)
-    if size is not None:
-        layout.label(text=size.sentence(iface_), icon="NONE" if size.fits else "ERROR", translate=False)
+def _draw_size(
+    layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, *, ply: bool = False, sizes: bool = False
+) -> None:
+    """What the chosen hands and frames take at most, before the click."""
+    seen = ui.kept(context, _look_at_size, folder, ply, sizes)
+    if seen is not None:
+        size, free = seen
+        icon = "NONE" if free is None or size < free else "ERROR"
+        layout.label(text=size_sentence(size, free, iface_), icon=icon, translate=False)
 
 
-def _look_at_size(context: bpy.types.Context, folder: str, written: Written) -> SizeEstimate | None:
+def _look_at_size(context: bpy.types.Context, folder: str, ply: bool, sizes: bool) -> tuple[int, int | None] | None:
+    """Bytes of the files, and those that are free on the disk."""
     things = ops_common.hands_to_write(context)
     if not things:
         return None
     try:
-        target = ops_common.place(context, folder)
+        free = free_bytes(ops_common.place(context, folder))
     except JGHandFailure:
-        target = None  # said after the click, with what to do
+        free = None  # said after the click, with what to do
+    frames = len(ops_common.frames_to_write(context))
     hands = [avatar_files.gaussians_of(avatar_of(thing)) for thing in things]
-    return estimate(target, hands, len(ops_common.frames_to_write(context)), written)
+    size = sum(export_bytes(count, frames, learned=learned, ply=ply, sizes=sizes) for count, learned in hands)
+    return size, free
 
 
 CLASSES = (BakePanel, ExportPanel)

@@ -145,55 +145,34 @@ def _file_digest(path: Path, _changed_ns: int, _size: int) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-@dataclass(frozen=True)
-class SizeEstimate:
-    """bytes: of all files together · free: of the disk, None where that is not known."""
-
-    bytes: int
-    free: int | None
-
-    @property
-    def fits(self) -> bool:
-        """Whether there is room for it."""
-        return self.free is None or self.bytes < self.free
-
-    def sentence(self, translate: Translate = str) -> str:
-        """For a panel."""
-        if self.free is None or self.fits:
-            return translate("Up to {size}").format(size=readable(self.bytes))
-        template = translate("Up to {size}, and only {free} are free")
-        return template.format(size=readable(self.bytes), free=readable(self.free))
+def export_bytes(gaussians: int, frames: int, *, learned: bool, ply: bool = False, sizes: bool = False) -> int:
+    """Size of the files of one hand at most: frames that are alike are stored once. learned: whether its colors change
+    with the pose, as a trained avatar's do; ply: PLY files instead of USD; sizes: radii in every frame of USD."""
+    if ply:
+        return gaussians * frames * _PLY_BYTES
+    sample = _POSITION_BYTES + _SIZE_BYTES * sizes + _COLOR_BYTES * learned
+    return (
+        gaussians * (frames + 1) * sample
+        + gaussians * (_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned))
+        + _STATIC_BYTES
+    )
 
 
-@dataclass(frozen=True)
-class Written:
-    """What is written of every frame. ply: PLY files instead of USD · sizes: radii in every frame of USD."""
-
-    ply: bool = False
-    sizes: bool = False
-
-    def bytes(self, gaussians: int, frames: int, *, learned: bool) -> int:
-        """Size of one hand at most: frames that are alike are stored once. learned: whether its colors change with the
-        pose, as a trained avatar's do."""
-        if self.ply:
-            return gaussians * frames * _PLY_BYTES
-        sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOR_BYTES * learned
-        still = gaussians * (_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned)) + _STATIC_BYTES
-        return gaussians * (frames + 1) * sample + still
+def free_bytes(folder: Path) -> int | None:
+    """What is free where a folder is, or will be; None where that is not known."""
+    there = next((path for path in (folder, *folder.parents) if path.exists()), None)
+    try:
+        return shutil.disk_usage(there).free if there is not None else None
+    except OSError:
+        return None
 
 
-def estimate(folder: Path | None, hands: Sequence[tuple[int, bool]], frames: int, written: Written) -> SizeEstimate:
-    """What an export takes at most. hands: of each, how many Gaussians it has and whether it is learned."""
-    size = sum(written.bytes(gaussians, frames, learned=learned) for gaussians, learned in hands)
-    free = None
-    while folder is not None and not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    if folder is not None and folder.exists():
-        try:
-            free = shutil.disk_usage(folder).free
-        except OSError:
-            free = None
-    return SizeEstimate(size, free)
+def size_sentence(size: int, free: int | None, translate: Translate = str) -> str:
+    """How large an export is at most, and whether there is too little room for it."""
+    if free is None or size < free:
+        return translate("Up to {size}").format(size=readable(size))
+    template = translate("Up to {size}, and only {free} are free")
+    return template.format(size=readable(size), free=readable(free))
 
 
 def readable(size: float) -> str:

@@ -14,13 +14,13 @@ from blender_addon.errors import JGHandFailure
 from blender_addon.export.recording import (
     USD_PRESETS,
     Recording,
-    SizeEstimate,
-    Written,
     avatar_digest,
     check_place,
-    estimate,
+    export_bytes,
     file_names,
+    free_bytes,
     readable,
+    size_sentence,
     usd_options,
     with_file_name,
 )
@@ -121,14 +121,13 @@ def test_sizes_are_said_in_few_digits():
 
 
 def test_a_disk_that_is_too_small_is_told():
-    assert SizeEstimate(10, None).fits
-    assert "only 1 kB are free" in SizeEstimate(10_000_000, 1000).sentence()
+    assert "only 1 kB are free" in size_sentence(10_000_000, 1000)
 
 
 def test_estimates_are_translated_before_figures_are_put_in():
     words = {"Up to {size}": "Bis {size}", "Up to {size}, and only {free} are free": "Bis {size}, frei sind {free}"}
-    assert SizeEstimate(10_000_000, None).sentence(words.__getitem__) == "Bis 10 MB"
-    assert SizeEstimate(10_000_000, 1000).sentence(words.__getitem__) == "Bis 10 MB, frei sind 1 kB"
+    assert size_sentence(10_000_000, None, words.__getitem__) == "Bis 10 MB"
+    assert size_sentence(10_000_000, 1000, words.__getitem__) == "Bis 10 MB, frei sind 1 kB"
 
 
 def test_the_estimate_of_an_export_is_its_size(tmp_path):
@@ -151,9 +150,8 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
         (sum(export_usd(tmp_path / "usd", avatar, motion).bytes.values()), avatar, False, True),
         (sum(export_usd(tmp_path / "painted", painted, motion).bytes.values()), painted, False, False),
     ):
-        size = estimate(tmp_path / "not" / "there", [(len(hand), learned)], len(motion), Written(ply=ply))
-        assert size.fits
-        assert size.bytes == pytest.approx(written, rel=0.1)
+        assert export_bytes(len(hand), len(motion), learned=learned, ply=ply) == pytest.approx(written, rel=0.1)
+    assert free_bytes(tmp_path / "not" / "there")
 
 
 # ---- avatars ---------------------------------------------------------------------------------------------------------

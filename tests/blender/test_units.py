@@ -11,7 +11,6 @@ import bpy
 import pytest
 
 from blender_addon.export import panel as output
-from blender_addon.export.recording import SizeEstimate, Written
 from blender_addon.renderer import panel as status
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import JobState
@@ -59,8 +58,8 @@ def test_panels_translate_what_core_says(extension, monkeypatch):
     monkeypatch.setattr(runtime, "jobs", lambda: {"output": job})
     status.draw_job(MagicMock(), extension, "output")
     assert {"Baking", "{text} {done} of {total}", "{text} · {time} left"} <= set(words)
-    monkeypatch.setattr(output.ui, "kept", lambda *_: SizeEstimate(1000, None))
-    output._draw_estimate(MagicMock(), extension, "", Written())
+    monkeypatch.setattr(output.ui, "kept", lambda *_: (1000, None))
+    output._draw_size(MagicMock(), extension, "")
     assert "Up to {size}" in words
     monkeypatch.setattr(training_panel, "iface_", lambda text: words.append(text) or text)
     monkeypatch.setattr(training_panel.ui, "paragraph", lambda *_: None)
