@@ -49,6 +49,14 @@ class Sidebar:
     bl_category = "JGHand"
 
 
+class HandSidebar(Sidebar):
+    """One that shows where there is a hand."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return any_hand(context)
+
+
 def active(context: bpy.types.Context) -> bpy.types.Object | None:
     """The active object where it is a hand, ours or not."""
     thing = context.object

@@ -14,22 +14,17 @@ from ..hand import avatar_files
 from ..hand.seen_hands import avatar_of
 from ..renderer import runtime
 from ..renderer.panel import draw_job
-from ..ui import Sidebar
 from . import bakes, ops_common, usd_hook
 from .recording import export_bytes, free_bytes, size_sentence
 
 
-class BakePanel(Sidebar, bpy.types.Panel):
+class BakePanel(ui.HandSidebar, bpy.types.Panel):
     """Bakes."""
 
     bl_idname = "VIEW3D_PT_jghand_bake"
     bl_label = "Bake"
     bl_order = ui.BAKE
     bl_options = ui.CLOSED
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return ui.any_hand(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.output
@@ -51,17 +46,13 @@ class BakePanel(Sidebar, bpy.types.Panel):
         row.operator("jghand.clear_bake", text="", icon="TRASH")
 
 
-class ExportPanel(Sidebar, bpy.types.Panel):
+class ExportPanel(ui.HandSidebar, bpy.types.Panel):
     """Exports."""
 
     bl_idname = "VIEW3D_PT_jghand_export"
     bl_label = "Export"
     bl_order = ui.EXPORT
     bl_options = ui.CLOSED
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return ui.any_hand(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.output

@@ -129,7 +129,7 @@ class CardPanel(Sidebar, bpy.types.Panel):
     """What the avatar of the active hand says of itself."""
 
     bl_idname = "VIEW3D_PT_jghand_card"
-    bl_label = "Avatar"
+    bl_label = "Avatar Details"
     bl_parent_id = HandPanel.bl_idname
     bl_options = ui.CLOSED
 
@@ -326,17 +326,13 @@ class PinsPanel(Sidebar, bpy.types.Panel):
         layout.operator("jghand.remove_controls", icon="X")
 
 
-class MotionPanel(Sidebar, bpy.types.Panel):
+class MotionPanel(ui.HandSidebar, bpy.types.Panel):
     """Motion."""
 
     bl_idname = "VIEW3D_PT_jghand_motion"
     bl_label = "Import Motion"
     bl_order = ui.MOTION
     bl_options = ui.CLOSED
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return ui.any_hand(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

@@ -7,20 +7,15 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
-from ..ui import Sidebar
 from . import ENGINE, composite
 
 
-class RenderPanel(Sidebar, bpy.types.Panel):
+class RenderPanel(ui.HandSidebar, bpy.types.Panel):
     """Render."""
 
     bl_idname = "VIEW3D_PT_jghand_render"
     bl_label = "Render"
     bl_order = ui.RENDER
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return ui.any_hand(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene = self.layout, context.scene

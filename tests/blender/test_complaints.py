@@ -290,7 +290,6 @@ def test_one_button_in_an_empty_scene_is_all_that_a_render_needs(stand_in, conte
 def test_an_external_process_that_hangs_on_starting_for_ever(stand_in_command, scene, monkeypatch, fault):
     """An engine that never gets ready ends as a sentence with a remedy, and F12 ends with it, within bounds."""
     monkeypatch.setattr(limits, "HANDSHAKE_S", 1.0)
-    monkeypatch.setattr(limits, "WELCOME_S", 1.0)
     monkeypatch.setattr(limits, "TERMINATE_S", 0.5)
     bpy.ops.jghand.use_engine()
     link = EngineLink(lambda: [*stand_in_command, fault])

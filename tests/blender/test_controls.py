@@ -150,16 +150,6 @@ def test_adding_and_removing_keeps_every_key_and_every_joint(context):
     assert hand.pose.bones[HAND_CONTROL].rotation_euler.x == pytest.approx(0.3)
 
 
-def test_adding_twice_is_adding_once(context):
-    hand = controlled_hand(context, "right")
-    hand.pose.bones[FINGER_CONTROLS[2]].rotation_euler = (0.4, 0, 0.1)
-    before = joints_of(context, hand)
-    count = [len(bone.constraints) for bone in hand.pose.bones]
-    controls.add_controls(context, hand)
-    assert [len(bone.constraints) for bone in hand.pose.bones] == count
-    np.testing.assert_allclose(joints_of(context, hand), before, atol=EXACT_M)
-
-
 def bake(context, hand):
     """The action that frames 1 to 5 are baked into."""
     for _ in controls.bake_steps(context, [hand], range(1, 6)):
@@ -217,16 +207,6 @@ def test_joint_limits_that_were_off_stay_off_when_the_controls_are_on_again(cont
     np.testing.assert_allclose(joints_of(context, hand), limited, atol=EXACT_M)
 
 
-def test_controls_that_are_added_anew_remember_nothing_of_a_muted_layer(context):
-    hand = controlled_hand(context, "right")
-    controls.use_joint_limits(hand, False)
-    controls.mute_controls(hand, True)
-    controls.remove_controls(context, hand)
-    assert controls.OFF_BEFORE not in hand
-    controls.add_controls(context, hand)
-    assert controls.joint_limits_are_used(hand)
-
-
 def test_hands_that_share_their_bones_part_before_one_gets_controls(context):
     hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
     twin = hand.copy()
@@ -252,16 +232,6 @@ def test_controls_are_for_our_visible_armature_only(context):
     assert caught.value.kind == "not_a_hand"
 
 
-def test_pose_mode_is_left_as_it_was(context):
-    hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
-    context.view_layer.objects.active = hand
-    bpy.ops.object.mode_set(mode="POSE")
-    controls.add_controls(context, hand)
-    assert context.mode == "POSE"
-    controls.remove_controls(context, hand)
-    assert context.mode == "POSE"
-
-
 @pytest.mark.parametrize("linked", [False, True])
 def test_a_duplicated_hand_has_controls_of_its_own(context, linked):
     hand = controlled_hand(context, "right")
@@ -276,21 +246,6 @@ def test_a_duplicated_hand_has_controls_of_its_own(context, linked):
     np.testing.assert_allclose(joints_of(context, hand), rest, atol=EXACT_M)
     controls.remove_controls(context, twin)
     assert controls.has_controls(hand)
-
-
-def test_an_appended_hand_keeps_its_controls(context, tmp_path):
-    hand = controlled_hand(context, "left")
-    hand.pose.bones[HAND_CONTROL].rotation_euler.x = 0.8
-    wanted = joints_of(context, hand)
-    path = str(tmp_path / "hand.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(path) as (_there, here):
-        here.objects = ["left"]
-    (appended,) = here.objects
-    bpy.context.scene.collection.objects.link(appended)
-    np.testing.assert_allclose(joints_of(bpy.context, appended), wanted, atol=EXACT_M)
-    assert appended.pose.bones[HAND_CONTROL].custom_shape is not None
 
 
 def test_undo_takes_the_controls_away_and_redo_brings_them_back(context):

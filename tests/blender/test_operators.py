@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import hands
@@ -15,19 +14,18 @@ import numpy as np
 import pytest
 from recording_layout import operator_type
 
-from blender_addon import folders, manual, properties, registration, versions
-from blender_addon import ops as common
+from blender_addon import folders, manual, registration, versions
 from blender_addon.core import bone_maps, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
-from blender_addon.core.joints import HANDEDNESSES, NAMES
+from blender_addon.core.joints import HANDEDNESSES
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, motion, motion_files, sources
-from blender_addon.hand import ops_motion as motion_operator
 from blender_addon.hand import poses as hand_poses
-from blender_addon.hand import poses as pose_library
+from blender_addon.hand import properties as hand_properties
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE
 from blender_addon.render import ENGINE, pages
 from blender_addon.render import ops as picture
+from blender_addon.render import properties as scene_properties
 
 ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = [
@@ -35,6 +33,7 @@ OPERATORS = [
 ]
 _JOB = "starts a job, which writes files and nothing of the scene"
 _SHOWS = "shows something"
+SETTINGS = (*hand_properties.CLASSES, *scene_properties.CLASSES)
 _ENGINE = "the engine is none of the file"
 # what is not undone, and why
 NOT_UNDONE = {
@@ -567,47 +566,6 @@ def test_what_is_refused_at_the_second_hand_leaves_the_first_one_alone(extension
     assert right.animation_data is None
 
 
-def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_path, monkeypatch):
-    """The browser forgets an operator that is not done when it returns."""
-    called = []
-
-    def again(where: str, **properties: object) -> set[str]:
-        called.append((where, properties))
-        return {"RUNNING_MODAL"}
-
-    ops = SimpleNamespace(jghand=SimpleNamespace(import_motion=again))
-    monkeypatch.setattr(motion_operator, "bpy", SimpleNamespace(ops=ops))
-    wanted = {
-        **{"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False},
-        **{"hand": "AUTO", "unit": "AUTO", "order": "AUTO", "fps": 25.0, "hand_length": 0.0, "part": ""},
-        **{"up": "AUTO", "labels": "AUTO", "bones": "", "mirror": False, "in_place": False},
-    }
-    type_ = motion_operator.ImportMotion
-    chosen = SimpleNamespace(_asked=True, verb=type_.verb, choices=type_.choices, **wanted)
-    assert type_.execute(chosen, SimpleNamespace(window=object())) == {"CANCELLED"}
-    assert called == [("INVOKE_DEFAULT", {"chosen": True, **wanted})]
-    assert not chosen._asked
-
-
-@pytest.mark.parametrize("name", ["import_motion", "track_video"])
-@pytest.mark.parametrize("chosen", [True, False])
-def test_what_was_chosen_in_the_file_browser_is_not_asked_for_again(extension, tmp_path, monkeypatch, name, chosen):
-    """Whatever its suffix, and though it may be gone since: else the browser would open for ever."""
-    type_ = {"import_motion": motion_operator.ImportMotion, "track_video": motion_operator.TrackVideo}[name]
-    assert type_.bl_idname in (f"jghand.{type_.verb}", f"JGHAND_OT_{type_.verb}")
-    assert operator_type(f"jghand.{name}").properties["chosen"].is_skip_save
-    begun, asked = [], []
-    monkeypatch.setattr(common.InTurns, "invoke", lambda *_: begun.append(1) or {"RUNNING_MODAL"})
-    monkeypatch.setattr(motion_operator.ImportHelper, "invoke", lambda *_: asked.append(1) or {"RUNNING_MODAL"})
-    operator = motion_operator.KeysFile.__new__(motion_operator.KeysFile)
-    operator.chosen, operator.filepath = chosen, str(tmp_path / "gone.glb")
-    operator.invoke(extension, None)
-    assert (begun, asked) == (([1], []) if chosen else ([], [1]))
-    (tmp_path / "gone.glb").write_bytes(b"glTF")
-    operator.invoke(extension, None)
-    assert len(begun) == (2 if chosen else 1)
-
-
 def test_motion_files_can_be_dropped_into_the_viewport(extension):
     handler = bpy.types.JGHAND_FH_motion
     assert handler.bl_import_operator == "jghand.import_motion"
@@ -674,15 +632,6 @@ def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
     assert extension.scene.camera.name == "Hand Camera"
 
 
-def test_the_pose_library_is_installed_and_shown(extension):
-    assert bpy.ops.jghand.make_pose_assets() == {"FINISHED"}
-    libraries = extension.preferences.filepaths.asset_libraries
-    assert str(pose_library.FOLDER) in {library.path for library in libraries}
-    add()
-    assert bpy.ops.jghand.show_pose_shelf() == {"FINISHED"}
-    assert extension.mode == "POSE"
-
-
 def test_the_users_folder_is_there_also_without_an_installed_extension():
     folder = folders.user_folder("logs")
     assert folder.is_dir()
@@ -698,7 +647,7 @@ def test_the_manual_has_a_section_for_every_operator_and_setting(extension):
     for _, section in entries:
         assert f'<h2 id="{section[1:]}">' in written, section
     patterns = [pattern for pattern, _ in entries]
-    settings = [f"bpy.types.{each.__name__}.any".lower() for each in properties.CLASSES]
+    settings = [f"bpy.types.{each.__name__}.any".lower() for each in SETTINGS]
     for name in (*(f"bpy.ops.{each.bl_idname}" for each in OPERATORS), *settings):
         assert any(fnmatchcase(name, pattern) for pattern in patterns), name
 
@@ -747,7 +696,7 @@ def test_names_and_tooltips_follow_blenders_habits(extension):
         assert operator.description, operator
         assert not operator.description.endswith("."), operator
     preferences = bpy.types.AddonPreferences.bl_rna_get_subclass_py("JGHandPreferences").bl_rna
-    for owner in (*operators, preferences, *(each.bl_rna for each in properties.CLASSES)):
+    for owner in (*operators, preferences, *(each.bl_rna for each in SETTINGS)):
         inherited = getattr(owner.base, "properties", ())
         for one in owner.properties:
             if one.identifier in inherited or one.identifier in ("rna_type", "name") or one.is_hidden:
@@ -775,11 +724,3 @@ def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
     assert (settings.render_preset, settings.shadow_strength, settings.viewport_density) == ("draft", 0.25, 0.5)
     bpy.ops.jghand.add_picture_preset(name="Quick Look", remove_name=True)
     assert not path.exists()
-
-
-def test_joints_are_the_rows_of_the_list_in_the_standard_order(extension):
-    rig, _ = hands.mixamo_rig(extension)
-    bpy.ops.jghand.use_armature()
-    assert [row.name for row in rig.jghand.joints] == list(NAMES)
-    bpy.ops.jghand.use_armature()
-    assert len(rig.jghand.joints) == 21

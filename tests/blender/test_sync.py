@@ -134,16 +134,6 @@ def test_handlers_and_timer_survive_opening_a_file(installed):
     assert bpy.app.timers.is_registered(clock._call)
 
 
-def test_a_removed_handler_of_somebody_else_is_left_alone(installed):
-    def theirs(*_):
-        """Not ours."""
-
-    bpy.app.handlers.undo_post.append(theirs)
-    handlers.remove()
-    assert theirs in bpy.app.handlers.undo_post
-    bpy.app.handlers.undo_post.remove(theirs)
-
-
 def test_without_a_window_the_extension_adds_no_handler(extension):
     assert set(counts().values()) == {0}
 
@@ -212,16 +202,6 @@ def test_hands_that_come_go_or_change_their_name_are_noticed(extension, installe
     context.view_layer.update()
     wanted = {"added": ["left", "right"], "duplicated": ["right", "right.001"], "deleted": [], "renamed": ["my hand"]}
     assert seen(context) == wanted[change]
-
-
-def test_another_object_of_the_same_name_is_not_taken_for_the_hand(extension):
-    context = extension
-    hand = add_hand(context)
-    assert seen(context) == ["right"]
-    bpy.data.objects.remove(hand)
-    context.scene.collection.objects.link(bpy.data.objects.new("right", None))
-    context.view_layer.update()
-    assert seen(context) == []
 
 
 def test_after_an_undo_hands_are_looked_for_anew(extension):
@@ -361,18 +341,6 @@ def test_the_timer_rests_once_everything_is_there(link, extension):
     view = view_on(context, add_hand(context))
     assert views.SHORTEST_TICK_S <= views.next_look_s(view) <= views.OPEN_TICK_S
     wait_for(context, view)
-    assert views.next_look_s(view) == float("inf")
-    assert not views.is_due(view)
-
-
-def test_a_hand_that_left_the_view_keeps_no_timer_busy(link, extension):
-    context = extension
-    hand = add_hand(context)
-    view = view_on(context, hand)
-    hand.location.x = 50.0
-    context.view_layer.update()
-    look(context, view, hand)
-    assert view.part is None
     assert views.next_look_s(view) == float("inf")
     assert not views.is_due(view)
 
@@ -581,11 +549,6 @@ def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_
     views.show(drawing, context.evaluated_depsgraph_get(), views.SOLID)
     wait_for(context, view)
     assert view.came is not None
-
-
-def test_the_draw_handler_can_be_added_and_removed_twice(extension):
-    for function in (*[handlers.add_drawing] * 2, *[handlers.remove_drawing] * 2):
-        function()
 
 
 def test_panels_are_drawn_anew_when_a_hand_begins_or_ceases_not_to_show(extension, installed, monkeypatch):
