@@ -96,8 +96,8 @@ class JointView:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON, which knows no NaN: `px` of a joint is None then."""
-        told = {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
-        return told | {"px": [None if np.isnan(px).any() else px.tolist() for px in self.px]}
+        facts = {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
+        return facts | {"px": [None if np.isnan(px).any() else px.tolist() for px in self.px]}
 
 
 class JointWitness:

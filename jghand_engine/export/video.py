@@ -127,9 +127,9 @@ def _running(command: list[str], log: IO[bytes], path: Path | str) -> Iterator[I
         code = process.wait()
     if code or broken:
         log.seek(0)
-        said = log.read().decode("utf-8", "replace").strip().splitlines()
-        reason = said[-1] if said else f"it ended with code {code}"
-        if any("No space left" in line for line in said):
+        lines = log.read().decode("utf-8", "replace").strip().splitlines()
+        reason = lines[-1] if lines else f"it ended with code {code}"
+        if any("No space left" in line for line in lines):
             raise RetryError(f"cannot write {path}: the disk is full", remedy="Free some space and try again.")
         raise RetryError(f"ffmpeg could not write {path}", came=reason, remedy="Try again, or leave the video out.")
 

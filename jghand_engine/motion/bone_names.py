@@ -246,6 +246,6 @@ def _preferred(convention: Convention, sets: dict[str, tuple[int | None, ...]]) 
 
 def _side_of_prefix(prefix: str) -> Handedness | None:
     """What stands, without separators, before a name that has no side itself: `righthand`, `r`, `xrhandjointleft`."""
-    says = {side: side.value in prefix or prefix in (side.value[0], f"{side.value[0]}hand") for side in Handedness}
-    chosen = [side for side, said in says.items() if said]
+    names = {side: side.value in prefix or prefix in (side.value[0], f"{side.value[0]}hand") for side in Handedness}
+    chosen = [side for side, is_named in names.items() if is_named]
     return chosen[0] if len(chosen) == 1 else None

@@ -83,11 +83,11 @@ def _read(source: Source, wanted: MotionFormat) -> MotionContent:
     added = [joint.name for joint in joints if joint.added]
     if added:
         notes.append(f"Positions of {', '.join(added[:3])}… are around zero: they were added to the offsets.")
-    up, said = (wanted.up, []) if wanted.up is not None else _up(names, rest)
+    up, guess = (wanted.up, []) if wanted.up is not None else _up(names, rest)
     # frame times in text have six digits
     fps = whole_rate(1 / frame_time_s)
-    # what is said last stands in the refusal of a file without a hand
-    return MotionContent("BVH", tuple(tracks), fps=fps, notes=(*said, *notes), up=up)
+    # the last note stands in the refusal of a file without a hand
+    return MotionContent("BVH", tuple(tracks), fps=fps, notes=(*guess, *notes), up=up)
 
 
 def _up(names: list[str], rest: np.ndarray) -> tuple[str, list[str]]:
@@ -96,7 +96,7 @@ def _up(names: list[str], rest: np.ndarray) -> tuple[str, list[str]]:
     _, along_y, along_z = np.ptp(rest[:, :3, 3], axis=0)
     has_body = any(word in name.casefold() for name in names for word in ("spine", "hips", "pelvis", "head"))
     if not has_body:
-        return "y", ["It does not say which axis points up: y is taken; jghand motion --file-up says otherwise."]
+        return "y", ["It does not say which axis points up: y is taken; jghand motion --file-up sets another."]
     return ("z" if along_z > _Z_UP_MIN * along_y else "y"), []
 
 
@@ -174,8 +174,8 @@ def _statements(line: str) -> Iterator[list[str]]:
 
 def _frames_and_time(lines: Iterator[str]) -> tuple[int, float]:
     """Of `Frames: n` and `Frame Time: seconds`."""
-    told = (line.partition(":") for line in lines if line.strip())
-    numbers = {" ".join(name.split()).casefold(): number for name, _, number in islice(told, 2)}
+    entries = (line.partition(":") for line in lines if line.strip())
+    numbers = {" ".join(name.split()).casefold(): number for name, _, number in islice(entries, 2)}
     if set(numbers) != {"frames", "frame time"}:
         raise ValueError(f"{', '.join(numbers)[:60]!r} where frames and their time were wanted")
     frames, frame_time_s = int(numbers["frames"]), float(numbers["frame time"])
@@ -197,7 +197,7 @@ def _read_motion(lines: Iterator[str], frames: int, joints: list[_Joint], moving
         if wrong is not None:
             raise ValueError(f"frame {wrong} has not the {width} numbers of its channels")
         if len(some) < min(_LINES_AT_ONCE, frames - first):
-            raise ValueError(f"{frames} frames said, {first + len(some)} there")
+            raise ValueError(f"{frames} frames declared, {first + len(some)} there")
         block = np.array(some, dtype=np.float64)
         if not np.isfinite(block).all():
             raise ValueError("angles or positions that are no finite numbers")

@@ -43,11 +43,11 @@ def chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[Ha
     notes = list(content.notes)
     # of one hand alone what the user says counts more than what it looks like
     if wanted.mirrored_labels is None and (len(tracks) > 1 or wanted.handedness is None):
-        tracks, said = _relabeled(tracks)
-        notes += said
+        tracks, more = _relabeled(tracks)
+        notes += more
     if wanted.handedness is not None:
-        tracks, said = _of_side(file, tracks, wanted.handedness)
-        notes += said
+        tracks, more = _of_side(file, tracks, wanted.handedness)
+        notes += more
     if len(tracks) > 1:
         sides = {track.handedness for track in tracks}
         remedy = "Choose one with --hand right or --hand left." if len(sides) > 1 else "Choose one with --part NAME."
@@ -75,7 +75,7 @@ def recognized_order(joints: np.ndarray, source: str) -> tuple[JointOrder, str]:
     """The order in which (F, n, 3) joints look like a hand, and a sentence. InputError when they look like none."""
     count = joints.shape[-2]
     if count in (25, 26):
-        return JointOrder.OPENXR, f"{count} joints are taken for those of OpenXR; --order says otherwise."
+        return JointOrder.OPENXR, f"{count} joints are taken for those of OpenXR; --order sets another."
     if count != JOINT_COUNT:
         check_joint_shape(joints, JointOrder.STANDARD)
     whole = joints[np.isfinite(joints).all(axis=(1, 2))]
@@ -88,7 +88,10 @@ def recognized_order(joints: np.ndarray, source: str) -> tuple[JointOrder, str]:
             came="joints that look like no order that JGHand knows" if len(some) else "no frame with all joints",
             remedy="Say the order with --order, and --any-proportions for a hand of odd proportions.",
         )
-    return likely, f"Its joint order is not said: by the lengths of the bones it is '{likely}'; --order says otherwise."
+    return (
+        likely,
+        f"Its joint order is not declared: by its bones' lengths it is '{likely}'; --order sets another.",
+    )
 
 
 def recognized_unit(level_joints: np.ndarray, source: str) -> tuple[float, str]:
@@ -97,8 +100,8 @@ def recognized_unit(level_joints: np.ndarray, source: str) -> tuple[float, str]:
     for name, meters in METERS_PER_UNIT.items():
         if HAND_LENGTH_MIN_M <= length * meters <= HAND_LENGTH_MAX_M:
             return meters, (
-                f"Its unit is not said: {length:.3g} from the wrist to the middle finger's tip look like "
-                f"{_UNIT_NAMES[name]}; --unit says otherwise."
+                f"Its unit is not declared: {length:.3g} from the wrist to the middle finger's tip look like "
+                f"{_UNIT_NAMES[name]}; --unit sets another."
             )
     raise InputError(
         f"unit of {source}",
@@ -115,7 +118,7 @@ def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[lis
         if of_side:
             return of_side, []
     if len(tracks) == 1 and tracks[0].labeled:
-        return tracks, [f"Its only hand is labeled {side.other}: it is taken for the {side} one, as was said."]
+        return tracks, [f"Its only hand is labeled {side.other}: it is taken for the {side} one, as requested."]
     raise InputError(
         f"motion file {file}",
         wanted=f"a {side} hand",
@@ -146,8 +149,8 @@ def _relabeled(tracks: list[HandTrack]) -> tuple[list[HandTrack], list[str]]:
             )
             side = side.other
         turned.append(replace(track, handedness=side))
-    count, told = (len({track.handedness for track in some}) for some in (turned, tracks))
-    return (turned, notes) if count == told else (tracks, [])
+    count, labels = (len({track.handedness for track in some}) for some in (turned, tracks))
+    return (turned, notes) if count == labels else (tracks, [])
 
 
 def _bends_as_other(level: np.ndarray, side: Handedness) -> bool:

@@ -1,4 +1,4 @@
-"""What every reader of a motion file takes and gives, and how a damaged file is told.
+"""What every reader of a motion file takes and gives, and how a damaged file is refused.
 
 A format is a `Reader`: whether a source is one of its files, and the joints of the hands in it, as the file has them.
 """
@@ -154,7 +154,7 @@ class Reader:
 
     suffixes:   what its files are called; content decides
     recognizes: whether a source is one of them
-    read:       what stands in it. NoMotionError; any error that `told_damage` tells
+    read:       what stands in it. NoMotionError; any error that `damage_as_input_error` tells
     """
 
     suffixes: tuple[str, ...]
@@ -236,7 +236,7 @@ _DAMAGE = (
 
 
 @contextlib.contextmanager
-def told_damage(file: Path) -> Iterator[None]:
+def damage_as_input_error(file: Path) -> Iterator[None]:
     """What readers raise on a damaged file, said in one sentence: InputError, MemoryLimitError."""
     try:
         yield
@@ -279,6 +279,6 @@ def check_frame_count(frames: int) -> None:
 
 
 def json_content(file: Path) -> Any:
-    """What a JSON file holds. InputError where it is too large; what `told_damage` tells for one that is none."""
+    """What a JSON file holds. InputError where it is too large."""
     check_size(file, text=True)
     return json.loads(file.read_bytes().removeprefix(b"\xef\xbb\xbf"))

@@ -1,4 +1,4 @@
-"""Motions in files: `.npz`, `.json` and `.csv`, which say what they hold, and plain `.npy`, which must be told.
+"""Motions in files: `.npz`, `.json` and `.csv`, which say what they hold, and plain `.npy`, which must be found.
 
 This module reads what stands in a file and writes; `motion.read` makes it a motion, `motion.tables` reads CSV. All
 formats hold positions; the joint order in files that JGHand writes is the standard order, the unit meters. Nothing is
@@ -56,16 +56,16 @@ def own_content(path: Path, kind: str, joints: np.ndarray, declared: Mapping[str
     """
     if not len(joints):
         raise InputError(f"motion file {path}", wanted="at least one frame", came="an empty motion")
-    told: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for name, parsed in _PARSED.items():
         try:
-            told[name] = None if declared.get(name) is None else parsed(str(declared[name]))
+            found[name] = None if declared.get(name) is None else parsed(str(declared[name]))
         except InputError as error:
             raise InputError(f"{name} of {path}", wanted=error.wanted, came=error.came[:200]) from error
     filled = _filled_frames(path, declared.get("filled"), len(joints))
-    kind = kind if told["order"] is None or told["unit"] is None else "JGHand's own format"
-    track = HandTrack(joints, told["handedness"], told["order"])
-    return MotionContent(kind, (track,), told["unit"], fps=told["fps"], filled=filled, is_plain=True)
+    kind = kind if found["order"] is None or found["unit"] is None else "JGHand's own format"
+    track = HandTrack(joints, found["handedness"], found["order"])
+    return MotionContent(kind, (track,), found["unit"], fps=found["fps"], filled=filled, is_plain=True)
 
 
 def checked_joints(array: np.ndarray) -> np.ndarray:

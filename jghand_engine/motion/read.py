@@ -1,7 +1,7 @@
 """Any motion file, of JGHand or of another program, as one hand in meters; and what was recognized on the way.
 
-What a file does not say is recognized where joints can tell it, and told: the unit from the size of the hand, the order
-from the lengths of its bones. Which hand it is joints cannot tell: then it has to be said.
+What a file does not declare is recognized where joints show it, and noted: the unit by the size of the hand, the order
+by the lengths of its bones. Which hand it is joints do not show: then it has to be given.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_hand_si
 from jghand_engine.hand.sequence import FRAME_EPS, PoseSequence
 from jghand_engine.motion.choose import chosen, recognized_order, recognized_unit, warned
 from jghand_engine.motion.clocks import DEFAULT_FPS, clock_s, even_frames, is_one_motion
-from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat, check_size, told_damage
+from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat, check_size, damage_as_input_error
 from jghand_engine.motion.recognize import READERS, recognized
 from jghand_engine.motion.tools import retimed, with_hand_length
 
@@ -51,11 +51,11 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
     content = read_content(file, wanted)
     track, notes = chosen(file, content, wanted)
     content = replace(content, times=track.times or content.times)
-    order, said = _order(file, track, wanted)
-    notes += said
+    order, more = _order(file, track, wanted)
+    notes += more
     level = to_level(track.joints, order)
-    meters, said = _meters(file, content, level, wanted)
-    notes += said
+    meters, more = _meters(file, content, level, wanted)
+    notes += more
     level_m = level * meters
     if not np.isfinite(level_m).all(axis=-1).any():
         raise InputError(f"motion file {file}", wanted="a frame with joints of a hand", came="none")
@@ -69,8 +69,8 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
         )
     if not (content.is_plain and track.handedness is not None):
         notes += warned(level_m, side)
-    level_m, filled, fps, said = _evenly(file, content, level_m, wanted)
-    notes += said
+    level_m, filled, fps, more = _evenly(file, content, level_m, wanted)
+    notes += more
     sequence = PoseSequence(level_m, fps, side, filled=filled)
     if wanted.hand_length_m is not None:
         sequence = with_hand_length(sequence, wanted.hand_length_m)
@@ -82,7 +82,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
 
 def read_content(file: Path, wanted: MotionFormat) -> MotionContent:
     """What stands in a file, as it is. InputError, MemoryLimitError."""
-    with told_damage(file):
+    with damage_as_input_error(file):
         if file.is_file():
             check_size(file, text=False)
         reader, source = recognized(file)
@@ -104,8 +104,8 @@ def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrd
         return wanted.order, []
     if track.order is not None:
         return track.order, []
-    order, said = recognized_order(track.joints, str(file))
-    return order, [said]
+    order, more = recognized_order(track.joints, str(file))
+    return order, [more]
 
 
 def _meters(file: Path, content: MotionContent, level: np.ndarray, wanted: MotionFormat) -> tuple[float, list[str]]:
@@ -124,9 +124,9 @@ def _meters(file: Path, content: MotionContent, level: np.ndarray, wanted: Motio
         return content.meters_per_unit, []
     if wanted.hand_length_m is not None:
         return 1.0, []
-    meters, said = recognized_unit(level, str(file))
+    meters, more = recognized_unit(level, str(file))
     # plain arrays are documented to be meters
-    return meters, [] if content.is_plain and meters == 1.0 else [said]
+    return meters, [] if content.is_plain and meters == 1.0 else [more]
 
 
 def _evenly(
@@ -137,14 +137,14 @@ def _evenly(
     filled = np.zeros(len(level_m), dtype=bool) if content.filled is None else content.filled
     if wanted.fps is not None:
         return level_m, filled, wanted.fps, []
-    times_s, said = clock_s(content.times)
-    notes = [said] if said else []
+    times_s, more = clock_s(content.times)
+    notes = [more] if more else []
     if times_s is not None:
         even_m, filled, fps, more = _by_clock(file, times_s, level_m, filled)
         return even_m, filled, fps, notes + more
     if content.fps is not None or len(level_m) == 1:
         return level_m, filled, content.fps or DEFAULT_FPS, notes
-    notes.append(f"It does not say its frames per second: {DEFAULT_FPS:g} are taken; --fps says otherwise.")
+    notes.append(f"It does not say its frames per second: {DEFAULT_FPS:g} are taken; --fps sets another.")
     return level_m, filled, DEFAULT_FPS, notes
 
 
@@ -164,8 +164,8 @@ def _by_clock(
         )
     if numbers is None:
         again, places = retimed(level_m, times_s, fps)
-        said = f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."
-        return again, np.interp(places, np.arange(len(filled)), filled) > FRAME_EPS, fps, [said]
+        more = f"Its frames do not come evenly: they were resampled at {fps:.4g} frames per second."
+        return again, np.interp(places, np.arange(len(filled)), filled) > FRAME_EPS, fps, [more]
     whole = np.full((numbers[-1] + 1, *level_m.shape[1:]), np.nan)
     whole_filled = np.zeros(len(whole), dtype=bool)
     whole[numbers], whole_filled[numbers] = level_m, filled

@@ -52,8 +52,8 @@ def _source(path: Path) -> Source:
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     if not text:
         raise NoMotionError("it is empty")
-    for mark, told in _NOT_READ.items():
+    for mark, advice in _NOT_READ.items():
         if head.startswith(mark):
-            raise NoMotionError(told)
+            raise NoMotionError(advice)
     is_json = text[:1] in (b"{", b"[")
     return Source(path, text, json_content(path) if is_json else None)

@@ -50,13 +50,13 @@ def header_of(file: Path) -> list[str]:
 def rows_of(lines: Iterable[str], declared: dict[str, Any]) -> Iterator[list[str]]:
     """The cells of the lines that are neither comments nor blank; what comments declare is put into `declared`."""
 
-    def told(line: str) -> bool:
+    def holds_cells(line: str) -> bool:
         name, _, value = line[1:].partition(":")
         if line.startswith("#"):
             declared[name.strip()] = value.strip()
         return bool(line.strip()) and not line.startswith("#")
 
-    return csv.reader(filter(told, lines))
+    return csv.reader(filter(holds_cells, lines))
 
 
 def named_hands(header: list[str]) -> tuple[list[NamedHand], list[tuple[int, int, int]]]:

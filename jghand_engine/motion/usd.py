@@ -93,12 +93,12 @@ def _content(stage: Any, wanted: MotionFormat) -> MotionContent:
         if not query:
             raise ValueError(f"{prim.GetPath()} is no whole skeleton")
         codes, fps = _frames(query, wanted.fps)
-        found, said = hand_tracks(_skeleton(query, codes), str(prim.GetPath()) if len(prims) > 1 else "", wanted.bones)
+        found, more = hand_tracks(_skeleton(query, codes), str(prim.GetPath()) if len(prims) > 1 else "", wanted.bones)
         if found:
             rate = fps
             if len(codes) == 1:
                 notes.append(f"No animation moves {prim.GetPath()}: its pose is one frame.")
-        notes += said
+        notes += more
         tracks += found
     meters = UsdGeom.GetStageMetersPerUnit(stage)
     if not (np.isfinite(meters) and meters > 0):

@@ -82,8 +82,8 @@ def _hands(frame: Any) -> list[FoundHand]:
         return sided
     if isinstance(members.get("hands"), list | dict):
         return _hands(members["hands"])
-    said = str(members.get("handedness", members.get("hand"))).casefold()
-    side = next((side for side in Handedness if said == side.value), None)
+    label = str(members.get("handedness", members.get("hand"))).casefold()
+    side = next((side for side in Handedness if label == side.value), None)
     inside = next((members[name] for name in ("joints", "hand", "points", "landmarks") if name in members), None)
     if isinstance(inside, list | dict):
         return [replace(hand, side=side if hand.side is None else hand.side) for hand in _hands(inside)]

@@ -120,7 +120,7 @@ def test_millimeters_given_as_meters_are_recognized(joints, render):
 def test_a_unit_that_nobody_said_is_recognized_and_told(joints, render, tmp_path):
     figures = tmp_path / "figures.json"
     assert render(joints * 1000, "--frames", "0", "--json", figures)[0] == 0
-    assert "millimeters; --unit says otherwise" in json.loads(figures.read_text())["notes"][0]
+    assert "millimeters; --unit sets another" in json.loads(figures.read_text())["notes"][0]
 
 
 def test_a_wrong_order_is_recognized_and_the_right_one_named(joints, render):

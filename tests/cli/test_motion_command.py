@@ -29,7 +29,7 @@ def test_a_motion_of_another_program_becomes_one_of_ours(bvh, tmp_path, capsys):
     figures = tmp_path / "figures.json"
     assert run("motion", bvh, "--out", tmp_path / "out.npz", "--json", figures) == 0
     said = capsys.readouterr().out
-    assert "centimeters; --unit says otherwise" in said
+    assert "centimeters; --unit sets another" in said
     assert "right hand of 195 mm, 40 frames at 30 fps" in said
     motion = samples.motion()
     assert np.abs(read_motion_file(tmp_path / "out.npz").sequence.joints_m - motion.joints_m).max() < 5e-8

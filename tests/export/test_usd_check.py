@@ -73,7 +73,7 @@ def vectors(array) -> Vt.Vec3fArray:
         (HARMONICS, vectors(np.random.default_rng(0).uniform(0, 1, (COUNT, 3))), None, "probably colors"),
         (HARMONICS, vectors(np.full((COUNT, 3), np.inf)), None, "harmonics hold NaN"),
         ("colorSpace:name", "srgb_rec709_display", None, "'srgb_rec709_display' is unknown to USD"),
-        ("colorSpace:name", None, None, "no color space is said"),
+        ("colorSpace:name", None, None, "no color space is declared"),
         ("extent", None, None, "there is no extent at 4 times (first Default time)"),
         ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
         ("extent", vectors([[-0.005, 0, -0.02], [0.1, 0.2, 0.1]]), None, "extent at Default time does not hold"),

@@ -96,7 +96,7 @@ HEAD = (
         (HEAD + "MOTION\nFrames: many\nFrame Time: 0.033\n", "many"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: nan\n1 2 3\n", "frame time"),
         (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n1 2\n", "frame 1 has not the 3 numbers"),
-        (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n         \n", "2 frames said, 1 there"),
+        (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n         \n", "2 frames declared, 1 there"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 x 3\n", "could not convert"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 nan 3\n", "no finite numbers"),
         (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 2 3\n", "a hand"),

@@ -204,7 +204,7 @@ def test_mediapipes_old_interface_calls_a_right_hand_left(tmp_path, motion):
     assert kept.sequence.handedness is LEFT
     said = read_motion_file(path, MotionFormat(handedness=LEFT))
     assert said.sequence.handedness is LEFT
-    assert any("as was said" in note for note in said.notes)
+    assert any("as requested" in note for note in said.notes)
 
 
 def test_a_label_counts_less_than_the_way_the_fingers_bend(tmp_path, motion):

@@ -46,7 +46,7 @@ def test_of_one_hand_what_is_said_counts_most(tmp_path):
     assert any("labeled left, but" in note for note in read_motion_file(path).notes)
     right, left = (read_motion_file(path, MotionFormat(handedness=side)) for side in (RIGHT, LEFT))
     assert (right.sequence.handedness, left.sequence.handedness) == (RIGHT, LEFT)
-    assert any("labeled left: it is taken for the right one, as was said" in note for note in right.notes)
+    assert any("labeled left: it is taken for the right one, as requested" in note for note in right.notes)
     assert any("either it is one" in note for note in left.notes)
     assert not any("it is taken for one" in note for note in (*right.notes, *left.notes))
 

@@ -257,7 +257,7 @@ def test_real_motion_is_read(shared_data):
     path = shared_data / "real" / "human_joint_right.npy"
     read = read_motion_file(path, MotionFormat(handedness=Handedness.RIGHT))
     motion = read.sequence
-    assert any("by the lengths of the bones it is 'standard'" in note for note in read.notes)
+    assert any("by its bones' lengths it is 'standard'" in note for note in read.notes)
     assert (len(motion), motion.fps) == (621, 30.0)
     assert not motion.gaps
     # the wrist is at the origin, the middle knuckle on +z

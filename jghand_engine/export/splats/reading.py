@@ -1,6 +1,6 @@
 """What is in a splat file, ours or anybody's: PLY, .splat, GLB with KHR_gaussian_splatting, SPZ 3.
 
-Of the harmonics only degree 0 is read. What can be read and is yet suspicious is told in sentences.
+Of the harmonics only degree 0 is read. What can be read and is yet suspicious is listed.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _ply(content: bytes) -> SplatCloud:
     def columns(*names: str) -> np.ndarray:
         return np.stack([table[name].astype(np.float32) for name in names], -1)
 
-    said = re.search(rb"^comment JGHand .*axes=(rdf|rub)\b", found[0], re.MULTILINE)
+    axes = re.search(rb"^comment JGHand .*axes=(rdf|rub)\b", found[0], re.MULTILINE)
     with np.errstate(over="ignore"):
         return SplatCloud(
             columns("x", "y", "z"),
@@ -95,7 +95,7 @@ def _ply(content: bytes) -> SplatCloud:
             columns("rot_0", "rot_1", "rot_2", "rot_3"),
             1 / (1 + np.exp(-columns("opacity")[:, 0])),
             columns("f_dc_0", "f_dc_1", "f_dc_2") * np.float32(SH_C0) + np.float32(0.5),
-            said[1].decode() if said else "",
+            axes[1].decode() if axes else "",
         )
 
 

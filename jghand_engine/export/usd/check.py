@@ -247,10 +247,10 @@ class _Notes:
         self._seen.setdefault((text, is_error), []).append((time, what))
 
     def findings(self) -> Iterator[Finding]:
-        for (text, is_error), moments in self._seen.items():
-            time, what = moments[0]
+        for (text, is_error), seen in self._seen.items():
+            time, what = seen[0]
             first = "Default time" if time.IsDefault() else f"time {time.GetValue():g}"
-            when = f"at {first}" if len(moments) == 1 else f"at {len(moments)} times (first {first})"
+            when = f"at {first}" if len(seen) == 1 else f"at {len(seen)} times (first {first})"
             sentence = text.replace("{when}", when).replace("{what}", str(what))
             yield Finding("", self._site, sentence, is_error)
 
@@ -336,7 +336,7 @@ def _look_above(prim: Usd.Prim, notes: _Notes) -> None:
             notes.add(text)
         above = above.GetParent()
     if space is None:
-        text = "no color space is said (ColorSpaceAPI): some readers take the colors for linear light"
+        text = "no color space is declared (ColorSpaceAPI): some readers take the colors for linear light"
         notes.add(text, is_error=False)
     elif not Gf.ColorSpace.IsValid(space):
         notes.add(f"the color space {space!r} is unknown to USD: readers have to guess")
