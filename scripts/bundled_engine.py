@@ -89,7 +89,7 @@ def built_kernels(platforms: Sequence[Platform]) -> list[Path]:
     wanted = [target for target in kernels.TARGETS.values() if target.platform in {each.kernels for each in platforms}]
     folder = CACHE / "kernels"
     folder.mkdir(parents=True, exist_ok=True)
-    if not all(kernels.is_current(target, folder) for target in wanted):
+    if not all(kernels.has_these_sources(target, folder) for target in wanted):
         _need_zig()
     try:
         kernels.build_all(wanted, folder)

@@ -4,7 +4,7 @@
     python -m jghand_engine.native.build linux_aarch64 … named targets (cross-compiled; `all` for every one)
 
 The compiler is clang inside the `ziglang` wheel, so that no compiler needs to be installed; the environment variable
-JGHAND_CXX (or CXX) names another one. gcc is not recommended for the AVX2 variant: it splits 64-byte vectors badly.
+JGHAND_CXX names another one. gcc is not recommended for the AVX2 variant: it splits 64-byte vectors badly.
 
 The sources use C headers only (<math.h>, <stdint.h>, <string.h>), no C++ standard library, no exceptions and no RTTI:
 then nothing of libc++ is compiled, and the first build of all takes seconds instead of a minute.
@@ -119,31 +119,16 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """JGHAND_CXX, else CXX, else the ziglang wheel of this Python. Without any: RetryError."""
-    for variable in ("JGHAND_CXX", "CXX"):
-        if command := os.environ.get(variable, "").strip():
-            words = compiler_words(command)
-            return Compiler(words, compiler_name(words), is_zig=False)
+    """JGHAND_CXX, else the ziglang wheel of this Python. Without any: RetryError."""
+    if command := os.environ.get("JGHAND_CXX", "").strip():
+        # its name stands in a C string, where backslashes and quotes mean something else
+        return Compiler(tuple(shlex.split(command)), re.sub(r"[\\\"]", "/", command), is_zig=False)
     if importlib.util.find_spec("ziglang") is None:
         raise RetryError(
             "no compiler for the native library",
             remedy="Install one with `pip install ziglang==0.17.0`, or name a clang++ in JGHAND_CXX.",
         )
     return Compiler((sys.executable, "-m", "ziglang", "c++"), f"zig {_zig_version()}", is_zig=True)
-
-
-def compiler_words(command: str, *, windows: bool = os.name == "nt") -> tuple[str, ...]:
-    """A command line in words; quotes hold a path with spaces together. On Windows a backslash is part of a path."""
-    try:
-        words = shlex.split(command, posix=not windows)
-    except ValueError as error:
-        raise InputError("JGHAND_CXX or CXX", wanted="a command line", came=f"{command!r}: {error}") from error
-    return tuple(word.strip("\"'") for word in words) if windows else tuple(words)
-
-
-def compiler_name(words: tuple[str, ...]) -> str:
-    """How a compiler is named in a library: in a C string, where backslashes and quotes mean something else."""
-    return " ".join(words).replace("\\", "/").replace('"', "'")
 
 
 def _zig_version() -> str:
@@ -206,13 +191,6 @@ def has_these_sources(target: Target, folder: Path = LIBRARY_FOLDER) -> bool:
     return stamp is not None and stamp.sources == source_hash(target)
 
 
-def is_current(target: Target, folder: Path = LIBRARY_FOLDER) -> bool:
-    """Whether a build would give the same: these sources, and the compiler that JGHAND_CXX asks for."""
-    wanted, stamp = os.environ.get("JGHAND_CXX", "").strip(), read_stamp(folder / target.file_name)
-    by_another = bool(wanted) and stamp is not None and stamp.compiler != compiler_name(compiler_words(wanted))
-    return has_these_sources(target, folder) and not by_another
-
-
 # ---- building -------------------------------------------------------------------------------------------------------
 
 
@@ -237,7 +215,7 @@ def build(target: Target, folder: Path = LIBRARY_FOLDER) -> Path:
                 f"compiler {compiler.name}",
                 wanted="a C++ compiler",
                 came=str(error),
-                remedy="Correct JGHAND_CXX or CXX.",
+                remedy="Correct JGHAND_CXX.",
             ) from error
         if result.returncode != 0:
             raise RetryError(f"building {path.name} with {compiler.name} failed", came=result.stderr[-4000:])
@@ -246,8 +224,8 @@ def build(target: Target, folder: Path = LIBRARY_FOLDER) -> Path:
 
 
 def build_all(targets: list[Target], folder: Path = LIBRARY_FOLDER) -> list[Path]:
-    """Builds what is not current, two at a time."""
-    stale = [target for target in targets if not is_current(target, folder)]
+    """Builds what is not of these sources, two at a time."""
+    stale = [target for target in targets if not has_these_sources(target, folder)]
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(lambda target: build(target, folder), stale))
 

@@ -151,11 +151,6 @@ def test_a_tier_without_a_price_is_refused():
             HandRenderer(avatar, RenderSettings(correctives=wanted))
 
 
-def test_an_unknown_tier_is_refused():
-    with pytest.raises(InputError, match="correctives"):
-        RenderSettings(correctives="best")
-
-
 def test_the_frame_says_what_it_took_and_what_that_costs():
     avatar = distilled_avatar(EXACT, linear_price(0.04))
     joints = AVATAR.canonical_joints_m

@@ -15,7 +15,6 @@ from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, PoseNetShape, PoseNetwork
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.posing import Poser, new_rows
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.learn.gaussians import Gaussians
@@ -214,23 +213,6 @@ def test_gloss_follows_the_eye_and_leaves_nothing_behind(library):
     assert float((natively(library, AVATAR, bones, eyes_m=(-EYE_M,)).rgb - straight.rgb).abs().max()) > 0.05
 
 
-def test_gloss_is_found_again_only_for_another_eye_or_pose(library):
-    poser = Poser(library, AVATAR)
-    with pytest.raises(InputError, match="pose"):
-        poser.prepare_gloss(EYE_M)
-    bones = bones_of_hand(AVATAR, joints_of("open"))
-    poser.prepare(bones, np.zeros(3))
-    assert [poser.prepare_gloss(eye) for eye in (EYE_M, EYE_M.copy(), -EYE_M)] == [True, False, True]
-    poser.prepare(bones, np.zeros(3))
-    assert poser.prepare_gloss(-EYE_M)
-    poser.into = replace(poser.into, rgb=poser.into.rgb[:-1])
-    with pytest.raises(InputError, match="rgb"):
-        poser.prepare(bones, np.zeros(3))
-    matt = Poser(library, changed(shine=np.zeros(601, np.float32)))
-    matt.prepare(bones, np.zeros(3))
-    assert not matt.prepare_gloss(EYE_M)
-
-
 def test_features_of_the_bones_are_those_of_the_planes():
     for level1 in (True, False):
         shape = PoseNetShape((3, 3, 2), 6, 5, hidden=24, level1=level1)
@@ -308,10 +290,3 @@ def test_the_last_pose_is_not_remembered(library):
         fresh = natively(library, avatar, bones_of_hand(avatar, joints_of("open")))
         order = np.argsort(poser.blocks.order)
         assert np.array_equal(poser.into.position_m[: len(avatar)][order], fresh.position_m.numpy())
-
-
-def test_a_correction_that_is_not_finite_is_never_drawn_as_something_else(library):
-    broken = replace(linear_tier(4), constant=np.full((601, 6), np.nan, np.float32))
-    avatar = changed(correctives=broken)
-    found = natively(library, avatar, bones_of_hand(avatar, joints_of("open")))
-    assert bool(torch.isnan(found.position_m).all())

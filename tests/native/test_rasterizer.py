@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from splat_scenes import camera_for, hand_gaussians
 
-from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.errors import InputError
 from jghand_engine.native import contract
-from jghand_engine.native import rasterizer as module
-from jghand_engine.native.binding import address, aligned_zeros
 from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View
 
@@ -104,31 +102,6 @@ def test_backward_before_forward_is_refused():
         rasterizer().backward(np.zeros((5, 8, 8), np.float32))
 
 
-def test_more_pairs_than_the_lists_can_index_is_a_memory_error():
-    """Full-screen Gaussians: the count is known before any list is filled, and nothing is allocated for them."""
-    side, count = 16_000, 2200
-    arrays = GaussianArrays(
-        np.tile(np.array([0, 0, 1], np.float32), (count, 1)),
-        np.full(count, 30.0, np.float32),
-        np.full(count, 0.5, np.float32),
-        np.ones((count, 3), np.float32),
-    )
-    planes = np.lib.stride_tricks.as_strided(np.zeros(1, np.float32), (5, side, side), (0, 0, 0))
-    view = View(side, side, 1000.0, 1000.0, side / 2, side / 2, np.eye(3, 4))
-    one = rasterizer()
-    with pytest.MonkeyPatch.context() as patch:
-
-        def unchecked(array, *rest, **options) -> int:
-            return 0 if array is planes else address(array, *rest, **options)
-
-        patch.setattr(module, "address", unchecked)
-        with pytest.raises(MemoryLimitError, match="too many tiles"):
-            one.forward(arrays, view, planes=planes)
-    assert one._arrays["tile_list"].nbytes < 2**20
-    with pytest.raises(InputError, match="forward"):
-        one.backward(np.zeros((5, 8, 8), np.float32))
-
-
 def test_a_picture_that_was_refused_has_no_backward_pass():
     arrays, view = hand_arrays(50), view_for(20, 12)
     one, gradient = rasterizer(), np.ones((5, 12, 20), np.float32)
@@ -140,31 +113,3 @@ def test_a_picture_that_was_refused_has_no_backward_pass():
         one.backward(gradient)
     one.forward(arrays, view)
     assert np.array_equal(one.backward(gradient).position_m, want.position_m)
-
-
-def test_a_list_for_which_there_was_no_memory_is_made_later(monkeypatch):
-    small, large, view = hand_arrays(10), hand_arrays(3000), view_for(256, 160)
-    one = rasterizer()
-    one.forward(small, view)
-
-    def scarce(shape, dtype=np.float32):
-        if np.prod(shape) > 4000 and dtype is np.int32:
-            raise MemoryError
-        return aligned_zeros(shape, dtype)
-
-    with monkeypatch.context() as patch, pytest.raises(MemoryLimitError, match="tile_list"):
-        patch.setattr(module, "aligned_zeros", scarce)
-        one.forward(large, view)
-    with pytest.raises(InputError, match="forward"):
-        one.backward(np.zeros((5, 160, 256), np.float32))
-    # small enough for the list that is gone
-    assert np.array_equal(one.forward(small, view), rasterizer().forward(small, view))
-    assert np.array_equal(one.forward(large, view), rasterizer().forward(large, view))
-
-
-def test_aligned_memory_starts_on_a_cache_line():
-    for shape in ((1,), (7, 3), (1000,)):
-        array = aligned_zeros(shape)
-        assert array.shape == shape
-        assert array.ctypes.data % 64 == 0
-        assert not array.any()

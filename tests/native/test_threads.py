@@ -89,32 +89,6 @@ def test_ctrl_c_comes_through_only_when_all_threads_are_done(caller_s):
     pool.close()
 
 
-@pytest.mark.parametrize("told", [False, True], ids=["before the worker was told", "after it"])
-def test_ctrl_c_between_the_starts_of_two_threads_leaves_none_behind(monkeypatch, told):
-    pool, done, struck = WorkerPool(4), [], []
-    start = threads._Worker.start
-
-    def interrupted_start(worker, call) -> None:
-        strikes = worker is pool._workers[1] and not struck
-        if told or not strikes:
-            start(worker, call)
-        if strikes:
-            struck.append(True)
-            raise KeyboardInterrupt
-
-    def work(index: int) -> None:
-        time.sleep(0.05)
-        done.append(index)
-
-    monkeypatch.setattr(threads._Worker, "start", interrupted_start)
-    with pytest.raises(KeyboardInterrupt):
-        pool.run(work)
-    assert sorted(done) == [0, 1, 2, 3]  # each once
-    pool.run(work)
-    assert sorted(done) == [0, 0, 1, 1, 2, 2, 3, 3]
-    pool.close()
-
-
 def test_calls_from_several_threads_wait_for_each_other(pool):
     results: list[list[int]] = []
     callers = [threading.Thread(target=lambda: results.append(pool.map(lambda i: i, 50))) for _ in range(4)]

@@ -182,21 +182,6 @@ def test_flat_covariances_may_be_a_part_of_their_trace_beyond_flat():
             assert (semi_definite(upper(matrices)).numpy() == good).all()
 
 
-def test_without_the_slack_a_flat_covariance_is_refused_to_the_last_bit(monkeypatch):
-    monkeypatch.setattr(contract, "COVARIANCE_SLACK", 0.0)
-    for place in (0, 3, 5):
-        rows = torch.tensor([[1.0, 0, 0, 1, 0, 1]] * 2, dtype=F64)
-        rows[:, place] = torch.tensor([0.0, 1e-300], dtype=F64)
-        assert semi_definite(rows).tolist() == [False, True]
-
-
-def test_no_infinite_covariance_is_semi_definite():
-    for places in itertools.product([0.0, 1.0, math.inf], repeat=3):
-        if math.inf in places:
-            xx, yy, zz = places
-            assert not semi_definite(torch.tensor([[xx, 0, 0, yy, 0, zz], [xx, 0.1, 0.1, yy, 0.1, zz]])).any()
-
-
 # ---- alpha at the cut and at the cap --------------------------------------------------------------------------------
 
 
@@ -265,29 +250,6 @@ def test_a_tile_meets_the_gaussians_whose_boxes_reach_into_it_and_no_others(blen
         x, y = 16 * column, 16 * row
         inside = sorted(z for le, ri, to, bo, z in boxes if ri > x and le < x + 16 and bo > y and to < y + 16)
         assert met.get((column, row), []) == pytest.approx(inside)
-
-
-@pytest.mark.parametrize(("allowed", "at_once"), [(100, 3), (59, 1), (1, 1), (10**6, 256)])
-def test_as_many_pixels_are_drawn_at_once_as_the_memory_allows(blended, monkeypatch, allowed, at_once):
-    monkeypatch.setattr(reference, "REFERENCE_PAIRS_AT_ONCE", allowed)
-    hand = in_precision(hand_gaussians(30, sigma_mm=(200, 300)), F64)
-    rasterize_reference(hand, camera_for(16, 16))
-    sizes = [len(pixels) for pixels, _ in blended]
-    assert sum(sizes) == 256
-    assert set(sizes[:-1]) <= {at_once}
-    assert sizes[-1] <= at_once
-
-
-@pytest.mark.parametrize("name", ["position_m", "sigma_m", "opacity", "rgb"])
-def test_what_a_gradient_needs_is_computed_again_instead_of_kept(blended, name):
-    """Even when only one of the tensors wants a gradient; without gradients everything is computed once."""
-    hand, camera = in_precision(hand_gaussians(30, sigma_mm=(2, 3)), F64), camera_for(16, 16)
-    getattr(hand, name).requires_grad_()
-    with torch.no_grad():
-        rasterize_reference(hand, camera)
-    assert len(blended) == 1
-    planes_of(rasterize_reference(hand, camera)).sum().backward()
-    assert len(blended) == 3
 
 
 # ---- shapes ---------------------------------------------------------------------------------------------------------

@@ -218,17 +218,6 @@ def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
     assert bare.cast is None
 
 
-def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
-    def never(*_arguments, **_named):
-        raise AssertionError("not asked for")
-
-    monkeypatch.setattr("jghand_engine.render.renderer.surface_normals", never)
-    monkeypatch.setattr(backend.Backend, "hand_weights", never)
-    frame = SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("fist") + 0.1], camera())
-    assert frame.normal is None
-    assert frame.ids is None
-
-
 def test_normals_come_without_depth():
     frame = HandRenderer(RIGHT, replace(SMALL, depth=False, normals=True)).render(pose("open"), camera())
     assert frame.normal is not None
@@ -300,16 +289,6 @@ def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
 
 
 # ---- single effects -------------------------------------------------------------------------------------------------
-
-
-def test_hands_apart_cost_no_sum_over_their_bones(monkeypatch):
-    asked = []
-    monkeypatch.setattr(effects, "contact_between", lambda hands: asked.append(1) or 0.0)
-    far = [pose("open"), pose("open") + np.array([0.6, 0.0, 0.0])]
-    SceneRenderer([RIGHT, RIGHT], SMALL).render(far, camera())
-    assert asked == []
-    SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("open") + 0.05], camera())
-    assert asked == [1]
 
 
 def test_a_small_hand_is_as_slim_as_a_large_one_seen_from_afar():

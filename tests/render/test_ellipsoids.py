@@ -23,9 +23,7 @@ from splat_scenes import (
     gradients_of,
     hand_gaussians,
     in_precision,
-    joined,
     planes_of,
-    reordered,
     stretched,
 )
 
@@ -224,44 +222,6 @@ def test_the_same_bits_from_every_number_of_threads_and_on_every_run(count, back
         assert all(torch.equal(a, b) for a, b in zip(again, gradients, strict=True)), threads
 
 
-@native
-def test_permuted_ellipsoids_give_the_same_bits_when_depths_differ(backend):
-    """Promise 15."""
-    camera, hand = front_camera(96, 64, 200.0), stretched_hand(3000, sigma_mm=(1, 3))
-    hand.position_m[:, 2] = 0.5 + 1e-5 * torch.randperm(3000, generator=torch.Generator().manual_seed(1))
-    order = torch.randperm(3000, generator=torch.Generator().manual_seed(2))
-    assert_same_bits(draw(reordered(hand, order), camera, backend), draw(hand, camera, backend))
-
-
-@native
-def test_hidden_ellipsoids_change_no_bit_of_the_others(backend):
-    """Promise 13."""
-    hand, camera = stretched_hand(1000, sigma_mm=(1, 3)), camera_for(96, 64)
-    hidden = gaussians_from([[9.0, 9.0, 9.0], [0, 0, float("nan")]], [1e-3] * 2, [0.5] * 2, [[1, 1, 1]] * 2)
-    together = joined(as_ellipsoids(hidden), hand, as_ellipsoids(hidden))
-    assert_same_bits(draw(together, camera, backend), draw(hand, camera, backend))
-    for a, b in zip(
-        gradients_of(together, camera, backend=backend), gradients_of(hand, camera, backend=backend), strict=True
-    ):
-        assert torch.equal(a[2:-2], b)
-        assert float(a[:2].abs().sum() + a[-2:].abs().sum()) == 0
-
-
-@every_backend
-@pytest.mark.parametrize(("factor", "drawn"), [(0.99, True), (1.01, False)])
-def test_a_projected_variance_beyond_the_limit_is_left_out_and_counted(factor, drawn, backend):
-    """Promise 12: a needle along y, on both sides of 1e9 px^2."""
-    focal, depth = 500.0, 0.5
-    variance = (factor * contract.VAR_MAX_PX2 - contract.BLUR_PX2) * (depth / focal) ** 2
-    needle = replace(
-        gaussians_from([[0, 0, depth]], [1.0], [0.5], [[1, 1, 1]]),
-        covariance_m2=torch.tensor([[1e-6, 0, 0, variance, 0, 1e-6]]),
-    )
-    picture = draw(needle, front_camera(8, 8, focal), backend)
-    assert (picture.visible_gaussians, picture.invalid_gaussians) == ((1, 0) if drawn else (0, 1))
-    assert (float(picture.alpha.max()) > 0.3) is drawn
-
-
 @every_backend
 @pytest.mark.parametrize("flat", ["disk", "needle"])
 def test_flat_gaussians_are_drawn_from_every_side(flat, backend):
@@ -318,11 +278,3 @@ def test_wrong_covariances_are_refused_by_name(backend):
     for wrong in (covariance[:9], covariance[:, :5], covariance.reshape(-1), covariance.double(), [1.0] * 6):
         with pytest.raises(InputError, match="covariance_m2"):
             draw(replace(good, covariance_m2=wrong), camera_for(8, 8), backend)  # type: ignore[arg-type]
-
-
-@native
-def test_strided_covariances_are_drawn_like_contiguous_ones(backend):
-    hand = stretched_hand(200, sigma_mm=(2, 3))
-    assert hand.covariance_m2 is not None
-    strided = replace(hand, covariance_m2=hand.covariance_m2.t().contiguous().t())
-    assert_same_bits(draw(strided, camera_for(40, 30), backend), draw(hand, camera_for(40, 30), backend))

@@ -57,21 +57,6 @@ def enlarged_depth(depth_m: np.ndarray, width: int, height: int) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize(("width", "height"), [(40, 70), (41, 69), (1, 1), (2, 3)])
-def test_a_slope_is_enlarged_exactly(width, height):
-    """Centers of pixels stay where they were: a plane over the picture stays that plane, away from the edge."""
-
-    def plane(wide, high, step):
-        x, y = (step * (np.arange(n) + 0.5) for n in (wide, high))
-        return np.stack([x[None, :] + 2 * y[:, None]] * 4, -1).astype(np.float32)
-
-    small = plane((width + 1) // 2, (height + 1) // 2, 2.0)
-    large = enlarged_color(small, width, height)
-    assert large.shape == (height, width, 4)
-    inside = (slice(1, -2), slice(1, -2))
-    assert np.allclose(large[inside], plane(width, height, 1.0)[inside], atol=1e-4)
-
-
 @pytest.mark.parametrize("library", [load(name) for name in runnable_variants()], ids=lambda library: library.variant)
 @pytest.mark.parametrize(("width", "height", "threads"), [(60, 100, 1), (61, 99, 2), (2, 3, 2), (1, 1, 1)])
 def test_the_kernel_does_what_the_specification_says(library, width, height, threads):

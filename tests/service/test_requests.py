@@ -56,20 +56,6 @@ def test_a_picture_comes_in_every_form_that_is_asked_for():
     assert bytes(arrays["png"][:4]) == b"\x89PNG"
 
 
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_the_nearer_hand_covers_the_farther_one_whatever_their_order(order):
-    hands = [(RIGHT, joints_at(0.3)), (LEFT, joints_at(0.2))]
-    arrays = run(
-        request(
-            hands=[hands[i][0] for i in order],
-            joints=np.stack([hands[i][1] for i in order])[None],
-            outputs=["rgba_f32", "depth"],
-        )
-    )
-    np.testing.assert_array_equal(arrays["rgba_f32"][15, 20], (0, 0, 1, 1))  # the left hand's blue
-    assert arrays["depth"][15, 20] == pytest.approx(0.2)
-
-
 def test_no_hand_at_all_is_an_empty_picture():
     none = {"joints": None, "world_from_hand": None}
     arrays = run(request(hands=[], joints=NAN, arrays=none, outputs=["rgba_f32", "depth", "ids"]))
@@ -77,47 +63,6 @@ def test_no_hand_at_all_is_an_empty_picture():
     assert not arrays["rgba_f32"].any()
     assert not arrays["depth"].any()
     assert not arrays["ids"].any()
-
-
-def test_several_moments_become_one_picture():
-    """Half the time here, half the time there; depth is that of the middle one, the first of two."""
-    arrays = run(
-        request(
-            outputs=["rgba_f32", "depth", "depth_covered"],
-            joints=np.stack([joints_at(0.3), joints_at(0.2)])[:, None],
-            arrays={
-                "pinholes": np.array([PINHOLE, (80.0, 80.0, 5.0, 15.0)]),
-                "camera_from_world": np.tile(np.eye(4), (2, 1, 1)),
-                "world_from_hand": np.tile(np.eye(4), (2, 1, 1, 1)),
-                "weights": np.array([1.0, 3.0]),
-            },
-        )
-    )
-    np.testing.assert_allclose(arrays["rgba_f32"][15, 20], 0.25)
-    np.testing.assert_allclose(arrays["rgba_f32"][15, 5], 0.75)
-    assert arrays["depth"][15, 20] == pytest.approx(0.3)
-    assert arrays["depth"][15, 5] == 0
-    assert arrays["depth_covered"][15, 20] == pytest.approx(0.3)
-    assert arrays["depth_covered"][15, 5] == pytest.approx(0.2)
-
-
-def test_where_a_hand_lies_in_the_world_counts_together_with_the_camera():
-    place = np.eye(4)
-    place[:3, 3] = (700.0, -20.0, 0.1)
-    camera = np.eye(4)
-    camera[:3, 3] = (-700.0, 20.0, 0.0)
-    arrays = {"world_from_hand": place[None, None], "camera_from_world": camera[None]}
-    depth = run(request(outputs=["depth"], arrays=arrays))["depth"]
-    assert depth[15, 20] == pytest.approx(0.4)
-
-
-def test_parallel_rays_show_far_hands_as_large_as_near_ones():
-    pixels_per_meter = np.array([(200.0, 200.0, 20.0, 15.0)])
-    near, far = (
-        run(request(joints=joints_at(z)[None, None], orthographic=True, arrays={"pinholes": pixels_per_meter}))
-        for z in (0.3, 3.0)
-    )
-    np.testing.assert_array_equal(near["rgba_f32"], far["rgba_f32"])
 
 
 NAN = np.full((1, 1, 21, 3), np.nan, np.float32)
