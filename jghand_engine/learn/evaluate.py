@@ -58,8 +58,13 @@ def avatar_picturer(avatar: HandAvatar, settings: RenderSettings) -> Picturer:
 
 @dataclass(frozen=True)
 class PictureScore:
-    """One picture. scores: by metric and region, such as psnr_box · render_ms: drawing it, files excluded ·
-    flexion_deg: mean flexion of the joints of index..pinky."""
+    """One picture.
+
+    category:    how it was held out, or "learnt"
+    flexion_deg: mean flexion of the joints of index..pinky
+    scores:      by metric and region, such as psnr_box
+    render_ms:   drawing it, files excluded
+    """
 
     sample: Sample
     category: str
@@ -78,7 +83,7 @@ class PictureScore:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures of one avatar on pictures of one capture. name: of the avatar · capture · origin: of the split."""
+    """Figures of one avatar on pictures of one capture. name: of the avatar; origin: of the split."""
 
     name: str
     capture: str

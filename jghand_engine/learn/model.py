@@ -70,13 +70,22 @@ class OffsetFrame(StrEnum):
 class ModelOptions:
     """What is learned; METHOD 4.2 has the two configurations.
 
-    gaussians: how many · shell_depth_m: how deep under the skin they start · area_power: see `place_points`
-    swing, scale_mode: as `JointTransform` takes them · offset_frame: of the pose's offsets · pose: the shape of the
-    pose's network · plane_texels, depth_texels: of the identity planes · hidden: width of the identity decoder
-    identity_reach_m: longest identity offset along an axis · opacity_bias: before the sigmoid, at the start
-    anisotropic: whether a Gaussian has three radii and a rotation instead of one radius (METHOD 4.3)
-    lit: whether the light of the capture is learned apart from the colors · glossy: whether reflections are
-    cast_shadow: whether its lamps are, which the fingers hide from the palm
+    gaussians:        how many
+    shell_depth_m:    how deep under the skin they start
+    area_power:       how bones share them, see `place_points`
+    swing:            as `JointTransform` takes it
+    scale_mode:       as `JointTransform` takes it
+    offset_frame:     axes of the pose's offsets
+    pose:             the shape of the pose's network
+    plane_texels:     of the identity planes, along u and v
+    depth_texels:     of the identity planes, along the depth
+    hidden:           width of the identity decoder
+    identity_reach_m: longest identity offset along an axis
+    opacity_bias:     before the sigmoid, at the start
+    anisotropic:      whether a Gaussian has three radii and a rotation instead of one radius (METHOD 4.3)
+    lit:              whether the light of the capture is learned apart from the colors
+    glossy:           whether reflections are learned
+    cast_shadow:      whether the lamps are learned that the fingers hide from the palm
     """
 
     gaussians: int = 40_000

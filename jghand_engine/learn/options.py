@@ -25,11 +25,15 @@ class LossWeights:
 class Schedule:
     """Everything that changes while training; parts are of the planned steps, 0..1.
 
-    views: pictures of one pose per step; decoding once for all of them is what makes a step cheap
-    rate, plane_rate: of Adam, for networks, and for planes, radii and light; both fall exponentially to `last_part`
-    warm_up_steps: over which the rates rise · gradient_norm: above which gradients are shortened
-    levels: (from part, part of the Gaussians) in rising order · strides: (from part, every how many pixels)
-    waves: (from part, to part) over which the octaves of the encoding come in; None: all from the start
+    views:           pictures of one pose per step; decoding once for all of them is what makes a step cheap
+    rate:            learning rate of Adam for networks
+    plane_rate:      the same for planes, radii and light
+    last_part:       of both rates at the end, to which they fall exponentially
+    warm_up_steps:   over which the rates rise
+    gradient_norm:   above which gradients are shortened
+    levels:          (from part, part of the Gaussians) in rising order
+    strides:         (from part, pixels averaged into one along each axis)
+    waves:           (from part, to part) over which the octaves of the encoding come in; None: all from the start
     perceptual_from: part from which the perceptual term counts
     """
 
@@ -47,9 +51,16 @@ class Schedule:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """model: what is learned · loss: what counts as good · schedule: in which order · shadow: whether the screen's
-    self-shadow is part of the picture; the cast one is the model's · shadow_samples: its taps · transform: how the
-    bones follow the joints · seed: of all that is random"""
+    """Everything that decides what is learned.
+
+    model:          what is learned
+    loss:           what counts as good
+    schedule:       in which order
+    shadow:         whether the screen-space self-shadow is part of the picture; the cast one is the model's
+    shadow_samples: its taps
+    transform:      how the bones follow the joints
+    seed:           of all that is random
+    """
 
     model: ModelOptions = field(default_factory=ModelOptions)
     loss: LossWeights = field(default_factory=LossWeights)

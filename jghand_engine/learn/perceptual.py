@@ -10,7 +10,7 @@ read. Both can be a loss: the gradient goes to the first picture.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -35,9 +35,12 @@ Tensors = Mapping[str, Tensor]
 
 @dataclass(frozen=True)
 class PerceptualMetric:
-    """name: what its figures are called, ST-LPIPS or LPIPS · note: what a reader of the figures has to know.
+    """A distance of pictures by the features of a network.
 
-    features: five maps of an (1, 3, H, W) picture in -1..1 · heads: per map, weights (1, C, 1, 1) of its channels.
+    name:     what its figures are called, ST-LPIPS or LPIPS
+    note:     what a reader of the figures has to know
+    features: five maps of a (1, 3, H, W) picture in -1..1
+    heads:    per map, weights (1, C, 1, 1) of its channels
     """
 
     name: str
@@ -100,15 +103,7 @@ def st_lpips(device: torch.device | None = None) -> PerceptualMetric | None:
     path = _installed_file("stlpips-pytorch", "weights/vST0.0/vgg_shift_tolerant.pth")
     if path is None:
         return None
-    return st_lpips_of({name: tensor.to(device or "cpu") for name, tensor in _load_tensors(path).items()}, str(path))
-
-
-def st_lpips_of(tensors: Tensors, thing: str = "weights of ST-LPIPS") -> PerceptualMetric:
-    """ST-LPIPS from the tensors of its file. InputError names `thing` when one is missing."""
-    wanted = [f"lin{i}.model.1.weight" for i in range(5)] + ["scaling_layer.shift", "scaling_layer.scale"]
-    wanted += [f"{name}.{kind}" for name in _st_convolutions() for kind in ("weight", "bias")]
-    wanted += [f"net.slice{number}.{filter_}.filt" for number, _, filter_ in _ST_SLICES if filter_ is not None]
-    _check_present(tensors, wanted, thing)
+    tensors = {name: tensor.to(device or "cpu") for name, tensor in _load_tensors(path).items()}
     shift, scale = tensors["scaling_layer.shift"], tensors["scaling_layer.scale"]
 
     def features(x: Tensor) -> list[Tensor]:
@@ -127,11 +122,6 @@ def st_lpips_of(tensors: Tensors, thing: str = "weights of ST-LPIPS") -> Percept
 
     note = "shift-tolerant, VGG; forgives shifts by design, not comparable with LPIPS"
     return PerceptualMetric(ST_LPIPS, note, features, tuple(tensors[f"lin{i}.model.1.weight"] for i in range(5)))
-
-
-def _st_convolutions() -> Iterator[str]:
-    for number, convolutions, _ in _ST_SLICES:
-        yield from (f"net.slice{number}.{name}" for name in convolutions)
 
 
 # ---- LPIPS ----------------------------------------------------------------------------------------------------------

@@ -25,7 +25,12 @@ PICTURE_CACHE_BYTES = 1_000_000_000
 
 @dataclass(frozen=True)
 class View:
-    """One picture to compare with. rgb: (H, W, 3) float32 over black · mask: (H, W) float32 · camera: of that cut"""
+    """One picture to compare with.
+
+    rgb:    (H, W, 3) float32 over black
+    mask:   (H, W) float32
+    camera: of that cut
+    """
 
     rgb: torch.Tensor
     mask: torch.Tensor
@@ -33,7 +38,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _CachedView:
     rgb: np.ndarray
     mask: np.ndarray
     camera: Camera
@@ -43,14 +48,16 @@ class Pictures:
     """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES."""
 
     def __init__(self) -> None:
-        self._kept: LruCache[_Kept] = LruCache(PICTURE_CACHE_BYTES, lambda kept: kept.rgb.nbytes + kept.mask.nbytes)
+        self._cache: LruCache[_CachedView] = LruCache(
+            PICTURE_CACHE_BYTES, lambda view: view.rgb.nbytes + view.mask.nbytes
+        )
 
     def view(self, sample: Sample, stride: int = 1) -> View:
         """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_picture`, or when no
         pixel of it shows the hand."""
-        kept = self._kept.get(sample.picture, lambda: _cut(sample))
-        rgb, mask = torch.from_numpy(kept.rgb).float() / 255.0, torch.from_numpy(kept.mask).float() / 255.0
-        view = View(rgb, mask, kept.camera)
+        cached = self._cache.get(sample.picture, lambda: _cut(sample))
+        rgb, mask = torch.from_numpy(cached.rgb).float() / 255.0, torch.from_numpy(cached.mask).float() / 255.0
+        view = View(rgb, mask, cached.camera)
         return view if stride == 1 else coarser(view, stride)
 
 
@@ -68,7 +75,7 @@ def coarser(view: View, stride: int) -> View:
     return View(small[..., :3].contiguous(), small[..., 3].contiguous(), camera)
 
 
-def _cut(sample: Sample) -> _Kept:
+def _cut(sample: Sample) -> _CachedView:
     picture = load_picture(sample)
     rows, columns = (np.flatnonzero(picture.mask.max(axis=axis) > 0) for axis in (1, 0))
     if not len(rows):
@@ -82,7 +89,7 @@ def _cut(sample: Sample) -> _Kept:
     camera = replace(camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top)
     cut = slice(top, bottom), slice(left, right)
     rgb, mask = (np.round(255 * plane[cut]).astype(np.uint8) for plane in (picture.rgb, picture.mask))
-    return _Kept(rgb, mask, camera)
+    return _CachedView(rgb, mask, camera)
 
 
 def _span(filled: np.ndarray, size: int, least: int) -> tuple[int, int]:

@@ -17,9 +17,16 @@ PROGRESS_LINE_S = 15.0
 
 @dataclass(frozen=True)
 class Status:
-    """Where a training stands. step, steps: done, planned · loss: mean since the last line of the log, None before
-    the first step · psnr: mean of the fixed views, cut to the hand, dB, None before it was measured · gaussians: as
-    the step says it · steps_per_s · seconds_left: to the end, None while unknown."""
+    """Where a training stands; None is not known yet.
+
+    step:         steps done
+    steps:        steps planned
+    loss:         of the last step
+    psnr:         mean of the fixed views, cut to the hand, dB
+    gaussians:    that the step drew
+    steps_per_s:  lately
+    seconds_left: to the end
+    """
 
     step: int
     steps: int

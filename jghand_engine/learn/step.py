@@ -58,9 +58,14 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class Material:
-    """What a hand is learned from. train: pictures to learn from, of one hand · judged: fixed views by which progress
-    is judged, at least one; the first is shown · template: where the Gaussians start · info: names of the finished
-    avatar · perceptual: a metric, or None"""
+    """What a hand is learned from.
+
+    train:      pictures to learn from, of one hand
+    judged:     fixed views by which progress is judged, at least one; the first is shown
+    template:   where the Gaussians start
+    info:       names of the finished avatar
+    perceptual: metric of the perceptual term, or None
+    """
 
     train: Sequence[Sample]
     judged: Sequence[Sample]
@@ -71,8 +76,13 @@ class Material:
 
 @dataclass(frozen=True)
 class _PosedBones:
-    """What never changes of one pose: transforms, maps of the skin, strength of the shadow 0..1, and which
-    lamps are seen."""
+    """What never changes of one pose.
+
+    bones:  its transforms
+    maps:   of the skin
+    shadow: strength of the self-shadow, 0..1
+    seen:   which lamps are seen; None where no cast shadow is learned
+    """
 
     bones: BoneTransforms
     maps: SkinMaps
