@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, TypeVar
@@ -132,6 +133,28 @@ def redraw(*kinds: str) -> None:
         for area in window.screen.areas:
             if area.type in (kinds or ("VIEW_3D",)):
                 area.tag_redraw()
+
+
+# what is shown when the timer comes to it: a sentence, its icon, its operators
+later: tuple[str, str, tuple[tuple[str, str], ...]] | None = None
+
+
+def show_later(text: str, *, icon: str = "INFO", operators: Iterable[tuple[str, str]] = ()) -> None:
+    """`show_message` from any thread, once the main one is free; "" for nothing any more. Without a window a line on
+    stderr."""
+    global later
+    if text and bpy.app.background:
+        print(f"JGHand: {text}", file=sys.stderr, flush=True)
+    else:
+        later = (text, icon, tuple(operators)) if text else None
+
+
+def show_what_waits() -> None:
+    """Shows it; for the timer."""
+    global later
+    waiting, later = later, None
+    if waiting is not None:
+        show_message(waiting[0], icon=waiting[1], operators=waiting[2])
 
 
 def show_message(text: str, *, icon: str, operators: Iterable[tuple[str, str]] = ()) -> None:

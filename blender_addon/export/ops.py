@@ -129,13 +129,11 @@ class ExportSceneUsd(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         path = Path(bpy.path.abspath(self.filepath))
         try:
-            with (
-                wait_cursor(context),
-                usd_hook.told_by_us(),
-            ):  # Blender's own export cannot be cut into turns, nor ended
+            with wait_cursor(context):  # Blender's own export cannot be cut into turns, nor ended
                 bpy.ops.wm.usd_export(filepath=str(path), export_animation=True)
         except RuntimeError as error:
             raise JGHandFailure("cannot_write", f"{path}: {error}") from error
+        ui.show_later("")  # it is told here
         if usd_hook.left_out():
             self.warn(*usd_hook.notes)
         else:

@@ -12,10 +12,7 @@ refuses to write a file whose layer somebody holds. Source: BLENDER 9.
 
 from __future__ import annotations
 
-import contextlib
-import sys
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +29,6 @@ SPLAT_TYPE = "ParticleField3DGaussianSplat"
 # what the last export did and did not, in sentences, for the panel and the operator
 notes: list[str] = []
 _LEFT_OUT = "left out"
-# an operator of ours exports, and tells the notes itself
-_is_told = False
-# Blender's own export runs on a thread of its own: it notes the sentence, the timer on the main thread shows it
-_pending = ""
 
 
 class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be built without USD
@@ -48,7 +41,6 @@ class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be 
     @staticmethod
     def on_export(export_context: Any) -> bool:
         """Blender's entry, at the end of an export."""
-        global _pending
         notes.clear()
         try:
             notes.extend(add_splats(export_context.get_stage(), export_context.get_depsgraph()))
@@ -56,12 +48,8 @@ class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be 
             # anything else that left here would take Blender and the artist's scene with it
             traceback.print_exc()
             notes.append(f"The splats were {_LEFT_OUT}: {error}")
-        text = " ".join(left_out())
-        if text and not _is_told:
-            if bpy.app.background:
-                print(f"JGHand: {text}", file=sys.stderr, flush=True)
-            else:
-                _pending = text
+        if left_out():  # Blender's export runs on a thread of its own
+            ui.show_later(f"{iface_('Not all hands are in the USD file.')} {' '.join(left_out())}", icon="ERROR")
         return True
 
 
@@ -70,29 +58,9 @@ def left_out() -> list[str]:
     return [note for note in notes if _LEFT_OUT in note]
 
 
-@contextlib.contextmanager
-def told_by_us() -> Iterator[None]:
-    """Who exports meanwhile tells what was left out, so that nobody else has to."""
-    global _is_told
-    _is_told = True
-    try:
-        yield
-    finally:
-        _is_told = False
-
-
-def show() -> None:
-    """Shows what Blender's own export left out, if anything; for the timer."""
-    global _pending
-    if _pending:
-        text, _pending = _pending, ""
-        ui.show_message(f"{iface_('Not all hands are in the USD file.')} {text}", icon="ERROR")
-
-
 def forget() -> None:
     """Another file was opened."""
-    global _pending
-    _pending = ""
+    ui.show_later("")
     notes.clear()
 
 

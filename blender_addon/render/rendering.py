@@ -18,7 +18,6 @@ writes the picture and goes on. The frame is magenta then (`engine`), and once p
 from __future__ import annotations
 
 import math
-import sys
 import time
 from typing import Any
 
@@ -35,8 +34,6 @@ from . import ENGINE, composite
 
 # what was said: of which scene, and the sentence
 _said: set[tuple[int, str]] = set()
-# a render's handler may run on a thread of its own: it notes the sentence, the timer on the main thread shows it
-_pending = ""
 _failed = False
 # when the render of hands began that goes on, on the clock of time.monotonic()
 _began_s = math.inf
@@ -92,7 +89,7 @@ def hands_left_out(scene: bpy.types.Scene) -> list[str]:
 @persistent
 def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     """A render begins."""
-    global _pending, _failed
+    global _failed
     if scene is None or composite.is_hands_scene(scene):
         return
     _failed = False
@@ -101,25 +98,19 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     if not text or (scene.session_uid, text) in _said:
         return
     _said.add((scene.session_uid, text))
-    if bpy.app.background:
-        print(f"JGHand: {text}", file=sys.stderr, flush=True)
-    else:
-        _pending = text
+    ways = (("jghand.use_engine", "RESTRICT_RENDER_OFF"), ("jghand.combine_with_scene", "NODE_COMPOSITING"))
+    ui.show_later(text, operators=ways)
 
 
 def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
     """The hands of a combined picture could not be drawn: its frame is magenta."""
-    global _pending, _failed
+    global _failed
     if _failed:
         return
     _failed = True
     reason = f"{rpt_(failure.advice.sentence)}. {rpt_(failure.advice.remedy)}."
     text = iface_("The hands of frame {frame} failed and are magenta: {reason}")
-    text = text.format(frame=scene.frame_current, reason=reason)
-    if bpy.app.background:
-        print(f"JGHand: {text}", file=sys.stderr, flush=True)
-    else:
-        _pending = text
+    ui.show_later(text.format(frame=scene.frame_current, reason=reason), icon="ERROR")
 
 
 def sentence_of(scene: bpy.types.Scene) -> str:
@@ -142,20 +133,7 @@ def sentence(engine: str) -> str:
 
 def was_said(scene: bpy.types.Scene) -> bool:
     """Whether it was said of this scene, and shown."""
-    return any(uid == scene.session_uid for uid, _ in _said) and not _pending
-
-
-def show() -> None:
-    """Shows what is noted, if anything is; for the timer, once no render runs."""
-    global _pending
-    if not _pending:
-        return
-    text, _pending = _pending, ""
-    if _failed:
-        ui.show_message(text, icon="ERROR")
-        return
-    ways = (("jghand.use_engine", "RESTRICT_RENDER_OFF"), ("jghand.combine_with_scene", "NODE_COMPOSITING"))
-    ui.show_message(text, icon="INFO", operators=ways)
+    return any(uid == scene.session_uid for uid, _ in _said) and ui.later is None
 
 
 def register() -> None:
@@ -166,8 +144,8 @@ def register() -> None:
 
 def unregister() -> None:
     """Does not look any more."""
-    global _pending, _failed
+    global _failed
     if on_render in bpy.app.handlers.render_init:
         bpy.app.handlers.render_init.remove(on_render)
     _said.clear()
-    _pending, _failed = "", False
+    _failed = False

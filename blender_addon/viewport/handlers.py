@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from .. import clock
+from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands
@@ -43,8 +43,7 @@ def tick() -> float:
     if rendering.check():
         _drop_stale()
         return clock.IDLE_TICK_S
-    rendering.show()
-    usd_hook.show()
+    ui.show_what_waits()
     _follow_status()
     _follow_problems()
     _redraw(views.try_again())

@@ -539,10 +539,10 @@ def test_blenders_own_export_says_which_hands_it_leaves_out(extension, tmp_path,
     monkeypatch.setattr(usd_hook.ui, "show_message", lambda text, **_: shown.append(text))
     bpy.ops.jghand.add_hand(handedness="right")
     name = bpy.context.object.name
-    window = SimpleNamespace(app=SimpleNamespace(background=False))
+    window = SimpleNamespace(app=SimpleNamespace(background=False), context=bpy.context)
     bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
-    assert f"JGHand: {name}: left out." in capfd.readouterr().err
-    monkeypatch.setattr(usd_hook, "bpy", window)
+    assert f"{name}: left out." in capfd.readouterr().err
+    monkeypatch.setattr(usd_hook.ui, "bpy", window)
     bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
     assert not shown  # Blender's export has a thread of its own: the timer shows it
     for _ in range(2):
