@@ -23,7 +23,7 @@ from other_programs import put_into_page, table
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.captures.capture_folder import open_capture
-from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
@@ -309,7 +309,7 @@ def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -
 
 
 def _on_gray(sample: Sample) -> np.ndarray:
-    picture = load_picture(sample)
+    picture = load_image(sample)
     flat = picture.rgb + 0.5 * (1 - picture.mask[..., None])
     return np.clip(255 * flat, 0, 255).astype(np.uint8)
 

@@ -42,7 +42,7 @@ def discs(camera: Camera, joints_m: np.ndarray, radius_px: float = 3.0) -> np.nd
 def sample_of(picture: Path, camera: Camera, joints_m: np.ndarray, *, frame: int = 0, name: str = "front") -> Sample:
     """The record of a picture whose mask is its alpha; a right hand."""
     return Sample(
-        picture=picture,
+        image=picture,
         camera=camera,
         joints_m=joints_m,
         handedness=Handedness.RIGHT,
@@ -69,13 +69,13 @@ def mirrored(sample: Sample, folder: Path) -> Sample:
     side."""
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     camera = sample.camera
-    pixels = np.asarray(Image.open(sample.picture))[:, ::-1]
+    pixels = np.asarray(Image.open(sample.image))[:, ::-1]
     folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / sample.picture.name
+    picture = folder / sample.image.name
     Image.fromarray(np.ascontiguousarray(pixels)).save(picture)
     return replace(
         sample,
-        picture=picture,
+        image=picture,
         camera=replace(camera, cx=camera.width - camera.cx, camera_from_world=flip @ camera.camera_from_world @ flip),
         joints_m=sample.joints_m * np.array([-1.0, 1.0, 1.0]),
         handedness=Handedness.LEFT,

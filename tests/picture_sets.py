@@ -116,7 +116,7 @@ def _merge(into: dict, more: dict) -> None:
 def _write_pictures(folder: Path, hand: RecordedHand) -> None:
     for place, frame in enumerate(hand.joints_m):
         for name, camera in hand.cameras.items():
-            file = hand.picture(folder, frame, name)
+            file = hand.image(folder, frame, name)
             file.parent.mkdir(parents=True, exist_ok=True)
             write_picture(file, _mask(camera, place, hand.handedness))
 
@@ -136,7 +136,7 @@ def write_masks(folder: Path, hand: RecordedHand, suffix: str = ".png") -> None:
     """masks_removeblack/ as the avatar papers' preparation writes it: three equal channels, 0 and 255."""
     for place, frame in enumerate(hand.joints_m):
         for name, camera in hand.cameras.items():
-            file = folder / "masks_removeblack" / hand.split / hand.picture_name(frame, name)
+            file = folder / "masks_removeblack" / hand.split / hand.image_name(frame, name)
             file.parent.mkdir(parents=True, exist_ok=True)
             mask = np.where(_mask(camera, place, hand.handedness) >= 0.5, 255, 0).astype(np.uint8)
             Image.fromarray(np.repeat(mask[..., None], 3, axis=2)).save(file.with_suffix(suffix), quality=90)

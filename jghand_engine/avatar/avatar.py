@@ -27,7 +27,7 @@ UVD_RANGE_M = 0.010
 @dataclass(frozen=True)
 class LearnedFrom:
     """The pictures that an avatar was learned from. capture: its name · split: how the others were held out · pictures:
-    how many · digest: of which they are, see `datasets.picture_digest`."""
+    how many · digest: of which they are, see `datasets.image_digest`."""
 
     capture: str
     split: str

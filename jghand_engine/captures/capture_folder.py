@@ -1,8 +1,8 @@
-"""One door to all data sets: a folder goes in, a capture comes out, whatever its layout; and the choices of pictures
+"""One door to all data sets: a folder goes in, a capture comes out, whatever its layout; and the choices of images
 that published figures stand for, by name. Sources: METHOD 6.1, DATA 5.
 
 The avatar papers (HandAvatar and those after it) learn from one sequence of a person of InterHand2.6M and show
-another, at 5 frames per second, and leave out pictures by the rules of HandAvatar's published preparation. Their masks
+another, at 5 frames per second, and leave out images by the rules of HandAvatar's published preparation. Their masks
 are MANO's silhouette, stored as masks_removeblack; where those are absent our template's stands in, and figures say so.
 """
 
@@ -15,16 +15,16 @@ import numpy as np
 
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout
 from jghand_engine.captures.hanco import is_hanco, read_hanco
+from jghand_engine.captures.image_files import read_image, read_mask
 from jghand_engine.captures.interhand import read_interhand
-from jghand_engine.captures.interhand_files import InterHandPicture, is_interhand
+from jghand_engine.captures.interhand_files import InterHandImage, is_interhand
 from jghand_engine.captures.masks import template_mask
-from jghand_engine.captures.pictures_in import read_mask, read_picture
 from jghand_engine.captures.reading import Report, find_roots, subfolders
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 
-# the same papers leave a picture out when the hand's box is nearer to the border than this or smaller, pixels; when it
+# the same papers leave an image out when the hand's box is nearer to the border than this or smaller, pixels; when it
 # is as dark as this; when two color channels differ nowhere by more than this; when the mask has fewer pixels
 PAPER_BORDER_PX = 10
 PAPER_BOX_MIN_PX = 80
@@ -37,7 +37,7 @@ _LEARN, _SHOW = "ROM04_RT_Occlusion", "ROM03_RT_No_Occlusion"
 
 @dataclass(frozen=True)
 class Protocol:
-    """layout: the data set · choice: its pictures · train, test: sequences to learn from and to be judged by; both
+    """layout: the data set · choice: its images · train, test: sequences to learn from and to be judged by; both
     empty: the fixed rule · papers: which figures it stands for"""
 
     name: str
@@ -85,13 +85,13 @@ def open_capture(
     choice: CaptureChoice | None = None,
     report: Report | None = None,
 ) -> Capture:
-    """The pictures of one hand in a folder of InterHand2.6M, of HanCo, or made by `jghand capture`.
+    """The images of one hand in a folder of InterHand2.6M, of HanCo, or made by `jghand capture`.
 
     folder:   the data set, the folder around it, or one inside it, which then chooses (images/test/Capture0)
     protocol: a name of PROTOCOLS, instead of a choice
-    choice:   which pictures, where there are those of several persons or hands
-    report:   is told of broken pictures and implausible joints instead of the error, and the reading goes on
-    InputError names what is wrong: the folder, an annotation, the first picture that is missing or broken.
+    choice:   which images, where there are those of several persons or hands
+    report:   is told of broken images and implausible joints instead of the error, and the reading goes on
+    InputError names what is wrong: the folder, an annotation, the first image that is missing or broken.
     """
     place = Path(folder)
     if protocol is None:
@@ -99,7 +99,7 @@ def open_capture(
             return read_hanco(place, choice, report=report)
         return read_interhand(place, choice, report=report)
     if choice is not None:
-        raise InputError("choice of pictures", wanted="a protocol or a choice", came="both", remedy="Drop one.")
+        raise InputError("choice of images", wanted="a protocol or a choice", came="both", remedy="Drop one.")
     return _by_protocol(place, find_protocol(protocol), report)
 
 
@@ -138,12 +138,12 @@ def _by_protocol(folder: Path, protocol: Protocol, report: Report | None) -> Cap
 # ---- the rules of the avatar papers ----------------------------------------------------------------------------------
 
 
-def avatar_papers_drop(sample: Sample, picture: InterHandPicture) -> str | None:
-    """Why the avatar papers leave a picture out, or None. It reads the picture."""
-    reason = _box_reason(picture)
+def avatar_papers_drop(sample: Sample, image: InterHandImage) -> str | None:
+    """Why the avatar papers leave an image out, or None. It reads the image."""
+    reason = _box_reason(image)
     if reason is not None:
         return reason
-    rgb = read_picture(sample.picture)[..., :3].astype(np.float64)
+    rgb = read_image(sample.image)[..., :3].astype(np.float64)
     if rgb.max() < PAPER_DARK:
         return "dark"
     pairs = ((0, 1), (1, 2), (0, 2))
@@ -155,12 +155,12 @@ def avatar_papers_drop(sample: Sample, picture: InterHandPicture) -> str | None:
     return "dark hand" if rgb[mask].mean(axis=-1).max() < PAPER_DARK else None
 
 
-def _box_reason(picture: InterHandPicture) -> str | None:
-    if len(picture.bbox_px) != 4:
-        raise InputError(f"bbox of {picture.where}", wanted="x, y, width, height", came=str(picture.bbox_px))
-    x, y, width, height = picture.bbox_px
+def _box_reason(image: InterHandImage) -> str | None:
+    if len(image.bbox_px) != 4:
+        raise InputError(f"bbox of {image.where}", wanted="x, y, width, height", came=str(image.bbox_px))
+    x, y, width, height = image.bbox_px
     border = PAPER_BORDER_PX
-    if min(x, y, picture.width - x - width, picture.height - y - height) < border:
+    if min(x, y, image.width - x - width, image.height - y - height) < border:
         return "hand near the border"
     return "small hand" if max(width, height) < PAPER_BOX_MIN_PX else None
 
@@ -172,7 +172,7 @@ def _mask(sample: Sample) -> np.ndarray:
 
 
 def with_papers_masks(capture: Capture) -> Capture:
-    """Pictures without a mask file get the papers' rule on the projected template; without any, nothing changes."""
+    """Images without a mask file get the papers' rule on the projected template; without any, nothing changes."""
     samples = tuple(
         replace(sample, mask_source=MaskSource.TEMPLATE_LIT) if sample.mask_source is MaskSource.TEMPLATE else sample
         for sample in capture.samples

@@ -20,15 +20,15 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.motion.choose import CURL_MIN, curl_towards_palm
 
-# check-data looks at so many pictures of a larger set, and names so many examples of what is wrong
-CHECK_PICTURES = 400
+# check-data looks at so many images of a larger set, and names so many examples of what is wrong
+CHECK_IMAGES = 400
 CHECK_EXAMPLES = 8
-# pictures on which it tries out which mistake would explain joints beside the hand
-CHECK_MISTAKE_PICTURES = 24
-# part of the joints on the mask below which a picture is named, and, as the median over all, the set refused; masks
+# images on which it tries out which mistake would explain joints beside the hand
+CHECK_MISTAKE_IMAGES = 24
+# part of the joints on the mask below which an image is named, and, as the median over all, the set refused; masks
 # that leave out what an object hides have less than 1
-CHECK_ON_MASK_PICTURE_MIN = 0.7
-# a mask with fewer pixels is empty, one that covers more of its picture is most likely inverted or of something else
+CHECK_ON_MASK_IMAGE_MIN = 0.7
+# a mask with fewer pixels is empty, one that covers more of its image is most likely inverted or of something else
 CHECK_MASK_MIN_PX = 50
 CHECK_MASK_MAX = 0.9
 # variation of a bone's length, standard deviation over mean, above which joints are told to be noisy (triangulated
@@ -49,7 +49,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class DataReport:
-    """capture: what could be read, or None · findings: errors first · seen: the pictures that were looked at"""
+    """capture: what could be read, or None · findings: errors first · seen: the images that were looked at"""
 
     capture: Capture | None
     findings: tuple[Finding, ...]
@@ -61,7 +61,7 @@ class DataReport:
         return self.capture is not None and not any(finding.is_error for finding in self.findings)
 
     def worst_and_typical(self, count: int) -> tuple[Seen, ...]:
-        """Up to `count` pictures to show: a third those whose joints fit worst, the others spread over the set."""
+        """Up to `count` images to show: a third those whose joints fit worst, the others spread over the set."""
         ordered = sorted(self.seen, key=lambda one: one.on_mask)
         worst = ordered[: count // 3]
         shown = {one.sample for one in worst}
@@ -74,13 +74,13 @@ def check_data(
     *,
     protocol: str | None = None,
     choice: CaptureChoice | None = None,
-    most: int = CHECK_PICTURES,
+    most: int = CHECK_IMAGES,
     tick: Callable[[int, int], None] | None = None,
 ) -> DataReport:
-    """Opens a data set as training would, looks at up to `most` of its pictures, and says what is wrong.
+    """Opens a data set as training would, looks at up to `most` of its images, and says what is wrong.
 
     Never raises for a bad data set: that is its result. protocol, choice: as in `open_capture` · tick: is called with
-    the number of pictures looked at and to be looked at.
+    the number of images looked at and to be looked at.
     """
     troubles: list[InputError] = []
     try:
@@ -96,7 +96,7 @@ def check_data(
             troubles.append(error)
         if tick is not None:
             tick(number + 1, len(chosen))
-    findings = [*_errors(troubles), *_on_pictures(seen), *_on_joints(capture), *_on_split(capture)]
+    findings = [*_errors(troubles), *_on_images(seen), *_on_joints(capture), *_on_split(capture)]
     return DataReport(capture, tuple(sorted(findings, key=lambda finding: not finding.is_error)), tuple(seen))
 
 
@@ -134,7 +134,7 @@ def facts(report: DataReport) -> dict[str, Any]:
 
 
 def _errors(troubles: Sequence[InputError]) -> list[Finding]:
-    """A few examples of each kind of trouble: a thousand missing pictures must not hide joints in a wrong unit."""
+    """A few examples of each kind of trouble: a thousand missing images must not hide joints in a wrong unit."""
     kinds: dict[tuple[str, str], list[InputError]] = {}
     for trouble in troubles:
         kinds.setdefault((re.sub(r"\d+", "", trouble.came), trouble.remedy), []).append(trouble)
@@ -151,38 +151,36 @@ def _telling(seen: Sequence[Seen]) -> list[Seen]:
     return [one for one in seen if not one.sample.mask_source.is_projected]
 
 
-def _on_pictures(seen: Sequence[Seen]) -> list[Finding]:
+def _on_images(seen: Sequence[Seen]) -> list[Finding]:
     if not seen:
         return []
     told = _telling(seen)
     if not told:
-        return [Finding(False, "No picture has a mask: joints cannot be held against pictures. Look at the overlay.")]
+        return [Finding(False, "No image has a mask: joints cannot be held against images. Look at the overlay.")]
     findings = []
     empty = [one for one in told if one.mask_px < CHECK_MASK_MIN_PX]
     if empty:
-        text = f"{len(empty)} of {len(told)} masks are empty, such as that of {empty[0].sample.picture}."
+        text = f"{len(empty)} of {len(told)} masks are empty, such as that of {empty[0].sample.image}."
         findings.append(Finding(2 * len(empty) > len(told), text))
     full = [one for one in told if one.mask_part > CHECK_MASK_MAX]
     if full:
-        text = f"{len(full)} of {len(told)} masks cover nearly the whole picture, such as {full[0].sample.picture}."
+        text = f"{len(full)} of {len(told)} masks cover nearly the whole image, such as {full[0].sample.image}."
         findings.append(Finding(2 * len(full) > len(told), text))
     whole = [one for one in told if one not in empty]
     if not whole:
         return findings
     median = float(np.median([one.on_mask for one in whole]))
     if median < CHECK_ON_MASK_MIN:
-        reason = likely_mistake([one.sample for one in _spread(whole, CHECK_MISTAKE_PICTURES)])
-        reason = reason or "Check units, camera convention, joint order, and that pictures and cameras belong together."
-        text = (
-            f"Joints do not project onto the hand: half of the pictures have {100 * median:.0f} % or less on the mask."
-        )
+        reason = likely_mistake([one.sample for one in _spread(whole, CHECK_MISTAKE_IMAGES)])
+        reason = reason or "Check units, camera convention, joint order, and that images and cameras belong together."
+        text = f"Joints do not project onto the hand: half of the images have {100 * median:.0f} % or less on the mask."
         findings.append(Finding(True, f"{text} {reason}"))
         return findings
-    off = [one for one in whole if one.on_mask < CHECK_ON_MASK_PICTURE_MIN]
+    off = [one for one in whole if one.on_mask < CHECK_ON_MASK_IMAGE_MIN]
     if off:
         worst = min(off, key=lambda one: one.on_mask)
         text = (
-            f"In {len(off)} of {len(whole)} pictures the joints miss the hand, most in {worst.sample.picture} "
+            f"In {len(off)} of {len(whole)} images the joints miss the hand, most in {worst.sample.image} "
             f"({100 * worst.on_mask:.0f} % on the mask)."
         )
         findings.append(Finding(False, text))

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
+from jghand_engine.captures.image_files import probe_sized
 from jghand_engine.captures.masks import template_note
-from jghand_engine.captures.pictures_in import probe_sized
 from jghand_engine.captures.reading import (
     Report,
     Sieve,
@@ -34,23 +34,23 @@ from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.json_files import JsonObject, numbers, read_json_file
 from jghand_engine.render.camera import Camera
 
-# width and height of HanCo's pictures
+# width and height of HanCo's images
 HANCO_SIZE_PX = (224, 224)
 HANCO_CAMERAS = 8
 
 # the recording itself first; the others show the same hand on other backgrounds
-_PICTURES = ("rgb", "rgb_merged", "rgb_homo")
+_IMAGES = ("rgb", "rgb_merged", "rgb_homo")
 _DOWNLOAD = "Download and unpack that part of HanCo again, beside meta.json."
 
 
 def is_hanco(folder: Path) -> bool:
     """Whether `folder` looks like HanCo, whole or not."""
     named = ("meta.json", "calib", "xyz", "mask_hand")
-    return sum((folder / name).exists() for name in named) >= 2 and any((folder / name).is_dir() for name in _PICTURES)
+    return sum((folder / name).exists() for name in named) >= 2 and any((folder / name).is_dir() for name in _IMAGES)
 
 
 def read_hanco(folder: Path | str, choice: CaptureChoice | None = None, *, report: Report | None = None) -> Capture:
-    """The pictures of one person in a folder of the HanCo layout; frames that are not valid are left out.
+    """The images of one person in a folder of the HanCo layout; frames that are not valid are left out.
 
     choice: `sequences` such as '0191' (needed unless there is only one), `handedness` (right). Errors and `report` as
     in `read_interhand`.
@@ -65,7 +65,7 @@ class _Reader:
     def __init__(self, root: Path, named: Path, choice: CaptureChoice, sieve: Sieve) -> None:
         self.root, self.named, self.choice, self.sieve = root, named, choice, sieve
         self.handedness = choice.handedness or Handedness.RIGHT
-        self.pictures = next(root / name for name in _PICTURES if (root / name).is_dir())
+        self.images = next(root / name for name in _IMAGES if (root / name).is_dir())
         self.meta = JsonObject.of_file(root / "meta.json", _DOWNLOAD).fields
 
     def capture(self) -> Capture:
@@ -73,8 +73,8 @@ class _Reader:
         samples = sorted_samples(sample for sequence in sequences for sample in self._samples(sequence))
         subject = self._one_subject(sequences)
         notes = template_note(sum(sample.mask_source.is_projected for sample in samples), len(samples))
-        if self.pictures.name != _PICTURES[0]:
-            notes += (f"Pictures are those of {self.pictures.name}, for there is no folder {_PICTURES[0]}.",)
+        if self.images.name != _IMAGES[0]:
+            notes += (f"Images are those of {self.images.name}, for there is no folder {_IMAGES[0]}.",)
         capture = Capture(
             name=f"{self.root.name} {'+'.join(sequences)} (subject {subject})",
             folder=self.root,
@@ -89,7 +89,7 @@ class _Reader:
 
     def _sequences(self) -> tuple[str, ...]:
         """The wanted sequences as folder names. InputError when one is not there, or many are and none is named."""
-        present = [folder.name for folder in subfolders(self.pictures)]
+        present = [folder.name for folder in subfolders(self.images)]
         wanted = self.choice.sequences
         if wanted is None and self.named.is_relative_to(self.root):
             # the user named rgb/0191 or a folder in it
@@ -104,7 +104,7 @@ class _Reader:
             )
         if not wanted or not set(wanted) <= set(present):
             raise InputError(
-                f"sequences in {self.pictures}", wanted=", ".join(sorted(wanted)) or "folders of sequences",
+                f"sequences in {self.images}", wanted=", ".join(sorted(wanted)) or "folders of sequences",
                 came=", ".join(present[:10]) + (" …" if len(present) > 10 else "") or "none", remedy=_DOWNLOAD,
             )  # fmt: skip
         return wanted
@@ -154,9 +154,9 @@ class _Reader:
         name = Path(sequence, camera_name, f"{frame:08d}.jpg")
         mask = self.root / "mask_hand" / name
         has_mask = mask.is_file()
-        probe_sized(self.pictures / name, HANCO_SIZE_PX, "the layout")
+        probe_sized(self.images / name, HANCO_SIZE_PX, "the layout")
         return Sample(
-            picture=self.pictures / name,
+            image=self.images / name,
             camera=camera,
             joints_m=joints_m,
             handedness=self.handedness,

@@ -5,8 +5,8 @@
     masks_removeblack/{split}/…png                                             masks that others made, where there are
 
 Its millimeters become meters, its tip-first joints level order, and x_camera = R (X - campos) our camera_from_world.
-The hand that a picture does not show is filled with ones there; only `joint_valid` tells. A principal point is taken
-as measured from the picture's corner, as in our own captures; the data set does not say whether it counts from there
+The hand that an image does not show is filled with ones there; only `joint_valid` tells. A principal point is taken
+as measured from the image's corner, as in our own captures; the data set does not say whether it counts from there
 or from the middle of the first pixel, which would be half a pixel.
 """
 
@@ -16,25 +16,25 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
+from jghand_engine.captures.image_files import probe_sized
 from jghand_engine.captures.interhand_files import (
     INTERACTING,
     UNIT,
     CaptureTables,
     InterHandFiles,
-    InterHandPicture,
+    InterHandImage,
     find_files,
-    read_pictures,
+    read_annotations,
 )
 from jghand_engine.captures.masks import template_note
-from jghand_engine.captures.pictures_in import probe_sized
 from jghand_engine.captures.reading import Report, Sieve
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 
-# why a protocol leaves a picture out; None: it stays
-DropRule = Callable[[Sample, InterHandPicture], str | None]
+# why a protocol leaves an image out; None: it stays
+DropRule = Callable[[Sample, InterHandImage], str | None]
 
 
 def read_interhand(
@@ -44,14 +44,14 @@ def read_interhand(
     drop_rule: DropRule | None = None,
     report: Report | None = None,
 ) -> Capture:
-    """The pictures of one hand in a folder of the InterHand2.6M layout.
+    """The images of one hand in a folder of the InterHand2.6M layout.
 
-    The head of every picture is read: InputError names the first that is missing, cut off or of another size than
+    The head of every image is read: InputError names the first that is missing, cut off or of another size than
     annotated. InputError too for damaged annotations, when the choice leaves more than one person or hand, and for
     joints that are no hand. Images without all 21 joints are left out.
 
     drop_rule: leaves more out, beside what has no MANO fit or no mask where the set has those of others
-    report:    is told of broken pictures and implausible joints instead of the error, and the reading goes on
+    report:    is told of broken images and implausible joints instead of the error, and the reading goes on
     """
     choice = choice or CaptureChoice()
     files = find_files(Path(folder), choice.split)
@@ -65,13 +65,13 @@ class _Reader:
         self.files, self.choice, self.drop_rule, self.sieve = files, choice, drop_rule, sieve
 
     def capture(self) -> Capture:
-        pictures = self._chosen(list(read_pictures(self.files)))
-        handedness = self._handedness(pictures)
-        tables = CaptureTables(self.files, pictures[0].capture)
-        made = (self._sample(picture, handedness, tables) for picture in pictures)
+        images = self._chosen(list(read_annotations(self.files)))
+        handedness = self._handedness(images)
+        tables = CaptureTables(self.files, images[0].capture)
+        made = (self._sample(image, handedness, tables) for image in images)
         samples = sorted_samples(sample for sample in made if sample is not None)
         capture = Capture(
-            name=f"{self.files.root.name} {self.files.split}/Capture{pictures[0].capture}",
+            name=f"{self.files.root.name} {self.files.split}/Capture{images[0].capture}",
             folder=self.files.root,
             layout=Layout.INTERHAND,
             samples=samples,
@@ -82,60 +82,60 @@ class _Reader:
         self.sieve.check_joints(capture.joints_m(), JointOrder.INTERHAND, UNIT, str(self.files.joint_3d))
         return capture
 
-    def _chosen(self, pictures: list[InterHandPicture]) -> list[InterHandPicture]:
-        """The pictures of the wanted person and sequences. InputError when there are none, or several persons."""
-        pictures = self._on_disk(pictures)
-        captures = sorted({picture.capture for picture in pictures})
+    def _chosen(self, images: list[InterHandImage]) -> list[InterHandImage]:
+        """The images of the wanted person and sequences. InputError when there are none, or several persons."""
+        images = self._on_disk(images)
+        captures = sorted({image.capture for image in images})
         wanted = (self.choice.capture or self.files.capture or "").removeprefix("Capture")
         if not wanted and len(captures) > 1:
             raise InputError(
                 f"data set {self.files.images}",
-                wanted="the pictures of one person",
+                wanted="the images of one person",
                 came=f"{len(captures)} captures: {', '.join(f'Capture{name}' for name in captures)}",
                 remedy="Name the folder of one person, such as images/test/Capture0, or a protocol.",
             )
-        of_person = [picture for picture in pictures if wanted in ("", picture.capture)]
+        of_person = [image for image in images if wanted in ("", image.capture)]
         if not of_person:
             raise _unknown("capture", f"Capture{wanted}", [f"Capture{name}" for name in captures], self.files.data)
-        present = sorted({picture.sequence for picture in of_person})
+        present = sorted({image.sequence for image in of_person})
         sequences = self.choice.sequences or ((self.files.sequence,) if self.files.sequence else tuple(present))
         for name in sequences:
             if name not in present:
                 raise _unknown("sequence", name, present, self.files.data)
-        return [picture for picture in of_person if picture.sequence in sequences]
+        return [image for image in of_person if image.sequence in sequences]
 
-    def _on_disk(self, pictures: list[InterHandPicture]) -> list[InterHandPicture]:
+    def _on_disk(self, images: list[InterHandImage]) -> list[InterHandImage]:
         """Those of sequences that were downloaded: nobody has all of InterHand2.6M. InputError when there are none."""
-        folders = {(picture.capture, picture.sequence): Path(picture.file_name).parents[1] for picture in pictures}
+        folders = {(image.capture, image.sequence): Path(image.file_name).parents[1] for image in images}
         there = {key for key, folder in folders.items() if (self.files.images / folder).is_dir()}
-        kept = [picture for picture in pictures if (picture.capture, picture.sequence) in there]
+        kept = [image for image in images if (image.capture, image.sequence) in there]
         if not kept:
             raise InputError(
-                f"pictures in {self.files.images}",
+                f"images in {self.files.images}",
                 wanted=f"folders such as {next(iter(folders.values()))}",
                 came=f"none of the {len(folders)} sequences in {self.files.data.name}",
-                remedy="Unpack the pictures as images/<split>/Capture<N>/<sequence>/cam<name>/.",
+                remedy="Unpack the images as images/<split>/Capture<N>/<sequence>/cam<name>/.",
             )
-        self.sieve.drop("sequence not downloaded", len(pictures) - len(kept))
+        self.sieve.drop("sequence not downloaded", len(images) - len(kept))
         return kept
 
-    def _handedness(self, pictures: Sequence[InterHandPicture]) -> Handedness:
+    def _handedness(self, images: Sequence[InterHandImage]) -> Handedness:
         if self.choice.handedness is not None:
             return self.choice.handedness
-        hands = sorted({picture.hand_type for picture in pictures} - {INTERACTING})
+        hands = sorted({image.hand_type for image in images} - {INTERACTING})
         if len(hands) == 1:
             return Handedness(hands[0])
         raise InputError(
             f"hand of {self.files.images}",
             wanted="one hand",
-            came=f"pictures of {' and '.join(hands)} hands" if hands else "only pictures with both hands",
+            came=f"images of {' and '.join(hands)} hands" if hands else "only images with both hands",
             remedy="Say which hand, or choose sequences of one hand.",
         )
 
-    def _sample(self, picture: InterHandPicture, handedness: Handedness, tables: CaptureTables) -> Sample | None:
-        """The picture as a sample, or None when it is left out (and counted)."""
+    def _sample(self, image: InterHandImage, handedness: Handedness, tables: CaptureTables) -> Sample | None:
+        """The image as a sample, or None when it is left out (and counted)."""
         try:
-            sample, reason = self._checked(picture, handedness, tables)
+            sample, reason = self._checked(image, handedness, tables)
         except InputError as error:
             self.sieve.broken(error)
             return None
@@ -144,52 +144,52 @@ class _Reader:
         return sample if reason is None else None
 
     def _checked(
-        self, picture: InterHandPicture, handedness: Handedness, tables: CaptureTables
+        self, image: InterHandImage, handedness: Handedness, tables: CaptureTables
     ) -> tuple[Sample | None, str | None]:
         """(sample, None), or (anything, why it is left out)."""
-        if picture.hand_type != handedness and not (picture.hand_type == INTERACTING and self.choice.interacting):
-            return None, "both hands" if picture.hand_type == INTERACTING else f"{picture.hand_type} hand"
-        if not picture.hand_type_valid:
+        if image.hand_type != handedness and not (image.hand_type == INTERACTING and self.choice.interacting):
+            return None, "both hands" if image.hand_type == INTERACTING else f"{image.hand_type} hand"
+        if not image.hand_type_valid:
             return None, "not sure which hand it is"
-        joints_m = tables.joints(picture, handedness)
+        joints_m = tables.joints(image, handedness)
         if joints_m is None:
             return None, "not all 21 joints known"
-        if self.drop_rule and tables.has_fit(picture, handedness) is False:
+        if self.drop_rule and tables.has_fit(image, handedness) is False:
             return None, "no MANO fit"
-        file = self.files.images / picture.file_name
-        facts = probe_sized(file, (picture.width, picture.height), self.files.data.name)
-        mask = self._mask_file(picture)
-        if self.drop_rule and mask is None and self._person_has_masks(picture):
+        file = self.files.images / image.file_name
+        facts = probe_sized(file, (image.width, image.height), self.files.data.name)
+        mask = self._mask_file(image)
+        if self.drop_rule and mask is None and self._person_has_masks(image):
             return None, "no mask"
         sample = Sample(
-            picture=file,
-            camera=tables.camera(picture),
+            image=file,
+            camera=tables.camera(image),
             joints_m=joints_m,
             handedness=handedness,
-            capture=f"{self.files.split}/Capture{picture.capture}",
-            sequence=picture.sequence,
-            frame=picture.frame,
-            camera_name=picture.camera,
-            mask_source=_mask_source(picture, mask, facts.has_alpha),
+            capture=f"{self.files.split}/Capture{image.capture}",
+            sequence=image.sequence,
+            frame=image.frame,
+            camera_name=image.camera,
+            mask_source=_mask_source(image, mask, facts.has_alpha),
             mask=mask,
         )
-        return sample, self.drop_rule(sample, picture) if self.drop_rule else None
+        return sample, self.drop_rule(sample, image) if self.drop_rule else None
 
-    def _person_has_masks(self, picture: InterHandPicture) -> bool:
-        return self.files.masks is not None and (self.files.masks / Path(picture.file_name).parts[0]).is_dir()
+    def _person_has_masks(self, image: InterHandImage) -> bool:
+        return self.files.masks is not None and (self.files.masks / Path(image.file_name).parts[0]).is_dir()
 
-    def _mask_file(self, picture: InterHandPicture) -> Path | None:
+    def _mask_file(self, image: InterHandImage) -> Path | None:
         if self.files.masks is None:
             return None
-        named = self.files.masks / picture.file_name
+        named = self.files.masks / image.file_name
         return next((file for file in (named.with_suffix(".png"), named) if file.is_file()), None)
 
 
-def _mask_source(picture: InterHandPicture, mask: Path | None, has_alpha: bool) -> MaskSource:
+def _mask_source(image: InterHandImage, mask: Path | None, has_alpha: bool) -> MaskSource:
     if mask is not None:
         return MaskSource.FILE
     # alpha would hold both hands
-    return MaskSource.ALPHA if has_alpha and picture.hand_type != INTERACTING else MaskSource.TEMPLATE
+    return MaskSource.ALPHA if has_alpha and image.hand_type != INTERACTING else MaskSource.TEMPLATE
 
 
 def _unknown(kind: str, name: str, present: list[str], file: Path) -> InputError:

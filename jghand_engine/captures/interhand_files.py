@@ -133,8 +133,8 @@ def _images(root: Path, split: str) -> Path | None:
 
 
 @dataclass(frozen=True)
-class InterHandPicture:
-    """A picture as the annotations list it.
+class InterHandImage:
+    """An image as the annotations list it.
 
     hand_type: 'right', 'left' or 'interacting' · joint_valid: (42,) bool, right hand first · bbox_px: x, y, width,
     height of the hand, or nothing · where: names the entry in errors
@@ -154,8 +154,8 @@ class InterHandPicture:
     where: str
 
 
-def read_pictures(files: InterHandFiles) -> Iterator[InterHandPicture]:
-    """Every annotated picture of a split. InputError names the first entry that is not as it should be."""
+def read_annotations(files: InterHandFiles) -> Iterator[InterHandImage]:
+    """Every annotated image of a split. InputError names the first entry that is not as it should be."""
     content = JsonObject.of_file(files.data, _DOWNLOAD)
     images, annotations = content.entries("images"), content.entries("annotations")
     try:
@@ -165,14 +165,14 @@ def read_pictures(files: InterHandFiles) -> Iterator[InterHandPicture]:
     for number, annotation in enumerate(annotations):
         where = f"annotation {number} in {files.data}"
         try:
-            yield _picture(by_id[annotation["image_id"]], annotation, where)
+            yield _image(by_id[annotation["image_id"]], annotation, where)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             came = f"{type(error).__name__}: {error}"[:200]
             raise InputError(where, wanted="an entry as InterHand2.6M has it", came=came, remedy=_DOWNLOAD) from error
 
 
 class CaptureTables:
-    """Cameras, joints and MANO fits of one person. Reading them raises InputError as `read_pictures` does."""
+    """Cameras, joints and MANO fits of one person. Reading them raises InputError as `read_annotations` does."""
 
     def __init__(self, files: InterHandFiles, capture: str) -> None:
         self._files = files
@@ -183,13 +183,13 @@ class CaptureTables:
         self._has_fits = files.mano is not None
         self._made: dict[tuple[str, int, int], Camera] = {}
 
-    def joints(self, picture: InterHandPicture, handedness: Handedness) -> np.ndarray | None:
+    def joints(self, image: InterHandImage, handedness: Handedness) -> np.ndarray | None:
         """(21, 3) level order, world, meters; None unless all are known."""
-        entry = self._joints.needed(str(picture.frame))
+        entry = self._joints.needed(str(image.frame))
         first = _FIRST_JOINT[handedness]
         hand = slice(first, first + JOINT_COUNT)
         coordinates = entry.array("world_coord", (2 * JOINT_COUNT, 3))
-        known = picture.joint_valid
+        known = image.joint_valid
         if "joint_valid" in entry.fields:
             known = known & (entry.array("joint_valid", (2 * JOINT_COUNT,)) > 0)
         if not known[hand].all():
@@ -198,43 +198,43 @@ class CaptureTables:
             raise entry.wrong("world_coord", "finite numbers for joints that are marked as valid")
         return to_level(coordinates[hand], JointOrder.INTERHAND) * METERS_PER_UNIT[UNIT]
 
-    def camera(self, picture: InterHandPicture) -> Camera:
-        """The picture's camera; the same object for all pictures of a camera and a size."""
-        key = (picture.camera, picture.width, picture.height)
+    def camera(self, image: InterHandImage) -> Camera:
+        """The image's camera; the same object for all images of a camera and a size."""
+        key = (image.camera, image.width, image.height)
         if key not in self._made:
-            self._made[key] = self._camera(picture)
+            self._made[key] = self._camera(image)
         return self._made[key]
 
-    def has_fit(self, picture: InterHandPicture, handedness: Handedness) -> bool | None:
+    def has_fit(self, image: InterHandImage, handedness: Handedness) -> bool | None:
         """Whether there is a MANO fit of that hand; None where the set has no file of them."""
         if not self._has_fits:
             return None
-        hands = None if self._fits is None else self._fits.object(str(picture.frame))
+        hands = None if self._fits is None else self._fits.object(str(image.frame))
         return hands is not None and bool(hands.fields.get(handedness.value))
 
-    def _camera(self, picture: InterHandPicture) -> Camera:
-        what = f"camera {picture.camera} in {self._files.camera}"
+    def _camera(self, image: InterHandImage) -> Camera:
+        what = f"camera {image.camera} in {self._files.camera}"
         rotation, position, focal, center = (
-            self._cameras.needed(name).array(picture.camera, shape)
+            self._cameras.needed(name).array(image.camera, shape)
             for name, shape in (("camrot", (3, 3)), ("campos", (3,)), ("focal", (2,)), ("princpt", (2,)))
         )
         intrinsics = [[focal[0], 0, center[0]], [0, focal[1], center[1]], [0, 0, 1]]
         # absurd numbers become infinite, and are refused as such
         with np.errstate(over="ignore", invalid="ignore"):
             translation_m = -rotation @ (position * METERS_PER_UNIT[UNIT])
-        return calibrated_camera(what, (picture.width, picture.height), intrinsics, rotation, translation_m)
+        return calibrated_camera(what, (image.width, image.height), intrinsics, rotation, translation_m)
 
 
-def _picture(image: dict[str, Any], annotation: dict[str, Any], where: str) -> InterHandPicture:
+def _image(image: dict[str, Any], annotation: dict[str, Any], where: str) -> InterHandImage:
     name = PurePosixPath(str(image["file_name"]).replace("\\", "/"))
     if name.is_absolute() or ".." in name.parts or ":" in str(name):
         raise ValueError(f"file_name {str(name)!r} leads out of the data set")
     if len(name.parts) < 4:
-        raise ValueError(f"file_name {str(name)!r} is not Capture…/sequence/camera/picture")
+        raise ValueError(f"file_name {str(name)!r} is not Capture…/sequence/camera/image")
     hand_type = str(annotation["hand_type"])
     if hand_type not in (*(hand.value for hand in Handedness), INTERACTING):
         raise ValueError(f"hand_type {hand_type!r}")
-    return InterHandPicture(
+    return InterHandImage(
         file_name=str(name),
         width=int(image["width"]),
         height=int(image["height"]),

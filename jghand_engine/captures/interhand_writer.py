@@ -27,9 +27,9 @@ class RecordedHand:
 
     cameras:   name (a number as text, as the data set has serials) -> camera, world in meters
     joints_m:  frame number -> (21, 3) joints, level order, world, meters
-    boxes_px:  (frame, camera) -> x, y, width, height of the hand in the picture, pixels
-    capture, sequence, split, subject: where the pictures are said to come from
-    suffix:    of the picture files
+    boxes_px:  (frame, camera) -> x, y, width, height of the hand in the image, pixels
+    capture, sequence, split, subject: where the images are said to come from
+    suffix:    of the image files
     """
 
     cameras: Mapping[str, Camera]
@@ -42,17 +42,17 @@ class RecordedHand:
     subject: int = 0
     suffix: str = ".png"
 
-    def picture_name(self, frame: int, camera: str) -> str:
-        """The name of a picture in the annotations, relative to images/{split}."""
+    def image_name(self, frame: int, camera: str) -> str:
+        """The name of an image in the annotations, relative to images/{split}."""
         return f"Capture{self.capture}/{self.sequence}/cam{camera}/image{frame}{self.suffix}"
 
-    def picture(self, folder: Path, frame: int, camera: str) -> Path:
-        """Where a picture of the capture in `folder` is."""
-        return folder / "images" / self.split / self.picture_name(frame, camera)
+    def image(self, folder: Path, frame: int, camera: str) -> Path:
+        """Where an image of the capture in `folder` is."""
+        return folder / "images" / self.split / self.image_name(frame, camera)
 
 
 def write_interhand(folder: Path | str, hand: RecordedHand) -> list[Path]:
-    """Writes the annotations below `folder`/annotations and returns their files. The pictures are the caller's.
+    """Writes the annotations below `folder`/annotations and returns their files. The images are the caller's.
 
     InputError for joints that are no (21, 3) finite numbers.
     """
@@ -85,7 +85,7 @@ def _data(hand: RecordedHand) -> dict[str, Any]:
         for name, camera in hand.cameras.items():
             number = len(images)
             images.append({
-                "id": number, "file_name": hand.picture_name(frame, name), "width": camera.width,
+                "id": number, "file_name": hand.image_name(frame, name), "width": camera.width,
                 "height": camera.height, "capture": hand.capture, "subject": hand.subject,
                 "seq_name": hand.sequence, "camera": name, "frame_idx": frame,
             })  # fmt: skip

@@ -36,7 +36,7 @@ def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) 
 def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
     """What the avatar papers keep of a projected mask: pixels neither black nor glaring, of those the largest piece.
 
-    mask: (H, W) coverage · rgb8: (H, W, 3) the picture -> (H, W) float32, 0 or 1. Source: PAPER 2. It removes what
+    mask: (H, W) coverage · rgb8: (H, W, 3) the image -> (H, W) float32, 0 or 1. Source: PAPER 2. It removes what
     of the projected hand lies on the black background, and its price is holes in dark and in shining skin.
     """
     gray = rgb8[..., :3].mean(axis=-1)
@@ -54,7 +54,7 @@ def template_note(count: int, total: int) -> tuple[str, ...]:
     if not count:
         return ()
     return (
-        f"{count} of {total} pictures have no mask: our template, posed and projected, stands in for it, so figures "
+        f"{count} of {total} images have no mask: our template, posed and projected, stands in for it, so figures "
         "are not those of the papers' protocol.",
     )
 

@@ -1,6 +1,6 @@
-"""Do the joints lie on the hand in the pictures? And when not: which common mistake would explain it?
+"""Do the joints lie on the hand in the images? And when not: which common mistake would explain it?
 
-The one test that sees units, axes, order and pictures together. It needs masks that do not come from the joints.
+The one test that sees units, axes, order and images together. It needs masks that do not come from the joints.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from jghand_engine.captures.pictures_in import read_picture
-from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.image_files import read_image
+from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
@@ -21,7 +21,7 @@ from jghand_engine.render.camera import Camera
 # a joint so near to the mask counts as on it, px: joints lie inside the finger, its silhouette may be cut close
 CHECK_REACH_PX = 3
 CHECK_ON_MASK_MIN = 0.85
-# overlay pictures: enlargement, and how far outside of the picture lines are still drawn, px
+# overlay images: enlargement, and how far outside of the image lines are still drawn, px
 OVERLAY_ZOOM = 2
 OVERLAY_REACH_PX = 20_000
 
@@ -32,9 +32,9 @@ _WRIST, _OUTLINE, _OFF, _GRAY = (255, 255, 255), (0, 255, 255), (255, 0, 0), 96
 
 @dataclass(frozen=True)
 class Seen:
-    """A picture that was looked at. The mask itself is not kept: a large set has gigabytes of them.
+    """An image that was looked at. The mask itself is not kept: a large set has gigabytes of them.
 
-    mask_px: pixels of its mask · mask_part: part of the picture, 0..1 · on_mask: part of its joints on the mask, 0..1
+    mask_px: pixels of its mask · mask_part: part of the image, 0..1 · on_mask: part of its joints on the mask, 0..1
     """
 
     sample: Sample
@@ -44,8 +44,8 @@ class Seen:
 
 
 def look_at(sample: Sample) -> Seen:
-    """Reads a picture and compares. InputError when it cannot be read."""
-    mask = load_picture(sample).mask
+    """Reads an image and compares. InputError when it cannot be read."""
+    mask = load_image(sample).mask
     return Seen(sample, float(mask.sum()), float(mask.mean()), part_on_mask(sample.camera, sample.joints_m, mask))
 
 
@@ -80,7 +80,7 @@ def part_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> floa
 def likely_mistake(samples: Sequence[Sample]) -> str | None:
     """The common mistake whose repair puts the joints onto the masks, as a sentence; None when none of them does."""
     best, sentence = CHECK_ON_MASK_MIN, None
-    masks = [load_picture(sample).mask for sample in samples]
+    masks = [load_image(sample).mask for sample in samples]
     for text, repair in _REPAIRS:
         parts = [part_on_mask(repair(one.camera), one.joints_m, mask) for one, mask in zip(samples, masks, strict=True)]
         if parts and float(np.median(parts)) > best:
@@ -92,11 +92,11 @@ def likely_mistake(samples: Sequence[Sample]) -> str | None:
 
 
 def overlay(sample: Sample) -> np.ndarray:
-    """(h, w, 3) uint8: the picture (on gray where it is transparent), the mask's outline in cyan, bones by finger,
+    """(h, w, 3) uint8: the image (on gray where it is transparent), the mask's outline in cyan, bones by finger,
     joints; a red ring around joints that miss the mask. Enlarged, so that lines are thin."""
     zoom = OVERLAY_ZOOM
-    outlined: np.ndarray = load_picture(sample).mask >= 0.5
-    stored = read_picture(sample.picture)
+    outlined: np.ndarray = load_image(sample).mask >= 0.5
+    stored = read_image(sample.image)
     height, width = stored.shape[:2]
     image = Image.fromarray(_on_gray(stored)).resize((width * zoom, height * zoom), Image.Resampling.LANCZOS)
     pixels = np.array(image)
@@ -170,7 +170,7 @@ def _position_is_translation(camera: Camera) -> Camera:
 
 
 def _fitted_to_size(camera: Camera) -> Camera:
-    """As if K were that of a larger or smaller picture of the same view: the principal point tells which."""
+    """As if K were that of a larger or smaller image of the same view: the principal point tells which."""
     x, y = camera.width / (2 * camera.cx), camera.height / (2 * camera.cy)
     if x <= 0 or y <= 0:
         return camera
@@ -189,6 +189,6 @@ _REPAIRS: tuple[tuple[str, Callable[[Camera], Camera]], ...] = (
     ("Camera rotations look transposed (camera to world instead of world to camera).", _transposed),
     ("Camera matrices look inverted (camera to world instead of world to camera).", _inverted),
     ("The camera's position and its translation t look mistaken for each other.", _position_is_translation),
-    ("Focal length and principal point look like those of pictures of another size.", _fitted_to_size),
-    ("x and y of focal length and principal point look exchanged, or the pictures turned.", _axes_exchanged),
+    ("Focal length and principal point look like those of images of another size.", _fitted_to_size),
+    ("x and y of focal length and principal point look exchanged, or the images turned.", _axes_exchanged),
 )

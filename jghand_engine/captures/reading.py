@@ -131,19 +131,19 @@ def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str
 
 
 class Sieve:
-    """Counts dropped pictures by reason; raises what is broken, or hands it to `report` and goes on."""
+    """Counts dropped images by reason; raises what is broken, or hands it to `report` and goes on."""
 
     def __init__(self, report: Report | None = None) -> None:
         self._counts: Counter[str] = Counter()
         self._report = report
 
     def drop(self, reason: str, count: int = 1) -> None:
-        """Notes that `count` pictures are left out."""
+        """Notes that `count` images are left out."""
         if count:
             self._counts[reason] += count
 
     def broken(self, error: InputError) -> None:
-        """A picture, or what belongs to it, cannot be used: raises `error`, unless there is somebody to report to."""
+        """An image, or what belongs to it, cannot be used: raises `error`, unless there is somebody to report to."""
         self.wrong(error)
         self.drop("broken or missing")
 

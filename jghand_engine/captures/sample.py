@@ -1,4 +1,4 @@
-"""One picture of a hand that something can be learned from: the record that every loader of a data set gives."""
+"""One image of a hand that something can be learned from: the record that every loader of a data set gives."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
+from jghand_engine.captures.image_files import read_image, read_mask
 from jghand_engine.captures.masks import lit_part, template_mask
-from jghand_engine.captures.pictures_in import read_mask, read_picture
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.render.camera import Camera
 
 
 class MaskSource(StrEnum):
-    """Where the mask of a picture comes from: a file of its own, the picture's alpha, the projected template, or that
-    without what is black or glaring in the picture, as the avatar papers do."""
+    """Where the mask of an image comes from: a file of its own, the image's alpha, the projected template, or that
+    without what is black or glaring in the image, as the avatar papers do."""
 
     FILE = "file"
     ALPHA = "alpha"
@@ -34,17 +34,17 @@ class MaskSource(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A picture on disk and what is known of it; nothing is read until `load_picture`. Equal only to itself.
+    """An image on disk and what is known of it; nothing is read until `load_image`. Equal only to itself.
 
-    picture:     path of the picture, sRGB
-    camera:      OpenCV camera, world -> camera, meters; its size is the picture's
+    image:     path of the image, sRGB
+    camera:      OpenCV camera, world -> camera, meters; its size is the image's
     joints_m:    (21, 3) float64, level order, world, meters; of a left hand not mirrored
     handedness:  which hand
     capture, sequence, frame, camera_name: where it comes from; (sequence, frame) names a pose
     mask_source, mask: how to get the mask; `mask` is the file for MaskSource.FILE
     """
 
-    picture: Path
+    image: Path
     camera: Camera
     joints_m: np.ndarray
     handedness: Handedness
@@ -57,29 +57,29 @@ class Sample:
 
     @property
     def pose(self) -> tuple[str, int]:
-        """What names the pose: pictures of several cameras share it."""
+        """What names the pose: images of several cameras share it."""
         return self.sequence, self.frame
 
 
 @dataclass(frozen=True)
-class TrainingPicture:
+class TrainingImage:
     """rgb: (H, W, 3) float32, display-referred sRGB over black, 0..1 · mask: (H, W) float32, 0..1"""
 
     rgb: np.ndarray
     mask: np.ndarray
 
 
-def load_picture(sample: Sample) -> TrainingPicture:
-    """Reads the picture and its mask, and puts the hand on black: colors are multiplied by the mask (of 8-bit straight
+def load_image(sample: Sample) -> TrainingImage:
+    """Reads the image and its mask, and puts the hand on black: colors are multiplied by the mask (of 8-bit straight
     alpha: premultiplied), so that what is not hand is exactly 0.
 
     InputError names the file when it is missing, broken, of another size than the camera, or has no alpha where the
     mask is its alpha.
     """
-    stored = read_picture(sample.picture)
-    _check_size(sample, sample.picture, stored)
+    stored = read_image(sample.image)
+    _check_size(sample, sample.image, stored)
     rgb, mask = stored[..., :3].astype(np.float32) / 255.0, _mask(sample, stored)
-    return TrainingPicture(rgb * mask[..., None], mask)
+    return TrainingImage(rgb * mask[..., None], mask)
 
 
 def _mask(sample: Sample, stored: np.ndarray) -> np.ndarray:
@@ -88,13 +88,13 @@ def _mask(sample: Sample, stored: np.ndarray) -> np.ndarray:
         return lit_part(mask, stored) if sample.mask_source is MaskSource.TEMPLATE_LIT else mask
     if sample.mask_source is MaskSource.FILE:
         if sample.mask is None:
-            raise InputError(f"mask of {sample.picture}", wanted="a mask file", came="none named")
+            raise InputError(f"mask of {sample.image}", wanted="a mask file", came="none named")
         mask = read_mask(sample.mask)
         _check_size(sample, sample.mask, mask)
         return mask
     if stored.shape[2] != 4:
         raise InputError(
-            f"picture {sample.picture}",
+            f"image {sample.image}",
             wanted="an alpha channel, which is its mask",
             came="none",
             remedy="Save it as PNG with alpha, or give masks as files.",
@@ -109,25 +109,25 @@ def _check_size(sample: Sample, path: Path, pixels: np.ndarray) -> None:
             f"size of {path}",
             wanted=f"{sample.camera.width} x {sample.camera.height} pixels, for which its camera is given",
             came=f"{width} x {height}",
-            remedy="Pictures that were resized need their cameras scaled with them: take the originals.",
+            remedy="Images that were resized need their cameras scaled with them: take the originals.",
         )
 
 
 # ---- what tells two sets apart, wherever their folders lie -----------------------------------------------------------
 
 
-def picture_names(samples: Sequence[Sample]) -> list[str]:
-    """A line for each picture, in their order."""
+def image_names(samples: Sequence[Sample]) -> list[str]:
+    """A line for each image, in their order."""
     return [f"{one.capture} {one.sequence} {one.frame} {one.camera_name}" for one in samples]
 
 
-def picture_digest(samples: Sequence[Sample]) -> str:
-    """16 hexadecimal digits that stand for these pictures, in whatever order: of their names and joints.
+def image_digest(samples: Sequence[Sample]) -> str:
+    """16 hexadecimal digits that stand for these images, in whatever order: of their names and joints.
 
-    The joints, because our own captures name their pictures alike.
+    The joints, because our own captures name their images alike.
     """
     lines = [
         f"{name} {np.rint(1e4 * one.joints_m.ravel()).astype(int).tolist()}"
-        for name, one in zip(picture_names(samples), samples, strict=True)
+        for name, one in zip(image_names(samples), samples, strict=True)
     ]
     return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()[:16]

@@ -1,6 +1,6 @@
-"""Which pictures an avatar learns from and which it is judged by.
+"""Which images an avatar learns from and which it is judged by.
 
-A test picture shows a pose that was not learned, or is seen by a camera that was not, or both: three figures, because
+A test image shows a pose that was not learned, or is seen by a camera that was not, or both: three figures, because
 they fail for different reasons. Where they come from: the capture's own splits.json, a protocol, or a fixed rule.
 """
 
@@ -26,7 +26,7 @@ SPLITS_FORMAT = 1
 
 @dataclass(frozen=True)
 class Split:
-    """Pictures to learn from, and three kinds of pictures to be judged by.
+    """Images to learn from, and three kinds of images to be judged by.
 
     train: learned poses, learned cameras · novel_pose: other poses, learned cameras · novel_view: learned poses, other
     cameras · novel_both: neither was learned · origin: where the split comes from, to be printed beside figures
@@ -40,15 +40,15 @@ class Split:
 
     @property
     def test(self) -> tuple[Sample, ...]:
-        """All pictures that are not learned from."""
+        """All images that are not learned from."""
         return self.novel_pose + self.novel_view + self.novel_both
 
     def all_learned(self) -> Split:
-        """The same pictures, all of them to learn from and none to be judged by."""
-        return Split(sorted_samples(self.train + self.test), (), (), (), "all pictures")
+        """The same images, all of them to learn from and none to be judged by."""
+        return Split(sorted_samples(self.train + self.test), (), (), (), "all images")
 
     def categories(self) -> dict[str, tuple[Sample, ...]]:
-        """The kinds of test pictures by name, those that there are."""
+        """The kinds of test images by name, those that there are."""
         kinds = {"novel pose": self.novel_pose, "novel view": self.novel_view, "both novel": self.novel_both}
         return {name: samples for name, samples in kinds.items() if samples}
 
@@ -67,7 +67,7 @@ def split_by_rule(
 ) -> Split:
     """Every n-th pose of a sequence and every n-th camera are for the test, in the order of their names and numbers.
 
-    The same pictures give the same split on any machine. With fewer poses, or cameras, than n none is held out. 0:
+    The same images give the same split on any machine. With fewer poses, or cameras, than n none is held out. 0:
     hold out none. InputError for n = 1 or negative numbers, which would leave nothing to learn from.
     """
     for what, every in (("every_pose", every_pose), ("every_camera", every_camera)):
@@ -113,22 +113,22 @@ def split_by_sequence(capture: Capture, train: Collection[str], test: Collection
 
 
 def _split(capture: Capture, test_poses: set[tuple[str, int]], test_cameras: set[str], origin: str) -> Split:
-    def pictures(pose_is_new: bool, camera_is_new: bool) -> tuple[Sample, ...]:
+    def images(pose_is_new: bool, camera_is_new: bool) -> tuple[Sample, ...]:
         return tuple(
             sample
             for sample in capture.samples
             if (sample.pose in test_poses) is pose_is_new and (sample.camera_name in test_cameras) is camera_is_new
         )
 
-    train = pictures(False, False)
+    train = images(False, False)
     if not train:
         raise InputError(
             f"split of {capture.name} ({origin})",
-            wanted="at least one picture to learn from",
-            came=f"{len(capture)} pictures, all of them held out",
+            wanted="at least one image to learn from",
+            came=f"{len(capture)} images, all of them held out",
             remedy="Hold out fewer poses or cameras.",
         )
-    return Split(train, pictures(True, False), pictures(False, True), pictures(True, True), origin)
+    return Split(train, images(True, False), images(False, True), images(True, True), origin)
 
 
 def _nth(names: Iterable[Any], every: int) -> list[Any]:

@@ -44,14 +44,14 @@ class CheckData:
 
     def run(self) -> int:
         """0 when the data can be learned from, the exit code of bad input when not."""
-        from jghand_engine.captures.check_data import CHECK_PICTURES, check_data, facts
+        from jghand_engine.captures.check_data import CHECK_IMAGES, check_data, facts
 
         with progress("Looking at pictures", 1) as bar:
             checked = check_data(
                 self.folder,
                 protocol=self.pictures.protocol,
                 choice=self.pictures.choice(),
-                most=ALL if self.all else CHECK_PICTURES,
+                most=ALL if self.all else CHECK_IMAGES,
                 tick=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
             )
         named = facts(checked)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jghand_engine import __version__
-from jghand_engine.captures.pictures_in import probe_picture
+from jghand_engine.captures.image_files import probe_image
 from jghand_engine.cli.console import progress, write_json
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
@@ -166,7 +166,7 @@ class FrameWriter:
         """Whether picture and maps are there, undamaged."""
         path = self.files.path(index)
         try:
-            probe_picture(path)
+            probe_image(path)
         except InputError:
             return False
         return self.passes is None or self.passes.is_whole(path)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jghand_engine import __version__
-from jghand_engine.captures.pictures_in import picture_texts
+from jghand_engine.captures.image_files import image_texts
 from jghand_engine.cli.console import write_json
 from jghand_engine.cli.options import EffectOptions
 from jghand_engine.errors import InputError
@@ -111,7 +111,7 @@ class PassWriter:
         if JOINTS in self.names:
             write_json(self._folder / "joints.json", {
                 "order": "standard", "names": list(STANDARD_NAMES), "unit": "m", "hand": str(self._hand),
-                "frames": [json.loads(picture_texts(picture)[JOINTS_KEY]) for picture in pictures],
+                "frames": [json.loads(image_texts(picture)[JOINTS_KEY]) for picture in pictures],
             })  # fmt: skip
         shots = [Shot(picture.name, self._camera) for picture in pictures]
         write_colmap(self._folder / "colmap", shots)

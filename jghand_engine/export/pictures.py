@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 
-from jghand_engine.captures.pictures_in import read_picture
+from jghand_engine.captures.image_files import read_image
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
@@ -83,7 +83,7 @@ def write_png(path: Path | str, picture: np.ndarray, texts: Mapping[str, str] | 
 
 def read_png(path: Path | str) -> np.ndarray:
     """The bytes of a picture file, (H, W, 3 | 4) uint8, straight alpha. InputError when it cannot be read."""
-    return read_picture(Path(path))
+    return read_image(Path(path))
 
 
 # ---- contact sheet ---------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.captures.captures import Capture
-from jghand_engine.captures.sample import Sample, load_picture, picture_digest
+from jghand_engine.captures.sample import Sample, image_digest, load_image
 from jghand_engine.captures.splits import Split
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -170,7 +170,7 @@ def measure_pictures(
 
 
 def _measure(sample: Sample, category: str, draw: Picturer, perceptual: Sequence[PerceptualMetric]) -> PictureScore:
-    truth = load_picture(sample)
+    truth = load_image(sample)
     started = time.perf_counter()
     rgba = draw(sample.joints_m, sample.handedness, sample.camera)
     render_ms = 1e3 * (time.perf_counter() - started)
@@ -225,9 +225,9 @@ def held_out(avatar: HandAvatar, capture: Capture, split: Split) -> HeldOut:
     told = avatar.info.learned_from
     if told is None:
         return _not_known(split, "The avatar does not say which pictures it was learned from")
-    if told.digest == picture_digest(split.train):
+    if told.digest == image_digest(split.train):
         return HeldOut(split)
-    if told.digest in (picture_digest(split.all_learned().train), picture_digest(capture.samples)):
+    if told.digest in (image_digest(split.all_learned().train), image_digest(capture.samples)):
         warning = f"The avatar was learned from all pictures of {capture.name}: its figures say nothing of new ones."
         return HeldOut(replace(split.all_learned(), origin=ALL_LEARNED), warning)
     came = f"{told.pictures} pictures of {told.capture} ({told.split})"

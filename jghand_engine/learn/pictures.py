@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.errors import InputError
 from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
 from jghand_engine.native.tasks import SSIM_WINDOW_PX
@@ -53,9 +53,9 @@ class Pictures:
         )
 
     def view(self, sample: Sample, stride: int = 1) -> View:
-        """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_picture`, or when no
+        """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_image`, or when no
         pixel of it shows the hand."""
-        cached = self._cache.get(sample.picture, lambda: _cut(sample))
+        cached = self._cache.get(sample.image, lambda: _cut(sample))
         rgb, mask = torch.from_numpy(cached.rgb).float() / 255.0, torch.from_numpy(cached.mask).float() / 255.0
         view = View(rgb, mask, cached.camera)
         return view if stride == 1 else coarser(view, stride)
@@ -76,10 +76,10 @@ def coarser(view: View, stride: int) -> View:
 
 
 def _cut(sample: Sample) -> _CachedView:
-    picture = load_picture(sample)
+    picture = load_image(sample)
     rows, columns = (np.flatnonzero(picture.mask.max(axis=axis) > 0) for axis in (1, 0))
     if not len(rows):
-        raise InputError(f"mask of {sample.picture}", wanted="a hand in the picture", came="an empty mask",
+        raise InputError(f"mask of {sample.image}", wanted="a hand in the picture", came="an empty mask",
                          remedy="Leave that picture out, or look at it with `jghand check-data`.")  # fmt: skip
     # at stride 2 still larger than the window of SSIM, and no thinner than perceptual metrics want it
     least = max(2 * SSIM_WINDOW_PX + 2, METRIC_BOX_MIN_PX)

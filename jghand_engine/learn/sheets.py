@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, to_bytes
 from jghand_engine.hand.joints import Handedness
@@ -77,7 +77,7 @@ def comparison_sheet(pictures: Sequence[PictureScore], draw: Picturer, title: st
     """Truth, ours and difference of each picture, two pictures a row; (H, W, 3) uint8. InputError without pictures."""
     cells: list[Cell] = []
     for picture in pictures:
-        sample, truth = picture.sample, load_picture(picture.sample)
+        sample, truth = picture.sample, load_image(picture.sample)
         rgba = draw(sample.joints_m, sample.handedness, sample.camera)
         square = _Square.around(truth.mask)
         unlike = np.abs(np.clip(rgba[..., :3], 0, 1) - truth.rgb).mean(-1)
@@ -94,7 +94,7 @@ def variant_sheet(samples: Sequence[Sample], drawers: Mapping[str, Picturer], ti
     """Each sample in a row of its own: the truth, then what each drawer makes of it; (H, W, 3) uint8."""
     cells: list[Cell] = []
     for sample in samples:
-        truth = load_picture(sample)
+        truth = load_image(sample)
         square = _Square.around(truth.mask)
         cells.append(Cell(f"truth · {_where(sample)}", square.hand(truth.rgb, truth.mask)))
         for name, draw in drawers.items():

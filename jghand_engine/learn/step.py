@@ -351,7 +351,7 @@ def _check_joints(material: Material) -> None:
     """One joint that is not known would make a whole step's gradients unknown."""
     for sample in (*material.train, *material.judged):
         if not np.isfinite(sample.joints_m).all():
-            raise InputError(f"joints of {sample.picture}", wanted="21 known joints", came="NaN or infinity",
+            raise InputError(f"joints of {sample.image}", wanted="21 known joints", came="NaN or infinity",
                              remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip
 
 

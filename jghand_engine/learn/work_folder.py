@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.captures.sample import Sample, picture_names
+from jghand_engine.captures.sample import Sample, image_names
 from jghand_engine.errors import InputError
 from jghand_engine.files import check_place, file_error, make_folder, writing
 from jghand_engine.learn.checkpoint import CheckpointFolder, Stamp
@@ -111,7 +111,7 @@ class WorkFolder:
 
 def stamp_of(options: DataclassInstance, pictures: Sequence[Sample]) -> dict[str, Any]:
     """Options (dataclasses of plain values) and which pictures are learned from, wherever their folder lies now."""
-    lines = picture_names(pictures)
+    lines = image_names(pictures)
     digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
     # as it will be read back: tuples become lists, enumerations their text
     return json.loads(json.dumps({"pictures": len(lines), "which pictures": digest, "options": asdict(options)}))

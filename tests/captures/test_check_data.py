@@ -88,8 +88,8 @@ def turned(camera):
         (of_opengl, "OpenGL's or Blender's"),
         (transposed, "rotations look transposed"),
         (translation_as_place, "mistaken for each other"),
-        (of_larger_pictures, "pictures of another size"),
-        (turned, "exchanged, or the pictures turned"),
+        (of_larger_pictures, "images of another size"),
+        (turned, "exchanged, or the images turned"),
     ],
 )
 def test_a_mistake_in_the_cameras_is_recognized(changeable, mistake, words):
@@ -177,7 +177,7 @@ def test_a_thousand_missing_pictures_are_not_a_thousand_lines(changeable):
 
 def test_empty_masks_and_masks_of_the_whole_picture_are_told(changeable):
     files = sorted(changeable.rglob("*.png"))
-    for part, value, words in ((0, 0, "masks are empty"), (1, 1, "cover nearly the whole picture")):
+    for part, value, words in ((0, 0, "masks are empty"), (1, 1, "cover nearly the whole image")):
         file = files[part]
         sets.write_picture(file, np.full(np.asarray(Image.open(file)).shape[:2], value, np.float32))
         assert any(words in finding.text for finding in check_data(changeable).findings)
@@ -197,7 +197,7 @@ def test_a_set_without_masks_says_that_joints_cannot_be_held_against_pictures(tm
     write_set(tmp_path, recorded(suffix=".jpg"))
     report = check_data(tmp_path)
     assert report.is_usable
-    assert "No picture has a mask" in report.findings[0].text
+    assert "No image has a mask" in report.findings[0].text
     assert "joints on the mask %" not in facts(report)
 
 
@@ -231,7 +231,7 @@ def test_the_overlay_shows_the_joints_where_they_are_and_rings_those_beside_the_
     assert picture[row, column].tolist() == [255, 255, 255]
     red = (picture == [255, 0, 0]).all(-1)
     assert not red.any()
-    sets.write_picture(sample.picture, np.zeros((512, 334), np.float32))
+    sets.write_picture(sample.image, np.zeros((512, 334), np.float32))
     assert (overlay(sample) == [255, 0, 0]).all(-1).sum() > 100
 
 

@@ -12,7 +12,7 @@ from picture_sets import LEFT, RIGHT, write_hanco
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import CaptureChoice, Layout
-from jghand_engine.captures.sample import MaskSource, load_picture
+from jghand_engine.captures.sample import MaskSource, load_image
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import JointOrder, from_level
 
@@ -53,7 +53,7 @@ def test_frames_that_are_not_valid_are_left_out_and_counted(stored):
 def test_smeared_masks_are_cut_at_half(stored):
     capture = open_capture(stored)
     assert {one.mask_source for one in capture.samples} == {MaskSource.FILE}
-    picture = load_picture(capture.samples[0])
+    picture = load_image(capture.samples[0])
     assert set(np.unique(picture.mask)) == {0.0, 1.0}
     assert picture.mask.mean() == pytest.approx(sets._hanco_mask(0, 0).mean(), rel=0.01)
 
@@ -62,7 +62,7 @@ def test_a_hand_without_a_mask_file_gets_the_projected_template(changeable):
     shutil.rmtree(changeable / "mask_hand" / "0191" / "cam3")
     capture = open_capture(changeable)
     assert [one.camera_name for one in capture.samples if one.mask_source is MaskSource.TEMPLATE] == ["cam3"] * 2
-    assert "2 of 16 pictures have no mask" in capture.notes[0]
+    assert "2 of 16 images have no mask" in capture.notes[0]
 
 
 @pytest.mark.parametrize("inside", [".", "rgb", "rgb/0191", "rgb/0191/cam2", "xyz/0191", ".."])

@@ -13,7 +13,7 @@ from picture_sets import LEFT, RIGHT, edited, recorded, write_set
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import CaptureChoice, Layout
 from jghand_engine.captures.interhand import read_interhand
-from jghand_engine.captures.sample import MaskSource, load_picture
+from jghand_engine.captures.sample import MaskSource, load_image
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import JointOrder, from_level
 
@@ -95,7 +95,7 @@ def test_a_joint_that_is_marked_as_valid_but_no_number_is_refused_by_its_frame(c
 
 def test_both_hands_in_a_set_must_be_told_apart_by_the_user(tmp_path):
     write_set(tmp_path, recorded(RIGHT), recorded(LEFT, sequence="ROM_LEFT", first_frame=3000))
-    with pytest.raises(InputError, match="pictures of left and right hands"):
+    with pytest.raises(InputError, match="images of left and right hands"):
         read_interhand(tmp_path)
     assert read_interhand(tmp_path, CaptureChoice(handedness=LEFT)).sequences == ("ROM_LEFT",)
     assert read_interhand(tmp_path, CaptureChoice(sequences=("ROM_JGHAND",))).handedness is RIGHT
@@ -109,7 +109,7 @@ def test_pictures_of_two_hands_are_taken_only_when_wanted_and_then_with_the_proj
     projected = [one for one in capture.samples if one.mask_source is MaskSource.TEMPLATE]
     assert len(capture) == 4
     assert len(projected) == 1
-    assert "1 of 4 pictures have no mask" in capture.notes[0]
+    assert "1 of 4 images have no mask" in capture.notes[0]
 
 
 def test_a_picture_whose_hand_is_doubtful_is_left_out(changeable):
@@ -131,10 +131,8 @@ def test_the_mask_is_the_alpha_of_a_png_a_mask_file_or_else_the_template(stored,
     assert not capture.notes
     # the template is the truth of these pictures
     for source in (capture, without):
-        picture = load_picture(source.samples[0])
-        assert picture.mask.mean() == pytest.approx(
-            load_picture(read_interhand(stored).samples[0]).mask.mean(), rel=0.01
-        )
+        picture = load_image(source.samples[0])
+        assert picture.mask.mean() == pytest.approx(load_image(read_interhand(stored).samples[0]).mask.mean(), rel=0.01)
         assert picture.rgb[picture.mask == 1].mean(0) * 255 == pytest.approx(sets.SKIN, abs=3)
         assert not picture.rgb[picture.mask == 0].any()
 
@@ -284,10 +282,10 @@ def test_a_missing_a_cut_off_and_a_resized_picture_are_found_on_opening(changeab
     with pytest.raises(InputError, match=rf"{file.name}.*no such file"):
         open_capture(changeable)
     file.write_bytes(whole[:-30])
-    with pytest.raises(InputError, match=r"cannot read the picture .*image2000\.png"):
+    with pytest.raises(InputError, match=r"cannot read the image .*image2000\.png"):
         open_capture(changeable)
     file.write_bytes(b"")
-    with pytest.raises(InputError, match="cannot read the picture"):
+    with pytest.raises(InputError, match="cannot read the image"):
         open_capture(changeable)
     sets.write_picture(file, np.ones((256, 167), np.float32))
     with pytest.raises(InputError, match=r"wanted 334 x 512 pixels.*got 167 x 256"):
@@ -311,6 +309,6 @@ def test_the_capture_of_other_scripts_is_read(shared_data):
     assert capture.handedness is RIGHT
     assert not capture.dropped
     assert not capture.notes
-    picture = load_picture(capture.samples[100])
+    picture = load_image(capture.samples[100])
     assert picture.rgb.shape == (512, 334, 3)
     assert 0.02 < picture.mask.mean() < 0.3

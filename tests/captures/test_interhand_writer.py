@@ -70,7 +70,7 @@ def test_pictures_are_named_as_the_data_set_names_them(tmp_path):
     image = written(tmp_path, hand)["data"]["images"][0]
     assert image["file_name"] == "Capture3/ROM04/cam400017/image2000.png"
     assert (image["width"], image["height"], image["camera"], image["frame_idx"]) == (334, 512, "400017", 2000)
-    assert hand.picture(tmp_path, 2000, "400017") == tmp_path / "images" / "test" / image["file_name"]
+    assert hand.image(tmp_path, 2000, "400017") == tmp_path / "images" / "test" / image["file_name"]
 
 
 def test_the_skeleton_is_that_of_the_data_set(tmp_path):

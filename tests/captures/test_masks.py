@@ -56,10 +56,10 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(index):
 def test_the_silhouette_is_that_of_the_person_who_has_the_template_hand(shared_data):
     """Another identity and rig: the template's silhouette in its pose still covers most of it."""
     from jghand_engine.captures.capture_folder import open_capture
-    from jghand_engine.captures.sample import load_picture
+    from jghand_engine.captures.sample import load_image
 
     for sample in open_capture(shared_data / "capture_old").samples[5::60]:
-        truth = load_picture(sample).mask >= 0.5
+        truth = load_image(sample).mask >= 0.5
         ours = template_mask(sample.camera, sample.joints_m, sample.handedness) >= 0.5
         # 0.962 is the lowest seen
         assert (truth & ours).sum() / (truth | ours).sum() > 0.95

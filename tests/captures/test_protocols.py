@@ -14,7 +14,7 @@ from PIL import Image
 
 from jghand_engine.captures.capture_folder import PROTOCOLS, open_capture
 from jghand_engine.captures.captures import CaptureChoice
-from jghand_engine.captures.sample import MaskSource, load_picture
+from jghand_engine.captures.sample import MaskSource, load_image
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
 
@@ -117,12 +117,12 @@ def test_without_masks_the_lit_part_of_the_projected_template_stands_in_and_that
     assert {one.mask_source for one in capture.samples} == {MaskSource.TEMPLATE_LIT}
     assert "not those of the papers' protocol" in capture.notes[0]
     sample = capture.samples[0]
-    whole = load_picture(sample).mask
-    glaring = np.asarray(Image.open(sample.picture)).copy()
+    whole = load_image(sample).mask
+    glaring = np.asarray(Image.open(sample.image)).copy()
     row, column = np.argwhere(whole > 0).mean(axis=0).astype(int)
     glaring[row - 8 : row + 8, column - 8 : column + 8] = 255
-    Image.fromarray(glaring).save(sample.picture, quality=95)
-    lit = load_picture(sample).mask
+    Image.fromarray(glaring).save(sample.image, quality=95)
+    lit = load_image(sample).mask
     assert lit[row, column] == 0
     assert 150 < whole.sum() - lit.sum() < 400
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jghand_engine.captures.pictures_in import probe_picture
+from jghand_engine.captures.image_files import probe_image
 from jghand_engine.cli import main
 from jghand_engine.cli.frame_files import STAMP, FrameWriter, Shard, settle_folder
 from jghand_engine.errors import InputError
@@ -282,7 +282,7 @@ def test_a_killed_worker_loses_at_most_the_picture_that_it_was_at(tmp_path):
     there = contents(out)
     names = [name for name in there if name.startswith("frame_")]
     for name in names:
-        probe_picture(out / name)
+        probe_image(out / name)
     assert len([name for name in there if name.startswith(".frame_")]) <= 1
     figures = tmp_path / "figures.json"
     assert main(["render", *MANY, "--out", str(out), "--json", str(figures)]) == 0

@@ -64,7 +64,7 @@ def test_joints_that_are_no_numbers_are_noticed_and_teach_nothing(monkeypatch, t
     training = small_training(monkeypatch, good)
     for sample in good:
         sample.joints_m[joint] = value
-    with pytest.raises(InputError, match=re.escape(str(good[0].picture))):
+    with pytest.raises(InputError, match=re.escape(str(good[0].image))):
         small_training(monkeypatch, good)
     before = parameters_of(training)
     assert find_non_finite(training.step(0), training) != []

@@ -14,7 +14,7 @@ from picture_sets import edited, recorded, write_hanco, write_set
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import CaptureChoice
-from jghand_engine.captures.pictures_in import probe_picture, read_mask, read_picture
+from jghand_engine.captures.image_files import probe_image, read_image, read_mask
 from jghand_engine.errors import InputError
 
 NONSENSE = (None, "", "x", -1, 10**400, 1e308, float("nan"), float("inf"), True, [], [[]], {}, {"0": 1}, [None] * 42)
@@ -126,7 +126,7 @@ def png_that_claims(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
 
 
-@pytest.mark.parametrize("reader", [probe_picture, read_picture, read_mask])
+@pytest.mark.parametrize("reader", [probe_image, read_image, read_mask])
 @pytest.mark.parametrize(
     "content",
     [

@@ -51,5 +51,5 @@ def write_small_capture(folder: Path, *, poses: int = 6, size_px: tuple[int, int
     hand = RecordedHand(cameras, joints_m, boxes)
     write_interhand(folder, hand)
     for (frame, name), rgba in pictures.items():
-        write_png(hand.picture(folder, frame, name), rgba)
+        write_png(hand.image(folder, frame, name), rgba)
     return folder

@@ -9,7 +9,7 @@ import pytest
 import torch
 from picture_sets import LEFT, RIGHT, pose
 
-from jghand_engine.captures.sample import MaskSource, load_picture
+from jghand_engine.captures.sample import MaskSource, load_image
 from jghand_engine.captures.splits import split_by_rule
 from jghand_engine.errors import InputError
 from jghand_engine.learn import tables
@@ -29,7 +29,7 @@ def truth_but(capture, error):
     by_camera = {(id(s.camera), s.joints_m.tobytes()): s for s in capture.samples}
 
     def draw(joints_m, _handedness, camera):
-        picture = load_picture(by_camera[id(camera), joints_m.tobytes()])
+        picture = load_image(by_camera[id(camera), joints_m.tobytes()])
         rgb = picture.rgb + error * (picture.mask[..., None] >= 0.5)
         return np.concatenate([rgb, picture.mask[..., None]], -1).astype(np.float32)
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import LearnedFrom
-from jghand_engine.captures.sample import picture_digest
+from jghand_engine.captures.sample import image_digest
 from jghand_engine.learn.evaluate import ALL_LEARNED, NOT_KNOWN, held_out
 
 
 def learned_from(samples):
     avatar = trained_avatar(20)
-    told = LearnedFrom("set", "a rule", len(samples), picture_digest(samples))
+    told = LearnedFrom("set", "a rule", len(samples), image_digest(samples))
     return replace(avatar, info=replace(avatar.info, learned_from=told))
 
 
@@ -49,9 +49,9 @@ def test_a_painted_avatar_was_learned_from_nothing(capture, split):
 
 
 def test_the_digest_stands_for_the_pictures_in_any_order_and_for_their_poses(capture, split):
-    digest = picture_digest(capture.samples)
-    assert picture_digest(capture.samples[::-1]) == digest
-    assert picture_digest(split.train) != digest
+    digest = image_digest(capture.samples)
+    assert image_digest(capture.samples[::-1]) == digest
+    assert image_digest(split.train) != digest
     # captures of our own name their pictures alike
     other = [replace(sample, joints_m=sample.joints_m * 1.01) for sample in capture.samples]
-    assert picture_digest(other) != digest
+    assert image_digest(other) != digest

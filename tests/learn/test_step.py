@@ -51,7 +51,7 @@ def scheduled(**changes) -> TrainOptions:
 
 def drawn(training: HandTraining, numbers: range) -> list[list[str]]:
     """Names of the pictures of these steps."""
-    return [[sample.picture.name for sample in training._draw(number)] for number in numbers]
+    return [[sample.image.name for sample in training._draw(number)] for number in numbers]
 
 
 # ---- what is drawn ---------------------------------------------------------------------------------------------------

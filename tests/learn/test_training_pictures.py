@@ -8,7 +8,7 @@ import torch
 from painted_samples import camera_at, discs, sample_of, write_rgba
 from small_hands import joints_of
 
-from jghand_engine.captures.sample import load_picture
+from jghand_engine.captures.sample import load_image
 from jghand_engine.errors import InputError
 from jghand_engine.learn import pictures as pictures_module
 from jghand_engine.learn.pictures import CROP_MARGIN_PX, Pictures, View, coarser
@@ -49,7 +49,7 @@ def test_a_picture_is_cut_to_the_hand_with_a_margin(tmp_path):
 
 def test_a_cut_has_the_pixels_of_the_picture_on_black(tmp_path):
     sample = sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
-    view, whole = Pictures().view(sample), load_picture(sample)
+    view, whole = Pictures().view(sample), load_image(sample)
     left, top = corner_of(sample, view)
     cut = slice(top, top + view.camera.height), slice(left, left + view.camera.width)
     # kept as bytes
@@ -160,10 +160,10 @@ def loads(monkeypatch) -> list[str]:
     names: list[str] = []
 
     def load(sample):
-        names.append(sample.picture.stem)
-        return load_picture(sample)
+        names.append(sample.image.stem)
+        return load_image(sample)
 
-    monkeypatch.setattr(pictures_module, "load_picture", load)
+    monkeypatch.setattr(pictures_module, "load_image", load)
     return names
 
 

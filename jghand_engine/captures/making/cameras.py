@@ -1,6 +1,6 @@
 """Where the cameras of a capture stand: all around the hand, from above and below too, and some near it.
 
-Every camera frames all poses as large as they fit, which puts its principal point off the center of the picture, as in
+Every camera frames all poses as large as they fit, which puts its principal point off the center of the image, as in
 real rigs. Pinholes with square pixels, OpenCV axes.
 """
 
@@ -14,17 +14,17 @@ from jghand_engine.errors import InputError
 from jghand_engine.render.camera import Camera
 
 CAMERAS_MAX = 500
-# edges of a picture, pixels: below nothing is seen of a hand, above Cycles takes minutes a picture
+# edges of an image, pixels: below nothing is seen of a hand, above Cycles takes minutes an image
 SIZE_PX = (16, 4096)
 # distance from the middle of the hands, meters: like the stages of the data sets
 DISTANCE_M = (0.8, 1.1)
 # largest roll about the viewing direction, degrees
 ROLL_DEG = 12.0
-# part of the picture left free on each side of all poses
+# part of the image left free on each side of all poses
 MARGIN = 0.03
-# height of the viewing direction beyond which it is steep, and the picture's upper edge is no longer the fingers' way
+# height of the viewing direction beyond which it is steep, and the image's upper edge is no longer the fingers' way
 STEEP = 0.85
-# close-ups: distance, and what the shorter edge of the picture shows there, meters: about two fingers' lengths
+# close-ups: distance, and what the shorter edge of the image shows there, meters: about two fingers' lengths
 CLOSE_M = 0.45
 CLOSE_FIELD_M = 0.11
 
@@ -36,7 +36,7 @@ _CLOSE_UPS = ((7, 8, 9), (17, 18, 19), (6, 11), (1, 4))
 
 @dataclass(frozen=True)
 class CameraPlan:
-    """count cameras in all, of which close_ups are near ones; pictures of width x height pixels; seed of the distances
+    """count cameras in all, of which close_ups are near ones; images of width x height pixels; seed of the distances
     and rolls."""
 
     count: int
@@ -53,13 +53,13 @@ class CameraPlan:
             raise InputError("close-ups", wanted=f"0 to {self.count - 1} of {self.count}", came=str(self.close_ups))
         low, high = SIZE_PX
         if not (low <= self.width <= high and low <= self.height <= high):
-            raise InputError("picture", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
+            raise InputError("image", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
 
 
 def plan_cameras(plan: CameraPlan, vertices_m: np.ndarray, joints_m: np.ndarray) -> list[Camera]:
     """Cameras for posed hands (P, V, 3) with joints (P, 21, 3) in level order, meters; close-ups are the last ones.
 
-    Every vertex of every pose is inside the picture of the former.
+    Every vertex of every pose is inside the image of the former.
     """
     plan.check()
     random = np.random.default_rng(plan.seed)
@@ -102,7 +102,7 @@ def framed(camera: Camera, points_m: np.ndarray) -> Camera:
 
 
 def _towards(eye: np.ndarray, target: np.ndarray, roll_rad: float, plan: CameraPlan) -> Camera:
-    """A camera without a focal length yet, the fingers upwards in the picture where that can be."""
+    """A camera without a focal length yet, the fingers upwards in the image where that can be."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     # from above and from below: the palm towards the lower edge
     up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < STEEP else np.array([0.0, 0.0, -1.0])

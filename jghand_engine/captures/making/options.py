@@ -31,7 +31,7 @@ class AreaLight:
 
 @dataclass(frozen=True)
 class Light:
-    """hdri: a name of HDRI_NAMES or a picture file; hdri_turn_deg: its turn about the vertical (+y) axis. The default
+    """hdri: a name of HDRI_NAMES or an image file; hdri_turn_deg: its turn about the vertical (+y) axis. The default
     lamps are large and on all sides: a soft key on the palm, a softer one on the back, weak ones above and below."""
 
     hdri: str = "studio"
@@ -116,7 +116,7 @@ class CaptureOptions:
             raise InputError("environment", wanted=f"one of {', '.join(HDRI_NAMES)} or an .exr or .hdr file", came=hdri)
 
     def description(self) -> dict[str, Any]:
-        """Everything that decides the pictures, as JSON; of files what is in them, not where they lie."""
+        """Everything that decides the images, as JSON; of files what is in them, not where they lie."""
         plain = {
             name: getattr(self, name)
             for name in ("identity", "cameras", "close_ups", "poses", "width", "height", "wrist_turn_deg", "seed")
@@ -138,7 +138,7 @@ class CaptureOptions:
 
 
 def is_file(environment: str) -> bool:
-    """Whether an environment is a picture file, and not one of those that come with Blender."""
+    """Whether an environment is an image file, and not one of those that come with Blender."""
     return bool(Path(environment).suffix)
 
 

@@ -4,7 +4,7 @@ plan/plan.json     options, cameras, names of poses, what the worker needs to kn
 plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv
 plan/skin.png, relief.png, nails.png
 plan/light.exr or .hdr   the environment, when it is a file of the user's
-plan/made_by.json  which programs make the pictures    written by the first of them that is ready (worker.py)
+plan/made_by.json  which programs make the images    written by the first of them that is ready (worker.py)
 annotations/…      InterHand2.6M, splits.json          written with the plan, so that any shard may be the first
 """
 
@@ -99,19 +99,19 @@ class CapturePlan:
         return RecordedHand(dict(zip(names, self.cameras, strict=True)), dict(enumerate(self.joints_m)), boxes)
 
     def jobs(self, folder: Path, shard: tuple[int, int] = (1, 1)) -> list[Job]:
-        """The pictures of a shard (number from 1, of how many): whole poses, all cameras of each."""
+        """The images of a shard (number from 1, of how many): whole poses, all cameras of each."""
         number, count = shard
         if not 1 <= number <= count:
             raise InputError("shard", wanted="NUMBER/COUNT with a number from 1 to the count", came=f"{number}/{count}")
         record = self.record
         return [
-            Job(pose, camera, record.picture(folder, pose, name), self.stamp(pose, camera))
+            Job(pose, camera, record.image(folder, pose, name), self.stamp(pose, camera))
             for pose in range(number - 1, len(self.joints_m), count)
             for camera, name in enumerate(record.cameras)
         ]
 
     def stamp(self, pose: int, camera: int) -> str:
-        """A hash of everything that decides one picture."""
+        """A hash of everything that decides one image."""
         digest = self._shared.copy()
         digest.update(json.dumps(_camera_json(self.cameras[camera])).encode())
         digest.update(np.ascontiguousarray(self.vertices_m[pose]).tobytes())
@@ -138,7 +138,7 @@ class CapturePlan:
 
 
 def make_plan(options: CaptureOptions) -> CapturePlan:
-    """Everything of a capture but its pictures. InputError for options that cannot be."""
+    """Everything of a capture but its images. InputError for options that cannot be."""
     options.check()
     hand = RiggedHand(load_identity(options.identity))
     camera_plan = CameraPlan(options.cameras, options.close_ups, options.width, options.height, options.seed)
@@ -314,7 +314,7 @@ def _of_motion(hand: RiggedHand, motion: PoseSequence, count: int) -> tuple[tupl
 
 
 def _box(camera: Camera, vertices_m: np.ndarray) -> tuple[float, float, float, float]:
-    """x, y, width, height of the hand in the picture, cut off at its edges; pixels."""
+    """x, y, width, height of the hand in the image, cut off at its edges; pixels."""
     matrix = camera.camera_from_world
     seen = vertices_m.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     px = seen[:, :2] / seen[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
@@ -333,9 +333,9 @@ def _camera(content: dict[str, Any]) -> Camera:
     return Camera(**content)
 
 
-def _png(picture: Image.Image) -> bytes:
+def _png(image: Image.Image) -> bytes:
     stream = io.BytesIO()
-    picture.save(stream, format="PNG", optimize=False)
+    image.save(stream, format="PNG", optimize=False)
     return stream.getvalue()
 
 

@@ -3,7 +3,7 @@
 
 The shapes are made by scripts/build_identities.py. Faces, UV and skin weights are those of the built-in hand's file.
 
-The rig shares no rotation with the transform that learns from the pictures: bones turn about hinge axes (or follow
+The rig shares no rotation with the transform that learns from the images: bones turn about hinge axes (or follow
 directions of a motion), ring and pinky knuckles sink when those fingers bend, and each joint's own
 rotation carries its skin.
 """
@@ -38,7 +38,7 @@ CUP_REST = 0.05
 # how far below flat a stretched finger may press its metacarpal, as a part of the largest turn
 CUP_FLATTEN = 0.25
 # the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then
-# lie on the palm; judged by eye on pictures of fists
+# lie on the palm; judged by eye on images of fists
 PALM_GAP_PART = 0.075
 # flexions are scaled down to this for it, at most, in so many steps
 EASE_MOST = 0.7

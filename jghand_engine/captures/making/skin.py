@@ -1,6 +1,6 @@
 """The skin of a capture: a texture of reflectance and a relief in the template's UV (row = 1 - v), without any light.
 
-Either JGHand's own procedural skin, or any picture in that layout. Outside the hand's island the nearest skin goes on,
+Either JGHand's own procedural skin, or any image in that layout. Outside the hand's island the nearest skin goes on,
 else filters would pull foreign color over the seams; the wrist's cut gets the color of the skin around it.
 """
 
@@ -25,17 +25,17 @@ from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # edge of the baked texture: 0.4 mm of skin per texel, finer than a pixel of a whole hand at 334 x 512 (0.5 mm)
 SKIN_PX = 1024
-# edges that a skin picture may have, pixels
+# edges that a skin image may have, pixels
 TEXTURE_PX = (64, 8192)
 # skin this far above the lower edge gives the wrist's cut its color, meters
 WRIST_BAND_M = 0.012
-# mottling that a coarse picture cannot hold: (cell in meters, amount), and how strongly it darkens red, green, blue
+# mottling that a coarse image cannot hold: (cell in meters, amount), and how strongly it darkens red, green, blue
 MOTTLING = ((0.0026, 0.022), (0.0011, 0.022))
 MOTTLING_RGB = (0.55, 1.0, 1.0)
-# depth of a furrow that a picture shows as a dark line, meters, and the shade (sRGB) at which it is nearly reached
+# depth of a furrow that an image shows as a dark line, meters, and the shade (sRGB) at which it is nearly reached
 RELIEF_M = 0.00022
 RELIEF_SHADE = 0.035
-# grain of skin that no picture holds: its height and its cells, meters; finer ones are lost between texels
+# grain of skin that no image holds: its height and its cells, meters; finer ones are lost between texels
 GRAIN_M = 0.000012
 GRAIN_CELL_M = 0.0009
 
@@ -50,7 +50,7 @@ class CaptureSkin:
 
 
 def make_skin(texture: Path | None, seed: int = 0) -> CaptureSkin:
-    """The procedural skin, or that of a picture file. InputError for a file that is no usable picture."""
+    """The procedural skin, or that of an image file. InputError for a file that is no usable image."""
     texels = _Texels.of(load_template(), SKIN_PX)
     if texture is None:
         rgb, relief_m = _procedural(texels, seed)
@@ -63,19 +63,19 @@ def make_skin(texture: Path | None, seed: int = 0) -> CaptureSkin:
 
 
 def read_texture(path: Path) -> np.ndarray:
-    """(H, W, 3) sRGB 0..1 of a square picture file. InputError says what is wrong with it."""
+    """(H, W, 3) sRGB 0..1 of a square image file. InputError says what is wrong with it."""
     thing = f"skin {path}"
     try:
-        with warnings.catch_warnings(), Image.open(path) as picture:
+        with warnings.catch_warnings(), Image.open(path) as image:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            width, height = picture.size
+            width, height = image.size
             if width != height or not TEXTURE_PX[0] <= width <= TEXTURE_PX[1]:
                 low, high = TEXTURE_PX
-                wanted = f"a square picture of {low} to {high} pixels in the template's UV"
+                wanted = f"a square image of {low} to {high} pixels in the template's UV"
                 raise InputError(thing, wanted=wanted, came=f"{width}x{height}")
-            return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255
+            return np.asarray(image.convert("RGB"), dtype=np.float64) / 255
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise InputError(thing, wanted="a picture that opens", came=str(error)[:200]) from error
+        raise InputError(thing, wanted="an image that opens", came=str(error)[:200]) from error
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ class _Texels:
         inside = values[covered]
         row, column = np.nonzero(covered)
         uv = np.stack([(column + 0.5) / size, 1 - (row + 0.5) / size], axis=1)
-        with (ASSETS / "nails.png").open("rb") as stream, Image.open(stream) as picture:
-            nails = np.asarray(picture.convert("L"), dtype=np.float64)[..., None] / 255
+        with (ASSETS / "nails.png").open("rb") as stream, Image.open(stream) as image:
+            nails = np.asarray(image.convert("L"), dtype=np.float64)[..., None] / 255
         nail = sample_bilinear(nails, uv)[:, 0]
         points = SkinPoints(inside[:, :3], unit(inside[:, 3:6]), inside[:, 6:], nail)
         # a texel of margin, so that filtering at the edge of the disk sees nothing else
@@ -127,10 +127,10 @@ def _procedural(texels: _Texels, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return linear_to_srgb(np.clip(linear, 0, 1)), marks.height_m
 
 
-def _photographic(texels: _Texels, picture: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same from a picture: smoothly enlarged, with the fine mottling that it is too coarse to hold, and a relief
+def _photographic(texels: _Texels, image: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same from an image: smoothly enlarged, with the fine mottling that it is too coarse to hold, and a relief
     from its own fine shades (a darker line is a furrow)."""
-    large = _enlarged(picture, texels.size)
+    large = _enlarged(image, texels.size)
     rgb = sample_bilinear(large, texels.uv)
     position = texels.points.position_m
     fine = sum(part * noise(position, cell, seed + 11 + k) for k, (cell, part) in enumerate(MOTTLING))
@@ -143,9 +143,9 @@ def _photographic(texels: _Texels, picture: np.ndarray, seed: int) -> tuple[np.n
     return np.clip(rgb * np.exp(-pigment), 0, 1), relief * (1 - texels.points.nail)
 
 
-def _enlarged(picture: np.ndarray, size: int) -> np.ndarray:
-    """The picture at size x size, channel by channel in floating point: no steps of 8 bit in soft shades."""
-    if picture.shape[0] >= size:
-        return picture
-    channels = [Image.fromarray(channel.astype(np.float32)) for channel in np.moveaxis(picture, -1, 0)]
+def _enlarged(image: np.ndarray, size: int) -> np.ndarray:
+    """The image at size x size, channel by channel in floating point: no steps of 8 bit in soft shades."""
+    if image.shape[0] >= size:
+        return image
+    channels = [Image.fromarray(channel.astype(np.float32)) for channel in np.moveaxis(image, -1, 0)]
     return np.stack([np.asarray(c.resize((size, size), Image.Resampling.BICUBIC)) for c in channels], -1).astype(float)

@@ -1,4 +1,4 @@
-"""Starts Blender's Python with the extension's `capture/` and sees the pictures through. Knows no bpy.
+"""Starts Blender's Python with the extension's `capture/` and sees the images through. Knows no bpy.
 
 What passes are lines of JSON; see blender_addon/capture/__main__.py, which is another program under another license.
 """
@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from jghand_engine import __version__
+from jghand_engine.captures.image_files import image_texts, probe_sized
 from jghand_engine.captures.making.plan import FOLDER, Job
-from jghand_engine.captures.pictures_in import picture_texts, probe_sized
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import writing
 from jghand_engine.json_files import JsonObject
@@ -43,7 +43,7 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class Finished:
-    """A picture that is there now, and how long it took."""
+    """An image that is there now, and how long it took."""
 
     job: Job
     seconds: float
@@ -55,7 +55,7 @@ def fault_of(job: Job, size: tuple[int, int]) -> str:
         return "missing"
     try:
         probe_sized(job.file, size, "the plan")
-        stamp = picture_texts(job.file).get(STAMP_KEY)
+        stamp = image_texts(job.file).get(STAMP_KEY)
     except InputError as error:
         return f"broken: {error.came}"
     return "" if stamp == job.stamp else "made for another plan"
@@ -89,7 +89,7 @@ def find_program() -> Path:
 
 
 def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Iterator[Finished]:
-    """Renders jobs one after the other and gives each when its picture is there.
+    """Renders jobs one after the other and gives each when its image is there.
 
     RetryError when Blender ends early or fails, with its last words; InputError when that Python has no bpy, or another
     Blender than the capture was begun with.
@@ -111,7 +111,7 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
 
 
 def _clear_leftovers(files: set[Path]) -> None:
-    """Removes what killed workers left of these pictures; those of other shards are of other poses, and so of other
+    """Removes what killed workers left of these images; those of other shards are of other poses, and so of other
     names. Each folder is listed once: it may hold thousands."""
     for folder in {file.parent for file in files}:
         for left in folder.glob(".*.*.png"):
@@ -151,7 +151,7 @@ def _process(program: list[str], folder: Path, threads: int, log: IO[bytes]) -> 
             _stream(process.stdin).close()
             process.wait(END_S)
         finally:
-            # between two pictures the end of its input is enough; in the middle of one nobody waits for it
+            # between two images the end of its input is enough; in the middle of one nobody waits for it
             if process.poll() is None:
                 process.kill()
                 process.wait()
@@ -170,8 +170,8 @@ def _answer(process: subprocess.Popen[str], log: IO[bytes], python: Path) -> dic
         raise InputError(f"{python}: {message['error']}", remedy=_REMEDY)
     if "error" in message:
         raise RetryError(
-            f"Blender could not make {message.get('file', 'a picture')}: {message['error']}",
-            remedy="Check the disk and start the same command again: finished pictures are kept.",
+            f"Blender could not make {message.get('file', 'an image')}: {message['error']}",
+            remedy="Check the disk and start the same command again: finished images are kept.",
         )
     return message
 
@@ -184,7 +184,7 @@ def _ended(process: subprocess.Popen[str], log: IO[bytes]) -> RetryError:
     said = " | ".join(words) or "nothing"
     return RetryError(
         f"Blender's Python ended with exit code {process.poll()}; its last words: {said}",
-        remedy="Start the same command again: finished pictures are kept.",
+        remedy="Start the same command again: finished images are kept.",
     )
 
 

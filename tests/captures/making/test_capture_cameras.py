@@ -82,8 +82,8 @@ def test_directions_are_unit_vectors_and_apart(count):
         (CameraPlan(0, 0, 334, 512), "cameras"),
         (CameraPlan(4, 4, 334, 512), "close-ups"),
         (CameraPlan(4, -1, 334, 512), "close-ups"),
-        (CameraPlan(4, 1, 3, 512), "picture"),
-        (CameraPlan(4, 1, 334, 99999), "picture"),
+        (CameraPlan(4, 1, 3, 512), "image"),
+        (CameraPlan(4, 1, 334, 99999), "image"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(plan, named, posed):
