@@ -38,7 +38,6 @@ def _digest_of(avatar: HandAvatar) -> str:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Adds a value, and all that it holds in its order, to a digest of hashlib."""
     if isinstance(value, np.ndarray):
         digest.update(f"{value.dtype} {value.shape} ".encode() + value.tobytes())
     elif isinstance(value, dict):

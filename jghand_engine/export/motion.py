@@ -65,7 +65,6 @@ class HandMotion:
         return self._joints_m[index, 0]
 
     def frame(self, index: int) -> PosedHand:
-        """The Gaussians as the engine draws them in one frame."""
         return self._posing(self._joints_m[index])
 
     def rest(self) -> PosedHand:
@@ -98,7 +97,6 @@ class HandMotion:
         return self._poses(self._rest_joints_m[None])
 
     def poses(self) -> Iterator[BonePoses]:
-        """The bones of every frame, BATCH_FRAMES frames at a time."""
         for first in range(0, len(self), BATCH_FRAMES):
             yield self._poses(self._joints_m[first : first + BATCH_FRAMES])
 

@@ -147,7 +147,6 @@ def joint_reach_m(avatar: HandAvatar) -> np.ndarray:
 
 
 def _bones_at(level: int) -> list[int]:
-    """Numbers of the bones that end or begin at a joint of the level order."""
     children = [child for child in range(1, JOINT_COUNT) if PARENTS[child] == level]
     return [int(STANDARD_OF_LEVEL[bone]) for bone in (level, *children) if bone]
 

@@ -29,7 +29,6 @@ COLOR_TAGS = "range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966
 
 
 def ffmpeg_program() -> str:
-    """The path of the ffmpeg program. Raises InputError that says how to get it."""
     try:
         import imageio_ffmpeg
 

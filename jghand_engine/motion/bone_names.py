@@ -195,7 +195,6 @@ def side_of(text: str) -> Handedness | None:
 
 
 def _key(name: str) -> str:
-    """A name without case and separators."""
     return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 

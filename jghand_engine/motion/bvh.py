@@ -101,7 +101,6 @@ def _up(names: list[str], rest: np.ndarray) -> tuple[str, list[str]]:
 
 
 def _path(joints: list[_Joint], place: int) -> Iterator[int]:
-    """A joint and all above it."""
     while place >= 0:
         yield place
         place = joints[place].parent
@@ -125,7 +124,6 @@ def _local(joint: _Joint, first: int, last: int) -> np.ndarray:
 
 
 def _joints(lines: Iterator[str]) -> list[_Joint]:
-    """Everything before the motion."""
     joints: list[_Joint] = []
     path: list[int] = []
     opened, columns, in_end = -1, 0, False
@@ -173,7 +171,6 @@ def _statements(line: str) -> Iterator[list[str]]:
 
 
 def _frames_and_time(lines: Iterator[str]) -> tuple[int, float]:
-    """Of `Frames: n` and `Frame Time: seconds`."""
     entries = (line.partition(":") for line in lines if line.strip())
     numbers = {" ".join(name.split()).casefold(): number for name, _, number in islice(entries, 2)}
     if set(numbers) != {"frames", "frame time"}:

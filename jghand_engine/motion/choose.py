@@ -128,7 +128,6 @@ def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[lis
 
 
 def _of_part(file: Path, tracks: list[HandTrack], part: str) -> list[HandTrack]:
-    """The tracks that a name means. InputError."""
     names = [track.part for track in tracks]
     found = named(part, names)
     if not found:

@@ -116,7 +116,6 @@ class HandTrack:
 
     @property
     def frames_seen(self) -> int:
-        """Frames in which any joint is there."""
         return int(np.isfinite(self.joints).all(axis=-1).any(axis=-1).sum())
 
 
@@ -211,7 +210,6 @@ class FrameHands:
         self.times.append(time)
 
     def tracks(self, *, labeled: bool) -> tuple[HandTrack, ...]:
-        """A track of each side."""
         result = []
         for (side, order, joint_count), frames in self._hands.items():
             joints = np.full((len(self.times), joint_count, 3), np.nan)

@@ -175,7 +175,6 @@ def _of_lines(file: Path) -> list[HandTrack]:
 
 
 def _frames(lines: list[list[tuple[float, ...]]]) -> tuple[np.ndarray, list[float]]:
-    """Joints (F, 21, 3) and times from the lines of each joint."""
     numbers = [int(line[0]) for one in lines for line in one]
     first, count = min(numbers), max(numbers) - min(numbers) + 1
     check_frame_count(count)

@@ -21,7 +21,6 @@ GAP_STEPS = 30
 
 
 def _recognizes(source: Source) -> bool:
-    """By the first frame of the first capture."""
     capture = next(iter(source.document.values()), None) if isinstance(source.document, Mapping) else None
     frame = next(iter(capture.values()), None) if isinstance(capture, Mapping) else None
     return isinstance(frame, Mapping) and "world_coord" in frame
@@ -58,7 +57,6 @@ def _sequences(frames: dict[int, np.ndarray]) -> Iterator[tuple[int, np.ndarray]
 
 
 def _frame(entry: Mapping[str, Any]) -> np.ndarray:
-    """Joints (42, 3), NaN where they are not valid."""
     coordinates = np.array(entry["world_coord"], dtype=np.float64).reshape(2 * JOINT_COUNT, 3)
     valid = np.array(entry.get("joint_valid", [1] * 2 * JOINT_COUNT)).reshape(2 * JOINT_COUNT, 1)
     return np.where(valid > 0, coordinates, np.nan)

@@ -55,7 +55,6 @@ def _read(source: Source, _wanted: MotionFormat) -> MotionContent:
 
 
 def _content(documents: Iterable[Any]) -> MotionContent:
-    """Of frames, None where there is none."""
     collected, flat_only, crowded = FrameHands(), 0, 0
     for document in documents:
         people = [] if document is None else document["people"]

@@ -151,7 +151,6 @@ def _evenly(
 def _by_clock(
     file: Path, times_s: np.ndarray, level_m: np.ndarray, filled: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float, list[str]]:
-    """`_evenly` for frames at these times."""
     fps, numbers = even_frames(times_s)
     if not is_one_motion(len(times_s), times_s[-1] - times_s[0], fps):
         steps_s = np.diff(times_s)

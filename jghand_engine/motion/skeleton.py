@@ -65,7 +65,6 @@ def hand_tracks(skeleton: Skeleton, part: str, bones: BoneMap | None = None) -> 
 
 
 def _joints(skeleton: Skeleton, hand: NamedHand, tips: dict[int, tuple[int, np.ndarray]]) -> np.ndarray:
-    """(F, 21, 3) joints in the standard order."""
     wanted = [tips[place][0] if bone is None else bone for place, bone in enumerate(hand.bones)]
     joints = np.empty((skeleton.frame_count, JOINT_COUNT, 3))
     for first in range(0, skeleton.frame_count, FRAMES_AT_ONCE):

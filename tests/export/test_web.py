@@ -4,7 +4,6 @@ the engine does. In a browser it is tried by scripts/check_web_page.py."""
 from __future__ import annotations
 
 import base64
-import ctypes
 import errno
 import gzip
 import json
@@ -29,12 +28,10 @@ from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.export.web import page as web
 from jghand_engine.export.web.hand import with_cheap_correctives
-from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.export.web.page import WebOptions, WebView, export_web
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ArticulatedHand
@@ -44,7 +41,6 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill
 from jghand_engine.learn.skinning import pose_gaussians
-from jghand_engine.native.learned_tasks import LearnedTask
 
 VIEW = WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21)
 FILES = {"index.html", "hand.js", "pose.js", "viewer.js", "LICENSES.txt"}
@@ -197,13 +193,6 @@ def test_an_impossible_option_is_named(what, options):
         WebOptions(**options)
 
 
-def test_a_network_that_the_kernels_do_not_know_is_refused(tmp_path):
-    wide = trained_avatar(shape=PoseNetShape(octaves=(2, 2, 2), angle_channels=4, angle_texels=3, hidden=264))
-    with pytest.raises(InputError, match="jghand distill"):
-        exported(tmp_path, wide)
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_installation_without_the_viewer_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(web, "ASSETS", tmp_path / "nowhere")
     with pytest.raises(RetryError, match="Install JGHand anew"):
@@ -229,33 +218,6 @@ def test_a_page_that_fails_is_reported_as_one_that_shows_nothing():
 
 
 # ---- how arrays are packed -------------------------------------------------------------------------------------------
-
-
-def test_rounded_numbers_keep_zero_and_are_off_by_half_a_step():
-    values = np.random.default_rng(0).uniform(0, [[0.2], [0.001], [0.0]], (50, 3, 16))
-    values[0] = 0
-    pack = Pack()
-    pack.exact("first", np.arange(3, dtype=np.int8), "i1")
-    pack.rounded("values", values)
-    about = pack.about["values"]
-    content = gzip.decompress(base64.b64decode(pack.packed()))
-    levels = np.frombuffer(content, "<u2", values.size, about["at"]).reshape(values.shape)
-    found = np.array(about["low"])[:, None] + np.array(about["step"])[:, None] * levels
-    assert np.array_equal(found[0], np.zeros((3, 16)))
-    assert (np.abs(found - values) <= 0.5 * np.array(about["step"])[:, None] + 1e-12).all()
-
-
-def test_a_task_in_words_has_every_number_at_its_place():
-    task = LearnedTask(rim=0.5, correctives=3, basis=7)
-    task.skin.shift[:] = [1.0, 2.0, 3.0]
-    found = task_in_words(task)
-    words = np.array(found["words"], np.uint32)
-    assert words[found["fields"]["rim"] :][:1].view(np.float32) == 0.5
-    assert np.array_equal(words[found["fields"]["skin.shift"] :][:3].view(np.float32), [1, 2, 3])
-    assert words[found["fields"]["correctives"]] == 3
-    assert found["pointers"]["skin.rest"] == 0
-    # of 8 bytes here and of 4 there; what fills up places between them is gone
-    assert len(words) * 4 + 4 * len(found["pointers"]) <= ctypes.sizeof(LearnedTask) < len(words) * 8
 
 
 # ---- how the page poses ----------------------------------------------------------------------------------------------

@@ -72,11 +72,6 @@ def test_a_file_that_is_cut_off_anywhere_is_refused(tmp_path, format):
 
 
 @pytest.mark.parametrize("format", READ)
-def test_trailing_rubbish_is_refused(tmp_path, format):
-    refused_content(tmp_path, format, content(format) + b"rubbish")
-
-
-@pytest.mark.parametrize("format", READ)
 def test_a_file_of_another_kind_is_refused(tmp_path, format):
     for other in (b"\x89PNG\r\n\x1a\n" + bytes(25), b"ply\n" * 10_001, bytes(100_001), b"\xff" * 100_001):
         refused_content(tmp_path, format, other)
@@ -153,12 +148,6 @@ def test_harmonics_of_higher_degrees_are_left_out(tmp_path):
     path = tmp_path / "hand.spz"
     path.write_bytes(gzip.compress(plain[:12] + b"\x03" + plain[13:] + bytes(300 * 45), mtime=0))
     assert np.abs(read_splats(path).positions_m - cloud().positions_m).max() < 3e-6
-
-
-def test_a_wrong_checksum_is_noticed(tmp_path):
-    data = bytearray(content("spz"))
-    data[-5] ^= 1
-    refused_content(tmp_path, "spz", bytes(data))
 
 
 @pytest.mark.parametrize("format", READ)

@@ -67,7 +67,6 @@ class SplatCloud:
 def _shapes(
     sigma_m: np.ndarray, covariance_m2: np.ndarray | None, axes_from_world: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Scales and rotations: of balls, or of ellipsoids (N, 6) by the axes of their covariance."""
     if covariance_m2 is None:
         return sigma_m[:, None], np.array([[1.0, 0.0, 0.0, 0.0]])
     scales_m, axes = _scales_and_axes(covariance_m2, axes_from_world)

@@ -85,7 +85,6 @@ class SplatOptions:
 
     @property
     def written_axes(self) -> str:
-        """The axes of the numbers in the files."""
         return self.axes or self._format.axes[0]
 
     def path(self, folder: Path, index: int) -> Path:
@@ -152,7 +151,6 @@ class SplatMotion:
         self._motion, self._axes, self._up = HandMotion(avatar, sequence), axes, up
 
     def cloud(self, index: int) -> SplatCloud:
-        """The Gaussians of one frame."""
         return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
 
 

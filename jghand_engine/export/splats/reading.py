@@ -54,7 +54,6 @@ def read_splats(path: Path | str) -> SplatCloud:
 
 
 def splat_findings(cloud: SplatCloud) -> Iterator[str]:
-    """What is suspicious, in sentences."""
     if not len(cloud):
         yield "there are no Gaussians"
         return

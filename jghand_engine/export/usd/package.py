@@ -138,12 +138,10 @@ class UsdOptions:
 
     @property
     def is_half(self) -> bool:
-        """Whether the splats are in half precision."""
         return self.precision == "half"
 
     @property
     def variants(self) -> tuple[Variant, ...]:
-        """Those that the stage offers."""
         return tuple(one for one in Variant if not (self.is_half and one is Variant.POINTS))
 
     @property
@@ -402,7 +400,6 @@ class _Writer:
         return SplatLayer(Usd.Stage.Open(str(target)), self._span, self._look, self._cloud.sigma_m, *paths)
 
     def _write_frames(self, layer: SplatLayer | None) -> None:
-        """All of them into a layer; None for a file that has none."""
         if layer is None:
             self._progress(self._span.frames, self._span.frames)
             return
@@ -439,7 +436,6 @@ class _Writer:
 
     @property
     def _has_sizes(self) -> bool:
-        """Whether every frame has sizes of its own."""
         return self._options.sizes == "per_frame" or self._motion.has_ellipsoids
 
     @contextlib.contextmanager

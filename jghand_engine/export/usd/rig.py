@@ -106,7 +106,6 @@ def joint_tokens() -> tuple[str, ...]:
 
 
 def build_skeleton(rest: BonePoses) -> UsdSkeleton:
-    """The skeleton at rest (one frame)."""
     rotations, positions_m = _world(rest.joints_m, rest.axes)
     local_rotations, local_positions_m = _local(rotations, positions_m)
     return UsdSkeleton(
@@ -173,7 +172,6 @@ def skin_influences(
 
 
 def _world(joints_m: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World rotations (F, 63, 3, 3) and positions (F, 63, 3) of all joints."""
     level = list(LEVEL_OF_STANDARD)
     starts = [0 if bone == 0 else bone + 5 if bone <= 15 else bone for bone in level]
     rotations = np.concatenate([axes[:, starts], axes[:, level], axes[:, level]], axis=1)
@@ -330,5 +328,4 @@ def _add_points(
 
 
 def _matrices(matrices: np.ndarray) -> Vt.Matrix4dArray:
-    """(N, 4, 4) maps of column vectors."""
     return Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(matrices.transpose(0, 2, 1), np.float64))

@@ -160,7 +160,6 @@ class SplatLayer:
         return layer
 
     def put(self, frame: int, sample: Sample) -> None:
-        """The time sample of a frame, counted from 0."""
         time = self._time.code(frame)
         sigma_m = self._sigma_m if sample.sigma_m is None else sample.sigma_m
         if sample.rgb is not None:
@@ -177,7 +176,6 @@ class SplatLayer:
         self._unsaved = 0
 
     def _put_positions(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
-        """Centers and bounds."""
         values = vec3f(sample.positions_m)
         if self._splats is not None:
             positions_m = sample.positions_m

@@ -76,7 +76,6 @@ class TimeRange:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def code(self, index: int) -> Usd.TimeCode:
-        """The time of the frame with this index, counted from 0."""
         return Usd.TimeCode(self.first + index)
 
 
@@ -107,7 +106,6 @@ def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName) -> Usd.At
 
 
 def set_uniform(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: Any) -> None:
-    """The same for a value that cannot change over time."""
     prim.CreateAttribute(name, type_name, False, Sdf.VariabilityUniform).Set(value)
 
 
@@ -134,7 +132,6 @@ def bound(positions_m: np.ndarray, radius_m: np.ndarray) -> Vt.Vec3fArray:
 
 
 def vec3f(array: np.ndarray) -> Vt.Vec3fArray:
-    """(N, 3) numbers."""
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(array, np.float32))
 
 
@@ -144,12 +141,10 @@ def vec3h(array: np.ndarray) -> Vt.Vec3hArray:
 
 
 def floats(array: np.ndarray) -> Vt.FloatArray:
-    """Numbers of any shape, flattened."""
     return Vt.FloatArray.FromNumpy(np.ascontiguousarray(array, np.float32).ravel())
 
 
 def ints(array: np.ndarray) -> Vt.IntArray:
-    """Integers of any shape, flattened."""
     return Vt.IntArray.FromNumpy(np.ascontiguousarray(array, np.int32).ravel())
 
 
@@ -159,7 +154,6 @@ def quatf(array_xyzw: np.ndarray) -> Vt.QuatfArray:
 
 
 def matrix4d(matrix: np.ndarray) -> Gf.Matrix4d:
-    """(4, 4) map of column vectors."""
     return Gf.Matrix4d(np.ascontiguousarray(matrix.T, np.float64))
 
 

@@ -12,12 +12,11 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep
-from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, NoStep, corrective_step
+from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
 from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.avatar.tiers import Tier
-from jghand_engine.errors import InputError
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.native.learned_tasks import LearnedTask
 
@@ -41,7 +40,7 @@ def with_cheap_correctives(avatar: HandAvatar) -> tuple[HandAvatar, str]:
 def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     """Adds an avatar's arrays to `pack`, and says in plain data what else there is to know of posing it.
 
-    avatar: with the correctives that the page shall compute. InputError for correctives that the kernels do not know.
+    avatar: with the correctives that the page shall compute.
     """
     blocks = Blocks(avatar.position_m)
     learned = avatar.learned
@@ -90,15 +89,9 @@ def _add(pack: Pack, name: str, array: np.ndarray) -> None:
 def _correctives(
     learned: Learned, avatar: HandAvatar, blocks: Blocks, task: LearnedTask, arrays: dict[str, np.ndarray]
 ) -> dict[str, Any] | None:
-    """Adds their arrays; what is prepared of them for every pose."""
     step = corrective_step(learned.correctives, avatar, blocks, task)
-    if isinstance(step, NoStep):
-        return None
     if not isinstance(step, LinearStep | NetworkStep):
-        raise InputError(
-            f"correctives of avatar {avatar.info.name}", wanted="ones that the kernels know", came="a wider network",
-            remedy="`jghand distill` adds cheaper ones.",
-        )  # fmt: skip
+        return None
     arrays |= step.arrays
     arrays["texels"] = step.features.texels
     about: dict[str, Any] = {"features": _features(step.features)}
@@ -121,7 +114,6 @@ def _features(features: PoseFeatures) -> dict[str, Any]:
 def _cast(
     learned: Learned, avatar: HandAvatar, blocks: Blocks, task: LearnedTask, arrays: dict[str, np.ndarray]
 ) -> dict[str, Any] | None:
-    """Adds the arrays of the cast shadow; what is prepared of it for every pose."""
     if learned.cast is None:
         return None
     cast = CastStep(learned.cast, avatar, blocks, task)

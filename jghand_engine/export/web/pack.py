@@ -30,7 +30,6 @@ class Pack:
         self._end = 0
 
     def exact(self, name: str, array: np.ndarray, kind: str) -> None:
-        """As it is, in a kind of f8, f4, i4 or i1."""
         self._add(name, kind, array.shape, np.ascontiguousarray(array, _EXACT[kind]))
 
     def rounded(self, name: str, array: np.ndarray) -> None:
@@ -51,7 +50,6 @@ class Pack:
         self._add(name, kind, array.shape, array.astype(dtype))
 
     def empty(self, name: str, shape: tuple[int, ...]) -> None:
-        """Room for float32 that the page computes."""
         self.about[name] = {"kind": "empty", "shape": list(shape)}
 
     def packed(self) -> str:

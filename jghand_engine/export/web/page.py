@@ -185,7 +185,6 @@ def _learned_from(avatar: HandAvatar) -> str:
 
 
 def _notes(avatar: HandAvatar) -> list[str]:
-    """What the page's picture lacks."""
     shadow = ShadowLook() if avatar.learned is None else avatar.learned.shadow
     if shadow is None or not shadow.is_seen:
         return []
