@@ -542,8 +542,9 @@ def test_blenders_own_export_says_which_hands_it_leaves_out(extension, tmp_path,
     window = SimpleNamespace(app=SimpleNamespace(background=False), context=bpy.context)
     bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
     assert f"{name}: left out." in capfd.readouterr().err
-    monkeypatch.setattr(usd_hook.ui, "bpy", window)
-    bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
+    with monkeypatch.context() as in_a_window:
+        in_a_window.setattr(usd_hook.ui, "bpy", window)
+        bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
     assert not shown  # Blender's export has a thread of its own: the timer shows it
     for _ in range(2):
         handlers.tick()
