@@ -62,16 +62,6 @@ def test_the_split_first_layer_has_the_gradients_of_the_plain_network():
         torch.testing.assert_close(ours, theirs, atol=3e-6 * float(theirs.abs().max()), rtol=0)
 
 
-def test_waves_that_do_not_count_yet_are_not_seen():
-    net, frames = net_of(), frames_of()
-    none = net(frames, wave_weight=torch.zeros(2 * sum(SMALL_NET.octaves)))
-    elsewhere = PoseNet(AVATAR.bone_weights, AVATAR.uvd.flip(0), SMALL_NET)
-    elsewhere.load_state_dict(net.state_dict())
-    assert torch.equal(none.offset_m, elsewhere(frames, wave_weight=torch.zeros(10)).offset_m)
-    assert not torch.equal(net(frames).offset_m, elsewhere(frames).offset_m)
-    assert torch.equal(net(frames).offset_m, net(frames, wave_weight=torch.ones(10)).offset_m)
-
-
 def test_no_weight_carries_an_offset_beyond_its_reach_nor_a_shade_beyond_its_limit():
     net = net_of(replace(SMALL_NET, reach_m=0.004), by=30.0)
     got = net(frames_of("claw"))
@@ -108,19 +98,6 @@ def test_a_prefix_says_the_same_of_the_first_gaussians():
         torch.testing.assert_close(shorter.shade, whole.shade[:17], atol=9e-7, rtol=0)
 
 
-def test_a_prefix_shares_its_parameters():
-    net = net_of()
-    shorter = net.prefix(17)
-    mine, theirs = dict(net.named_parameters()), dict(shorter.named_parameters())
-    assert list(mine) == list(theirs)
-    assert all(mine[name] is theirs[name] for name in mine)
-    shorter(frames_of()).offset_m.sum().backward()
-    assert all(parameter.grad is not None and parameter.grad.any() for parameter in net.parameters())
-    # and a prefix of a prefix is one
-    frames = frames_of()
-    torch.testing.assert_close(shorter.prefix(5)(frames).shade, net(frames, 5).shade)
-
-
 def test_gaussians_beyond_a_prefix_pull_at_nothing():
     net, frames = net_of(), frames_of()
     (through_prefix,) = torch.autograd.grad(net.prefix(9)(frames).shade.sum(), net.out.weight)
@@ -144,11 +121,3 @@ def test_gradients_of_every_parameter_are_those_of_finite_differences():
         return torch.cat([100 * got.offset_m, got.shade], 1)
 
     assert torch.autograd.gradcheck(correction, tuple(net.parameters()), eps=1e-6, atol=1e-5, rtol=1e-3)
-
-
-def test_what_a_checkpoint_holds_of_the_network_is_its_weights():
-    """Encoding and skin weights follow from the points."""
-    assert sorted(net_of().state_dict()) == sorted(
-        ["angles.planes", "angles_in.weight", "encoding_in.bias", "encoding_in.weight", "middle.bias", "middle.weight",
-         "out.bias", "out.weight"]
-    )  # fmt: skip

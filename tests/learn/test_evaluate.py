@@ -17,7 +17,6 @@ from jghand_engine.learn.evaluate import (
     Evaluation,
     categories_of,
     finger_flexion_deg,
-    means,
     measure_pictures,
     spread,
 )
@@ -81,12 +80,6 @@ def test_a_limit_takes_pictures_from_end_to_end(capture):
     assert len(spread(samples, 5)) == 5
 
 
-def test_groups_hold_every_category_and_all(evaluation):
-    groups = evaluation.groups()
-    assert list(groups) == ["novel pose", "novel view", "both novel", "all"]
-    assert sum(map(len, groups.values())) == 2 * len(evaluation.pictures)
-
-
 def test_regions_of_flexion_hold_every_picture_once(evaluation):
     regions = evaluation.regions()
     assert sum(map(len, regions.values())) == len(evaluation.pictures)
@@ -97,11 +90,6 @@ def test_regions_of_flexion_hold_every_picture_once(evaluation):
 def test_flexion_tells_an_open_hand_from_a_fist(handedness):
     assert finger_flexion_deg(pose(0, handedness), handedness) < 10
     assert 75 < finger_flexion_deg(pose(1, handedness), handedness) < 95
-
-
-def test_means_are_of_the_decibels(evaluation):
-    few = evaluation.pictures[:3]
-    assert means(few)["psnr_full"] == pytest.approx(np.mean([p.scores["psnr_full"] for p in few]))
 
 
 def test_perceptual_metrics_are_taken_on_the_picture_and_on_the_box(capture, split):
@@ -181,10 +169,3 @@ def test_masks_of_our_own_silhouette_are_told(evaluation):
     ours = Evaluation("a", "b", "c", (replace(picture, sample=sample),))
     for table in (tables.figures_table(ours, "box"), tables.rendering_table([ours])):
         assert any("projected" in note for note in table.notes)
-
-
-def test_markdown_has_a_head_a_rule_and_all_rows(evaluation):
-    lines = tables.flexion_table(evaluation).markdown().splitlines()
-    assert lines[0].startswith("### ")
-    assert lines[3].startswith("| --- | ---: |")
-    assert len([line for line in lines if line.startswith("| ")]) == 2 + len(evaluation.regions())

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, small_points, stirred
+from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, stirred
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M
 from jghand_engine.avatar.learned import LOG_STRETCH_MAX
@@ -18,7 +18,6 @@ from jghand_engine.learn.model import (
     SHADOW_GAIN_RANGE,
     SHINE_SPREAD,
     LearnedHand,
-    ModelOptions,
     OffsetFrame,
 )
 from jghand_engine.learn.tensors import HandTensors, LearnedTensors
@@ -147,15 +146,6 @@ def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_re
     assert float(hand.lobe_log_sharpness[0].detach()) == pytest.approx(math.log(LOBE_SHARPNESS_MAX) - 1)
 
 
-def test_what_is_in_its_range_is_left_alone():
-    hand, same = (
-        small_hand(replace(SMALL_MODEL, anisotropic=True)),
-        small_hand(replace(SMALL_MODEL, anisotropic=True)),
-    )
-    hand.keep_in_range()
-    assert equal(hand, same)
-
-
 # ---- options ---------------------------------------------------------------------------------------------------------
 
 
@@ -230,22 +220,6 @@ def test_gradients_reach_every_parameter(anisotropic):
     assert all(bool(torch.isfinite(p.grad).all()) for p in hand.parameters() if p.grad is not None)
 
 
-def test_the_heads_give_what_they_are_named_after():
-    """Each of the eleven outputs moves one thing and no other."""
-    parts = {range(3): "position_m", range(3, 6): "rgb", range(6, 7): "opacity"}
-    for rows, name in parts.items():
-        for row in rows:
-            hand = small_hand()
-            (gradient,) = torch.autograd.grad(getattr(avatar_of(hand), name).sum(), hand.heads.bias)
-            assert gradient[row] != 0
-            assert not gradient[[other for other in range(11) if other not in rows]].any()
-    for rows, name in ((range(7, 10), "normal"), (range(10, 11), "shine")):
-        hand = small_hand()
-        (gradient,) = torch.autograd.grad(getattr(learned_of(hand), name).sum(), hand.heads.bias)
-        assert bool((gradient[list(rows)] != 0).all())
-        assert not gradient[[other for other in range(11) if other not in rows]].any()
-
-
 # ---- levels of detail ------------------------------------------------------------------------------------------------
 
 
@@ -289,31 +263,3 @@ def test_all_gaussians_keep_the_gradient_of_their_radii():
     (gradient,) = torch.autograd.grad(avatar.sigma_m.sum(), hand.log_sigma)
     inside = torch.arange(300) % 5 != 0
     torch.testing.assert_close(gradient[inside], avatar.sigma_m.detach()[inside])
-
-
-def test_gaussians_that_join_take_over_the_growth_of_their_neighbors():
-    hand = small_hand()
-    nearest = torch.randint(0, 100, (150,), generator=torch.Generator().manual_seed(5))
-    before, start = hand.log_sigma.detach().clone(), hand.points.sigma_m.log()
-    hand.spread_radii(100, nearest)
-    after = hand.log_sigma.detach()
-    torch.testing.assert_close(after[100:250] - start[100:250], (before - start)[nearest], atol=1e-6, rtol=0)
-    # neither those that have been there nor those that are still to come
-    assert torch.equal(after[:100], before[:100])
-    assert torch.equal(after[250:], before[250:])
-    assert hand.log_sigma.requires_grad
-
-
-def test_what_a_checkpoint_holds_are_parameters():
-    """Everything else follows from the points, so that a state of 300 Gaussians fits any with as many."""
-    hand = small_hand()
-    assert set(hand.state_dict()) == {name for name, _ in hand.named_parameters()}
-    other = LearnedHand(small_points(300, seed=1), SMALL_MODEL, 9)
-    other.load_state_dict(hand.state_dict())
-    assert equal(other, hand)
-
-
-def test_the_options_of_the_paper_make_a_hand():
-    paper = ModelOptions(gaussians=300, offset_frame=OffsetFrame.WORLD, lit=False, glossy=False, opacity_bias=-2.2)
-    hand = LearnedHand(small_points(300), replace(paper, plane_texels=12, depth_texels=4), 0)
-    torch.testing.assert_close(avatar_of(hand).opacity, torch.full((300,), 0.1), atol=3e-4, rtol=0)

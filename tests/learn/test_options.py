@@ -50,15 +50,6 @@ def test_the_terms_have_the_papers_weights():
     assert PAPER_FAITHFUL.loss == wanted
 
 
-def test_the_papers_training_has_no_stages():
-    schedule = PAPER_FAITHFUL.schedule
-    for part in (0.0, 0.3, 1.0):
-        assert at_part(schedule.levels, part) == 1.0
-        assert at_part(schedule.strides, part) == 1
-    assert schedule.waves is None
-    assert schedule.perceptual_from == 0
-
-
 def test_a_stage_lasts_until_the_next_begins():
     stages = ((0.0, 0.4), (0.5, 0.7), (0.75, 1.0))
     values = [at_part(stages, part) for part in (0.0, 0.49, 0.5, 0.74, 0.75, 1.0)]
@@ -92,15 +83,6 @@ def test_an_ablation_differs_in_nothing_but_what_it_leaves_out(preset, row, name
     if row == "w/o shadow" and PRESETS[preset].model.cast_shadow:
         names = {*names, "model.cast_shadow"}
     assert differing(asdict(PRESETS[preset]), asdict(rows[row])) == names
-
-
-def test_the_rows_are_those_of_the_papers_table():
-    rows = ablations(TrainOptions())
-    assert list(rows) == ["w/o trans", "w/o shadow", "w/o iso", "full"]
-    assert rows["w/o trans"].transform is Transform.HALO_LIKE
-    assert rows["w/o shadow"].shadow is False
-    assert rows["w/o shadow"].model.cast_shadow is False
-    assert rows["w/o iso"].model.anisotropic
 
 
 @pytest.mark.parametrize(

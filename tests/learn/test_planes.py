@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 from torch.nn import functional
 
@@ -120,17 +119,3 @@ def test_the_three_planes_span_uv_ud_and_vd():
     features = planes(50).detach()
     wanted = uvd[:, [0, 1, 0, 2, 1, 2]]
     torch.testing.assert_close(features[:, [0, 1, 32, 33, 48, 49]], wanted, atol=1e-6, rtol=0)
-
-
-def test_the_roughness_of_the_three_planes_adds_up():
-    planes, _ = identity_planes()
-    for parameter in planes.parameters():
-        torch.nn.init.normal_(parameter)
-    parts = [plane.roughness() for plane in (planes.uv, planes.ud, planes.vd)]
-    assert float(planes.roughness().detach()) == pytest.approx(sum(float(part.detach()) for part in parts))
-
-
-def test_what_a_checkpoint_holds_of_a_plane_is_its_texels():
-    """Corners and weights follow from the points: they are no state."""
-    planes, _ = identity_planes()
-    assert sorted(planes.state_dict()) == ["ud.texels", "uv.texels", "vd.texels"]

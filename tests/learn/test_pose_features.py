@@ -187,11 +187,6 @@ def test_gradients_of_the_planes_are_those_of_finite_differences():
     )
 
 
-def test_a_hand_in_double_precision_gives_features_in_that_of_the_planes():
-    assert AnglePlanes(2, TEXELS, level1=True)(frames_of()).dtype == torch.float32
-    assert AnglePlanes(2, TEXELS, level1=True).double()(frames_of()).dtype == torch.float64
-
-
 # ---- positional encoding ---------------------------------------------------------------------------------------------
 
 
@@ -211,8 +206,3 @@ def test_every_wave_knows_its_octave():
     octaves = (3, 0, 2)
     assert octave_of_wave(octaves).tolist() == [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
     assert len(octave_of_wave(octaves)) == positional_encoding(np.zeros((1, 3)), octaves).shape[1]
-
-
-def test_a_coordinate_without_octaves_is_not_encoded():
-    one, other = np.array([[0.1, 0.2, 0.3]]), np.array([[0.1, 0.9, 0.3]])
-    assert np.array_equal(positional_encoding(one, (2, 0, 2)), positional_encoding(other, (2, 0, 2)))

@@ -93,12 +93,6 @@ def test_the_last_two_checkpoints_and_the_best_are_kept(options):
     assert kept == [f"step_000000{n}.safetensors" for n in (14, 56, 60)]
 
 
-def test_the_first_preview_comes_early(options):
-    """The first one after its own time, though later ones are far away."""
-    train(StandIn, replace(options, preview=Every(seconds=1e6, first_s=0.0)))
-    assert (options.work / "preview.jghand").exists()
-
-
 def test_a_log_line_averages_the_steps_since_the_last(options):
     train(StandIn, replace(options, log_steps=1))
     single = {step: loss for step, loss, _ in curve(options.work)}

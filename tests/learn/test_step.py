@@ -17,7 +17,7 @@ from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.model import SHADOW_GAIN_RANGE
-from jghand_engine.learn.options import LossWeights, Schedule, TrainOptions, Transform
+from jghand_engine.learn.options import LossWeights, TrainOptions, Transform
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.skinning import seen_from
@@ -198,10 +198,6 @@ def test_octaves_of_the_encoding_come_in_one_after_the_other(build):
     assert float(rising.diff(dim=0).max()) < math.pi / 2 * 0.499 / 59 / 0.2 + 1e-6
 
 
-def test_without_annealing_all_octaves_count_from_the_start(build):
-    assert build(scheduled(waves=None))._wave_weight(0.0) is None
-
-
 def test_octaves_that_do_not_count_yet_are_not_learned(build):
     for waves, silent in (((0.0, 1.0), True), (None, False)):
         training = build(scheduled(waves=waves))
@@ -243,21 +239,6 @@ def test_the_loss_is_the_sum_of_its_terms(build):
     terms = {name: value for name, value in figures.items() if name not in ("loss", "gaussians", "gradient")}
     assert len(terms) == 5  # the perceptual one comes later
     assert figures["loss"] == pytest.approx(sum(terms.values()))
-
-
-def test_pictures_of_a_step_count_alike(build, samples):
-    training = build(replace(SMALL, loss=EVERYTHING))
-    both = terms_of(training, samples[3:5])
-    one, other = (terms_of(training, [sample]) for sample in samples[3:5])
-    for name in ("l1", "ssim", "mask"):
-        assert both[name] == pytest.approx((one[name] + other[name]) / 2)
-    for name in ("offset", "roughness"):
-        assert both[name] == pytest.approx(one[name])
-
-
-def test_terms_without_a_weight_are_left_out(build, samples):
-    bare = replace(EVERYTHING, ssim=0.0, roughness=0.0)
-    assert set(terms_of(build(replace(SMALL, loss=bare)), samples[:1])) == {"l1", "mask", "offset"}
 
 
 def test_the_perceptual_term_comes_when_it_is_time(build, samples):
@@ -406,13 +387,6 @@ def test_the_ablation_follows_the_joints_in_its_own_way(build, samples):
     assert float((maps[0] - maps[1]).abs().max()) > 1e-3
 
 
-def test_bones_follow_the_conventions_of_the_model(build):
-    options = replace(SMALL, model=replace(SMALL_MODEL, swing="euler", scale_mode="uniform"))
-    training = build(options)
-    assert (training._transform.swing, training._transform.exponent) == ("euler", 1.0)
-    assert (training.avatar().info.swing, training.avatar().info.scale_mode) == ("euler", "uniform")
-
-
 def test_the_fixed_view_stands_beside_the_truth(build, samples):
     training = build()
     picture = training.preview()
@@ -466,10 +440,3 @@ def test_looking_at_the_fixed_view_changes_nothing(build):
     one.fixed_psnr()
     one.avatar()
     assert one.step(1) == other.step(1)
-
-
-def test_default_stages_let_a_short_training_reach_all_of_them(build):
-    """The plan of one step: its number is the end."""
-    training = build(replace(SMALL, schedule=Schedule(views=1)), moved=False)
-    training.plan(0)
-    assert training.step(1)["gaussians"] == 300
