@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-import torch
-
 from jghand_engine.learn.tables import NONE, Table
-from jghand_engine.study.stability_curves import CURVES, AutocastRow, Curve, autocast_row
+from jghand_engine.study.stability_curves import CURVES, Curve
 from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, hand_cases
 from jghand_engine.study.stability_measures import FEW, SKIN_MAX_M, HandRow, correctives_row, hand_row
 from jghand_engine.study.stability_pictures import PIXEL_MAX, PictureRow
@@ -30,8 +28,7 @@ FAR_OUTSIDE = (
     "bones +50 % and -50 % in turn",
     "random points that are no hand",
 )
-AUTOCAST = (torch.float16, torch.bfloat16)
-COUNT = len(hand_cases()) + len(FAR_OUTSIDE) + len(SCENES) + len(AUTOCAST) + len(CURVES)
+COUNT = len(hand_cases()) + len(FAR_OUTSIDE) + len(SCENES) + len(CURVES)
 
 
 @dataclass(frozen=True)
@@ -41,19 +38,10 @@ class Stability:
     hands: list[HandRow]
     correctives: list[HandRow]
     pictures: list[PictureRow]
-    autocast: list[AutocastRow]
     curves: list[Curve]
 
-    def as_dict(self) -> dict:
-        """Plain data for JSON."""
-        return {name: [row.as_dict() for row in rows] for name, rows in vars(self).items()}
-
     def tables(self) -> list[Table]:
-        return [
-            _hand_table([*self.hands, *self.correctives]),
-            _picture_table(self.pictures),
-            _autocast_table(self.autocast),
-        ]
+        return [_hand_table([*self.hands, *self.correctives]), _picture_table(self.pictures)]
 
     @property
     def headline(self) -> str:
@@ -86,7 +74,6 @@ def measure_stability(tick: Callable[[], None] = lambda: None) -> Stability:
         hands=list(ticked(hand_row(case) for case in hand_cases().values())),
         correctives=list(ticked(correctives_row(hand_cases()[name]) for name in FAR_OUTSIDE)),
         pictures=list(ticked(scene_row(case) for case in SCENES.values())),
-        autocast=list(ticked(autocast_row(precision) for precision in AUTOCAST)),
         curves=list(ticked(curve() for curve in CURVES)),
     )
 
@@ -143,14 +130,6 @@ def _picture_table(rows: list[PictureRow]) -> Table:
             "of the cut.",
             "Left out: Gaussians that cannot be drawn are counted, never drawn wrong.",
         ),
-    )
-
-
-def _autocast_table(rows: list[AutocastRow]) -> Table:
-    return Table(
-        "Half precision around the call (autocast)",
-        ("Precision", "Ours: skin moved, mm", "Usual: skin moved, mm"),
-        tuple((row.precision, short(row.ours_mm), short(row.usual_mm)) for row in rows),
     )
 
 

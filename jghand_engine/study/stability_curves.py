@@ -13,11 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import ZERO_BONE_EPS
 from jghand_engine.learn import rotations as rot
-from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import (
@@ -32,12 +30,10 @@ from jghand_engine.study.stability_hands import (
     template_size_m,
 )
 from jghand_engine.study.stability_measures import (
-    GAUSSIANS,
     Formulation,
     Skin,
     moved_mm,
     ours,
-    posed_avatar,
     random_nudges,
     transform_for,
     usual,
@@ -66,15 +62,6 @@ class Curve:
     ours: np.ndarray
     usual: np.ndarray
     visible: float | None = None
-
-    def as_dict(self) -> dict:
-        def plain(values: np.ndarray) -> list[float | None]:
-            return [float(value) if math.isfinite(value) else None for value in values]
-
-        return {
-            "name": self.name, "title": self.title, "x": self.x, "y": self.y, "usual way": self.way,
-            "distance": plain(self.distance), "ours": plain(self.ours), "usual": plain(self.usual),
-        }  # fmt: skip
 
 
 def _ours(joints_m: Tensor, dtype: torch.dtype) -> Skin:
@@ -280,38 +267,3 @@ def thin_needle() -> Curve:
 
 
 CURVES = (straight_twist, straight_error, sideways, folded, flat_palm, short_bone, far_away, thin_needle)
-
-
-# ---- half precision around us ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class AutocastRow:
-    """How far float16 or bfloat16 autocast around the call moves the skin, millimeters."""
-
-    precision: str
-    ours_mm: float
-    usual_mm: float
-
-    def as_dict(self) -> dict:
-        return dict(vars(self))
-
-
-def autocast_row(precision: torch.dtype) -> AutocastRow:
-    """Both ways on the fist, with and without autocast."""
-    joints_m = posed("fist")[None]
-
-    def moved(way: Formulation) -> float:
-        plain = way(joints_m, F32).skin
-        with torch.autocast("cpu", dtype=precision):
-            inside = way(joints_m, F32).skin
-        return 1e3 * float((inside.double() - plain.double()).norm(dim=-1).max())
-
-    return AutocastRow(str(precision).removeprefix("torch."), moved(_engine_skin), moved(_usual))
-
-
-def _engine_skin(joints_m: Tensor, dtype: torch.dtype) -> Skin:
-    """Ours through the engine's own skinning, which switches autocast off."""
-    avatar = load_painted(handedness=RIGHT).prefix(GAUSSIANS)
-    gaussians = posed_avatar(avatar, transform_of(avatar), (joints_m - joints_m[:, :1])[0].to(dtype))
-    return Skin(gaussians.position_m[None], gaussians.sigma_m.sum())

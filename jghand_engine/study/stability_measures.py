@@ -6,7 +6,6 @@ and the usual one (`stability_usual`). Lengths are given as on a hand of ordinar
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -88,10 +87,6 @@ class Measured:
     nudged_mm: float
     axes_mm: float
 
-    def as_dict(self) -> dict[str, float | bool | None]:
-        """Plain data for JSON, which has neither NaN nor infinity."""
-        return {k: v if isinstance(v, bool) or math.isfinite(v) else None for k, v in vars(self).items()}
-
 
 @dataclass(frozen=True)
 class HandRow:
@@ -103,13 +98,6 @@ class HandRow:
     usual: Measured | None
     picture: PictureError
     missed: list[str] = field(default_factory=list)
-
-    def as_dict(self) -> dict:
-        usual = None if self.usual is None else self.usual.as_dict()
-        return {
-            "name": self.name, "flags": self.flags, "ours": self.ours.as_dict(), "usual": usual,
-            "picture": self.picture.as_dict(), "missed": self.missed,
-        }  # fmt: skip
 
 
 @cache

@@ -5,7 +5,6 @@ The cases themselves stand in `stability_scenes`.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -46,9 +45,6 @@ class PictureError:
         """Promise 3 of RENDERING 13."""
         return self.finite and self.worst <= FLIP_MAX and self.flipped <= FLIPPED_MAX
 
-    def as_dict(self) -> dict:
-        return {**vars(self), "worst": self.worst if math.isfinite(self.worst) else None}
-
 
 @dataclass(frozen=True)
 class PictureRow:
@@ -63,13 +59,6 @@ class PictureRow:
     nudged: float
     note: str = ""
     missed: list[str] = field(default_factory=list)
-
-    def as_dict(self) -> dict:
-        number = {k: v if math.isfinite(v) else None for k, v in (("gradient", self.gradient), ("nudged", self.nudged))}
-        return {
-            "name": self.name, "picture": self.error.as_dict(), "gradient_finite": self.gradient_finite, **number,
-            "note": self.note, "missed": self.missed,
-        }  # fmt: skip
 
 
 def planes_of(picture: Picture) -> Tensor:

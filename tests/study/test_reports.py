@@ -27,7 +27,7 @@ from jghand_engine.study.accuracy_reference import Error
 from jghand_engine.study.accuracy_variants import BLEND, TOGETHER
 from jghand_engine.study.report import png_of
 from jghand_engine.study.stability import Stability, short
-from jghand_engine.study.stability_curves import AutocastRow, Curve
+from jghand_engine.study.stability_curves import Curve
 from jghand_engine.study.stability_measures import HandRow, Measured
 from jghand_engine.study.stability_pictures import PictureError, PictureRow
 
@@ -73,7 +73,7 @@ def hard_cases() -> Stability:
     usual = np.array([1.0, 10, 100, np.nan, 107])
     curve = Curve("straight_twist", "title", "below", "x", "y", "way", distance, np.full(5, 0.5), usual, visible=2.0)
     pictures = [PictureRow("picture", PICTURE, 1.0, True, 0.5)]
-    return Stability(hands, [], pictures, [AutocastRow("float16", 0.0, 0.5)], [curve])
+    return Stability(hands, [], pictures, [curve])
 
 
 def views() -> list[stability_views.ViewPair]:

@@ -79,7 +79,6 @@ def test_correctives_far_outside_training_stay_finite_and_drawn_right(name):
 
 @pytest.mark.parametrize("precision", [torch.float16, torch.bfloat16])
 def test_half_precision_around_us_changes_nothing(precision):
-    assert curves.autocast_row(precision).ours_mm == 0
     joints_m = posed("fist")
     plain = transform_for(RIGHT).frames(joints_m.float())
     with torch.autocast("cpu", dtype=precision):
