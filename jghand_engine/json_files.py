@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -13,6 +14,8 @@ from jghand_engine.errors import InputError, MemoryLimitError
 
 # name, what was wanted, what came -> the error that names the file
 Wrong = Callable[[str, str, object], InputError]
+# bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
+JSON_BYTES_MAX = 100_000
 
 
 def read_json_file(path: Path, remedy: str) -> Any:
@@ -30,6 +33,29 @@ def read_json_file(path: Path, remedy: str) -> Any:
             came="too little",
             remedy="Close other programs, or use a machine with more memory.",
         ) from error
+
+
+def read_small_json(path: Path) -> Any:
+    """The content of a small JSON file, without NaN and Infinity, which JSON does not know; 1e400 is infinite still.
+    InputError names what is wrong."""
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(JSON_BYTES_MAX + 1)
+            size = max(os.fstat(stream.fileno()).st_size, len(content))  # of a pipe nobody knows
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
+    if size > JSON_BYTES_MAX:
+        wanted = f"a camera or a map of bones, at most {JSON_BYTES_MAX} bytes"
+        raise InputError(f"{path}", wanted=wanted, came=f"{size}", remedy="Check the name.")
+    try:
+        return json.loads(content, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}", wanted="JSON", came=str(error)) from error
+
+
+def _no_number(word: str) -> None:
+    """NaN and Infinity, which are Python's and not JSON's."""
+    raise ValueError(f"{word}, which is no number")
 
 
 def numbers(values: Any, shape: tuple[int, ...], what: str, remedy: str = "") -> np.ndarray:

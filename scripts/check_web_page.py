@@ -31,7 +31,7 @@ from show_splat_file import BLACK, browser, psnr_db
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.cli.camera_file import camera_to_dict
+from jghand_engine.export.camera_file import camera_to_dict
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png
 from jghand_engine.export.web.page import WebView, export_web
 from jghand_engine.hand.joints import Handedness

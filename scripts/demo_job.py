@@ -74,13 +74,13 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.cli.camera_file import camera_to_dict
 from jghand_engine.cli.console import progress, say, say_error, say_table, write_json
 from jghand_engine.cli.export import export_stage, usd_figures
 from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
 from jghand_engine.cli.options import pixels, pose_list
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import JGHandError
+from jghand_engine.export.camera_file import camera_to_dict
 from jghand_engine.export.pictures import (
     VIDEO_BACKGROUND,
     Cell,

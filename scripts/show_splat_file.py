@@ -30,8 +30,8 @@ import check_splat_files as clients
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.cli.camera_file import camera_to_dict
 from jghand_engine.color import decibels
+from jghand_engine.export.camera_file import camera_to_dict
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png
 from jghand_engine.export.splats.cloud import SplatCloud
 from jghand_engine.export.splats.files import SplatMotion

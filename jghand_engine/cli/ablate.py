@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from jghand_engine.cli.console import err, progress, say, say_whole_table, write_json
-from jghand_engine.cli.evaluate import framing_cameras
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
@@ -138,6 +137,6 @@ class Ablate:
         shapes = {shown: drawers[name] for name, shown in SHAPES.items() if name in drawers}
         if len(shapes) > 1 and len({sample.pose for sample in everything}) > 1:
             title = f"Poses in between, on {capture}"
-            between = sheets.between_sheet(sheets.pairs_of(everything, 3), framing_cameras, shapes, title)
+            between = sheets.between_sheet(sheets.pairs_of(everything, 3), shapes, title)
             write_png(self.out / "isotropic_anisotropic.png", between)
         say(f"\n{self.out}: ablation.md, ablation.json, sheets, the avatars and their trainings")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,14 +13,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from jghand_engine.cli.machine import JsonProgress, json_lines
-from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
 if TYPE_CHECKING:
     from jghand_engine.learn.tables import Table as Figures
-
-# bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
-JSON_BYTES_MAX = 100_000
 
 
 def out() -> Console:
@@ -89,26 +84,3 @@ def write_figures(path: Path | None, content: dict[str, Any]) -> None:
     """What --json asks for; nothing where it was left out."""
     if path is not None:
         write_json(path, content)
-
-
-def read_json(path: Path) -> Any:
-    """The content of a small JSON file, without NaN and Infinity, which JSON does not know; 1e400 is infinite still.
-    InputError names what is wrong."""
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(JSON_BYTES_MAX + 1)
-            size = max(os.fstat(stream.fileno()).st_size, len(content))  # of a pipe nobody knows
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
-    if size > JSON_BYTES_MAX:
-        wanted = f"a camera or a map of bones, at most {JSON_BYTES_MAX} bytes"
-        raise InputError(f"{path}", wanted=wanted, came=f"{size}", remedy="Check the name.")
-    try:
-        return json.loads(content, parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}", wanted="JSON", came=str(error)) from error
-
-
-def _no_number(word: str) -> None:
-    """NaN and Infinity, which are Python's and not JSON's."""
-    raise ValueError(f"{word}, which is no number")

@@ -15,16 +15,12 @@ from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.captures.captures import Capture
     from jghand_engine.captures.sample import Sample
-    from jghand_engine.hand.joints import Handedness
     from jghand_engine.learn.evaluate import Evaluation, Picturer
     from jghand_engine.learn.perceptual import PerceptualMetric
     from jghand_engine.learn.tables import Table
-    from jghand_engine.render.camera import Camera
     from jghand_engine.render.settings import RenderSettings
 
 DESCRIPTION = """Measure an avatar on pictures that it did not learn from: figures, tables beside the paper's, sheets.
@@ -35,8 +31,6 @@ Examples:
   jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses"""
 
 TIMED_ROUNDS, WARM_UP = 100, 10
-# pixels of a view that no camera of the capture gives: twice a cell of the sheet
-SHEET_VIEW_PX = 528
 
 
 @dataclass(frozen=True)
@@ -95,6 +89,7 @@ class Evaluate:
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.files import make_folder
         from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out
+        from jghand_engine.learn.sheets import write_evaluation_sheets
         from jghand_engine.render.settings import preset
 
         if self.limit < 0:
@@ -116,7 +111,7 @@ class Evaluate:
             drawers = {Path(self.avatar).stem: draw}
             if other is not None and self.beside is not None:
                 drawers[self.beside.stem] = avatar_picturer(other, settings)
-            write_sheets(out, evaluation, categories, drawers)
+            write_evaluation_sheets(out, evaluation, categories, drawers)
         say(f"\n{out}: tables.md, evaluation.json{'' if self.figures_only else ', sheets'}")
 
     def _measured(
@@ -175,38 +170,3 @@ def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: Rende
     size = f"{sample.camera.width} x {sample.camera.height}, {len(avatar):,} Gaussians"
     mark = ", machine not free" if whole.disturbed else ""
     return inference_table([(f"{name}, {size}{mark}", whole.median_ms, whole.p95_ms)], on)
-
-
-def write_sheets(
-    out: Path, evaluation: Evaluation, categories: Mapping[str, tuple[Sample, ...]], drawers: Mapping[str, Picturer]
-) -> None:
-    """The sheets of an evaluation. drawers: by name, the evaluated avatar first."""
-    from jghand_engine.export.pictures import write_png
-    from jghand_engine.learn import sheets
-
-    name, draw = next(iter(drawers.items()))
-    title = f"{name} on {evaluation.capture}"
-    worst = sheets.from_best_to_worst(evaluation.pictures, 8)
-    write_png(out / "best_to_worst.png", sheets.comparison_sheet(worst, draw, f"{title}: from the best to the worst"))
-    for category, pictures in evaluation.groups().items():
-        if category != "all":
-            chosen = sheets.from_best_to_worst(pictures, 6)
-            file = out / f"{category.replace(' ', '_')}.png"
-            write_png(file, sheets.comparison_sheet(chosen, draw, f"{title}: {category}"))
-    samples = [sample for group in categories.values() for sample in group]
-    poses = sheets.varied_samples(categories.get("novel pose", samples), 12)
-    three = sheets.varied_samples(poses, 3)
-    write_png(out / "views.png", sheets.view_sheet(three, framing_cameras, draw, f"{title}: views"))
-    if len({sample.pose for sample in samples}) > 1:
-        pairs = sheets.pairs_of(poses if len(poses) > 1 else samples, 3)
-        between = sheets.between_sheet(pairs, framing_cameras, drawers, f"{' and '.join(drawers)}: poses in between")
-        write_png(out / "between.png", between)
-
-
-def framing_cameras(joints_m: np.ndarray, handedness: Handedness) -> dict[str, Camera]:
-    """Cameras around hands (F, 21, 3), as `jghand render` has them."""
-    from jghand_engine.render.framing import framing_camera
-
-    views = ("quarter", "front", "side", "back", "outside", "top")
-    size = SHEET_VIEW_PX
-    return {view: framing_camera(joints_m, handedness, view, width=size, height=size) for view in views}

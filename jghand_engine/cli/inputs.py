@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.cli.console import read_json, say
+from jghand_engine.cli.console import say
 from jghand_engine.cli.options import ForeignOptions, FormatOptions, MotionOptions, pose_list
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -14,6 +14,7 @@ from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.poses import MotionOptions as PoseMotionOptions
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.json_files import read_small_json
 from jghand_engine.motion.bone_names import BoneMap, bone_map
 from jghand_engine.motion.clocks import DEFAULT_FPS
 from jghand_engine.motion.content import MotionFormat
@@ -105,7 +106,7 @@ def read_file(path: Path, options: FormatOptions, foreign: ForeignOptions | None
 
 def _bones(path: Path) -> BoneMap:
     try:
-        return bone_map(read_json(path))
+        return bone_map(read_small_json(path))
     except ValueError as error:
         raise InputError(f"--bones {path}", wanted="names of bones by joint", came=str(error)) from error
 

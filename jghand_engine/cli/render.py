@@ -25,9 +25,9 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.avatar.pose_range import OutOfRange
-    from jghand_engine.cli.frame_files import Shard
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.render_passes import PassWriter
+    from jghand_engine.export.frame_folder import Shard
     from jghand_engine.render.camera import Camera
     from jghand_engine.render.effect_plan import Choice
     from jghand_engine.render.settings import RenderSettings
@@ -77,11 +77,12 @@ class Render:
         from dataclasses import replace
 
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.cli.camera_file import camera_to_dict
-        from jghand_engine.cli.frame_files import FrameFiles, FrameWriter, refuse_other_frames, settle_folder
+        from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
         from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Receipts, Timings
+        from jghand_engine.export.camera_file import camera_to_dict
+        from jghand_engine.export.frame_folder import refuse_other_frames, settle_folder
         from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
         from jghand_engine.render.renderer import HandRenderer
@@ -151,7 +152,7 @@ class Render:
 
     def _shard(self) -> Shard:
         """Which pictures are made. InputError for what the processes of a shared render would not agree on."""
-        from jghand_engine.cli.frame_files import Shard
+        from jghand_engine.export.frame_folder import Shard
 
         shard = Shard(*parse_shard(self.shard), self.skip_existing)
         if self.video is not None and shard.count > 1:
@@ -226,7 +227,7 @@ class Render:
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
         if (file := self.picture.camera_file) is not None:
-            from jghand_engine.cli.camera_file import read_camera
+            from jghand_engine.export.camera_file import read_camera
 
             return read_camera(file)
         from jghand_engine.render.framing import framing_camera

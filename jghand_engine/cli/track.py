@@ -239,7 +239,7 @@ class Track:
         """The camera before which the motion is what the film shows."""
         import numpy as np
 
-        from jghand_engine.cli.camera_file import camera_to_dict
+        from jghand_engine.export.camera_file import camera_to_dict
         from jghand_engine.motion.tools import up_rotation
         from jghand_engine.render.camera import Camera
         from jghand_engine.track.track import MOTION_FROM_CAMERA, camera_of

@@ -6,20 +6,22 @@ Differences are those over black, in colors whose scale stands in the head of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.errors import InputError
-from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, to_bytes
+from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, to_bytes, write_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import palm_frames, poses_between
-from jghand_engine.learn.evaluate import Picturer, PictureScore, spread
+from jghand_engine.learn.evaluate import Evaluation, Picturer, PictureScore, spread
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.framing import framing_camera
 
 # sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest color (a
 # good avatar stays below it nearly everywhere); poses between the two ends (PAPER 4)
@@ -27,8 +29,9 @@ SHEET_ROOM = 1.12
 SHEET_DIFFERENCE_FULL = 0.2
 SHEET_STEPS_BETWEEN = 4
 
-# cameras that see all of the hands (F, 21, 3), by a short name
-Cameras = Callable[[np.ndarray, Handedness], Mapping[str, Camera]]
+# sides from which a sheet of views shows each pose, as `jghand render` names them; pixels of a view, twice a cell
+VIEWS = ("quarter", "front", "side", "back", "outside", "top")
+VIEW_PX = 528
 
 _CELL_PX = 264
 _GROUND: RGB = (0.925, 0.92, 0.905)
@@ -113,30 +116,32 @@ def from_best_to_worst(pictures: Sequence[PictureScore], count: int) -> tuple[Pi
     return tuple(ranked[place] for place in places)
 
 
-def view_sheet(samples: Sequence[Sample], cameras: Cameras, draw: Picturer, title: str) -> np.ndarray:
+def view_sheet(samples: Sequence[Sample], draw: Picturer, title: str) -> np.ndarray:
     """Each sample's pose, a row of its own, from cameras that no picture was taken by; (H, W, 3) uint8."""
-    cells, columns = [], 1
+    cells = []
     for sample in samples:
-        views = cameras(sample.joints_m[None], sample.handedness)
-        columns = len(views)
-        for name, camera in views.items():
+        for view in VIEWS:
+            camera = _camera(sample.joints_m[None], sample.handedness, view)
             rgba = draw(sample.joints_m, sample.handedness, camera)
-            cells.append(Cell(f"{name} · pose {sample.frame}", _cut_out(rgba)))
-    return _with_head(_sheet(cells, columns), title, "Each row: one pose that was not learned, from new sides")
+            cells.append(Cell(f"{view} · pose {sample.frame}", _cut_out(rgba)))
+    return _with_head(_sheet(cells, len(VIEWS)), title, "Each row: one pose that was not learned, from new sides")
 
 
-def between_sheet(
-    pairs: Sequence[tuple[Sample, Sample]], cameras: Cameras, drawers: Mapping[str, Picturer], title: str
-) -> np.ndarray:
+def _camera(joints_m: np.ndarray, handedness: Handedness, view: str) -> Camera:
+    """One that sees all of the hands (F, 21, 3)."""
+    return framing_camera(joints_m, handedness, view, width=VIEW_PX, height=VIEW_PX)
+
+
+def between_sheet(pairs: Sequence[tuple[Sample, Sample]], drawers: Mapping[str, Picturer], title: str) -> np.ndarray:
     """Poses between two, by their joint angles (PAPER 4): for each pair one row per drawer, the ends included.
 
-    The first of the cameras sees every row's hands, and they are cut out alike. (H, W, 3) uint8.
+    One camera sees every row's hands, and they are cut out alike. (H, W, 3) uint8.
     """
     cells = []
     parts = np.linspace(0, 1, SHEET_STEPS_BETWEEN + 2)
     for first, second in pairs:
         hands = hands_between(first, second, parts)
-        camera = next(iter(cameras(hands, first.handedness).values()))
+        camera = _camera(hands, first.handedness, VIEWS[0])
         steps = [f"{part:.0%}" for part in parts.tolist()]
         labels = [f"pose {first.frame}", *steps[1:-1], f"pose {second.frame}"]
         for name, draw in drawers.items():
@@ -222,3 +227,27 @@ def _with_head(sheet: np.ndarray, title: str, subtitle: str, *, scale: bool = Fa
 def _color(color: RGB) -> tuple[int, int, int]:
     red, green, blue = to_bytes(np.asarray(color)).tolist()
     return red, green, blue
+
+
+# ---- of an evaluation ------------------------------------------------------------------------------------------------
+
+
+def write_evaluation_sheets(
+    out: Path, evaluation: Evaluation, categories: Mapping[str, tuple[Sample, ...]], drawers: Mapping[str, Picturer]
+) -> None:
+    """The sheets of an evaluation. drawers: by name, the evaluated avatar first."""
+    name, draw = next(iter(drawers.items()))
+    title = f"{name} on {evaluation.capture}"
+    worst = from_best_to_worst(evaluation.pictures, 8)
+    write_png(out / "best_to_worst.png", comparison_sheet(worst, draw, f"{title}: from the best to the worst"))
+    for category, pictures in evaluation.groups().items():
+        if category != "all":
+            chosen = from_best_to_worst(pictures, 6)
+            write_png(out / f"{category.replace(' ', '_')}.png", comparison_sheet(chosen, draw, f"{title}: {category}"))
+    samples = [sample for group in categories.values() for sample in group]
+    poses = varied_samples(categories.get("novel pose", samples), 12)
+    write_png(out / "views.png", view_sheet(varied_samples(poses, 3), draw, f"{title}: views"))
+    if len({sample.pose for sample in samples}) > 1:
+        pairs = pairs_of(poses if len(poses) > 1 else samples, 3)
+        between = between_sheet(pairs, drawers, f"{' and '.join(drawers)}: poses in between")
+        write_png(out / "between.png", between)

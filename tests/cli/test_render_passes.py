@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jghand_engine.cli import main
-from jghand_engine.cli.camera_file import read_camera
 from jghand_engine.cli.frame_files import FrameWriter
+from jghand_engine.export.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import STANDARD_NAMES
 

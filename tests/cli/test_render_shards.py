@@ -17,8 +17,9 @@ import pytest
 
 from jghand_engine.captures.image_files import probe_image
 from jghand_engine.cli import main
-from jghand_engine.cli.frame_files import STAMP, FrameWriter, Shard, settle_folder
+from jghand_engine.cli.frame_files import FrameWriter
 from jghand_engine.errors import InputError
+from jghand_engine.export.frame_folder import STAMP, Shard, settle_folder
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence

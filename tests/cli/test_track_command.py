@@ -9,7 +9,7 @@ import pytest
 from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, seen, sight
 
 from jghand_engine.cli import main
-from jghand_engine.cli.camera_file import read_camera
+from jghand_engine.export.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
 from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness

@@ -8,9 +8,9 @@ import tracemalloc
 import pytest
 
 from jghand_engine.cli import main
-from jghand_engine.cli.camera_file import read_camera
-from jghand_engine.cli.console import JSON_BYTES_MAX
 from jghand_engine.errors import InputError
+from jghand_engine.export.camera_file import read_camera
+from jghand_engine.json_files import JSON_BYTES_MAX
 
 CAMERA = {
     "width": 64, "height": 48, "fx": 90.0, "fy": 90.0, "cx": 32.0, "cy": 24.0,

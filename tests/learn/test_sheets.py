@@ -25,10 +25,6 @@ def draw(joints_m, handedness, camera):
     return np.concatenate([mask * [0.8, 0.6, 0.5], mask], -1).astype(np.float32)
 
 
-def one_camera(capture):
-    return lambda _joints, _handedness: {"front": capture.samples[0].camera, "side": capture.samples[1].camera}
-
-
 def rows_and_columns(sheet):
     """How many cells stand above and beside each other: the ground's color starts and ends."""
     ground = np.round(255 * np.array(sheets._GROUND)).astype(int)
@@ -63,14 +59,14 @@ def test_poses_show_each_pose_once(capture):
 
 
 def test_views_have_a_row_for_each_pose_and_a_column_for_each_camera(capture):
-    sheet = sheets.view_sheet(sheets.varied_samples(capture.samples, 3), one_camera(capture), draw, "title")
-    assert rows_and_columns(sheet)[1] == 2
+    sheet = sheets.view_sheet(sheets.varied_samples(capture.samples, 3), draw, "title")
+    assert rows_and_columns(sheet)[1] == len(sheets.VIEWS)
 
 
 def test_poses_in_between_have_a_row_for_each_avatar(capture):
     pairs = sheets.pairs_of(capture.samples, 1)
-    one = sheets.between_sheet(pairs, one_camera(capture), {"a": draw}, "title")
-    two = sheets.between_sheet(pairs, one_camera(capture), {"a": draw, "b": draw}, "title")
+    one = sheets.between_sheet(pairs, {"a": draw}, "title")
+    two = sheets.between_sheet(pairs, {"a": draw, "b": draw}, "title")
     assert rows_and_columns(one)[1] == SHEET_STEPS_BETWEEN + 2
     assert two.shape[0] > 1.7 * one.shape[0] - 100
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.cli.console import read_json
 from jghand_engine.errors import InputError
-from jghand_engine.json_files import JsonObject
+from jghand_engine.json_files import JsonObject, read_small_json
 from jghand_engine.render.camera import Camera
 
 # the largest number of a camera, pixels or meters: beyond it no picture is meant
@@ -64,4 +63,4 @@ def _matrix(content: Any, thing: str) -> np.ndarray:
 
 def read_camera(path: Path) -> Camera:
     """The camera of a JSON file."""
-    return camera_from_dict(read_json(path), str(path))
+    return camera_from_dict(read_small_json(path), str(path))

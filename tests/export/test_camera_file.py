@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.cli.camera_file import camera_from_dict, camera_to_dict, read_camera
 from jghand_engine.errors import InputError
+from jghand_engine.export.camera_file import camera_from_dict, camera_to_dict, read_camera
 from jghand_engine.render.camera import Camera
 
 
