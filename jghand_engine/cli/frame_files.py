@@ -24,8 +24,8 @@ from jghand_engine.render.blur import shutter_at
 if TYPE_CHECKING:
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.options import MotionOptions
-    from jghand_engine.cli.render_passes import PassWriter
     from jghand_engine.cli.timings import Receipts, Timings
+    from jghand_engine.export.pass_writer import PassWriter
     from jghand_engine.render.camera import Camera
     from jghand_engine.render.renderer import HandRenderer
     from jghand_engine.render.settings import RenderSettings

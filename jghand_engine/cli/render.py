@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.avatar.pose_range import OutOfRange
     from jghand_engine.cli.inputs import Motion
-    from jghand_engine.cli.render_passes import PassWriter
     from jghand_engine.export.frame_folder import Shard
+    from jghand_engine.export.pass_writer import PassWriter
     from jghand_engine.render.camera import Camera
     from jghand_engine.render.effect_plan import Choice
     from jghand_engine.render.settings import RenderSettings
@@ -79,10 +79,10 @@ class Render:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
         from jghand_engine.cli.inputs import load_motion
-        from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Receipts, Timings
         from jghand_engine.export.camera_file import camera_to_dict
         from jghand_engine.export.frame_folder import refuse_other_frames, settle_folder
+        from jghand_engine.export.pass_writer import refuse_older_truth
         from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
         from jghand_engine.render.renderer import HandRenderer
@@ -195,9 +195,13 @@ class Render:
     def _passes(self) -> PassWriter | None:
         if self.passes is None:
             return None
-        from jghand_engine.cli.render_passes import PassWriter
+        from jghand_engine.export.pass_writer import PassWriter
 
-        return PassWriter(self.passes, self.out, self.effect)
+        if self.effect.shutter or self.effect.aperture:
+            # a pixel shows more than one place then
+            raise InputError("--passes", wanted="a moment through a pinhole", came="--shutter or --aperture",
+                             remedy="Render the passes in a run of their own, without them.")  # fmt: skip
+        return PassWriter(self.passes, self.out)
 
     def _with_lens(self, camera: Camera, motion: Motion) -> Camera:
         """The camera with its lens, focused on the middle of the motion unless told otherwise."""

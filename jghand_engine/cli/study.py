@@ -42,7 +42,7 @@ class Study:
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
     """accuracy and effects: pixels of the pictures."""
     quick: bool = False
-    """accuracy: a tenth of the frames, and short curves; effects: every fourth frame. For a first look."""
+    """accuracy: a tenth of the frames, and short curves; effects: the first quarter of the motion. For a first look."""
 
     def run(self) -> None:
         from jghand_engine.study.report import check_folder, write_report
@@ -103,7 +103,8 @@ class Study:
         else:
             sequence = read_sequence(self.motion, FormatOptions()).with_gaps_held().with_constant_bone_lengths()
             poses, avatar, name = sequence.joints_m, avatar.for_hand(sequence.handedness), self.motion.name
-        poses = poses[:: effects.QUICK_STEP if self.quick else 1]
+        if self.quick:
+            poses = poses[: max(2, round(effects.QUICK_PART * len(poses)))]
         camera = framing_camera(poses, avatar.handedness, "quarter", width=width, height=height)
         with progress("Measuring", len(poses)) as bar:
             subject, settings = Subject(name, avatar, poses, camera), replace(preset("viewport"), antialias=True)

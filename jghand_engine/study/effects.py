@@ -25,8 +25,8 @@ from jghand_engine.render.subject import Subject
 POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")
 # effects that can be forced on every frame of a hand
 FORCED = (Effect.SKIN, Effect.CORRECTIVES, Effect.SHADOW, Effect.WHOLE)
-# of the frames of a motion that a quick study measures one of so many
-QUICK_STEP = 4
+# part of a motion, from its beginning, that a quick study measures
+QUICK_PART = 0.25
 # frames on which shutter and lens are opened, the part of a frame's time that the shutter is open, and the opening of
 # the lens, meters
 OPENED_FRAMES, SHUTTER, APERTURE_M = 8, 0.5, 0.008

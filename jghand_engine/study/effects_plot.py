@@ -59,6 +59,6 @@ def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
         saved_ms = row.saved_median_ms or 0
         figures = f"{saved_ms:.1f}" if saved_ms < 10 else f"{saved_ms:.0f}"
         axes.text(saved_ms, index, f" {figures} ms{told}", va="center", fontsize=8.5)
-    axes.set_xlim(right=60 * max((row.saved_median_ms or 1 for row in rows), default=1))
+    axes.set_xlim(right=6 * max((row.saved_median_ms or 1 for row in rows), default=1))
     title(axes, "Saved on a frame that skips it")
     axes.set_xlabel("milliseconds", fontsize=9.5)

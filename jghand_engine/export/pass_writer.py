@@ -18,13 +18,11 @@ from typing import TYPE_CHECKING
 
 from jghand_engine import __version__
 from jghand_engine.captures.image_files import image_texts
-from jghand_engine.cli.console import write_json
-from jghand_engine.cli.options import EffectOptions
 from jghand_engine.errors import InputError
 from jghand_engine.export.cameras import COLMAP_FILES, Shot, write_colmap, write_transforms
 from jghand_engine.export.exr import exr_package, probe_exr, write_exr
 from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
-from jghand_engine.files import file_error
+from jghand_engine.files import file_error, writing
 from jghand_engine.hand.joints import STANDARD_NAMES
 
 if TYPE_CHECKING:
@@ -40,20 +38,13 @@ JOINTS_KEY = "jghand-joints"
 
 
 class PassWriter:
-    """Writes the passes in `text` into `folder`, picture by picture. InputError for unknown names, for a lens or
-    shutter, through which a pixel shows more than one place, and where the package for EXR is missing."""
+    """Writes the passes in `text` into `folder`, picture by picture. InputError for unknown names, and where EXR's
+    package is missing."""
 
-    def __init__(self, text: str, folder: Path, effect: EffectOptions) -> None:
+    def __init__(self, text: str, folder: Path) -> None:
         self.names, self._folder = pass_names(text), folder
         self._withdrawn = False
         self._maps = [name for name in self.names if name in MAPS]
-        if effect.shutter or effect.aperture:
-            raise InputError(
-                "--passes",
-                wanted="a moment through a pinhole",
-                came="--shutter or --aperture",
-                remedy="Render the passes in a run of their own, without them.",
-            )
         if self._maps:
             exr_package()
 
@@ -109,10 +100,12 @@ class PassWriter:
     def finish(self, pictures: Sequence[Path]) -> None:
         """Writes the files about all pictures, which are there. InputError when one of them cannot be read."""
         if JOINTS in self.names:
-            write_json(self._folder / "joints.json", {
+            content = {
                 "order": "standard", "names": list(STANDARD_NAMES), "unit": "m", "hand": str(self._hand),
                 "frames": [json.loads(image_texts(picture)[JOINTS_KEY]) for picture in pictures],
-            })  # fmt: skip
+            }  # fmt: skip
+            with writing(self._folder / "joints.json") as temporary:
+                temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         shots = [Shot(picture.name, self._camera) for picture in pictures]
         write_colmap(self._folder / "colmap", shots)
         write_transforms(self._folder / "transforms.json", shots)
