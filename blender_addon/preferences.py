@@ -1,12 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What holds for this user and machine: where the engine is, and how long it may take."""
+"""What holds for this user and machine: the renderer and how long it may take; and the manual."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
-from . import manual
 from .core import limits
+
+# what is behind Blender's Online Manual (F1 over a button, or its context menu): a page that comes with the extension,
+# so that it fits it and needs no network
+PAGE = Path(__file__).resolve().parent / "assets" / "help.html"
+# the page's section about what a module adds
+_SECTIONS = {
+    "hand.ops": "hand",
+    "hand.ops_pose": "pose",
+    "hand.ops_motion": "motion",
+    "renderer.ops": "engine",
+    "render.ops": "view",
+    "export.ops": "export",
+    "train.ops": "training",
+}
+# settings by their class; Blender writes all names small
+_SETTINGS = (
+    ("bpy.types.jghandpreferences.*", "engine"),
+    ("bpy.types.jghandscenesettings.*", "quality"),
+    ("bpy.types.jghandoutputsettings.*", "export"),
+    ("bpy.types.jghandtrainingsettings.*", "training"),
+    ("bpy.types.jghand*", "hand"),
+)
 
 
 def _look_again(_preferences: bpy.types.AddonPreferences, _context: bpy.types.Context) -> None:
@@ -57,7 +80,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         row.operator("jghand.restart_engine", icon="FILE_REFRESH")
         row.operator("jghand.show_log", icon="TEXT")
         draw_tools(self.layout)
-        self.layout.operator("wm.url_open", text="Manual", icon="HELP").url = manual.page()
+        self.layout.operator("wm.url_open", text="Manual", icon="HELP").url = PAGE.as_uri()
 
 
 def preferences() -> JGHandPreferences | None:
@@ -66,4 +89,27 @@ def preferences() -> JGHandPreferences | None:
     return addon.preferences if addon is not None else None
 
 
+def manual_map() -> tuple[str, tuple[tuple[str, str], ...]]:
+    """What Blender asks for: the page, and the section of everything that is ours."""
+    from . import registration  # here: it needs this module
+
+    operators = (
+        (f"bpy.ops.{each.bl_idname}", _SECTIONS.get(".".join(each.__module__.split(".")[-2:]), "hand"))
+        for module in registration.WITH_CLASSES
+        for each in module.CLASSES
+        if issubclass(each, bpy.types.Operator)
+    )
+    return PAGE.as_uri(), tuple((name, f"#{section}") for name, section in (*operators, *_SETTINGS))
+
+
 CLASSES = (JGHandPreferences,)
+
+
+def register() -> None:
+    """Tells Blender of the page."""
+    bpy.utils.register_manual_map(manual_map)
+
+
+def unregister() -> None:
+    """Takes it away."""
+    bpy.utils.unregister_manual_map(manual_map)

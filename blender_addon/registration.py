@@ -11,7 +11,7 @@ from types import ModuleType
 
 import bpy
 
-from . import folders, manual, preferences
+from . import folders, preferences
 from .export import ops as export_ops
 from .export import panel as export_panel
 from .export import usd_hook
@@ -39,7 +39,7 @@ WITH_CLASSES = (
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(manual, hand_properties, scene_properties, runtime, usd_hook, train_panel),
+    *(preferences, hand_properties, scene_properties, runtime, usd_hook, train_panel),
     *(folders, handlers, rendering, render_engine, command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

@@ -223,12 +223,6 @@ def kept(context: bpy.types.Context, look: Callable[..., _Found], *about: Hashab
     return _kept.get(key)
 
 
-def forget_kept() -> None:
-    """The next panel looks anew."""
-    _kept.clear()
-    _wanted.clear()
-
-
 @clock.guarded(None)
 def _look_up() -> None:
     """One look at all that was asked for since the last one; what nobody asks for any more is forgotten, and what

@@ -125,11 +125,6 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
     return Recognition(handedness, maps, (_doubt(maps, handedness),))
 
 
-def hands_in(names: Sequence[str]) -> tuple[str, ...]:
-    """The hands of which the names show at least a wrist and a finger: right, left, both or none."""
-    return tuple(side for side in (RIGHT, LEFT) if recognize(names, side).candidates)
-
-
 def from_json(text: str) -> BoneMap:
     """The map that `as_json` wrote; JGHandFailure (bad_bone_map) for anything else."""
     try:

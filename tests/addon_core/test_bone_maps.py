@@ -286,13 +286,6 @@ def test_what_is_no_hand_is_said_to_be_none():
         assert recognition.sentences[0].startswith("No bones of a right hand were recognized.")
 
 
-def test_a_rig_with_one_hand_shows_one():
-    bones = [name for name in RIGS["vroid"][0] if "_L_" not in name]
-    assert bone_maps.hands_in(bones) == ("right",)
-    assert bone_maps.hands_in(RIGS["mixamo"][0]) == ("right", "left")
-    assert bone_maps.hands_in(["Bone"]) == ()
-
-
 def test_a_map_survives_being_stored():
     found = bone_maps.recognize(RIGS["makehuman default"][0], "left").bone_map
     again = bone_maps.from_json(found.as_json())

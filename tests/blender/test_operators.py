@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from recording_layout import operator_type
 
-from blender_addon import folders, manual, registration, versions
+from blender_addon import folders, preferences, registration, versions
 from blender_addon.core import bone_maps, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES
@@ -641,8 +641,8 @@ def test_the_users_folder_is_there_also_without_an_installed_extension():
 def test_the_manual_has_a_section_for_every_operator_and_setting(extension):
     from fnmatch import fnmatchcase
 
-    written = manual.PAGE.read_text(encoding="utf-8")
-    address, entries = manual.manual_map()
+    written = preferences.PAGE.read_text(encoding="utf-8")
+    address, entries = preferences.manual_map()
     assert address.startswith("file://")
     for _, section in entries:
         assert f'<h2 id="{section[1:]}">' in written, section

@@ -46,7 +46,7 @@ def test_what_cannot_be_looked_at_does_not_hide_the_rest(context, monkeypatch, t
     assert ui.kept(context, good) == 7
     assert ui.kept(context, bad) is None
     assert [str(error) for error in told] == ["no such disk"]
-    ui.forget_kept()
+    ui._kept.clear()
 
 
 def test_a_shelf_that_cannot_be_shown_is_left(context, monkeypatch, told):
