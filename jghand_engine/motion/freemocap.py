@@ -25,6 +25,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -149,14 +150,17 @@ def _of_lines(file: Path) -> list[HandTrack]:
     with open(file, encoding="utf-8-sig", newline="") as stream:
         rows = tables.rows_of(stream, {})
         header = [cell.strip() for cell in next(rows)]
+        at_keypoint, at_model = header.index("keypoint"), header.index("model") if "model" in header else None
         for cells in rows:
             if len(cells) < len(header):
                 raise ValueError(f"a line of {len(cells)} cells, of {len(header)}")
-            row = dict(zip(header, map(str.strip, cells), strict=False))
-            name = _name(row, side)
+            of_model = "" if at_model is None else cells[at_model].strip()
+            name = _name(cells[at_keypoint].strip(), None if at_model is None else of_model, side)
+            # most lines are of a body and a face
+            row = dict(zip(header, map(str.strip, cells), strict=False)) if name else {}
             if name and row.get("trajectory", _MEASURED) == _MEASURED:
                 numbers = (float(row["frame"]), _time(row), *(tables.number_in(row[axis]) for axis in "xyz"))
-                models.setdefault(row.get("model", ""), {}).setdefault(name, []).append(numbers)
+                models.setdefault(of_model, {}).setdefault(name, []).append(numbers)
     found = [
         (hand.handedness, model, [list(joints.values())[place] if place is not None else [] for place in hand.bones])
         for model, joints in models.items()
@@ -186,9 +190,9 @@ def _frames(lines: list[list[tuple[float, ...]]]) -> tuple[np.ndarray, list[floa
     return joints, times.tolist()
 
 
-def _name(row: Mapping[str, str], side: Handedness | None) -> str:
+@lru_cache(maxsize=4096)
+def _name(keypoint: str, model: str | None, side: Handedness | None) -> str:
     """A joint with its side, right_hand_wrist; "" for a point of a model that is no hand's. side: of a table of one."""
-    keypoint, model = row["keypoint"], row.get("model")
     if model is None:
         return tables.joint_name(keypoint if side is None else f"{side}_hand_{keypoint}")
     if not model.endswith("hand"):
