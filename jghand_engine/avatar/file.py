@@ -25,6 +25,7 @@ import safetensors.numpy
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearnedFrom
 from jghand_engine.avatar.learned_storage import LearnedAbout, expected_learned_arrays, pack_learned, unpack_learned
 from jghand_engine.avatar.storage import (
+    ARRAY_NAMES,
     Arrays,
     Storage,
     expected_arrays,
@@ -43,7 +44,6 @@ FORMAT_VERSION = 2
 # the newest without anything learned
 PAINTED_VERSION = 1
 METADATA_KEY = "jghand"
-ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
 
 
 def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Storage.EXACT) -> None:
@@ -239,11 +239,11 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
 
 
 def _arrays(avatar: HandAvatar) -> Arrays:
-    return Arrays(**{name: np.asarray(getattr(avatar, name), np.float32) for name in ARRAY_NAMES})
+    return {name: np.asarray(getattr(avatar, name), np.float32) for name in ARRAY_NAMES}
 
 
 def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: np.ndarray, arrays: Arrays) -> HandAvatar:
-    values = {name: np.ascontiguousarray(getattr(arrays, name)) for name in ARRAY_NAMES}
+    values = {name: np.ascontiguousarray(arrays[name]) for name in ARRAY_NAMES}
     return HandAvatar(info, handedness, np.asarray(joints_m, np.float64), learned=None, **values)
 
 

@@ -3,7 +3,7 @@ image, `Posing` for files.
 
 All of it is done by the native kernels, in tenths of a millisecond; the differentiable form that training goes through
 is `learn/skinning.py`, and tests hold the two together. Only what the skin reflects depends on the camera: it is found
-apart, for pictures, and left out of files.
+apart, for images, and left out of files.
 """
 
 from __future__ import annotations

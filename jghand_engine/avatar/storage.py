@@ -14,7 +14,6 @@ both ways agree bit for bit from the second time on. Weight columns are in stand
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -36,16 +35,9 @@ class Storage(StrEnum):
     COMPACT = "compact"
 
 
-@dataclass(frozen=True)
-class Arrays:
-    """The per-Gaussian arrays of an avatar as numpy float32, level order, shapes as in `HandAvatar`."""
-
-    position_m: np.ndarray
-    sigma_m: np.ndarray
-    opacity: np.ndarray
-    rgb: np.ndarray
-    bone_weights: np.ndarray
-    uvd: np.ndarray
+# the per-Gaussian arrays of an avatar: numpy float32, level order, shapes as in `HandAvatar`
+ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
+Arrays = dict[str, np.ndarray]
 
 
 def expected_arrays(storage: Storage) -> dict[str, tuple[str, tuple[int, ...]]]:
@@ -72,19 +64,18 @@ def expected_arrays(storage: Storage) -> dict[str, tuple[str, tuple[int, ...]]]:
 
 def pack(arrays: Arrays, storage: Storage) -> tuple[dict[str, np.ndarray], list[list[float]]]:
     """Arrays as they stand in a file, and the box of the positions [[low], [high]] in meters (compact needs it)."""
-    box_m = [arrays.position_m.min(0).tolist(), arrays.position_m.max(0).tolist()]
-    weights = arrays.bone_weights[:, LEVEL_OF_STANDARD]
+    position_m, weights = arrays["position_m"], arrays["bone_weights"][:, LEVEL_OF_STANDARD]
+    box_m = [position_m.min(0).tolist(), position_m.max(0).tolist()]
     if storage is Storage.EXACT:
-        plain = {name: getattr(arrays, name) for name in ("position_m", "sigma_m", "opacity", "rgb", "uvd")}
-        return {name: np.ascontiguousarray(a) for name, a in {**plain, "bone_weights": weights}.items()}, box_m
+        return {name: np.ascontiguousarray(a) for name, a in (arrays | {"bone_weights": weights}).items()}, box_m
     low, step = _steps(box_m)
     bone, weight = _largest_weights(weights)
     packed = {
-        "position": np.rint((arrays.position_m - low) / np.where(step > 0, step, 1.0)).astype(np.uint16),
-        "sigma_m": arrays.sigma_m.astype(np.float16),
-        "opacity": np.rint(arrays.opacity * np.float64(UINT8_MAX)).astype(np.uint8),
-        "rgb": np.rint(arrays.rgb * np.float64(UINT8_MAX)).astype(np.uint8),
-        "uvd": np.rint(arrays.uvd * np.float64(UINT16_MAX)).astype(np.uint16),
+        "position": np.rint((position_m - low) / np.where(step > 0, step, 1.0)).astype(np.uint16),
+        "sigma_m": arrays["sigma_m"].astype(np.float16),
+        "opacity": np.rint(arrays["opacity"] * np.float64(UINT8_MAX)).astype(np.uint8),
+        "rgb": np.rint(arrays["rgb"] * np.float64(UINT8_MAX)).astype(np.uint8),
+        "uvd": np.rint(arrays["uvd"] * np.float64(UINT16_MAX)).astype(np.uint16),
         "weight": weight,
         "weight_bone": bone,
     }
@@ -94,20 +85,19 @@ def pack(arrays: Arrays, storage: Storage) -> tuple[dict[str, np.ndarray], list[
 def unpack(packed: dict[str, np.ndarray], storage: Storage, box_m: list[list[float]]) -> Arrays:
     """The inverse of `pack`. Bone indices must already be known to be below 21."""
     if storage is Storage.EXACT:
-        arrays = {name: a for name, a in packed.items() if name != "bone_weights"}
-        return Arrays(**arrays, bone_weights=np.ascontiguousarray(packed["bone_weights"][:, STANDARD_OF_LEVEL]))
+        return packed | {"bone_weights": np.ascontiguousarray(packed["bone_weights"][:, STANDARD_OF_LEVEL])}
     low, step = _steps(box_m)
     weights = np.zeros((len(packed["weight"]), JOINT_COUNT))
     rows = np.arange(len(weights))[:, None]
     np.add.at(weights, (rows, LEVEL_OF_STANDARD[packed["weight_bone"]]), packed["weight"] / UINT16_MAX)
-    return Arrays(
-        position_m=(low + packed["position"] * step).astype(np.float32),
-        sigma_m=packed["sigma_m"].astype(np.float32),
-        opacity=(packed["opacity"] / UINT8_MAX).astype(np.float32),
-        rgb=(packed["rgb"] / UINT8_MAX).astype(np.float32),
-        bone_weights=weights.astype(np.float32),
-        uvd=(packed["uvd"] / UINT16_MAX).astype(np.float32),
-    )
+    return {
+        "position_m": (low + packed["position"] * step).astype(np.float32),
+        "sigma_m": packed["sigma_m"].astype(np.float32),
+        "opacity": (packed["opacity"] / UINT8_MAX).astype(np.float32),
+        "rgb": (packed["rgb"] / UINT8_MAX).astype(np.float32),
+        "bone_weights": weights.astype(np.float32),
+        "uvd": (packed["uvd"] / UINT16_MAX).astype(np.float32),
+    }
 
 
 def _steps(box_m: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,7 @@ def native_enlarged(
     height, width = depth_m.shape
     large_width, large_height = size_px
     spans = np.empty((height, 2), np.int32)
-    # zeros that nobody writes cost nothing: most of a picture is empty
+    # zeros that nobody writes cost nothing: most of an image is empty
     large_rgba = np.zeros((large_height, large_width, 4), np.float32)
     large_depth_m = np.zeros((large_height, large_width), np.float32)
     task = EnlargeTask(

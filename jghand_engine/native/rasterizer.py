@@ -116,7 +116,7 @@ class Gradients:
 
 
 class NativeRasterizer:
-    """One picture at a time: `forward`, then optionally `backward`. Memory is kept from picture to picture.
+    """One image at a time: `forward`, then optionally `backward`. Memory is kept from image to image.
 
     threads: how many draw, as `threads.thread_count` gives them; the pool of that size is shared by the process.
     After `forward`: `visible`, `invalid` (Gaussians) and `pairs` (entries of all tile lists).
@@ -156,7 +156,7 @@ class NativeRasterizer:
     ) -> np.ndarray:
         """Draws and returns planes (5, H, W) float32: premultiplied R G B, alpha, sum of weight times depth.
 
-        planes: where to draw; without it, this object's own memory, which the next picture overwrites.
+        planes: where to draw; without it, this object's own memory, which the next image overwrites.
         InputError names a wrong array; MemoryLimitError when Gaussians cover more tiles than the lists can index.
         """
         drawn = self.prepare(gaussians, view, alpha_min=alpha_min, t_stop=t_stop, planes=planes)
@@ -176,7 +176,7 @@ class NativeRasterizer:
     ) -> np.ndarray:
         """The first half of `forward`, for who shares one call of a pool with other work: then every thread calls
         `run`, and `finished` says whether the planes (returned here) are drawn or all has to be done again."""
-        self._inputs = None  # no backward pass of a picture that fails half way
+        self._inputs = None  # no backward pass of an image that fails half way
         self._set_inputs(gaussians)
         self._set_view(view)
         self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
@@ -192,7 +192,7 @@ class NativeRasterizer:
         self.library.call.jg_raster_forward(ctypes.addressof(self._job))
 
     def finished(self) -> bool:
-        """After `run`: whether the picture is drawn. If not, there is more room now, and `run` must be called again."""
+        """After `run`: whether the image is drawn. If not, there is more room now, and `run` must be called again."""
         self._team.fill(0)
         if self._job.status == _LIST_TOO_SMALL:
             self._reserve_list(self._job.pairs)
@@ -201,7 +201,7 @@ class NativeRasterizer:
             raise MemoryLimitError(
                 "Gaussians cover too many tiles",
                 wanted=f"at most {contract.MAX_PAIRS} pairs of Gaussian and tile",
-                remedy="Use a smaller picture, fewer or smaller Gaussians.",
+                remedy="Use a smaller image, fewer or smaller Gaussians.",
             )
         self._inputs = self._prepared
         return True
@@ -295,7 +295,7 @@ class NativeRasterizer:
                 array = self._arrays[name] = aligned_zeros(shape, dtype)
             except MemoryError as error:
                 size = math.prod(shape) * np.dtype(dtype).itemsize / 2**20
-                remedy = "Use a smaller picture or fewer Gaussians."
+                remedy = "Use a smaller image or fewer Gaussians."
                 raise MemoryLimitError(
                     f"no memory for {name} of the rasterizer, {size:.0f} MiB", remedy=remedy
                 ) from error

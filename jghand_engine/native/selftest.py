@@ -1,5 +1,5 @@
-"""Does the library compute what it should on this very machine? A tiny picture with known sums, a
-picture of ellipsoids, a posed block of Gaussians, one hand and the similarity of two pictures, in two milliseconds.
+"""Does the library compute what it should on this very machine? A tiny image with known sums, a
+image of ellipsoids, a posed block of Gaussians, one hand and the similarity of two images, in two milliseconds.
 
 It guards against what no test of ours can see: a processor that misreports its abilities, a damaged file, another
 compiler's mistake.
@@ -32,7 +32,7 @@ EXPECTED_GRADIENTS = (0.117767, 1.950287, 0.009067, 0.002981)
 # the same with covariances instead of radii; planes, then gradients
 EXPECTED_PLANES_OF_ELLIPSOIDS = (0.189774, 0.217715, 0.182388, 0.381848, 0.20729)
 EXPECTED_GRADIENTS_OF_ELLIPSOIDS = (0.115688, 102.045218, 0.007946, 0.001909)
-# means of the picture with the shadow, R G B A
+# means of the image with the shadow, R G B A
 EXPECTED_RGBA = (0.278745, 0.359152, 0.268071, 0.596285)
 
 
@@ -91,14 +91,14 @@ def check(library: Library) -> None:
 
 def _check_raster_and_shadow(library: Library) -> None:
     planes, gradients = _drawn(library, sample_gaussians(), invalid=1)
-    _compare(library, "sums of a picture", planes.mean((1, 2)), EXPECTED_PLANES)
+    _compare(library, "sums of an image", planes.mean((1, 2)), EXPECTED_PLANES)
     _compare(library, "sums of gradients", gradients, EXPECTED_GRADIENTS)
-    _compare(library, "sums of a shaded picture", _shaded(library, planes).mean((0, 1)), EXPECTED_RGBA)
+    _compare(library, "sums of a shaded image", _shaded(library, planes).mean((0, 1)), EXPECTED_RGBA)
 
 
 def _check_ellipsoids(library: Library) -> None:
     planes, gradients = _drawn(library, sample_ellipsoids(), invalid=2)
-    _compare(library, "sums of a picture of ellipsoids", planes.mean((1, 2)), EXPECTED_PLANES_OF_ELLIPSOIDS)
+    _compare(library, "sums of an image of ellipsoids", planes.mean((1, 2)), EXPECTED_PLANES_OF_ELLIPSOIDS)
     _compare(library, "sums of gradients of ellipsoids", gradients, EXPECTED_GRADIENTS_OF_ELLIPSOIDS)
 
 
@@ -115,7 +115,7 @@ def _drawn(library: Library, gaussians: GaussianArrays, *, invalid: int) -> tupl
 
 
 def _shaded(library: Library, planes: np.ndarray) -> np.ndarray:
-    """(H, W, 4) the picture with its shadow at full strength in every channel."""
+    """(H, W, 4) the image with its shadow at full strength in every channel."""
     view, task = sample_view(), new_shade_task(_SIZE, _SIZE)
     index = np.arange(_SHADOW_SAMPLES) + 0.5
     radius, angle = np.sqrt(index / _SHADOW_SAMPLES), index * contract.GOLDEN_ANGLE_RAD
@@ -250,7 +250,7 @@ def _check_similarity(library: Library) -> None:
     """A small pattern against the formula in double precision; of the gradient its sum, by a finite difference."""
     index = np.arange(12 * 17 * 3).reshape(12, 17, 3)
     rgb, truth = _spread(index, 0.62), _spread(index, 0.43)
-    single = (np.ascontiguousarray(picture, np.float32) for picture in (rgb, truth))
+    single = (np.ascontiguousarray(image, np.float32) for image in (rgb, truth))
     value, gradient = NativeSsim(library, threads=1).mean_and_gradient(*single)
     step = 1e-5
     slope = (_similarity(rgb + step, truth) - _similarity(rgb - step, truth)) / (2 * step)
@@ -258,7 +258,7 @@ def _check_similarity(library: Library) -> None:
 
 
 def _check_enlarging(library: Library) -> None:
-    """A slope over a picture stays that slope away from its edge, and so does a depth of one surface."""
+    """A slope over an image stays that slope away from its edge, and so does a depth of one surface."""
     y, x = np.mgrid[:6, :7] * 2.0 + 1.0
     wanted_y, wanted_x = np.mgrid[:12, :14] + 0.5
     rgba = np.repeat((0.01 * (x + 2 * y))[..., None], 4, -1).astype(np.float32)
@@ -289,12 +289,12 @@ def _check_mean(library: Library) -> None:
 
 
 def _similarity(rgb: np.ndarray, truth: np.ndarray) -> float:
-    """Mean SSIM of (H, W, 3) float64 pictures, written out."""
+    """Mean SSIM of (H, W, 3) float64 images, written out."""
     weights = np.outer(window(), window())
 
-    def mean(picture: np.ndarray) -> np.ndarray:
+    def mean(image: np.ndarray) -> np.ndarray:
         return np.einsum(
-            "yxcij,ij->yxc", np.lib.stride_tricks.sliding_window_view(picture, weights.shape, (0, 1)), weights
+            "yxcij,ij->yxc", np.lib.stride_tricks.sliding_window_view(image, weights.shape, (0, 1)), weights
         )
 
     mx, my = mean(rgb), mean(truth)

@@ -1,4 +1,4 @@
-"""The similarity of two pictures by the native kernel; its specification is learn/ssim.py."""
+"""The similarity of two images by the native kernel; its specification is learn/ssim.py."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class NativeSsim:
         self._weights = (ctypes.c_float * SSIM_WINDOW_PX)(*window().tolist())
 
     def mean(self, rgb: np.ndarray, truth: np.ndarray) -> float:
-        """Mean SSIM of (H, W, 3) float32 pictures no smaller than the window.
+        """Mean SSIM of (H, W, 3) float32 images no smaller than the window.
 
         InputError for another dtype, unlike shapes or strided memory.
         """

@@ -12,12 +12,12 @@ import numpy as np
 from jghand_engine.native import contract
 from jghand_engine.native.binding import aligned_zeros
 
-# window and constants of SSIM, which every paper shares (Wang et al. 2004); 0..1 is the range of the pictures
+# window and constants of SSIM, which every paper shares (Wang et al. 2004); 0..1 is the range of the images
 SSIM_WINDOW_PX = 11
 
 # elements of one vector of the kernels
 LANES = 16
-# rows and columns around the picture: the farthest sample and its neighbor; columns in whole vectors
+# rows and columns around the image: the farthest sample and its neighbor; columns in whole vectors
 PAD_ROWS = math.ceil(contract.SHADOW_RADIUS_MAX_PX) + 1
 PAD_COLUMNS = -(-PAD_ROWS // LANES) * LANES
 
@@ -82,7 +82,7 @@ class ShadeGradient(ctypes.Structure):
 
 
 def new_shade_task(width: int, height: int) -> ShadeTask:
-    """The task for pictures of one size, with the constants of limits; the caller gives memory and style."""
+    """The task for images of one size, with the constants of the contract; the caller gives memory and style."""
     return ShadeTask(
         width=width,
         height=height,

@@ -147,8 +147,3 @@ class EffectPlan:
         changed = {one.effect: one for one in decisions}
         merged = tuple(changed.get(one.effect, one) for one in self.decisions)
         return replace(self, decisions=merged, exposures=exposures)
-
-    @property
-    def skipped_worst(self) -> float:
-        """Sum of what the skipped effects may change of a channel; infinite where one has no such bound."""
-        return sum(float("inf") if one.worst is None else one.worst for one in self.decisions if not one.runs)

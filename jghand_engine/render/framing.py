@@ -14,9 +14,9 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.render.camera import Camera
 
-# focal length over the longer edge of the picture: a long lens, which does not make near fingers look swollen
+# focal length over the longer edge of the image: a long lens, which does not make near fingers look swollen
 FOCAL = 2.2
-# part of the picture that the hand may fill
+# part of the image that the hand may fill
 FILL = 0.94
 # how far the skin reaches beyond a joint and, with the cut, beyond the wrist, meters, for a palm (wrist to middle
 # knuckle) of the length PALM_M; measured on the built-in template

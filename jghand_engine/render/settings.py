@@ -1,4 +1,4 @@
-"""One object that says how a picture is made. Nothing else does."""
+"""One object that says how an image is made. Nothing else does."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jghand_engine.render.effect_plan import AUTO, Choice
 class ShadowMode(StrEnum):
     """off: never; gated: fades in when the pose brings parts of the hand together; always: on every frame.
 
-    A trained avatar has learned its colors under the shadow that fades: `always` only draws it on small pictures too.
+    A trained avatar has learned its colors under the shadow that fades: `always` only draws it on small images too.
     """
 
     OFF = "off"

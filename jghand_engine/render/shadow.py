@@ -74,7 +74,7 @@ def vogel_disc(count: int) -> np.ndarray:
 
 
 class NativeShade:
-    """The shadow pass for pictures of one size. Buffers are allocated once; one picture at a time."""
+    """The shadow pass for images of one size. Buffers are allocated once; one image at a time."""
 
     def __init__(self, library: Library, width: int, height: int) -> None:
         call = library.call
@@ -104,7 +104,7 @@ class NativeShade:
         rgba: np.ndarray | None = None,
         depth_m: np.ndarray | None = None,
     ) -> None:
-        """Sets the next picture: its planes (5, H, W), the shadow (None: none) and where results go (None: nowhere).
+        """Sets the next image: its planes (5, H, W), the shadow (None: none) and where results go (None: nowhere).
 
         near_m: some depth of the hand, meters; depths are kept relative to it, so that float32 does not tilt normals
         visibility: (H, W) · rgba: (H, W, 4) premultiplied · depth_m: (H, W), 0 where there is none; all float32.
@@ -136,7 +136,7 @@ class NativeShade:
             task.disc_x, task.disc_y = self._disc[0].ctypes.data, self._disc[1].ctypes.data
 
     def run(self, _thread: int = 0) -> None:
-        """The forward pass of the prepared picture; every thread of a team calls it."""
+        """The forward pass of the prepared image; every thread of a team calls it."""
         self._call.jg_shade(self.team.ctypes.data, ctypes.addressof(self.task))
 
     def prepare_backward(self, visibility: np.ndarray, darkened: np.ndarray, out: np.ndarray) -> ShadeGradient:

@@ -1,4 +1,4 @@
-"""A hand in motion before a camera: what times and accuracies of pictures are measured on."""
+"""A hand in motion before a camera: what times and accuracies of images are measured on."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Subject:
 
 
 def moving_subject(name: str, hand: HandAvatar, width: int, height: int) -> Subject:
-    """An avatar in motion, no two poses alike; the hand fills the height of the picture."""
+    """An avatar in motion, no two poses alike; the hand fills the height of the image."""
     canonical = hand.canonical_joints_m
     # the motion must not stand still: a hand at rest is not drawn again
     options = MotionOptions(hold_s=0.0, variation_deg=2.0)
