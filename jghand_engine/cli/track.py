@@ -171,8 +171,7 @@ class Track:
         return options
 
     def _check_places(self) -> None:
-        """InputError where a file would be written over one that is read, over another one of this command, or over a
-        motion, a proof or a camera that is there."""
+        """InputError where a motion, a proof or a camera is there, or the film itself would be written over."""
         from jghand_engine.files import check_place
 
         sides = {"right": 1, "left": 1, "both": 2}
@@ -182,13 +181,9 @@ class Track:
         written += [("--proof", self.proof)] if self.proof is not None else []
         written += [("--film-camera", self.film_camera)] if self.film_camera is not None else []
         written += [("--json", self.json)] if self.json is not None else []
-        read = [("the video", self.video), ("the avatar", Path(self.avatar.avatar))]
-        read += [("--model", self.model)] if self.model is not None else []
-        for number, (name, path) in enumerate(written):
-            for other, taken in (*read, *written[:number]):
-                if _same(path, taken):
-                    raise InputError(f"{name} {path}", wanted="a file of its own", came=f"that of {other}")
         for name, path in written:
+            if path.exists() and self.video.exists() and path.samefile(self.video):
+                raise InputError(f"{name} {path}", wanted="a file of its own", came="that of the video")
             # a report is replaced, as every command does
             check_place(path, overwrite=self.overwrite or name == "--json", option=name)
 
@@ -275,14 +270,6 @@ class Track:
                     bar.advance(bar.task_ids[0])
 
             write_video(self.proof, told(), video.fps)
-
-
-def _same(first: Path, second: Path) -> bool:
-    """Whether two names are of one file, also before it is there."""
-    try:
-        return first.samefile(second)
-    except OSError:
-        return first.resolve() == second.resolve()
 
 
 def _doubt(side: Handedness, hand: HandOverTime) -> str:

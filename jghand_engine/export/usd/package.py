@@ -189,7 +189,7 @@ PRESETS: Mapping[str, Preset] = {
         BALL_WIDTH_FACTOR,
     ),
     "houdini": Preset(
-        Variant.POINTS, "Widths are two standard deviations. SOPs that want splats read PLY: jghand export splats."
+        Variant.POINTS, "Widths are two standard deviations. SOPs that want splats read PLY: jghand export ply."
     ),
 }
 
