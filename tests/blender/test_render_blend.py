@@ -491,7 +491,7 @@ def test_a_motion_that_is_a_bare_array_is_bad_input(tmp_path):
     np.save(tmp_path / "motion.npy", hands.moving_hand_m("right"))
     done = script("build_demo_scene.py", "--motion", tmp_path / "motion.npy", "--out", tmp_path / "hand.blend")
     assert done.returncode == 2
-    assert "wanted one of .npz, .json, .csv, got .npy" in done.stderr
+    assert "no motion that JGHand can read" in done.stderr
     assert "Traceback" not in done.stderr
 
 
