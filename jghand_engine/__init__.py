@@ -5,16 +5,16 @@ The packages, in the order of imports: each imports only from those above it (do
     errors, files, lock, color, …   kinds of errors, atomic writing, color spaces
     native      the compiled kernels: build, choice of variant, threads
     hand        joints, orders, handedness, the skeleton transform, poses, pose sequences
-    template    the canonical hand surface: mesh, UV, skin weights, weight field, sampling
     avatar      canonical Gaussians of one hand, posing, the .jghand file
-    render      Gaussians to pictures: camera, settings, effects, shadow, the frame
+    render      Gaussians to images: camera, settings, effects, shadow, blur, the renderer
     motion      motion files of JGHand and of other programs
+    template    the canonical hand surface: mesh, UV, skin weights, weight field, sampling
     captures    pictures to learn from, and what a synthetic capture shows
     export      pictures, video, USD, splat files, web pages
     track       a motion out of a video
     learn       an avatar from pictures, and the float64 reference of the kernels (PyTorch)
     study       accuracy against time, stability, effects
-    service     the engine as a process for Blender
+    service     the renderer as a process for Blender
     cli         the command `jghand`
 
 native, hand, avatar, render, motion, export and service import neither torch nor scipy nor trimesh.
