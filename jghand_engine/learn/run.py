@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.errors import InputError
@@ -24,7 +25,7 @@ from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fit
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, Guard, find_non_finite
 from jghand_engine.learn.log import Board, Log, add_figures, take_means
 from jghand_engine.learn.progress import Display, Silent, Status
-from jghand_engine.learn.schedule import Budget, Every, StopRequest, Timer, stop_requests
+from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
 from jghand_engine.learn.work_folder import Start, WorkFolder, check_folder, check_output, write_output
 
@@ -139,7 +140,7 @@ class Loop:
             self._display.note("There is no checkpoint yet: beginning at step 0.")
         return LoopState()
 
-    def run(self, stop: StopRequest) -> bool:
+    def run(self, stop: Event) -> bool:
         """True when the budget is spent, False after a stop; in both cases the newest checkpoint is where it ended."""
         now_s = time.monotonic()
         self._spent_before_s, self._began_s = self.state.seconds, now_s
@@ -150,7 +151,7 @@ class Loop:
         self._guard = Guard(self._snapshot())
         if self.state.step == 0:
             self._checkpoint()
-        while not (finished := self._options.budget.is_spent(self.state)) and not stop.requested:
+        while not (finished := self._options.budget.is_spent(self.state)) and not stop.is_set():
             self._one_step()
         if finished:
             self._write_line()

@@ -71,21 +71,14 @@ class Timer:
         return by_steps or by_time
 
 
-class StopRequest:
-    """Whether somebody asked the training to stop."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-
 @contextmanager
-def stop_requests() -> Iterator[StopRequest]:
-    """Ctrl-C and a polite kill become a request that the loop answers between two steps, where the state is whole.
+def stop_requests() -> Iterator[threading.Event]:
+    """Ctrl-C and a polite kill set the event, which the loop answers between two steps, where the state is whole.
 
     A second one ends the process at once, as if nobody had listened. Outside the main thread nothing is caught, nor is
     a polite kill that whoever started the process has told it to ignore: it is meant for them.
     """
-    request = StopRequest()
+    request = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield request
         return
@@ -98,7 +91,7 @@ def stop_requests() -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
     def ask(*_: object) -> None:
-        request.requested = True
+        request.set()
         restore()
 
     for number in before:
