@@ -37,12 +37,13 @@ class Study:
     """Folder for tables and plot."""
     motion: File = None
     """effects: a motion of JGHand's own. Left out: named poses with ways between them."""
-    capture: File = None
+    capture: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """accuracy: folder of a capture whose held-out pictures are compared with, too."""
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
     """accuracy and effects: pixels of the pictures."""
     quick: bool = False
-    """accuracy: a tenth of the frames, and short curves; effects: the first quarter of the motion. For a first look."""
+    """For a first look. accuracy: a tenth of the frames, two poses in double precision, short curves; effects: the
+    first quarter of the motion."""
 
     def run(self) -> None:
         from jghand_engine.study.report import check_folder, write_report
@@ -70,7 +71,7 @@ class Study:
         log = Path(self.avatar).with_suffix(".training") / "log.jsonl"
         plan = measures.Plan(avatar, self.avatar, size_px, truth=truth, log=log if log.is_file() else None)
         if self.quick:
-            plan = replace(plan, rounds=measures.QUICK_ROUNDS, reach=QUICK_REACH)
+            plan = replace(plan, rounds=measures.QUICK_ROUNDS, reach=QUICK_REACH, poses=measures.QUICK_POSES)
         study = measures.measure_accuracy(plan, say)
         kept = write_profile(avatar, size_px, thread_count(0), measures.profile_of(study, plan))
         say("`jghand render --budget-ms` chooses from this." if kept else "The profile could not be kept.")

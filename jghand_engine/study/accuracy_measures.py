@@ -28,6 +28,8 @@ from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tier
 
 # frames of each setting, and those before them that are not counted (RENDERING 9.2)
 ROUNDS, QUICK_ROUNDS = 150, 15
+# poses of a quick study that are drawn in double precision, which takes seconds each
+QUICK_POSES = 2
 WARM_UP = 10
 # pictures of each kind of a capture that every setting is compared with: each takes its time with each setting
 PICTURES = 3
@@ -65,6 +67,8 @@ class Plan:
     reach: Reach = field(default_factory=Reach)
     # of the training of the avatar, or None
     log: Path | None = None
+    # that are drawn in double precision; 0: as `pose_count` says
+    poses: int = 0
 
 
 def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None) -> Accuracy:
@@ -73,7 +77,7 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     subject = moving_subject(plan.name, plan.avatar, *plan.size_px)
     say("Fitting linear correctives")
     compared = variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar))
-    poses = pose_count(plan.size_px)
+    poses = plan.poses or pose_count(plan.size_px)
     say(f"Drawing {poses} poses in double precision")
     exact = ExactPictures64(subject, spread_poses(subject, poses))
     say(f"Comparing {len(compared)} settings with them")
