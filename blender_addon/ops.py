@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
+from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -38,6 +39,15 @@ def sentence_of(failure: JGHandFailure) -> str:
 class Reporting:
     """An operator whose `run(context)` may raise JGHandFailure: it becomes an error report, and nothing is undone that
     was not done. `run` returns nothing; a sentence it wants to tell goes through `tell` or `warn`."""
+
+    # Blender's, of the operator that this is mixed into
+    bl_idname: str
+    report: Callable[[set[str], str], None]
+    as_keywords: Callable[[], dict[str, Any]]
+
+    def run(self, context: bpy.types.Context) -> None:
+        """What the operator does."""
+        raise NotImplementedError
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Blender's entry."""
@@ -74,10 +84,14 @@ class InTurns(Reporting):
     """
 
     working = ""
-    _steps: Iterator[float] | None = None
+    _steps: Generator[float, None, None] | None = None
     _timer: bpy.types.Timer | None = None
     _is_elsewhere = False
     _started = _told = 0.0
+
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
+        """The work; see the class."""
+        raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> None:
         """All of it."""
@@ -156,7 +170,7 @@ class InTurns(Reporting):
         """The part that is done after one turn; None at the end. What is elsewhere is looked at once."""
         ends = time.monotonic() + WORK_TURN_S
         part: float | None = 0.0
-        while time.monotonic() < ends:
+        while self._steps is not None and time.monotonic() < ends:
             part = next(self._steps, None)
             if part is None or isinstance(part, Elsewhere):
                 break

@@ -48,7 +48,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         description="A Python that has another JGHand installed. Empty: the renderer that comes with the extension",
         subtype="FILE_PATH",
         update=_look_again,
-    )  # type: ignore[valid-type]
+    )
     render_timeout_s: bpy.props.FloatProperty(
         name="Render Timeout",
         description="How long one rendered frame may take before the render fails with a report",
@@ -57,12 +57,12 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         soft_max=600.0,
         subtype="TIME_ABSOLUTE",
         unit="TIME_ABSOLUTE",
-    )  # type: ignore[valid-type]
+    )
 
     show_training: bpy.props.BoolProperty(
         name="Show Training",
         description="Show the panel for learning avatars in the JGHand tab",
-    )  # type: ignore[valid-type]
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         """The page in Blender's preferences."""

@@ -119,7 +119,7 @@ def ensure_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
 
 def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """The compositor's nodes of a scene that has some, made its own where copies of the scene share them."""
-    tree = compositor_tree(scene)
+    tree: bpy.types.NodeTree = compositor_tree(scene)
     if hasattr(scene, "compositing_node_group") and tree.users > 1:
         tree = scene.compositing_node_group = tree.copy()
     return tree

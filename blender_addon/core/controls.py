@@ -79,7 +79,8 @@ def channel(control: str) -> str:
 
 def moving_bones(finger: int) -> tuple[str, str, str]:
     """The three bones of a finger that turn, from the palm outwards."""
-    return tuple(NAMES[1 + 4 * finger + level] for level in range(3))  # type: ignore[return-value]
+    first = 1 + 4 * finger
+    return NAMES[first], NAMES[first + 1], NAMES[first + 2]
 
 
 def control_matrices(rest: np.ndarray, handedness: str) -> dict[str, np.ndarray]:

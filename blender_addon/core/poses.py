@@ -66,10 +66,15 @@ def all_poses(handedness: str) -> tuple[HandPose, ...]:
             entry["kind"],
             entry["description"],
             handedness,
-            {bone: tuple(map(float, mirror * turn)) for bone, turn in entry["bones"].items()},  # type: ignore[misc]
+            {bone: _quaternion(mirror * turn) for bone, turn in entry["bones"].items()},
         )
         for entry in _entries()
     )
+
+
+def _quaternion(wxyz: np.ndarray) -> tuple[float, float, float, float]:
+    w, x, y, z = map(float, wxyz)
+    return w, x, y, z
 
 
 def pose_named(name: str, handedness: str) -> HandPose:

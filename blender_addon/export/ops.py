@@ -50,8 +50,9 @@ class Export(StartsJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.folder)
-        if context.scene.jghand.output.format != "motion":
-            runtime.program()
+        kind = context.scene.jghand.output.format
+        if kind != "motion":
+            runtime.program(usd=kind == "usd")
 
     def overwritten(self, context: bpy.types.Context) -> str:
         settings = context.scene.jghand.output
@@ -108,10 +109,10 @@ class ExportSceneUsd(Reporting, bpy.types.Operator):
     bl_description = "Write the whole scene with Blender's own USD export; hands that are baked are in it as splats"
     bl_options = REGISTERED
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     # Blender's file browser asks before it overwrites
-    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})  # type: ignore[valid-type]
-    filter_glob: bpy.props.StringProperty(default="*.usd;*.usda;*.usdc;*.usdz", options={"HIDDEN"})  # type: ignore[valid-type]
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.usd;*.usda;*.usdc;*.usdz", options={"HIDDEN"})
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
@@ -174,7 +175,7 @@ class Bake(StartsJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.bake_folder)
-        runtime.program()
+        runtime.program(usd=True)
 
     def overwritten(self, context: bpy.types.Context) -> str:
         folders_ = _bake_folders(context, ops_common.hands_to_write(context))
@@ -272,7 +273,7 @@ class PlayBake(Reporting, bpy.types.Operator):
         description="Play a bake of another pose or avatar too",
         default=False,
         options={"SKIP_SAVE"},
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -8,7 +8,7 @@ and so does the panel's button. Without a window, or from a script that asks for
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 
 import bpy
@@ -40,14 +40,14 @@ class StartsJob(InTurns):
         description="Return when the job has ended, not when it has started; always so without a window",
         default=False,
         options={"SKIP_SAVE", "HIDDEN"},
-    )  # type: ignore[valid-type]
+    )
 
     confirmed: bpy.props.BoolProperty(
         name="Confirmed",
         description="What is overwritten was asked about",
         default=False,
         options={"SKIP_SAVE", "HIDDEN"},
-    )  # type: ignore[valid-type]
+    )
 
     working = "Reading the animation"
     # what stands on the button that overwrites
@@ -96,7 +96,7 @@ class StartsJob(InTurns):
             return DONE
         return super().execute(context)
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """A step per frame."""
         runtime.jobs().refuse_second(self.key)  # before minutes of recording
         self.prepare(context)

@@ -75,14 +75,14 @@ def _suit_program(settings: bpy.types.PropertyGroup, _context: bpy.types.Context
 class JGHandOutputSettings(bpy.types.PropertyGroup):
     """`scene.jghand.output`: what is written, and where."""
 
-    format: bpy.props.EnumProperty(name="Format", description="What Export writes", items=FORMATS, default="usd")  # type: ignore[valid-type]
+    format: bpy.props.EnumProperty(name="Format", description="What Export writes", items=FORMATS, default="usd")
     folder: bpy.props.StringProperty(
         name="Folder",
         description="Where exports are written; // is the folder of this file, {blend_name} its name",
         subtype="DIR_PATH",
         options=path_options(),
         default="//jghand_export/{blend_name}",
-    )  # type: ignore[valid-type]
+    )
     bake_folder: bpy.props.StringProperty(
         name="Bake Folder",
         description="Where bakes are written, a folder for each hand; // is the folder of this file, "
@@ -90,34 +90,34 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=path_options(),
         default="//jghand_bake/{blend_name}",
-    )  # type: ignore[valid-type]
+    )
     hands: bpy.props.EnumProperty(
         name="Hands", description="Which hands are written", items=CHOICES, default="selected"
-    )  # type: ignore[valid-type]
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Scene Range", description="Write the frames of the scene, or of its preview range", default=True
-    )  # type: ignore[valid-type]
-    frame_start: bpy.props.IntProperty(name="Start", description="First frame that is written", default=1)  # type: ignore[valid-type]
-    frame_end: bpy.props.IntProperty(name="End", description="Last frame that is written", default=250)  # type: ignore[valid-type]
+    )
+    frame_start: bpy.props.IntProperty(name="Start", description="First frame that is written", default=1)
+    frame_end: bpy.props.IntProperty(name="End", description="Last frame that is written", default=250)
     program: bpy.props.EnumProperty(
         name="Target Application",
         description="The program that will read the stage: sets what is shown first and the size of points",
         items=PROGRAMS,
         default="generic",
         update=_suit_program,
-    )  # type: ignore[valid-type]
+    )
     variant: bpy.props.EnumProperty(
         name="Default Variant",
         description="What a program shows that cannot choose between splats, points and mesh; all are written",
         items=VARIANTS,
         default="splats",
-    )  # type: ignore[valid-type]
+    )
     sizes: bpy.props.EnumProperty(
         name="Splat Sizes", description="Whether radii follow every frame", items=SIZES, default="constant"
-    )  # type: ignore[valid-type]
+    )
     radiance: bpy.props.EnumProperty(
         name="Colors", description="What the splats' colors mean", items=RADIANCES, default="srgb"
-    )  # type: ignore[valid-type]
+    )
     width_factor: bpy.props.FloatProperty(
         name="Point Size",
         description="Diameter of the points, in two standard deviations of a splat: more closes gaps between them",
@@ -125,7 +125,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         min=0.1,
         soft_max=4.0,
         max=100.0,
-    )  # type: ignore[valid-type]
+    )
     bake_width_factor: bpy.props.FloatProperty(
         name="Point Size",
         description="Diameter of the baked points, in two standard deviations of a splat: more closes gaps between "
@@ -134,8 +134,8 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         min=0.1,
         soft_max=4.0,
         max=100.0,
-    )  # type: ignore[valid-type]
-    axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
+    )
+    axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")
 
 
 class JGHandTrainingSettings(bpy.types.PropertyGroup):
@@ -147,20 +147,20 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=path_options(),
         default="//jghand_capture",
-    )  # type: ignore[valid-type]
+    )
     identity: bpy.props.EnumProperty(
         name="Hand Model", description="The rigged hand that is rendered", items=IDENTITIES, default="adult_man"
-    )  # type: ignore[valid-type]
+    )
     cameras: bpy.props.IntProperty(
         name="Cameras", description="Views of every pose", default=16, min=1, soft_max=64, max=256
-    )  # type: ignore[valid-type]
+    )
     poses: bpy.props.IntProperty(
         name="Poses", description="How many poses are made up", default=60, min=1, soft_max=500, max=100000
-    )  # type: ignore[valid-type]
+    )
     use_motion: bpy.props.BoolProperty(
         name="Poses of Active Hand",
         description="Take the poses from the active hand's animation over the frames of the export, instead",
-    )  # type: ignore[valid-type]
+    )
     size: bpy.props.IntVectorProperty(
         name="Resolution",
         description="Width and height of the images",
@@ -168,21 +168,21 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         default=(334, 512),
         min=16,
         max=8192,
-    )  # type: ignore[valid-type]
+    )
     samples: bpy.props.IntProperty(
         name="Samples", description="Rays per pixel; noise is filtered away", default=16, min=1, soft_max=256, max=4096
-    )  # type: ignore[valid-type]
-    seed: bpy.props.IntProperty(name="Seed", description="Of poses, cameras and the training", default=0, min=0)  # type: ignore[valid-type]
+    )
+    seed: bpy.props.IntProperty(name="Seed", description="Of poses, cameras and the training", default=0, min=0)
     avatar_file: bpy.props.StringProperty(
         name="Avatar",
         description="The file of the avatar that is learned",
         subtype="FILE_PATH",
         options=path_options(),
         default="//my_hand.jghand",
-    )  # type: ignore[valid-type]
+    )
     preset: bpy.props.EnumProperty(
         name="Preset", description="What is learned, and how", items=TRAINING_PRESETS, default="default"
-    )  # type: ignore[valid-type]
+    )
     time_s: bpy.props.FloatProperty(
         name="Time",
         description="How long to train, all sessions together",
@@ -193,11 +193,11 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         precision=1,
         subtype="TIME_ABSOLUTE",
         unit="TIME_ABSOLUTE",
-    )  # type: ignore[valid-type]
+    )
     all_pictures: bpy.props.BoolProperty(
         name="Use Validation Images",
         description="Learn from the images too that are held out to judge by, for a final avatar",
-    )  # type: ignore[valid-type]
+    )
 
 
 CLASSES = (JGHandOutputSettings, JGHandTrainingSettings)

@@ -31,7 +31,10 @@ notes: list[str] = []
 _LEFT_OUT = "left out"
 
 
-class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be built without USD
+_Hook: Any = getattr(bpy.types, "USDHook", object)  # a Blender may be built without USD
+
+
+class JGHandUsdHook(_Hook):
     """The hook; see the module."""
 
     bl_idname = "jghand_usd_hook"

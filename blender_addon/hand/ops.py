@@ -59,23 +59,23 @@ class AddHand(Reporting, bpy.types.Operator):
     bl_description = "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor"
     bl_options = UNDOABLE
 
-    handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)  # type: ignore[valid-type]
+    handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)
     use_controls: bpy.props.BoolProperty(
         name="Finger Controls",
         description="Add controls for curl and spread of each finger, for pinned tips, and joint limits",
         default=True,
-    )  # type: ignore[valid-type]
+    )
     use_camera: bpy.props.BoolProperty(
         name="Camera",
         description="Add a camera that shows the hand, where the scene has none",
         default=False,
-    )  # type: ignore[valid-type]
+    )
     use_view: bpy.props.BoolProperty(
         name="Frame in View",
         description="Turn the view to the new hand",
         default=False,
         options={"SKIP_SAVE"},
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -121,17 +121,17 @@ class UseArmature(Reporting, bpy.types.Operator):
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
-    )  # type: ignore[valid-type]
+    )
     right: bpy.props.EnumProperty(
         name="Right Hand",
         description="Which of several sets of bones is the right hand",
         items=_right_choices,
-    )  # type: ignore[valid-type]
+    )
     left: bpy.props.EnumProperty(
         name="Left Hand",
         description="Which of several sets of bones is the left hand",
         items=_left_choices,
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -197,7 +197,7 @@ class UseObjects(Reporting, bpy.types.Operator):
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -260,7 +260,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         name="Only Missing",
         description="Keep the bones that were chosen and are there, and look for the others only",
         default=True,
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -298,7 +298,7 @@ class Forget(Reporting, bpy.types.Operator):
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hand is no longer drawn", items=_EITHER, default="BOTH"
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -328,7 +328,7 @@ class SelectHand(Reporting, bpy.types.Operator):
     bl_description = "Make this hand the active object"
     bl_options = UNDOABLE_PLUMBING
 
-    uid: bpy.props.IntProperty(name="Object", options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    uid: bpy.props.IntProperty(name="Object", options={"SKIP_SAVE", "HIDDEN"})
 
     def run(self, context: bpy.types.Context) -> None:
         hand = next((thing for thing in context.view_layer.objects if thing.session_uid == self.uid), None)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
@@ -116,8 +116,8 @@ class KeysFile(InTurns, ImportHelper):
     filename_ext = ""
     # not remembered: a file that is named when the operator is called was dropped, or is a script's, and is taken
     # without asking; so is whatever was chosen in the file browser
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
-    chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
     hand_length: bpy.props.FloatProperty(
         name="Hand Length",
         description="From the wrist to the middle finger's tip; 0: as in the file, or of a video the avatar's",
@@ -125,8 +125,8 @@ class KeysFile(InTurns, ImportHelper):
         soft_max=250.0,
         precision=0,
         subtype="DISTANCE_CAMERA",  # Blender's word for millimeters, whatever the scene's unit is
-    )  # type: ignore[valid-type]
-    first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)  # type: ignore[valid-type]
+    )
+    first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -260,17 +260,17 @@ class ImportMotion(KeysFile, bpy.types.Operator):
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in MOTION_SUFFIXES), options={"HIDDEN"}
-    )  # type: ignore[valid-type]
-    target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
+    )
+    target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",
         default=False,
-    )  # type: ignore[valid-type]
+    )
 
-    hand: bpy.props.EnumProperty(name="Hand", description="Which hand of the file", items=_HANDS)  # type: ignore[valid-type]
-    unit: bpy.props.EnumProperty(name="Unit", description="Length unit of the file", items=_UNITS)  # type: ignore[valid-type]
-    order: bpy.props.EnumProperty(name="Order", description="Order of the joints in the file", items=_ORDERS)  # type: ignore[valid-type]
+    hand: bpy.props.EnumProperty(name="Hand", description="Which hand of the file", items=_HANDS)
+    unit: bpy.props.EnumProperty(name="Unit", description="Length unit of the file", items=_UNITS)
+    order: bpy.props.EnumProperty(name="Order", description="Order of the joints in the file", items=_ORDERS)
     fps: bpy.props.FloatProperty(
         name="Frame Rate",
         description="Frames per second of the file; 0: as it says, else 30",
@@ -278,25 +278,25 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         max=FPS_MAX,
         soft_max=240.0,
         precision=2,
-    )  # type: ignore[valid-type]
+    )
     part: bpy.props.StringProperty(
         name="Part", description="Which of several skeletons, animations or people: a part of its name"
-    )  # type: ignore[valid-type]
-    up: bpy.props.EnumProperty(name="Up", description="The axis that points up in the file", items=_UPS)  # type: ignore[valid-type]
+    )
+    up: bpy.props.EnumProperty(name="Up", description="The axis that points up in the file", items=_UPS)
     labels: bpy.props.EnumProperty(
         name="Labels", description="Whether a detector's Left and Right are true", items=_LABELS
-    )  # type: ignore[valid-type]
+    )
     bones: bpy.props.StringProperty(
         name="Bone Names",
         description="A JSON file with the names of a rig's bones by joint, for names that are not recognized",
         subtype="FILE_PATH",
-    )  # type: ignore[valid-type]
-    mirror: bpy.props.BoolProperty(name="Mirror", description="Make it the motion of the other hand")  # type: ignore[valid-type]
+    )
+    mirror: bpy.props.BoolProperty(name="Mirror", description="Make it the motion of the other hand")
     in_place: bpy.props.BoolProperty(
         name="In Place", description="Keep the wrist where it first is: the hand turns and moves on the spot"
-    )  # type: ignore[valid-type]
+    )
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         path = Path(bpy.path.abspath(self.filepath))
         content = yield from self._content(context, path)
         self.keying(context, [(content, path.stem)])
@@ -380,8 +380,8 @@ class TrackVideo(KeysFile, bpy.types.Operator):
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in VIDEO_SUFFIXES), options={"HIDDEN"}
-    )  # type: ignore[valid-type]
-    hand: bpy.props.EnumProperty(name="Hands", description="Which hands are wanted", items=_TRACKED_HANDS)  # type: ignore[valid-type]
+    )
+    hand: bpy.props.EnumProperty(name="Hands", description="Which hands are wanted", items=_TRACKED_HANDS)
     camera_angle: bpy.props.FloatProperty(
         name="Camera Angle",
         description="Angle of view across the longer edge of the video; 60° to 70° of most telephones",
@@ -390,22 +390,22 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         max=math.radians(150.0),
         precision=3,
         subtype="ANGLE",
-    )  # type: ignore[valid-type]
+    )
     smoothing: bpy.props.FloatProperty(
         name="Smoothing",
         description="More is smoother, less is livelier; it never lags",
         default=1.0,
         min=0.0,
         max=100.0,
-    )  # type: ignore[valid-type]
+    )
     in_place: bpy.props.BoolProperty(
         name="In Place", description="Keep the wrist at the origin; else the hand moves as before the camera"
-    )  # type: ignore[valid-type]
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True
-    )  # type: ignore[valid-type]
+    )
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         path = Path(bpy.path.abspath(self.filepath))
         found = yield from self._tracked(context, path)
         many = len(found) > 1

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -24,7 +24,7 @@ class _Posing(Reporting):
         name="Insert Keys",
         description="Key the fingers at this frame. Blender's Auto Keying does so in any case",
         default=False,
-    )  # type: ignore[valid-type]
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -57,7 +57,7 @@ class ApplyPose(_Posing, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
-    pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=POSES)  # type: ignore[valid-type]
+    pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=POSES)
     part: bpy.props.FloatProperty(
         name="Blend",
         description="How far from the current pose to this one",
@@ -66,7 +66,7 @@ class ApplyPose(_Posing, bpy.types.Operator):
         min=0.0,
         max=1.0,
         options={"SKIP_SAVE"},
-    )  # type: ignore[valid-type]
+    )
 
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
         return hand_poses.take_pose(hand, poses.pose_named(self.pose, armature.handedness_of(hand)), self.part)
@@ -223,7 +223,7 @@ class BakeControls(InTurns, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return poll_bones(cls, context) and poll_controls(cls, context)
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """A step per frame."""
         yield from controls.bake_steps(context, _controlled(context), common.seen_frames(context.scene))
 
@@ -284,8 +284,8 @@ class HoldTip(Reporting, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
-    finger: bpy.props.EnumProperty(name="Finger", description="Whose tip", items=FINGER_ITEMS)  # type: ignore[valid-type]
-    hold: bpy.props.BoolProperty(name="Pin", description="Pin the tip, or release it", default=True)  # type: ignore[valid-type]
+    finger: bpy.props.EnumProperty(name="Finger", description="Whose tip", items=FINGER_ITEMS)
+    hold: bpy.props.BoolProperty(name="Pin", description="Pin the tip, or release it", default=True)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -70,14 +70,14 @@ class JGHandJoint(bpy.types.PropertyGroup):
         description="The bone of the rig that begins or ends at this joint",
         get=_bone,
         set=_set_bone,
-    )  # type: ignore[valid-type]
+    )
     end: bpy.props.EnumProperty(
         name="End",
         description="Which end of the bone the joint is",
         items=ENDS,
         get=_end,
         set=_set_end,
-    )  # type: ignore[valid-type]
+    )
 
 
 class JGHandObjectSettings(bpy.types.PropertyGroup):
@@ -90,29 +90,29 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         update=_evaluate_again,
         options=path_options(),
         override=OVERRIDABLE,
-    )  # type: ignore[valid-type]
+    )
     show_in_viewport: bpy.props.BoolProperty(
         name="Show in Viewport",
         description="Draw the avatar of this hand in Solid and Material Preview",
         default=True,
         override=OVERRIDABLE,
-    )  # type: ignore[valid-type]
+    )
     bake: bpy.props.StringProperty(
         name="Bake",
         description="Folder of this hand's bake. Empty: it was not baked",
         subtype="DIR_PATH",
         options=path_options(),
         override=OVERRIDABLE,
-    )  # type: ignore[valid-type]
+    )
     map_hand: bpy.props.EnumProperty(
         name="Hand",
         description="Whose bones the list shows",
         items=HANDS,
         default="right",
         override=OVERRIDABLE,
-    )  # type: ignore[valid-type]
-    joints: bpy.props.CollectionProperty(type=JGHandJoint)  # type: ignore[valid-type]
-    active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is selected in the list")  # type: ignore[valid-type]
+    )
+    joints: bpy.props.CollectionProperty(type=JGHandJoint)
+    active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is selected in the list")
 
 
 CLASSES = (JGHandJoint, JGHandObjectSettings)

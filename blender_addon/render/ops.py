@@ -95,7 +95,7 @@ class OpenPreferences(Reporting, bpy.types.Operator):
     bl_options = PLUMBING
 
     def run(self, _context: bpy.types.Context) -> None:
-        bpy.ops.preferences.addon_show(module=__package__.rpartition(".")[0])
+        bpy.ops.preferences.addon_show(module=__name__.rpartition(".render.")[0])
 
 
 class Explain(bpy.types.Operator):
@@ -106,7 +106,7 @@ class Explain(bpy.types.Operator):
     bl_description = "Say why"
     bl_options = PLUMBING
 
-    text: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    text: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:

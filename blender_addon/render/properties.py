@@ -30,29 +30,29 @@ MOTION_SAMPLES, MOTION_SAMPLES_MAX = 8, 64
 class JGHandSceneSettings(bpy.types.PropertyGroup):
     """`scene.jghand`: how pictures of this scene are made, and what is written of it."""
 
-    output: bpy.props.PointerProperty(type=output_settings.JGHandOutputSettings)  # type: ignore[valid-type]
-    training: bpy.props.PointerProperty(type=output_settings.JGHandTrainingSettings)  # type: ignore[valid-type]
+    output: bpy.props.PointerProperty(type=output_settings.JGHandOutputSettings)
+    training: bpy.props.PointerProperty(type=output_settings.JGHandTrainingSettings)
 
     show_in_viewport: bpy.props.BoolProperty(
         name="Show Hands",
         description="Draw the avatars in Solid and Material Preview",
         default=True,
-    )  # type: ignore[valid-type]
+    )
     viewport_preset: bpy.props.EnumProperty(
         name="Viewport Quality",
         description="How the viewport is drawn while nothing moves",
         items=PRESETS,
         default="viewport",
-    )  # type: ignore[valid-type]
+    )
     sharpen_when_still: bpy.props.BoolProperty(
         name="Sharpen When Still",
         description="After a pause, draw the viewport with the settings of renders",
         default=True,
-    )  # type: ignore[valid-type]
+    )
     use_viewport_budget: bpy.props.BoolProperty(
         name="Frame Budget",
         description="Choose the most accurate measured settings that draw a viewport frame in the given time",
-    )  # type: ignore[valid-type]
+    )
     viewport_budget_ms: bpy.props.FloatProperty(
         name="Milliseconds",
         description="Time that the renderer may take for a viewport frame, in milliseconds",
@@ -60,7 +60,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         min=1.0,
         soft_max=100.0,
         precision=1,
-    )  # type: ignore[valid-type]
+    )
     viewport_density: bpy.props.FloatProperty(
         name="Density",
         description="Part of the avatar's splats that the viewport draws",
@@ -68,13 +68,13 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         default=1.0,
         min=DENSITY_MIN,
         max=1.0,
-    )  # type: ignore[valid-type]
+    )
     render_preset: bpy.props.EnumProperty(
         name="Render Quality",
         description="How F12 and animation renders are made",
         items=PRESETS,
         default="final",
-    )  # type: ignore[valid-type]
+    )
     shadow_strength: bpy.props.FloatProperty(
         name="Shadow Strength",
         description="How dark the shadow is that a hand casts on itself and on the other",
@@ -82,7 +82,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         default=1.0,
         min=0.0,
         max=1.0,
-    )  # type: ignore[valid-type]
+    )
     shadow_radius_mm: bpy.props.FloatProperty(
         name="Shadow Radius",
         description="How far a shadow reaches from what casts it, in the size of a real hand",
@@ -91,7 +91,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         min=1.0,
         max=SHADOW_RADIUS_MAX_MM,
         soft_max=60.0,
-    )  # type: ignore[valid-type]
+    )
     motion_samples: bpy.props.IntProperty(
         name="Motion Samples",
         description="Sub-frames that are averaged when the scene uses motion blur",
@@ -99,11 +99,11 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         min=2,
         soft_max=32,
         max=MOTION_SAMPLES_MAX,
-    )  # type: ignore[valid-type]
+    )
     use_pass_ids: bpy.props.BoolProperty(
         name="Bone Ids",
         description="Add a pass with the number of the bone that a pixel belongs to, 0 where there is no hand",
-    )  # type: ignore[valid-type]
+    )
 
 
 CLASSES = (*output_settings.CLASSES, JGHandSceneSettings)

@@ -137,7 +137,7 @@ class CancelJob(Reporting, bpy.types.Operator):
     )
     bl_options = PLUMBING
 
-    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
     def run(self, _context: bpy.types.Context) -> None:
         job = runtime.jobs().get(self.key)
@@ -154,7 +154,7 @@ class ShowJobLog(Reporting, bpy.types.Operator):
     bl_description = "Put what this job printed last into a text of the Text Editor"
     bl_options = REGISTERED
 
-    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
     def run(self, _context: bpy.types.Context) -> None:
         job = runtime.jobs().get(self.key)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import importlib.util
+import sys
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from typing import Any
 
 import bpy
 
-from .. import clock, folders
+from .. import clock, folders, versions
 from ..core import limits
 from ..errors import JGHandFailure
 from ..preferences import preferences
@@ -92,15 +94,19 @@ def command() -> Sequence[str]:
     return engine_command(_chosen_python(), checkout=_CHECKOUT)
 
 
-def program(*, learns: bool = False) -> Sequence[str]:
-    """The words before a verb of the engine's command line, for jobs. learns: one that has PyTorch.
+def program(*, learns: bool = False, usd: bool = False) -> Sequence[str]:
+    """The words before a verb of the engine's command line, for jobs. learns: one that has PyTorch; usd: one that
+    writes stages, for which Blender's Python has Blender's USD.
 
-    JGHandFailure: no_interpreter, no_tools.
+    JGHandFailure: no_interpreter, no_tools, no_usd.
     """
     tools = None
     if learns and tools_state() == "ready":
         tools = install_tools.interpreter(tools_folder())
-    return engine_program(_chosen_python(), checkout=_CHECKOUT, tools=tools, learns=learns)
+    words = engine_program(_chosen_python(), checkout=_CHECKOUT, tools=tools, learns=learns)
+    if usd and words[0] == sys.executable and not versions.has_usd() and importlib.util.find_spec("pxr") is None:
+        raise JGHandFailure("no_usd")
+    return words
 
 
 def _chosen_python() -> str | None:

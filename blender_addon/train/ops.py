@@ -80,7 +80,7 @@ class Train(StartsJob, bpy.types.Operator):
     )
     bl_options = REGISTERED
 
-    start: bpy.props.EnumProperty(name="Start", description="Where to begin", items=STARTS, default="new")  # type: ignore[valid-type]
+    start: bpy.props.EnumProperty(name="Start", description="Where to begin", items=STARTS, default="new")
 
     key = runtime.TRAINING
     watched = False
@@ -142,13 +142,13 @@ class LoadAvatar(Reporting, bpy.types.Operator):
     bl_description = "Choose the avatar file that is drawn on the selected hands"
     bl_options = UNDOABLE
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     relative_path: bpy.props.BoolProperty(
         name="Relative Path",
         description="Keep the path as seen from the opened file, so that both can be moved together",
         options={"SKIP_SAVE"},
-    )  # type: ignore[valid-type]
-    filter_glob: bpy.props.StringProperty(default="*.jghand", options={"HIDDEN"})  # type: ignore[valid-type]
+    )
+    filter_glob: bpy.props.StringProperty(default="*.jghand", options={"HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 import bpy.utils.previews
@@ -22,7 +23,7 @@ from .training_folder import TrainingFolder, TrainingReader, curve_picture, fold
 _CURVE_PX = (256, 160)
 
 _reader: TrainingReader | None = None
-_icons: bpy.utils.previews.ImagePreviewCollection | None = None
+_icons: Any = None  # Blender's collection of previews, once there are some
 # what the icons show
 _shown = TrainingFolder(Path())
 
@@ -80,8 +81,9 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
 def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingFolder | None:
     """What lies in the folder of the training that runs, or of the one beside the avatar's file; the log is read on."""
     global _reader
-    if runtime.jobs().runs(runtime.TRAINING):
-        path = runtime.jobs().get(runtime.TRAINING).spec.folder
+    job = runtime.jobs().get(runtime.TRAINING)
+    if job is not None and runtime.jobs().runs(runtime.TRAINING):
+        path = job.spec.folder
     else:
         try:
             path = folder_of(ops_common.place(context, avatar_file))
@@ -98,7 +100,8 @@ def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingF
 def _show(seen: TrainingFolder) -> None:
     """Makes icons of the loss and of the newest image, where they are others than before."""
     global _icons, _shown
-    _icons = _icons or bpy.utils.previews.new()
+    if _icons is None:  # without icons it is false
+        _icons = bpy.utils.previews.new()
     before, _shown = _shown, seen
     if before.loss != seen.loss or before.path != seen.path:
         _icons.pop("loss", None)

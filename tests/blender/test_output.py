@@ -321,7 +321,7 @@ def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
 
 
 def failing_engine(monkeypatch):
-    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "die"))
+    monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "die"))
 
 
 def test_a_bake_that_fails_loses_nothing_of_the_one_before(baked, tmp_path, monkeypatch):

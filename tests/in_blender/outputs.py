@@ -92,7 +92,7 @@ def step_a_bake_is_made_beside_blenders_own_work(window):
 
 
 def step_a_bake_is_one_step_of_undo(window):
-    for change, end in ((bpy.ops.ed.undo, ""), (bpy.ops.ed.redo, "v0001")):
+    for change, end in ((bpy.ops.ed.undo, ""), (bpy.ops.ed.redo, "Right_Hand")):
         with window.override():
             change()
         yield 1.0
@@ -175,7 +175,7 @@ def step_a_training_survives_opening_another_file(window):
     """The engine's command line is stood in for by a program that counts: what is tried is Blender's side."""
     runtime, table = window.runtime(), window.runtime().jobs()
     stand_in = Path(__file__).parents[1] / "addon_core" / "stand_in_job.py"
-    runtime.program = lambda: (sys.executable, "-I", str(stand_in), "hours")
+    runtime.program = lambda **_: (sys.executable, "-I", str(stand_in), "hours")
     pictures = window.out / "jghand_capture"
     pictures.mkdir()
     work = window.out / "my_hand.training"

@@ -1,4 +1,5 @@
-# Blender's own module: what blender_addon/capture uses of it is not typed, and the checker's Python does not have it.
+# Blender's own module: what blender_addon uses of it is of any type, and the checker's Python does not have it. The
+# stubs on PyPI (fake-bpy-module) know neither the properties that this extension adds nor what an object's data is.
 from typing import Any
 
 def __getattr__(name: str) -> Any: ...
