@@ -99,11 +99,6 @@ def test_calls_from_several_threads_wait_for_each_other(pool):
     assert results == [list(range(50))] * 4
 
 
-def test_the_shared_pool_is_shared():
-    assert shared_pool(2) is shared_pool(2)
-    assert shared_pool(2) is not shared_pool(3)
-
-
 def test_the_automatic_number_of_threads_is_at_most_the_cores():
     assert thread_count(5) == 5
     assert 1 <= thread_count(0) <= min(physical_cores(), AUTOMATIC_THREADS)

@@ -13,7 +13,6 @@ from splat_scenes import (
     as_ellipsoids,
     camera_for,
     front_camera,
-    gaussians_from,
     hand_gaussians,
     in_precision,
     planes_of,
@@ -140,18 +139,6 @@ def test_one_value_beyond_its_limit_makes_one_gaussian_invalid(name, column, val
     assert (picture.visible_gaussians, picture.invalid_gaussians) == (visible - 1, 1)
     without = rasterize_reference(reordered(hand, torch.arange(20) != 7), camera)
     assert torch.equal(planes_of(picture), planes_of(without))
-
-
-def test_what_is_invalid_for_two_reasons_is_counted_once_and_both_kinds_are_added():
-    camera = front_camera(9, 9, 500.0)
-    rows = [
-        ([0, 0, 1.0], 1e-3, 0.5, [1, 1, 1]),
-        ([0, 0, 1.0], 1e6, 0.5, [1, 1, 1]),  # too large on the picture
-        ([0, 0, 1.0], -1.0, 2.0, [1, 1, 1]),  # twice invalid
-        ([0, 0, -1.0], 1e6, 0.5, [1, 1, 1]),  # behind the camera nothing is projected
-    ]
-    gaussians = gaussians_from(*zip(*rows, strict=True), dtype=F64)
-    assert counts(gaussians, camera) == (1, 2)
 
 
 # ---- covariances ----------------------------------------------------------------------------------------------------

@@ -117,12 +117,6 @@ def test_fade_is_smooth_and_ends_at_its_thresholds():
     assert fade(GATE_HIGH) == 1
 
 
-def test_fade_is_the_smoothstep_between_its_thresholds():
-    low, high = GATE_LOW, GATE_HIGH
-    for part, strength in ((0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375)):
-        assert fade(low + part * (high - low)) == pytest.approx(strength, abs=1e-12)
-
-
 def test_contact_is_the_sum_over_all_bones_of_different_hands():
     hands = [CANONICAL_M + 0.7, CANONICAL_M @ rotation(3).T + 0.72, CANONICAL_M @ rotation(4).T + [0.65, 0.7, 0.75]]
     slow = sum(

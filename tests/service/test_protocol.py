@@ -147,27 +147,6 @@ def test_a_message_cut_short_is_a_disconnection(cut):
     assert caught.value.clean == (cut == 0)
 
 
-def test_a_sender_that_dribbles_does_not_extend_the_deadline(pair):
-    stop = threading.Event()
-
-    def dribble():
-        for byte in framed({"kind": "x" * 1000}):
-            if stop.wait(0.02):
-                return
-            pair[0].sendall(bytes([byte]))
-
-    sender = threading.Thread(target=dribble)
-    sender.start()
-    started = time.monotonic()
-    try:
-        with pytest.raises(TimeoutError):
-            protocol.receive(pair[1], deadline=started + 0.3)
-        assert time.monotonic() - started < 5
-    finally:
-        stop.set()
-        sender.join()
-
-
 @pytest.mark.parametrize(
     "array",
     [np.zeros((0, 3), np.float32), np.zeros(3, np.complex64), np.zeros((4, 4), np.float32)[:, ::2], np.float32(1)],

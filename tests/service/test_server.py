@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jghand_engine.service import protocol, server
+from jghand_engine.service import protocol
 from jghand_engine.service.protocol import Array, Disconnected
 from jghand_engine.service.requests import REQUESTS_WAITING_MAX
 
@@ -367,20 +367,6 @@ def test_more_requests_than_may_wait_are_all_answered(engine):
             if message.header["kind"] == "reply":
                 numbers.append(message.header["id"])
     assert numbers == list(range(count))
-
-
-def test_a_client_with_a_high_handle_hears_the_heart_beat():
-    fcntl, resource = pytest.importorskip("fcntl"), pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if before[1] != resource.RLIM_INFINITY and before[1] < 1500:
-        pytest.skip("this system allows no such handles")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(before[0], 1500), before[1]))
-    one, other = socket.socketpair()
-    try:
-        with one, other, socket.socket(fileno=fcntl.fcntl(one, fcntl.F_DUPFD, 1100)) as high:
-            assert server._takes_more(high)
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
 def test_shutdown_is_answered_and_ends_the_process(engine):
