@@ -11,9 +11,9 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from .core import limits
 from .errors import JGHandFailure
 from .hand import armature, controls
+from .renderer.jobs import JOB_LOOK_S
 from .ui import redraw
 
 # one turn of work on Blender's main thread, between two of which Blender draws and hears Esc (which is to be answered
@@ -138,7 +138,7 @@ class InTurns(Reporting):
             return DONE
         if isinstance(part, Elsewhere) != self._is_elsewhere:
             self._is_elsewhere = not self._is_elsewhere
-            self._tick_every(context, limits.JOB_LOOK_S if self._is_elsewhere else WORK_REST_S)
+            self._tick_every(context, JOB_LOOK_S if self._is_elsewhere else WORK_REST_S)
         if time.monotonic() - self._told > WORK_TELL_S:
             context.workspace.status_text_set(self._progress(part))
             self._told = time.monotonic()

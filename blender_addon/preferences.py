@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from .core import limits
+from .renderer.state import REQUEST_S
 
 # what is behind Blender's Online Manual (F1 over a button, or its context menu): a page that comes with the extension,
 # so that it fits it and needs no network
@@ -52,7 +52,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
     render_timeout_s: bpy.props.FloatProperty(
         name="Render Timeout",
         description="How long one rendered frame may take before the render fails with a report",
-        default=limits.REQUEST_S,
+        default=REQUEST_S,
         min=1.0,
         soft_max=600.0,
         subtype="TIME_ABSOLUTE",

@@ -13,5 +13,4 @@ wire            what extension and engine share: the protocol, and how other peo
 pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show; what failed is
                 tried again, and left alone after a few times
 panel_text      what panels say: the renderer's state, a picture's receipt, a bone map
-limits          numbers of the renderer's process, of jobs and of exports
 """

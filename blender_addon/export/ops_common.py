@@ -15,14 +15,13 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import limits
 from ..errors import JGHandFailure
 from ..hand import armature, sources
 from ..hand.seen_hands import avatar_of
 from ..ops import CANCELLED, DONE, ERROR, INFO, InTurns, missing, seen_frames, sentence_of
 from ..render import samples
 from ..renderer import runtime
-from ..renderer.jobs import Job, JobSpec, Phase
+from ..renderer.jobs import JOB_LOOK_S, Job, JobSpec, Phase
 from ..ui import redraw
 from .recording import Recording, check_place, file_names, with_file_name
 
@@ -124,7 +123,7 @@ class StartsJob(InTurns):
             result = super().modal(context, event)
             if self._job is None or result != DONE or not self.watched:
                 return result
-            self._timer = context.window_manager.event_timer_add(limits.JOB_LOOK_S, window=context.window)
+            self._timer = context.window_manager.event_timer_add(JOB_LOOK_S, window=context.window)
             return {"RUNNING_MODAL"}
         # the Esc that ends playback is playback's
         if event.type == "ESC" and event.value == "PRESS" and not context.screen.is_animation_playing:

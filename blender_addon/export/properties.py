@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..core import limits
 from ..versions import has_native_splats, path_options
 from .recording import USD_PRESETS
+
+# diameter of a baked point in two standard deviations of its splat: balls of this size close the skin
+POINT_WIDTH_FACTOR = 2.0
 
 FORMATS = (
     ("usd", "USD", "One animated OpenUSD stage per hand: splats, points, skeleton and mesh", "NONE", 0),
@@ -130,7 +132,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         name="Point Size",
         description="Diameter of the baked points, in two standard deviations of a splat: more closes gaps between "
         "them",
-        default=limits.POINT_WIDTH_FACTOR,
+        default=POINT_WIDTH_FACTOR,
         min=0.1,
         soft_max=4.0,
         max=100.0,

@@ -16,13 +16,14 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import film, limits
+from ..core import film
 from ..core.view import Moment, Part, moments_request
 from ..errors import JGHandFailure
 from ..ops import sentence_of
 from ..preferences import preferences
 from ..renderer import runtime
 from ..renderer.runtime import RenderNote
+from ..renderer.state import REQUEST_S
 from ..viewport.views import ViewportEngine
 from . import ENGINE, camera, composite, rendering, samples
 
@@ -121,7 +122,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             },
         )
         chosen = preferences()
-        timeout_s = chosen.render_timeout_s if chosen is not None else limits.REQUEST_S
+        timeout_s = chosen.render_timeout_s if chosen is not None else REQUEST_S
         return runtime.link().request(header, arrays, timeout_s=timeout_s, canceled=self._is_canceled)
 
     def _is_canceled(self) -> bool:

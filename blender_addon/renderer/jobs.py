@@ -25,10 +25,19 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, Any
 
-from ..core import limits
 from ..core.panel_text import Translate, duration
 from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
+from . import state as machine
 from .process import HIDDEN, cleaned_environment
+
+# a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
+JOB_STOP_S = 30.0
+# after its end: what it printed last may still be on its way
+JOB_LAST_WORDS_S = 1.0
+# the end of Blender waits so long for all jobs together; what needs longer ends by itself
+JOB_END_S = 2.0
+# how often jobs are looked after
+JOB_LOOK_S = 0.25
 
 # what every job gets; see jghand_engine/cli/machine.py
 PROGRESS_OPTION = "--progress-json"
@@ -120,7 +129,7 @@ def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGH
     """Why a process ended: what it said itself, else what its exit code tells."""
     if error is not None:
         return JGHandFailure(str(error.get("kind")), str(error.get("text", "")))
-    last = "\n".join(log.splitlines()[-limits.DETAIL_LINES :])
+    last = "\n".join(log.splitlines()[-machine.DETAIL_LINES :])
     if "No module named" in log and "jghand_engine" in log:
         return JGHandFailure("no_engine", last)
     if exit_code == BAD_INPUT:
@@ -210,9 +219,9 @@ class Job:
             self.tick()
             if self._process is not None and not self.is_over:
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    self._process.wait(limits.POLL_S)
+                    self._process.wait(machine.POLL_S)
                 for reader in self._readers if self._ending_s is not None else ():
-                    reader.join(limits.POLL_S)
+                    reader.join(machine.POLL_S)
         return self.is_over
 
     def kill(self) -> None:
@@ -222,10 +231,10 @@ class Job:
         if process is not None and process.poll() is None:
             end_tree(process, at_once=True)
             try:
-                process.wait(limits.KILL_S)
+                process.wait(machine.KILL_S)
             except subprocess.TimeoutExpired:
                 return
-        self.wait(2 * limits.JOB_LAST_WORDS_S)
+        self.wait(2 * JOB_LAST_WORDS_S)
 
     def let_go(self) -> None:
         """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
@@ -235,7 +244,7 @@ class Job:
     # ---- the process -------------------------------------------------------------------------------------------------
 
     def _start(self, command: tuple[str, ...]) -> None:
-        self._output: deque[str] = deque(maxlen=limits.LOG_LINES)
+        self._output: deque[str] = deque(maxlen=machine.LOG_LINES)
         self._progress: Mapping[str, Any] | None = None
         self._error: Mapping[str, Any] | None = None
         self._heard_s = time.monotonic()
@@ -273,7 +282,7 @@ class Job:
                 content = parse_line(line)
                 if content is None:
                     if line:
-                        self._output.append(line[: limits.LOG_LINE_MAX])
+                        self._output.append(line[: machine.LOG_LINE_MAX])
                 elif content["jghand"] == "error":
                     self._error = content
                 elif content["jghand"] in ("progress", "training"):
@@ -290,7 +299,7 @@ class Job:
         if self._ending_s is None:
             self._ending_s = time.monotonic()
         waited_s = time.monotonic() - self._ending_s
-        return waited_s > limits.JOB_LAST_WORDS_S or not any(reader.is_alive() for reader in self._readers)
+        return waited_s > JOB_LAST_WORDS_S or not any(reader.is_alive() for reader in self._readers)
 
     def _end(self, code: int) -> None:
         self._take_news()
@@ -330,8 +339,8 @@ class Job:
         if self._asked_s is None or self._process is None:
             return
         waited_s = time.monotonic() - self._asked_s
-        if waited_s > limits.JOB_STOP_S:
-            end_tree(self._process, at_once=waited_s > limits.JOB_STOP_S + limits.TERMINATE_S)
+        if waited_s > JOB_STOP_S:
+            end_tree(self._process, at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
 
     def _close_input(self) -> None:
         if self._process is not None and self._process.stdin is not None:
@@ -381,7 +390,7 @@ class JobTable:
         running = self.running
         for job in running:
             job.let_go()
-        until = time.monotonic() + limits.JOB_END_S
+        until = time.monotonic() + JOB_END_S
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))
         self._jobs.clear()
@@ -402,7 +411,7 @@ def end_tree(process: subprocess.Popen[bytes], *, at_once: bool) -> None:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             creationflags=HIDDEN,
-            timeout=limits.KILL_S,
+            timeout=machine.KILL_S,
             check=False,
         )
     with contextlib.suppress(OSError):

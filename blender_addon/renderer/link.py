@@ -20,7 +20,6 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core import limits
 from ..core.wire import protocol
 from ..errors import JGHandFailure
 from . import state as machine
@@ -106,11 +105,11 @@ class EngineLink:
         with self._news:
             now_s, self._closing = time.monotonic(), True
             answers = not _is_slow(self._state) and not self._waiting.is_overdue(now_s)
-            self._handle(machine.StopAsked(now_s, limits.CLOSE_S if answers else 0.0))
+            self._handle(machine.StopAsked(now_s, machine.CLOSE_S if answers else 0.0))
             self._wake()
             thread = self._thread
         if thread is not None and thread is not threading.current_thread():
-            thread.join(limits.CLOSE_S + 2 * limits.KILL_S)
+            thread.join(machine.CLOSE_S + 2 * machine.KILL_S)
         engine = self._engine
         if engine is not None:  # the thread did not come to it
             engine.popen.kill()
@@ -159,7 +158,7 @@ class EngineLink:
                 left_s = deadline - time.monotonic()
                 if left_s <= 0 or not self._waiting.expects(slot, tag) or not self._works():
                     return None
-                self._news.wait(min(left_s, limits.POLL_S))
+                self._news.wait(min(left_s, machine.POLL_S))
 
     def drop(self, slot: str) -> None:
         """Forgets a slot and what it waits for."""
@@ -171,7 +170,7 @@ class EngineLink:
         """Waits for an engine that is starting. Raises JGHandFailure when there will be none."""
         with self._news:
             while isinstance(self._state, machine.Starting | machine.Stopping) and self._works():
-                self._news.wait(limits.POLL_S)
+                self._news.wait(machine.POLL_S)
             if not isinstance(self._state, machine.Ready):
                 raise _copy(self._failure)
 
@@ -180,7 +179,7 @@ class EngineLink:
         header: Mapping[str, Any],
         arrays: Arrays | None = None,
         *,
-        timeout_s: float = limits.REQUEST_S,
+        timeout_s: float = machine.REQUEST_S,
         canceled: Callable[[], bool] = lambda: False,
     ) -> protocol.Message:
         """Sends a request and waits for its reply; from any thread. Requests are answered in their order.
@@ -217,7 +216,7 @@ class EngineLink:
                 raise self._with_words("hung", "no reply in time")
             if not self._works():
                 raise _copy(self._failure)
-            self._news.wait(min(limits.POLL_S, left_s))
+            self._news.wait(min(machine.POLL_S, left_s))
             return call.answer
 
     # ---- under the lock ----------------------------------------------------------------------------------------------
@@ -266,7 +265,7 @@ class EngineLink:
     def _with_words(self, kind: str, detail: str = "") -> JGHandFailure:
         """A failure of the engine with what it printed last."""
         lines = tuple(self._logs[-1])
-        words = "\n".join(lines[-limits.DETAIL_LINES :])
+        words = "\n".join(lines[-machine.DETAIL_LINES :])
         return JGHandFailure(kind, "\n".join(part for part in (detail, words) if part), log="\n".join(lines))
 
     def _works(self) -> bool:
@@ -338,7 +337,7 @@ class EngineLink:
 
     def _start_engine(self, run: int, spawn: Sequence[str] | JGHandFailure) -> None:
         self._end_engine()
-        self._run, log = run, deque[str](maxlen=limits.LOG_LINES)
+        self._run, log = run, deque[str](maxlen=machine.LOG_LINES)
         if self._logs[-1]:
             self._logs.append(log)
         else:
@@ -402,7 +401,7 @@ class EngineLink:
         with self._news:
             if self._effects or self._is_over():
                 return
-            patience_s = limits.LOOK_S if isinstance(self._state, machine.Ready) else limits.POLL_S
+            patience_s = machine.LOOK_S if isinstance(self._state, machine.Ready) else machine.POLL_S
             if self._rests():
                 patience_s = None
         # not select.select, which knows only the first 1024 handles of a process

@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from ..core import limits
 from ..core.wire import protocol
 from ..errors import JGHandFailure, kind_of_exit
+from . import state as machine
 from .waiting import failure_told
 
 # no window of a console flashes up on Windows; the other systems have none
@@ -176,7 +176,7 @@ class EngineProcess:
         self._disconnect()
         with contextlib.suppress(OSError):
             self.popen.kill()
-        self._ends_within(limits.KILL_S)
+        self._ends_within(machine.KILL_S)
         self.close_stdin()
 
     def _ends_within(self, seconds: float) -> bool:
@@ -193,13 +193,13 @@ class EngineProcess:
     def _broken(self, kind: str, detail: str) -> LostError:
         """The connection broke; when that is because the process ends, a little later, that is the reason."""
         self._disconnect()
-        ended = self.why_it_ended() if self._ends_within(limits.TERMINATE_S) else None
+        ended = self.why_it_ended() if self._ends_within(machine.TERMINATE_S) else None
         return ended or LostError(kind, detail)
 
     def _drain(self, pipe: IO[bytes]) -> None:
         """Keeps a pipe of the engine from filling up; finds the handshake in stdout."""
         with pipe:
-            for raw in iter(lambda: pipe.readline(limits.LOG_LINE_MAX), b""):
+            for raw in iter(lambda: pipe.readline(machine.LOG_LINE_MAX), b""):
                 line = raw.decode("utf-8", "replace").rstrip()
                 found = _handshake(line) if not self.handshake and pipe is self.popen.stdout else {}
                 if found:

@@ -21,13 +21,12 @@ from typing import Any
 import bpy
 
 from .. import clock, folders, versions
-from ..core import limits
 from ..errors import JGHandFailure
 from ..preferences import preferences
 from ..ui import PANELS, redraw
 from . import install_tools
 from .engine_command import CARRIED, engine_command, engine_program
-from .jobs import Job, JobSpec, JobTable
+from .jobs import JOB_LOOK_S, Job, JobSpec, JobTable
 from .link import EngineLink
 
 # kinds of pictures whose receipts are kept
@@ -164,15 +163,15 @@ def timers_fire() -> bool:
 def watch_jobs() -> None:
     """Begins to look after the jobs, unless it does already."""
     if timers_fire() and not bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.register(_tick, first_interval=limits.JOB_LOOK_S, persistent=True)
+        bpy.app.timers.register(_tick, first_interval=JOB_LOOK_S, persistent=True)
 
 
-@clock.guarded(limits.JOB_LOOK_S)
+@clock.guarded(JOB_LOOK_S)
 def _tick() -> float | None:
     """The timer; None when nothing runs any more."""
     if _jobs.tick():
         redraw(*PANELS)
-    return limits.JOB_LOOK_S if _jobs.running else None
+    return JOB_LOOK_S if _jobs.running else None
 
 
 # ---- the training tools ----------------------------------------------------------------------------------------------

@@ -10,7 +10,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..core import limits
+# ---- numbers of the process, which all that has to do with it reads --------------------------------------------------
+
+# a cold start of the renderer's Python on a slow disk
+HANDSHAKE_S = 30.0
+# one picture of the final preset, and the loading of an avatar (which imports torch)
+REQUEST_S, LOAD_S = 60.0, 120.0
+# no sign of life for so long: the renderer is slow, then it hangs (it gives one every second)
+SLOW_S, SILENCE_S = 5.0, 30.0
+# how often a wait looks whether the process still lives; the link's thread, while the renderer is ready, is woken by
+# whatever comes and looks this often besides
+POLL_S, LOOK_S = 0.05, 1.0
+# between two starts after a failure, and how many of them there are unless the user asks for one
+RESTART_S, RESTARTS_MAX = 5.0, 3
+# pictures that failed and are not asked for again, the newest
+REFUSED_MAX = 64
+# after stdin was closed the renderer may finish; then it is ended. At the end of Blender, or of the extension, somebody
+# waits for that, and the renderer has nothing that it must finish
+STOP_S, CLOSE_S = 3.0, 0.3
+# what was ended is gone within moments; what is not hangs in the system
+KILL_S = 1.0
+# after a connection broke, its process may be about to end
+TERMINATE_S = 2.0
+# lines of the renderer's own output that are kept, those of them that a failure's detail shows, and letters of one
+LOG_LINES, DETAIL_LINES, LOG_LINE_MAX = 1000, 20, 2000
+
 
 # after these a new start may help; after the others somebody must mend something first
 PASSING = frozenset({"crashed", "killed", "hung", "out_of_memory", "broken_stream", "start_timeout"})
@@ -49,7 +73,7 @@ class Ready(State):
     @property
     def slow(self) -> bool:
         """Whether the engine should have said something."""
-        return self.silent_s > limits.SLOW_S
+        return self.silent_s > SLOW_S
 
 
 @dataclass(frozen=True)
@@ -193,8 +217,8 @@ def may_start(state: State, event: StartAsked) -> bool:
     """Whether a wish for an engine leads to one: it is there, on its way, or may be started now."""
     if not isinstance(state, Failed) or event.by_user:
         return True
-    waited = event.now_s - state.since_s >= limits.RESTART_S
-    return waited and state.kind in PASSING and state.restarts < limits.RESTARTS_MAX
+    waited = event.now_s - state.since_s >= RESTART_S
+    return waited and state.kind in PASSING and state.restarts < RESTARTS_MAX
 
 
 def _stopped(state: Stopped, event: Event) -> Step:
@@ -210,7 +234,7 @@ def _starting(state: Starting, event: Event) -> Step:
             return _fail(state, event, event.kind, event.detail)
         case Broke():
             return _fail(state, event, event.kind, event.detail, Kill())
-        case Tick() if event.now_s - state.since_s > limits.HANDSHAKE_S:
+        case Tick() if event.now_s - state.since_s > HANDSHAKE_S:
             return _fail(state, event, "start_timeout", "", Kill())
         case StopAsked() | RestartAsked():
             return _stop(state, event)
@@ -223,9 +247,9 @@ def _ready(state: Ready, event: Event) -> Step:
             return replace(state, silent_s=0.0, looked_s=event.now_s), ()
         case Tick():
             # a computer that slept, or a thread that got no turn, has not listened
-            listened_s = min(max(event.now_s - state.looked_s, 0.0), 2 * limits.LOOK_S)
+            listened_s = min(max(event.now_s - state.looked_s, 0.0), 2 * LOOK_S)
             silent_s = state.silent_s + listened_s
-            if silent_s > limits.SILENCE_S:
+            if silent_s > SILENCE_S:
                 return _fail(state, event, "hung", "no sign of life", Kill())
             return replace(state, silent_s=silent_s, looked_s=event.now_s), ()
         case Exited():
@@ -270,7 +294,7 @@ def _start(state: State, event: Event, *, restarts: int = 0) -> Step:
 
 
 def _stop(state: State, event: Event) -> Step:
-    patience_s = event.patience_s if isinstance(event, StopAsked) else limits.STOP_S
+    patience_s = event.patience_s if isinstance(event, StopAsked) else STOP_S
     again = isinstance(event, RestartAsked)
     return Stopping(state.run, state.restarts, event.now_s, again, patience_s), (CloseStdin(), Release("stopped"))
 

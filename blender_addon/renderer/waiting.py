@@ -13,9 +13,9 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..core import limits
 from ..core.wire import protocol
 from ..errors import GIVEN_UP, JGHandFailure
+from . import state as machine
 from .state import PASSING
 
 Arrays = Mapping[str, protocol.Array]
@@ -71,7 +71,7 @@ class Call:
         """Since when the engine may be at the request itself: not while it says what it loads for it, within reason."""
         if self.sent_s is None:
             return None
-        return max(self.sent_s, min(self.told_s, self.sent_s + limits.LOAD_S))
+        return max(self.sent_s, min(self.told_s, self.sent_s + machine.LOAD_S))
 
 
 @dataclass
@@ -179,8 +179,8 @@ class Waiting:
         if call is None or call.begun_s is None:
             return False
         if call.given_up_s is not None:
-            return now_s - max(call.given_up_s, call.begun_s) > limits.SILENCE_S
-        return call.slot is not None and now_s - call.begun_s > limits.LOAD_S
+            return now_s - max(call.given_up_s, call.begun_s) > machine.SILENCE_S
+        return call.slot is not None and now_s - call.begun_s > machine.LOAD_S
 
     # ---- the engine --------------------------------------------------------------------------------------------------
 
@@ -266,5 +266,5 @@ class Waiting:
 
     def _refuse(self, tag: Hashable, failure: JGHandFailure) -> None:
         self._refused[tag] = failure
-        while len(self._refused) > limits.REFUSED_MAX:
+        while len(self._refused) > machine.REFUSED_MAX:
             self._refused.popitem(last=False)

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import limits
 from blender_addon.errors import ADVICE, JGHandFailure
 from blender_addon.renderer import jobs
+from blender_addon.renderer import jobs as renderer_jobs
+from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.jobs import Job, JobSpec, JobState, JobTable, Phase
 
 STAND_IN = Path(__file__).with_name("stand_in_job.py")
@@ -172,13 +173,13 @@ def test_a_failure_while_it_stops_is_told(tmp_path):
 
 @posix
 def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "JOB_LAST_WORDS_S", 20.0)
+    monkeypatch.setattr(renderer_jobs, "JOB_LAST_WORDS_S", 20.0)
     job = Job(spec("orphan"))
     assert job._process is not None
     job._process.wait(LONG_S)
     job.tick()
     assert not job.is_over, "its last words may still come"
-    monkeypatch.setattr(limits, "JOB_LAST_WORDS_S", 0.0)
+    monkeypatch.setattr(renderer_jobs, "JOB_LAST_WORDS_S", 0.0)
     job.tick()
     assert job.state.phase is Phase.DONE
     os.killpg(job._process.pid, signal.SIGKILL)
@@ -195,8 +196,8 @@ def test_what_only_the_job_needed_is_taken_away_once_when_it_is_over(tmp_path, f
 
 @posix
 def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "JOB_STOP_S", 0.2)
-    monkeypatch.setattr(limits, "TERMINATE_S", 0.2)
+    monkeypatch.setattr(renderer_jobs, "JOB_STOP_S", 0.2)
+    monkeypatch.setattr(renderer_state, "TERMINATE_S", 0.2)
     job = Job(spec("deaf"))
     until_it_counts(job)
     job.cancel()
@@ -206,7 +207,7 @@ def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch)
 @posix
 def test_a_program_that_hangs_in_the_system_does_not_hold_blender(tmp_path, monkeypatch):
     """As one does that waits for a disk that is gone: it cannot be killed."""
-    monkeypatch.setattr(limits, "KILL_S", 0.1)
+    monkeypatch.setattr(renderer_state, "KILL_S", 0.1)
     end_tree = jobs.end_tree
     monkeypatch.setattr(jobs, "end_tree", lambda *_, **__: None)
     job = Job(spec("deaf"))
@@ -235,8 +236,8 @@ def test_a_flood_of_output_neither_blocks_nor_fills_memory(tmp_path):
     job = Job(spec("flood"))
     assert ended(job, 60.0).phase is Phase.DONE
     assert job.state.done == 19999
-    assert len(job._output) <= limits.LOG_LINES
-    assert max(map(len, job._output)) <= limits.LOG_LINE_MAX
+    assert len(job._output) <= renderer_state.LOG_LINES
+    assert max(map(len, job._output)) <= renderer_state.LOG_LINE_MAX
 
 
 @posix
@@ -316,7 +317,7 @@ def test_the_end_of_blender_ends_jobs_politely_and_soon(tmp_path):
     until_it_counts(deaf)
     started = time.monotonic()
     table.close()
-    assert time.monotonic() - started < limits.JOB_END_S + 2
+    assert time.monotonic() - started < renderer_jobs.JOB_END_S + 2
     assert (tmp_path / "checkpoint").exists()
     deaf.kill()
 

@@ -20,9 +20,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stand_ins import PATIENCE_S, command, linked, picture, until
 
-from blender_addon.core import limits
 from blender_addon.core.wire import protocol
 from blender_addon.errors import JGHandFailure
+from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.link import Answer, EngineLink
 
 
@@ -150,7 +150,7 @@ def test_a_request_that_takes_too_long_is_given_up_and_the_next_one_is_answered(
 
 
 def test_an_engine_that_does_not_stop_what_was_given_up_is_ended(monkeypatch):
-    monkeypatch.setattr(limits, "SILENCE_S", 2.0)
+    monkeypatch.setattr(renderer_state, "SILENCE_S", 2.0)
     with linked("hang") as link:
         with pytest.raises(JGHandFailure):
             link.request(*picture(), timeout_s=0.1)
@@ -213,7 +213,7 @@ def test_an_engine_that_is_killed_from_outside_is_noticed_by_everybody():
 
 
 def test_a_crashed_engine_is_started_again_but_not_with_what_crashed_it(monkeypatch):
-    monkeypatch.setattr(limits, "RESTART_S", 0.2)
+    monkeypatch.setattr(renderer_state, "RESTART_S", 0.2)
     with linked("die:2") as link:
         link.ask("viewport", *picture(), tag="good")
         assert answered(link, "good").failure is None
@@ -228,9 +228,9 @@ def test_a_crashed_engine_is_started_again_but_not_with_what_crashed_it(monkeypa
 
 
 def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
-    monkeypatch.setattr(limits, "RESTART_S", 0.0)
+    monkeypatch.setattr(renderer_state, "RESTART_S", 0.0)
     with linked("die") as link:
-        for tag in range(limits.RESTARTS_MAX + 1):
+        for tag in range(renderer_state.RESTARTS_MAX + 1):
             link.ask("viewport", *picture(), tag=tag)
             assert answered(link, tag).failure.kind == "crashed"
         link.ask("viewport", *picture(), tag="one more")
@@ -241,8 +241,8 @@ def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
 
 
 def test_an_engine_that_says_nothing_is_slow_and_its_picture_still_comes(monkeypatch):
-    monkeypatch.setattr(limits, "SLOW_S", 0.5)
-    monkeypatch.setattr(limits, "LOOK_S", 0.1)
+    monkeypatch.setattr(renderer_state, "SLOW_S", 0.5)
+    monkeypatch.setattr(renderer_state, "LOOK_S", 0.1)
     with linked("mute") as link:
         link.start()
         until(lambda: link.status.state == "slow")
@@ -361,7 +361,7 @@ def test_an_engine_that_hangs_is_ended_in_time_and_its_last_words_are_told():
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows cannot stop a process for a while")
 def test_an_engine_whose_heart_stops_is_ended_before_the_time_of_the_request_is_over(monkeypatch):
-    monkeypatch.setattr(limits, "SILENCE_S", 2.5)
+    monkeypatch.setattr(renderer_state, "SILENCE_S", 2.5)
     started = time.monotonic()
     failure = failure_of("frozen", timeout_s=300.0)
     assert time.monotonic() - started < 30
@@ -372,7 +372,7 @@ def test_an_engine_whose_heart_stops_is_ended_before_the_time_of_the_request_is_
 
 @pytest.mark.parametrize("fault", ["silent", "garbage"])
 def test_an_engine_without_a_handshake_is_given_up(fault, monkeypatch):
-    monkeypatch.setattr(limits, "HANDSHAKE_S", 1.0)
+    monkeypatch.setattr(renderer_state, "HANDSHAKE_S", 1.0)
     assert failure_of_start(fault).kind == "start_timeout"
 
 
@@ -409,7 +409,7 @@ def test_a_link_is_closed_long_before_an_engine_that_will_not_end_would_be_asked
         begun_s = time.monotonic()
         link.close()
         # the thread came to it, and was not given up
-        assert time.monotonic() - begun_s < limits.CLOSE_S + 2 * limits.KILL_S
+        assert time.monotonic() - begun_s < renderer_state.CLOSE_S + 2 * renderer_state.KILL_S
         assert process.popen.poll() is not None
 
 
@@ -479,7 +479,7 @@ HEADERS = st.fixed_dictionaries(
 @given(st.lists(HEADERS, max_size=6), st.binary(max_size=60), st.booleans())
 def test_whatever_comes_over_the_wire_nobody_waits_for_ever(headers, rubbish, welcomed):
     # its process lives on: whether it is about to end need not be found out here
-    with mock.patch.object(limits, "TERMINATE_S", 0.02), AnyEngine() as engine:
+    with mock.patch.object(renderer_state, "TERMINATE_S", 0.02), AnyEngine() as engine:
         if welcomed:
             protocol.send(engine.connection, {"kind": "welcome"})
         engine.link.ask("viewport", *picture(), tag="a")

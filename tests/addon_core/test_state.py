@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_addon.core import limits
 from blender_addon.errors import ADVICE
 from blender_addon.renderer import state
+from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.state import (
     Broke,
     CloseStdin,
@@ -32,7 +32,7 @@ from blender_addon.renderer.state import (
 
 READY = Ready(1, since_s=10.0, looked_s=10.0)
 CRASHED = Failed(1, since_s=10.0, kind="crashed")
-LATER_S = 10.0 + limits.RESTART_S
+LATER_S = 10.0 + renderer_state.RESTART_S
 STOPPED = (CloseStdin(), Release("stopped"))
 
 # state, event, next state, effects
@@ -90,9 +90,9 @@ TABLE = {
         (),
     ),
     "a stop closes stdin": (READY, StopAsked(11.0, 0.3), Stopping(1, 0, 11.0, False, 0.3), STOPPED),
-    "a restart does too": (READY, RestartAsked(11.0), Stopping(1, 0, 11.0, True, limits.STOP_S), STOPPED),
+    "a restart does too": (READY, RestartAsked(11.0), Stopping(1, 0, 11.0, True, renderer_state.STOP_S), STOPPED),
     "a restart ends in a start": (
-        Stopping(1, 2, 0.0, True, limits.STOP_S),
+        Stopping(1, 2, 0.0, True, renderer_state.STOP_S),
         Exited(10.0, 1),
         Starting(2, since_s=10.0),
         (Spawn(2),),
@@ -118,9 +118,9 @@ TABLE = {
     ),
     "but not at once": (CRASHED, StartAsked(12.0), CRASHED, (Release("crashed"),)),
     "and not too often": (
-        Failed(9, limits.RESTARTS_MAX, kind="crashed"),
+        Failed(9, renderer_state.RESTARTS_MAX, kind="crashed"),
         StartAsked(1e6),
-        Failed(9, limits.RESTARTS_MAX, kind="crashed"),
+        Failed(9, renderer_state.RESTARTS_MAX, kind="crashed"),
         (Release("crashed"),),
     ),
     "and not when nothing was mended": (
@@ -130,7 +130,7 @@ TABLE = {
         (Release("no_engine"),),
     ),
     "the user may always, and counts anew": (
-        Failed(9, limits.RESTARTS_MAX, 10.0, kind="no_engine"),
+        Failed(9, renderer_state.RESTARTS_MAX, 10.0, kind="no_engine"),
         StartAsked(10.1, by_user=True),
         Starting(10, 0, 10.1),
         (Spawn(10),),
@@ -230,5 +230,5 @@ def test_there_is_never_more_than_one_process(history):
                 asked_by_user = isinstance(event, RestartAsked) or getattr(event, "by_user", False)
                 unasked = isinstance(before, Failed) and not asked_by_user
                 restarts = restarts + 1 if unasked else 0 if asked_by_user else restarts
-                assert restarts <= limits.RESTARTS_MAX or isinstance(before, Stopped | Stopping)
+                assert restarts <= renderer_state.RESTARTS_MAX or isinstance(before, Stopped | Stopping)
         assert lives or isinstance(now, Stopped | Failed | Stopping)

@@ -6,9 +6,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from blender_addon.core import limits
 from blender_addon.core.wire import protocol
 from blender_addon.errors import JGHandFailure
+from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.waiting import Call, Waiting
 
 SLOTS = st.sampled_from("ab")
@@ -157,11 +157,11 @@ def test_slots_take_turns():
 
 def test_only_so_many_failures_are_remembered():
     waiting = Waiting()
-    for tag in range(limits.REFUSED_MAX + 1):
+    for tag in range(renderer_state.REFUSED_MAX + 1):
         waiting.ask("a", HEADER, None, tag, 0.0)
         waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0)
     assert waiting.ask("a", HEADER, None, 0, 0.0)
-    assert not waiting.ask("b", HEADER, None, limits.REFUSED_MAX, 0.0)
+    assert not waiting.ask("b", HEADER, None, renderer_state.REFUSED_MAX, 0.0)
 
 
 def test_what_takes_too_long_is_known():
@@ -169,15 +169,15 @@ def test_what_takes_too_long_is_known():
     waiting.ask("a", HEADER, None, 0, 0.0)
     assert not waiting.is_overdue(1e6)
     call = waiting.next(0.0)
-    assert not waiting.is_overdue(limits.LOAD_S)
-    assert waiting.is_overdue(limits.LOAD_S + 1)
+    assert not waiting.is_overdue(renderer_state.LOAD_S)
+    assert waiting.is_overdue(renderer_state.LOAD_S + 1)
     waiting.give_up(call, 1.0)
-    assert not waiting.is_overdue(limits.SILENCE_S)
-    assert waiting.is_overdue(limits.SILENCE_S + 2)
+    assert not waiting.is_overdue(renderer_state.SILENCE_S)
+    assert waiting.is_overdue(renderer_state.SILENCE_S + 2)
     waiting.take(progress(call), 20.0)
-    assert not waiting.is_overdue(limits.SILENCE_S + 2)
-    waiting.take(progress(call), 2 * limits.LOAD_S)
-    assert waiting.is_overdue(limits.LOAD_S + limits.SILENCE_S + 2)
+    assert not waiting.is_overdue(renderer_state.SILENCE_S + 2)
+    waiting.take(progress(call), 2 * renderer_state.LOAD_S)
+    assert waiting.is_overdue(renderer_state.LOAD_S + renderer_state.SILENCE_S + 2)
 
 
 def test_what_is_wanted_again_while_the_engine_is_at_it_is_not_followed_by_what_was_wanted_between():

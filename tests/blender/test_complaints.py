@@ -25,7 +25,6 @@ import recording_layout
 from bpy_extras import anim_utils
 
 from blender_addon import folders, registration, versions
-from blender_addon.core import limits
 from blender_addon.core.view import picture_request
 from blender_addon.errors import ADVICE
 from blender_addon.hand import panel as hand
@@ -33,6 +32,7 @@ from blender_addon.hand import sources
 from blender_addon.render import camera, rendering
 from blender_addon.render import panel as picture
 from blender_addon.renderer import runtime
+from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -105,7 +105,7 @@ def viewports_picture(link: EngineLink, scene: bpy.types.Scene) -> np.ndarray:
     header, arrays = picture_request(
         camera.pinhole(scene.camera, depsgraph), read, preset=scene.jghand.render_preset, outputs=["rgba_u8"]
     )
-    reply = link.request(header, arrays, timeout_s=limits.LOAD_S)
+    reply = link.request(header, arrays, timeout_s=renderer_state.LOAD_S)
     picture = np.asarray(reply.arrays["rgba_u8"].view()).astype(np.float32) / 255
     return np.minimum(picture, picture[..., 3:])
 
@@ -289,8 +289,8 @@ def test_one_button_in_an_empty_scene_is_all_that_a_render_needs(stand_in, conte
 @pytest.mark.parametrize("fault", ["silent", "die_at_start", "garbage", "wrong_version", "wrong_port"])
 def test_an_external_process_that_hangs_on_starting_for_ever(stand_in_command, scene, monkeypatch, fault):
     """An engine that never gets ready ends as a sentence with a remedy, and F12 ends with it, within bounds."""
-    monkeypatch.setattr(limits, "HANDSHAKE_S", 1.0)
-    monkeypatch.setattr(limits, "TERMINATE_S", 0.5)
+    monkeypatch.setattr(renderer_state, "HANDSHAKE_S", 1.0)
+    monkeypatch.setattr(renderer_state, "TERMINATE_S", 0.5)
     bpy.ops.jghand.use_engine()
     link = EngineLink(lambda: [*stand_in_command, fault])
     runtime.use_link(link)

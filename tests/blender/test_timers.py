@@ -8,8 +8,8 @@ import bpy
 import pytest
 
 from blender_addon import clock, ui
-from blender_addon.core import limits
 from blender_addon.hand import poses as pose_library
+from blender_addon.renderer import jobs as renderer_jobs
 from blender_addon.renderer import runtime
 
 
@@ -27,7 +27,7 @@ def test_the_watch_of_jobs_goes_on_after_a_mistake_which_is_told_once(context, m
         raise RuntimeError("a mistake")
 
     monkeypatch.setattr(runtime, "_jobs", SimpleNamespace(tick=mistaken))
-    assert [runtime._tick() for _ in range(3)] == [limits.JOB_LOOK_S] * 3
+    assert [runtime._tick() for _ in range(3)] == [renderer_jobs.JOB_LOOK_S] * 3
     assert [str(error) for error in told] == ["a mistake"]
 
 

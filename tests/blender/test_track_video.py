@@ -14,13 +14,13 @@ from hands import moving_hand_m
 
 from blender_addon import folders, versions
 from blender_addon import ops as common
-from blender_addon.core import limits
 from blender_addon.core.controls import HAND_CONTROL
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, ops_motion
 from blender_addon.hand.motion_files import MotionFile, write_motion
 from blender_addon.hand.motion_jobs import words
 from blender_addon.ops import InTurns
+from blender_addon.renderer import jobs as renderer_jobs
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import Job, Phase
 
@@ -198,7 +198,7 @@ def test_blender_is_free_while_the_engine_looks(extension, engine, video, tmp_pa
     free = {"PASS_THROUGH"}
     assert sent("MOUSEMOVE") == sent("TIMER") == sent("A") == free
     assert len(looks) <= 2
-    assert timers[-1] == limits.JOB_LOOK_S
+    assert timers[-1] == renderer_jobs.JOB_LOOK_S
     assert sent("ESC") == free, "it ends playback"
     assert runtime.jobs().get(runtime.IMPORT).state.phase is Phase.RUNNING
     with pytest.raises(JGHandFailure, match="running already"):

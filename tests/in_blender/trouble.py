@@ -48,7 +48,7 @@ def step_f12_starts_a_dead_engine_itself(window):
     scene.render.filepath = str(window.out / "after_death.png")
     yield from window.settle()
     yield from kill_engine(window)
-    yield window.module("core.limits").RESTART_S  # no earlier does it start again by itself
+    yield window.module("renderer.state").RESTART_S  # no earlier does it start again by itself
     with window.override():
         bpy.ops.render.render("INVOKE_DEFAULT", write_still=True)
     yield lambda: not bpy.app.is_job_running("RENDER")
