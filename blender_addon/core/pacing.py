@@ -324,7 +324,10 @@ def _noticed(pace: Pace, want: Want, moment: DrawMoment) -> Pace:
     behind_s = math.inf
     if pace.shown is not None and pace.shown.want != want:
         behind_s = min(pace.behind_s, moment.now_s)
-    return replace(pace, want=want, changed_s=changed_s, activity=moment.activity, behind_s=behind_s)
+    # what failed because no renderer answers is asked for again when it is wanted again, as in every round of a loop:
+    # only a wish starts another renderer
+    failures = pace.failures if moment.answering or want == pace.want else ()
+    return replace(pace, want=want, changed_s=changed_s, activity=moment.activity, behind_s=behind_s, failures=failures)
 
 
 def _grade(pace: Pace, moment: DrawMoment, settings: ViewSettings) -> Grade:

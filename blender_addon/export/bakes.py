@@ -138,6 +138,8 @@ def read_bake(folder: Path) -> list[BakedHand]:
         raise JGHandFailure("no_bake", f"{folder}: {error.strerror or error}") from error
     except (ValueError, TypeError, KeyError) as error:
         raise JGHandFailure("no_bake", f"{folder / STAMP}: {str(error)[:200]}") from error
+    if not hands:
+        raise JGHandFailure("no_bake", f"{folder / STAMP}: no hand")
     for hand in hands:
         # the stem becomes a path: it never leaves the folder
         if not hand.name.isidentifier() or not hand.stage(folder).is_file():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -191,12 +192,14 @@ class Bake(StartsJob, bpy.types.Operator):
         settings = context.scene.jghand.output
         self._folder = place(context, settings.bake_folder)
         things = _things_of(context, self._uids)
+        # not by names: a linked hand may have the name of one of this file
+        owners = [owner for owner, *_ in ops_common.named_hands(context, things)]
         options = usd_options("splats" if versions.has_native_splats() else "points", settings.bake_width_factor)
         made: list[_NewBake] = []
         clean = partial(_clean, made)
         try:
             for thing, folder in zip(things, _bake_folders(context, things), strict=True):
-                own = tuple(recording for recording in recordings if recording.source == thing.name)
+                own = tuple(each for owner, each in zip(owners, recordings, strict=True) if owner == thing)
                 made.append(_NewBake(thing.session_uid, _folder_beside(folder), folder, own))
             commands = [
                 (*runtime.program(), *recording.export_words("usd", bake.made, bake.made, *options))
@@ -245,7 +248,13 @@ def _finish(made: Sequence[_NewBake]) -> None:
             has_bake = thing is not None and bool(thing.jghand.bake)
             before = {bake.folder, bakes.folder_of(thing)} if has_bake else {bake.folder}
             played = [folder for folder in before if bakes.stop(context, folder)]
-            bakes.put_in_place(bake.made, bake.folder, bake.recordings)
+            try:
+                bakes.put_in_place(bake.made, bake.folder, bake.recordings)
+            except JGHandFailure:
+                for folder in played:
+                    with contextlib.suppress(JGHandFailure):  # no half of a bake plays
+                        bakes.play(context, folder)
+                raise
             if thing is not None and thing.is_editable:
                 thing.jghand.bake = folders.beside_the_file(context, bake.folder)
             if played:

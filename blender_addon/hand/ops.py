@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands in the scene: adding one of ours, making somebody else's rig or 21 objects one, selecting and forgetting."""
+"""Hands in the scene: adding one of ours, making somebody else's rig or 21 objects one, selecting and forgetting; and
+the avatar that is drawn on them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Vector
 
+from .. import folders
 from .. import ops as common
 from ..core import bone_maps, posing
 from ..core.bone_maps import BoneMap, Recognition
@@ -343,6 +346,74 @@ class SelectHand(Reporting, bpy.types.Operator):
             bpy.ops.object.mode_set(mode="POSE")
 
 
+class LoadAvatar(Reporting, bpy.types.Operator):
+    """Operator: an avatar file on the selected hands."""
+
+    bl_idname = "jghand.load_avatar"
+    bl_label = "Load Avatar"
+    bl_description = "Choose the avatar file that is drawn on the selected hands"
+    bl_options = UNDOABLE
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    relative_path: bpy.props.BoolProperty(
+        name="Relative Path",
+        description="Keep the path as seen from the opened file, so that both can be moved together",
+        options={"SKIP_SAVE"},
+    )
+    filter_glob: bpy.props.StringProperty(default="*.jghand", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not _any_hands(context):
+            return missing(cls, "Select a hand")
+        if not _editable_hands(context):
+            return missing(cls, "This hand is linked from another file: make it local, or an override, first")
+        return True
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        if not self.properties.is_property_set("relative_path"):
+            self.relative_path = context.preferences.filepaths.use_relative_paths
+        if self.filepath:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def run(self, context: bpy.types.Context) -> None:
+        path = Path(bpy.path.abspath(self.filepath))
+        if path.suffix != ".jghand" or not path.is_file():
+            raise JGHandFailure("bad_avatar", f"{path}: wanted a file that ends with .jghand")
+        kept = folders.relative(str(path)) if self.relative_path and context.blend_data.filepath else self.filepath
+        hands = _editable_hands(context)
+        for thing in hands:
+            thing.jghand.avatar = kept
+            thing.update_tag()
+        if len(hands) < len(_any_hands(context)):
+            self.warn(rpt_("Hands that are linked from another file keep their avatar."))
+
+
+class DropAvatar(bpy.types.FileHandler):
+    """Avatar files that are dropped into the viewport."""
+
+    bl_idname = "JGHAND_FH_avatar"
+    bl_label = "JGHand Avatar"
+    bl_import_operator = LoadAvatar.bl_idname
+    bl_file_extensions = ".jghand"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Onto a 3D view with a selected hand."""
+        return context.area is not None and context.area.type == "VIEW_3D" and bool(_any_hands(context))
+
+
+def _any_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
+    chosen = {thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None}
+    return [thing for thing in chosen if armature.is_any_hand(thing)]
+
+
+def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
+    return [thing for thing in _any_hands(context) if thing.is_editable]
+
+
 def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.Object:
     """A camera that shows where a hand is now; it becomes the scene's."""
     (seen, *_) = sources.read_hands(hand, context.evaluated_depsgraph_get())
@@ -391,7 +462,7 @@ def _look_at(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     framing.turn_view_to(context.area, joints_m, context.scene.unit_settings.scale_length)
 
 
-CLASSES = (AddHand, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand)
+CLASSES = (AddHand, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand, LoadAvatar, DropAvatar)
 
 
 def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:

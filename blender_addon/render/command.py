@@ -151,9 +151,13 @@ def _folders(scene: bpy.types.Scene, names: list[str], frame: int) -> dict[str, 
             raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
         eyes = [known[name] for name in dict.fromkeys(wanted)]
     else:
-        marked = sorted((each.frame, each.camera) for each in scene.timeline_markers if each.camera is not None)
-        before = [eye for at, eye in marked if at <= frame]
-        eyes = [eye for eye in (scene.camera, *before[-1:], *(eye for _, eye in marked)) if eye is not None][:1]
+        # as Blender chooses: the last marker until now, else the first; of several at one frame the one made first
+        marked = [each for each in scene.timeline_markers if each.camera is not None]
+        before = [each for each in marked if each.frame <= frame]
+        first = min(marked, key=lambda each: each.frame, default=None)
+        now = max(before, key=lambda each: each.frame, default=first)
+        eye = scene.camera or (now.camera if now is not None else None)
+        eyes = [eye] if eye is not None else []
     if not eyes:
         raise JGHandFailure("no_camera")
     found = {re.sub(r"[^\w. -]", "_", eye.name).strip(". ") or "camera": eye for eye in eyes}

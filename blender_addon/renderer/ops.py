@@ -58,15 +58,18 @@ class ShowLog(bpy.types.Operator):
         return bool(runtime.link().log) or missing(cls, "The renderer has printed nothing yet")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        text = bpy.data.texts.get(LOG_NAME) or bpy.data.texts.new(LOG_NAME)
-        text.clear()
-        text.write(runtime.link().log)
-        if not bpy.app.background and context.window is not None:
-            _show_text(context, text)
+        _show_text(context, LOG_NAME, runtime.link().log)
         return DONE
 
 
-def _show_text(context: bpy.types.Context, text: bpy.types.Text) -> None:
+def _show_text(context: bpy.types.Context, name: str, content: str) -> None:
+    """Puts it into the text of that name, one of this file, and shows that where there is a window."""
+    text = next((old for old in bpy.data.texts if old.name == name and old.library is None), None)
+    text = text or bpy.data.texts.new(name)
+    text.clear()
+    text.write(content)
+    if bpy.app.background or context.window is None:
+        return
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "TEXT_EDITOR":
@@ -88,8 +91,8 @@ class InstallTools(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if runtime.jobs().runs(runtime.TOOLS):
-            return missing(cls, "The training tools are being installed")
+        if not _tools_are_free(cls):
+            return False
         if not runtime.is_online():
             return missing(cls, 'Switch "Allow Online Access" on in the preferences, under System')
         return True
@@ -112,8 +115,8 @@ class RemoveTools(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if runtime.jobs().runs(runtime.TOOLS):
-            return missing(cls, "The training tools are being installed")
+        if not _tools_are_free(cls):
+            return False
         return runtime.tools_state() != "missing" or missing(cls, "There are no training tools here")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -124,6 +127,15 @@ class RemoveTools(Reporting, bpy.types.Operator):
             shutil.rmtree(runtime.tools_folder())
         except OSError as error:
             raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
+
+
+def _tools_are_free(operator: type) -> bool:
+    """Whether the training tools may be changed: a training would lose its program, and hours of work."""
+    if runtime.jobs().runs(runtime.TOOLS):
+        return missing(operator, "The training tools are being installed")
+    if any(map(runtime.jobs().runs, (runtime.TRAINING, runtime.CAPTURE, runtime.IMPORT))):
+        return missing(operator, "The training tools are in use: wait until the job has ended, or cancel it")
+    return True
 
 
 class CancelJob(Reporting, bpy.types.Operator):
@@ -151,24 +163,19 @@ class ShowJobLog(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.show_job_log"
     bl_label = "Show Log"
-    bl_description = "Put what this job printed last into a text of the Text Editor"
+    bl_description = "Open what this job printed last in the Text Editor"
     bl_options = REGISTERED
 
     key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
-    def run(self, _context: bpy.types.Context) -> None:
+    def run(self, context: bpy.types.Context) -> None:
         job = runtime.jobs().get(self.key)
         if job is None:
             raise JGHandFailure("bad_input", "no such job was started")
         lines = [" ".join(job.spec.command), "", job.log]
         if job.state.failure is not None:
             lines[1:1] = ["", str(job.state.failure)]
-        name = f"JGHand {self.key}.log"
-        text = next((old for old in bpy.data.texts if old.name == name and old.library is None), None)
-        text = text or bpy.data.texts.new(name)
-        text.clear()
-        text.write("\n".join(lines))
-        self.tell(rpt_("The log is the text {name}.").format(name=text.name))
+        _show_text(context, f"JGHand {self.key}.log", "\n".join(lines))
 
 
 CLASSES = (RestartEngine, ShowLog, InstallTools, RemoveTools, CancelJob, ShowJobLog)

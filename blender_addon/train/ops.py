@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures to learn a hand from, learning it, and avatars from disk."""
+"""Pictures to learn a hand from, and learning it."""
 
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -14,7 +13,7 @@ from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
 from ..hand import armature
-from ..ops import REGISTERED, UNDOABLE, Reporting, missing
+from ..ops import REGISTERED, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from .training_folder import TrainingReader, capture_words, folder_of, train_words
@@ -134,77 +133,9 @@ class Train(StartsJob, bpy.types.Operator):
         return rpt_("The avatar is {file}.").format(file=self._out)
 
 
-class LoadAvatar(Reporting, bpy.types.Operator):
-    """Operator: an avatar file on the selected hands."""
-
-    bl_idname = "jghand.load_avatar"
-    bl_label = "Load Avatar"
-    bl_description = "Choose the avatar file that is drawn on the selected hands"
-    bl_options = UNDOABLE
-
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    relative_path: bpy.props.BoolProperty(
-        name="Relative Path",
-        description="Keep the path as seen from the opened file, so that both can be moved together",
-        options={"SKIP_SAVE"},
-    )
-    filter_glob: bpy.props.StringProperty(default="*.jghand", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not _hands(context):
-            return missing(cls, "Select a hand")
-        if not _editable_hands(context):
-            return missing(cls, "This hand is linked from another file: make it local, or an override, first")
-        return True
-
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        if not self.properties.is_property_set("relative_path"):
-            self.relative_path = context.preferences.filepaths.use_relative_paths
-        if self.filepath:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def run(self, context: bpy.types.Context) -> None:
-        path = Path(bpy.path.abspath(self.filepath))
-        if path.suffix != ".jghand" or not path.is_file():
-            raise JGHandFailure("bad_avatar", f"{path}: wanted a file that ends with .jghand")
-        kept = folders.relative(str(path)) if self.relative_path and context.blend_data.filepath else self.filepath
-        hands = _editable_hands(context)
-        for thing in hands:
-            thing.jghand.avatar = kept
-            thing.update_tag()
-        if len(hands) < len(_hands(context)):
-            self.warn(rpt_("Hands that are linked from another file keep their avatar."))
-
-
-class DropAvatar(bpy.types.FileHandler):
-    """Avatar files that are dropped into the viewport."""
-
-    bl_idname = "JGHAND_FH_avatar"
-    bl_label = "JGHand Avatar"
-    bl_import_operator = LoadAvatar.bl_idname
-    bl_file_extensions = ".jghand"
-
-    @classmethod
-    def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Onto a 3D view with a selected hand."""
-        return context.area is not None and context.area.type == "VIEW_3D" and bool(_hands(context))
-
-
 def _active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
     thing = context.object
     return thing if thing is not None and armature.is_any_hand(thing) else None
 
 
-def _hands(context: bpy.types.Context) -> list[bpy.types.Object]:
-    chosen = {thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None}
-    return [thing for thing in chosen if armature.is_any_hand(thing)]
-
-
-def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
-    return [thing for thing in _hands(context) if thing.is_editable]
-
-
-CLASSES = (RenderTrainingSet, Train, LoadAvatar, DropAvatar)
+CLASSES = (RenderTrainingSet, Train)

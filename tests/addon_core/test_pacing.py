@@ -281,6 +281,15 @@ def test_a_failure_is_remembered_and_not_asked_for_again():
     assert view.pace.failure() is None
 
 
+def test_a_loop_that_plays_without_a_renderer_asks_in_every_round_because_only_that_starts_another():
+    view = view_of(A)
+    for _ in range(3):
+        for want in (B, C):
+            view.draw(want, PLAYING, answering=False)
+            view.answer(failure="killed")
+    assert len(view.asked) == 6
+
+
 def test_a_sharp_picture_that_fails_leaves_the_viewports_one():
     view = View()
     view.draw(A)

@@ -86,6 +86,7 @@ def test_an_engine_that_wrote_another_motion_makes_no_bake(tmp_path):
     [
         lambda content: "",
         lambda content: "[]",
+        lambda content: json.dumps({**json.loads(content), "hands": []}),
         lambda content: content.replace('"Hand"', '"../../Hand"'),
         lambda content: content.replace('"version": 1', '"version": 2'),
         lambda content: content.replace('"frames": 3', '"frames": "x"'),

@@ -70,6 +70,12 @@ def test_another_file_does_not_end_the_engine(stand_in):
     assert state() == "ready"
 
 
+def test_the_tools_of_a_training_that_runs_are_not_taken_from_it(extension, monkeypatch):
+    monkeypatch.setattr(runtime.jobs(), "runs", lambda key: key == runtime.TRAINING)
+    assert "in use" in refuses(bpy.ops.jghand.remove_tools)
+    assert "in use" in refuses(bpy.ops.jghand.install_tools)
+
+
 def draw_preferences(extension) -> RecordingLayout:
     class Page:
         layout = RecordingLayout()

@@ -19,11 +19,12 @@ from recording_layout import draw
 
 import blender_addon
 from blender_addon import folders, ui
+from blender_addon.errors import JGHandFailure
 from blender_addon.export import bakes, ops_common, usd_hook
 from blender_addon.export import panel as output
 from blender_addon.export.ops import Bake, Export, ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
-from blender_addon.hand import sources
+from blender_addon.hand import armature, sources
 from blender_addon.hand.motion_files import read_motion
 from blender_addon.renderer import runtime
 from blender_addon.renderer.engine_command import VARIABLE
@@ -335,6 +336,40 @@ def test_a_bake_that_fails_loses_nothing_of_the_one_before(baked, tmp_path, monk
     assert bakes.read_bake(before)
     assert bakes.playing(context.scene, before)
     assert [path.name for path in before.parent.iterdir()] == ["right"]
+
+
+def test_a_finished_bake_that_cannot_be_put_into_its_place_leaves_the_one_before_playing(baked, monkeypatch):
+    context, hand, _ = baked
+    bpy.ops.jghand.play_bake()
+
+    def refuse(*_):
+        raise JGHandFailure("cannot_write", "no room")
+
+    monkeypatch.setattr(bakes, "put_in_place", refuse)
+    with pytest.raises(RuntimeError, match="no room"):
+        bpy.ops.jghand.bake()
+    assert len(bakes.playing(context.scene, bakes.folder_of(hand))) == 1
+
+
+def test_a_linked_hand_of_the_same_name_has_a_bake_of_its_own(extension, tmp_path, monkeypatch):
+    a_hand(extension)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"), copy=True)
+    bpy.ops.wm.link(directory=str(tmp_path / "library.blend" / "Object") + "/", filename="right")
+    assert [hand.name for hand in armature.hands_at_any_frame(extension.view_layer)] == ["right", "right"]
+    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
+    extension.scene.jghand.output.hands = "all"
+    failing_engine(monkeypatch)
+    specs = []
+
+    def start(_key, spec):
+        specs.append(spec)
+        raise JGHandFailure("retry")
+
+    monkeypatch.setattr(runtime, "start_job", start)
+    with pytest.raises(RuntimeError):
+        bpy.ops.jghand.bake()
+    names = [command[command.index("--name") + 1] for command in (specs[0].command, *specs[0].more)]
+    assert names == ["right", "right_2"]
 
 
 def test_a_first_bake_that_fails_leaves_the_hand_without_one(extension, tmp_path, monkeypatch):

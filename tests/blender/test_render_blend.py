@@ -542,6 +542,7 @@ def mark(frame: int, eye: str) -> None:
 def test_a_scene_without_a_camera_is_seen_by_those_of_its_markers(engine, blend):
     mark(3, "CamSide")
     mark(1, "CamPalm")
+    mark(1, "CamSide")
     bpy.context.scene.camera = None
     code, files, _ = rendered(saved(blend.parent), "--frames", "2-3")
     assert (code, files) == (0, ["CamPalm/0002.png", "CamPalm/0003.png"])

@@ -20,10 +20,11 @@ from blender_addon.export import panel as output
 from blender_addon.export.properties import IDENTITIES
 from blender_addon.hand import avatar_files, seen_hands
 from blender_addon.hand import panel as hand_panel
+from blender_addon.hand.ops import LoadAvatar
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import Job, JobTable, Phase
 from blender_addon.train import panel as training
-from blender_addon.train.ops import LoadAvatar, Train
+from blender_addon.train.ops import Train
 
 ROOT = Path(__file__).resolve().parents[2]
 STAND_IN = ROOT / "tests" / "addon_core" / "stand_in_job.py"
