@@ -1,13 +1,13 @@
 """The .jghand file: one avatar as safetensors with a JSON description. Reading it never runs code.
 
-The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, license, units,
-handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform, storage,
-gaussians, position_box_m, pose_statistics. swing and scale_mode are what `JointTransform` takes: a scale mode is a name
-or the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. learned_from, which
-may be left out, is that of `AvatarInfo`. The arrays are those of `storage.expected_arrays` and canonical_joints_m
-(21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
+The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units (the
+word metres), handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform,
+storage, gaussians, position_box_m, pose_statistics. A scale mode is a name or the number of the blended one. transform
+is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which may be left out, is its `learned_from`. The
+arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3) float64. Files keep the standard joint
+order; the engine's level order ends here.
 
-A trained avatar has format_version 2, a description `learned` and the arrays of `learned_storage`. Avatars that were
+A trained avatar has format_version 2, a description `learnt` and the arrays of `learned_storage`. Avatars that were
 not trained are still written as version 1, which older JGHands read.
 """
 
@@ -110,13 +110,18 @@ def load_avatar(path: Path | str) -> HandAvatar:
 def _load(file: Path, thing: str) -> HandAvatar:
     """`load_avatar`, which errors call `thing`."""
     try:
+        # safetensors calls a file that may not be read missing, and a folder a device
+        file.open("rb").close()
         with safetensors.safe_open(file, framework="numpy") as content:
             about = _Description(thing, (content.metadata() or {}).get(METADATA_KEY))
             packed = _read_arrays(thing, content, about)
     except safetensors.SafetensorError as error:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
     except OSError as error:
-        raise _unreadable(thing, error) from error
+        came = error.strerror or str(error)
+        raise InputError(
+            f"cannot read {thing}", came=came, remedy="Check the name and that you may read it."
+        ) from error
     joints_m = to_level(packed.pop("canonical_joints_m"), JointOrder.STANDARD)
     if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
         came = str(int(packed["weight_bone"].max()))
@@ -167,7 +172,7 @@ class _Description:
             learned_from=_learned_from(of.object("learnt_from")),
         )
         is_learned = content["format_version"] > PAINTED_VERSION
-        learned = of.inner(content.get("learnt"), "learned") if is_learned else None
+        learned = of.inner(content.get("learnt"), "learnt") if is_learned else None
         self.learned = None if learned is None else LearnedAbout.parsed(learned)
 
 
@@ -212,11 +217,6 @@ def _is_box(value: object) -> bool:
         isinstance(row, list) and len(row) == 3 and all(is_number(x, -_FINITE_MAX, _FINITE_MAX) for x in row)
         for row in rows
     )
-
-
-def _unreadable(thing: str, error: OSError) -> InputError:
-    reason = error.strerror or str(error)
-    return InputError(f"cannot read {thing}: {reason}", remedy="Check the name and that you may read it.")
 
 
 def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,13 +20,19 @@ if TYPE_CHECKING:
     from jghand_engine.learn.tables import Table as Figures
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Whoever reads, such as `head`, has seen enough: the command goes on, and what it says is dropped."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+
+
 def out() -> Console:
     """Standard output, looked up anew so that a test can capture it; sentences are not broken at a guessed width."""
-    return Console(highlight=False, soft_wrap=True, emoji=False)
+    return _Console(highlight=False, soft_wrap=True, emoji=False)
 
 
 def err() -> Console:
-    return Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
+    return _Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
 
 
 def say(text: str = "") -> None:
@@ -47,7 +54,7 @@ def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]])
         table.add_row(*row)
     out().print(f"\n{title}", style="bold", markup=False)
     # soft wrapping would tear a wide table apart
-    Console(highlight=False, emoji=False).print(table)
+    _Console(highlight=False, emoji=False).print(table)
 
 
 def say_whole_table(table: Figures) -> None:

@@ -156,7 +156,8 @@ class Export:
         }
         for other in (other for other, given in unused.items() if given):
             raise InputError(
-                f"an option of jghand export {other}", wanted=f"options of {self.format}", came="one without effect",
+                f"jghand export {self.format}", wanted="its own options",
+                came=f"one of jghand export {other}, which is without effect",
                 remedy=f"Leave it out, or write jghand export {other}.",
             )  # fmt: skip
 

@@ -46,8 +46,8 @@ class Info:
         facts = self._facts()
         width = max(len(name) for name in facts)
         for name, value in facts.items():
-            # what is wrong is said in whole sentences, one per line
-            lines = value if name == FINDINGS and value else [_text(value)]
+            # whole sentences, one per line
+            lines = value if name in (FINDINGS, "notes") and value else [_text(value)]
             for index, line in enumerate(lines):
                 say(f"{'' if index else name.replace('_', ' '):<{width}}  {line}")
         write_figures(self.json, {"command": "info", "file": self.file, **facts})
@@ -100,7 +100,7 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
         "kind": "avatar",
         "name": loaded.info.name,
         "template": loaded.info.template,
-        "licence": loaded.info.license,
+        "license": loaded.info.license,
         "gaussians": len(loaded),
         "radius_mm": {
             "smallest": 1e3 * float(loaded.sigma_m.min()),
@@ -114,9 +114,9 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
             "scale": loaded.info.scale_mode,
             "transform": str(loaded.info.transform),
         },
-        "learnt_from": {} if loaded.info.learned_from is None else vars(loaded.info.learned_from),
+        "learned_from": {} if loaded.info.learned_from is None else vars(loaded.info.learned_from),
         "angles_seen_in_training": len(loaded.info.pose_statistics),
-        "learnt": learned_facts(loaded),
+        "learned": learned_facts(loaded),
     }
 
 

@@ -123,7 +123,7 @@ def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[lis
         f"motion file {file}",
         wanted=f"a {side} hand",
         came=f"a {side.other} one only",
-        remedy="Say which hand the file has; --mirror makes it the other one afterwards.",
+        remedy="Say which hand the file has; jghand motion --mirror makes it the other one afterwards.",
     )
 
 

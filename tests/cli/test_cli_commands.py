@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -271,6 +272,18 @@ def test_named_poses_have_the_avatars_bones(avatar):
     assert np.allclose(motion.sequence.bone_lengths_m[:, 2], measured, atol=1e-12)
 
 
+def test_a_reader_that_has_seen_enough_stops_nothing(tmp_path):
+    """As `jghand info builtin | head -1`: the pipe is closed before the command says anything."""
+    figures = tmp_path / "info.json"
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "jghand_engine", "info", "builtin", "--json", str(figures)]
+    ended = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=100)
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert json.loads(figures.read_text())["kind"] == "avatar"
+
+
 # ---- the other verbs -------------------------------------------------------------------------------------------------
 
 
@@ -280,7 +293,7 @@ def test_info_tells_what_an_avatar_is(tmp_path, capsys, name, gaussians):
     facts = json.loads((tmp_path / "info.json").read_text())
     assert facts["kind"] == "avatar"
     assert facts["gaussians"] == gaussians
-    assert facts["licence"] in capsys.readouterr().out
+    assert facts["license"] in capsys.readouterr().out
 
 
 def test_info_tells_what_a_motion_is(wobbling, capsys):
