@@ -117,8 +117,8 @@ def _load(file: Path, thing: str) -> HandAvatar:
             packed = _read_arrays(thing, content, about)
     except safetensors.SafetensorError as error:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
-    except OSError as error:
-        came = error.strerror or str(error)
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        came = getattr(error, "strerror", None) or str(error)
         raise InputError(
             f"cannot read {thing}", came=came, remedy="Check the name and that you may read it."
         ) from error
