@@ -40,6 +40,8 @@ _HANDS = ("render_preset", "shadow_strength", "shadow_radius_mm", "motion_sample
 # what Blender takes from the first scene by itself when it renders both
 _FOLLOWS = ("frame_start", "frame_end", "frame_step", "resolution_x", "resolution_y", "resolution_percentage")
 _GAP_PX = 250
+# nodes of a compositor in which nobody has worked, beside ours
+_BARE = {"NodeGroupOutput", "CompositorNodeComposite", "CompositorNodeRLayers"}
 
 
 def hands_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
@@ -111,8 +113,12 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
 def remove(scene: bpy.types.Scene) -> None:
     """Takes away what `combine` made, nothing else; of a copy of a combined scene what it has of that."""
     _forget_nodes(scene)
-    if scene.get(OWN_TREE):
-        versions.remove_compositor_tree(scene)
+    tree = versions.compositor_tree(scene)
+    if scene.get(OWN_TREE) and tree is not None:
+        if all(node.bl_idname in _BARE for node in tree.nodes):
+            versions.remove_compositor_tree(scene)
+        elif scene.get(ASIDE) is not None:
+            tree.use_fake_user = True  # somebody worked in it; the scene gets its earlier one back
     if scene.get(ASIDE) is not None:
         scene.compositing_node_group = scene[ASIDE]
     scene.render.use_compositing = bool(scene.get(HAD_COMPOSITING, scene.render.use_compositing))

@@ -281,6 +281,16 @@ def test_nodes_of_the_user_stay_and_work_before_ours(scene):
     np.testing.assert_array_equal(f12(), alone)
 
 
+def test_nodes_that_the_user_adds_to_our_compositor_stay_when_it_is_removed(scene):
+    bpy.ops.jghand.combine_with_scene()
+    tree = versions.compositor_tree(scene)
+    dim = tree.nodes.new("CompositorNodeExposure")
+    bpy.ops.jghand.remove_combination()
+    assert versions.compositor_tree(scene) == tree
+    assert dim.name in tree.nodes
+    assert not composite._nodes(tree)
+
+
 def test_a_copy_of_the_scene_does_not_touch_the_combination_of_the_first(scene):
     bpy.ops.jghand.combine_with_scene()
     ours = composite.hands_scene_of(scene)
