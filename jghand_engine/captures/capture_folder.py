@@ -1,5 +1,5 @@
 """One door to all data sets: a folder goes in, a capture comes out, whatever its layout; and the choices of images
-that published figures stand for, by name. Sources: METHOD 6.1, DATA 5.
+that published figures stand for, by name. Source: DATA 5.
 
 The avatar papers (HandAvatar and those after it) learn from one sequence of a person of InterHand2.6M and show
 another, at 5 frames per second, and leave out images by the rules of HandAvatar's published preparation. Their masks

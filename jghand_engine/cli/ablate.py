@@ -96,7 +96,7 @@ class Ablate:
         from jghand_engine.learn.run import RunOptions
         from jghand_engine.learn.schedule import Budget
         from jghand_engine.learn.step import HandTraining
-        from jghand_engine.learn.work_folder import Start, stamp_of
+        from jghand_engine.learn.work_folder import MARK, Start, stamp_of
 
         work = variant_folder(self.out, name)
         run = RunOptions(
@@ -104,7 +104,7 @@ class Ablate:
             work=work,
             stamp=stamp_of(options, learned_from.train),
             budget=Budget(self.steps),
-            start=Start.RESUME if work.is_dir() and any(work.iterdir()) else Start.NEW,
+            start=Start.RESUME if (work / MARK).is_file() else Start.NEW,
         )
         with display(err()) as shown:
             return train_variant(lambda: HandTraining(learned_from, options, device), run, shown)

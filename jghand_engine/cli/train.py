@@ -47,7 +47,8 @@ class StartOptions:
     work: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """Checkpoints, log and previews. Left out: beside --out, id3.training for id3.jghand."""
     resume: bool = False
-    """Go on where the training in that folder stands, with the options that it began with."""
+    """Go on where the training in that folder stands. Give the options that it began with: others are refused, but
+    for --steps and --minutes, which may change and are not remembered."""
     fresh: bool = False
     """Forget the training that the folder holds, and begin anew."""
     overwrite: bool = False

@@ -144,6 +144,14 @@ def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, t
     assert "--fresh" not in err, "which this command does not have"
 
 
+def test_a_kill_before_the_training_had_begun_does_no_harm(ablate, tmp_path):
+    work = tmp_path / "out" / "full"
+    work.mkdir(parents=True)
+    (work / "lock").touch()
+    code, _, err = ablate("--steps", 1, "--variants", "full")
+    assert code == 0, err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [(("--steps", 0), "1 or more"), (("--limit", -1), "0 or more"), (("--variants", "w/o hands"), "variant: wanted")],
