@@ -275,6 +275,15 @@ def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Lin
     return (*outside, *others)
 
 
+def folded(lines: Sequence[Line], most: int, translate: Translate = str) -> tuple[Line, ...]:
+    """The first lines, and one for all others, whose tip has their texts."""
+    if len(lines) <= most + 1:
+        return tuple(lines)
+    others = lines[most:]
+    text = translate("{count} more warnings").format(count=len(others))
+    return (*lines[:most], Line(text, tip="\n".join(line.text for line in others), good=False))
+
+
 def _listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 

@@ -21,6 +21,8 @@ from .seen_hands import avatar_of
 
 # the controls that curl and spread
 CONTROLLED = (HAND_CONTROL, *FINGER_CONTROLS)
+# warnings of the last image that are listed: a bent hand has a dozen, and would push the poses out of the tab
+_WARNINGS = 2
 
 
 class HandPanel(Sidebar, bpy.types.Panel):
@@ -109,7 +111,8 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
         if failure.detail not in ("", name):
             ui.explained(box, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
     report = runtime.last_report(runtime.VIEWPORT)
-    for line in panel_text.warnings(report, iface_) if report is not None else ():
+    warnings = panel_text.warnings(report, iface_) if report is not None else ()
+    for line in panel_text.folded(warnings, _WARNINGS, iface_):
         ui.explained(layout, line, icon="ERROR")
 
 

@@ -143,6 +143,14 @@ def test_every_stage_and_effect_of_the_engine_has_a_name_for_people():
     assert set(panel_text.EFFECTS) == {str(effect) for effect in plan.Effect}
 
 
+def test_many_warnings_are_a_few_lines_and_one_for_the_others():
+    lines = panel_text.warnings({"notes": [f"Note {number}." for number in range(9)]})
+    first, second, others = panel_text.folded(lines, 2)
+    assert (first.text, second.text, others.text) == ("Note 0", "Note 1", "7 more warnings")
+    assert others.tip.splitlines()[0] == "Note 2"
+    assert panel_text.folded(lines[:3], 2) == lines[:3]
+
+
 def test_damaged_splats_are_told():
     (said,) = panel_text.receipt_text({**RECEIPT, "invalid_gaussians": 3}).warnings
     assert said.text.startswith("3 splats")
