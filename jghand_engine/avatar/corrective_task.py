@@ -91,6 +91,8 @@ class NetworkStep:
         extra = hidden - net.shape.hidden  # units that are always 0
         encoding = positional_encoding(avatar.uvd, net.shape.octaves).astype(np.float64)
         places = encoding @ weights["encoding_in.weight"].T + weights["encoding_in.bias"]
+        # as the kernel takes it, before it is copied into blocks: the copies are the peak of the renderer's memory
+        places = places.astype(np.float32)
         self.angles_in = np.pad(weights["angles_in.weight"], ((0, extra), (0, 0))).T
         middle = np.pad(weights["middle.weight"], ((0, extra), (0, extra)))
         out = np.zeros((hidden, 6))
