@@ -20,7 +20,6 @@ from blender_addon.hand import armature, sources
 from blender_addon.render import camera, command, samples
 from blender_addon.render import engine as render_engine
 from blender_addon.renderer import runtime
-from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.link import EngineLink
 
 SIZE = (96, 64)
@@ -529,7 +528,7 @@ def test_a_picture_that_takes_too_long_fails_the_render(scene, stand_in_command,
     before = runtime.link()
     slow = EngineLink(lambda: [*stand_in_command, "slow"])
     runtime._link = slow
-    monkeypatch.setattr(renderer_state, "REQUEST_S", 0.2)
+    monkeypatch.setattr(render_engine, "REQUEST_S", 0.2)
     try:
         refused_once(scene, "does not answer in time")
     finally:

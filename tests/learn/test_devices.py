@@ -101,11 +101,8 @@ def test_two_devices_are_noticed(mixed):
 def test_a_device_that_is_not_there_is_refused_before_anything_else(tmp_path, name, capsys):
     if torch.cuda.is_available() if name == "cuda" else torch.backends.mps.is_available():
         pytest.skip(f"there is {name}")
-    for words in (["train", "--out", str(tmp_path / "x.jghand")], ["ablate", "--out", str(tmp_path / "x")]):
-        assert main([words[0], str(tmp_path / "nowhere"), *words[1:], "--device", name]) == 2
-        error = capsys.readouterr().err
-        assert "--device" in error
-        assert "--device cpu" in error
+    assert main(["train", str(tmp_path / "nowhere"), "--out", str(tmp_path / "x.jghand"), "--device", name]) == 2
+    assert "--device cpu" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -100,6 +100,7 @@ class StandInHands:
                         raise Canceled
                     time.sleep(0.01)
             case "memory":
+                time.sleep(0.2)  # long enough to be seen at work
                 raise MemoryLimitError("a picture", wanted="less")
             case "bug":
                 raise ZeroDivisionError("a bug")
