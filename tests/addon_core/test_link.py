@@ -82,7 +82,7 @@ def test_a_slot_that_is_dropped_gets_nothing_and_its_picture_stops():
 
 
 def test_a_picture_that_failed_is_not_asked_for_again_until_the_user_starts_anew():
-    with linked("memory") as link:
+    with linked("late memory") as link:
         link.ask("viewport", *picture(), tag="a")
         assert answered(link, "a").failure.kind == "out_of_memory"
         for _ in range(5):

@@ -99,8 +99,10 @@ class StandInHands:
                     if canceled():
                         raise Canceled
                     time.sleep(0.01)
+            case "late memory":  # long enough to be seen at work
+                time.sleep(0.2)
+                raise MemoryLimitError("a picture", wanted="less")
             case "memory":
-                time.sleep(0.2)  # long enough to be seen at work
                 raise MemoryLimitError("a picture", wanted="less")
             case "bug":
                 raise ZeroDivisionError("a bug")
