@@ -119,7 +119,6 @@ class Player:
         self._take(moment)
         if self._pace.shown is None or self._pace.shown.want != want:
             self._pace = pacing.missed(self._pace, moment)
-        self._link.tick()
         return waited_s
 
     def _take(self, moment: pacing.DrawMoment) -> None:

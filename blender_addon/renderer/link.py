@@ -87,11 +87,12 @@ class EngineLink:
         """The last lines that this engine and the one before printed."""
         return "\n".join("\n".join(tuple(lines)) for lines in tuple(self._logs) if lines)
 
-    def start(self) -> None:
-        """Starts the engine, also one that failed too often; returns at once."""
+    def start(self, *, by_user: bool = True) -> None:
+        """Starts the engine, for a user also one that failed too often; returns at once."""
         with self._news:
-            self._waiting.forget_refused()
-            self._want(by_user=True)
+            if by_user:
+                self._waiting.forget_refused()
+            self._want(by_user=by_user)
 
     def restart(self) -> None:
         """Ends the engine, whatever it does, and starts a new one; returns at once."""
@@ -113,12 +114,6 @@ class EngineLink:
         engine = self._engine
         if engine is not None:  # the thread did not come to it
             engine.popen.kill()
-
-    def tick(self) -> bool:
-        """Whether anything changed since the last call: an answer came, or the engine's state is another."""
-        with self._news:
-            changed, self._waiting.changed = self._waiting.changed, False
-            return changed
 
     def ask(
         self,
@@ -254,7 +249,6 @@ class EngineLink:
         if type(before) is not type(self._state) or _is_slow(before) != _is_slow(self._state):
             if not isinstance(self._state, machine.Ready):
                 self._handshake = {}
-            self._waiting.changed = True
             self._news.notify_all()
             self._wake()
 

@@ -30,12 +30,6 @@ class Answer:
     failure: JGHandFailure | None = None
     round_trip_ms: float = 0.0
 
-    def fails_as(self, other: Answer | None) -> bool:
-        """Whether the other one says that the same request failed for the same reason."""
-        if other is None or self.tag != other.tag or self.failure is None or other.failure is None:
-            return False
-        return (self.failure.kind, self.failure.detail) == (other.failure.kind, other.failure.detail)
-
 
 def failure_told(error: Any) -> JGHandFailure:
     """The failure that the engine reports; its own sentence is the detail."""
@@ -91,8 +85,6 @@ class Waiting:
     """All requests of one link."""
 
     def __init__(self) -> None:
-        # whether a slot got another answer, or the engine said what takes long; the reader puts it back
-        self.changed = False
         # what the engine works on, and what of it takes long, if it says so
         self.flying: Call | None = None
         self.doing = ""
@@ -132,7 +124,7 @@ class Waiting:
                 return True
             except JGHandFailure as error:
                 failure = error
-        self._answer(place, Answer(tag, None, failure))
+        place.answer = Answer(tag, None, failure)
         return False
 
     def append(self, header: Mapping[str, Any], arrays: Arrays | None, now_s: float) -> Call:
@@ -200,16 +192,17 @@ class Waiting:
             return
         if header.get("kind") == "progress":
             text = header.get("text")
-            self.doing, self.changed, call.told_s = text if isinstance(text, str) else "", True, now_s
+            self.doing, call.told_s = text if isinstance(text, str) else "", now_s
         elif header.get("kind") == "reply":
             failure = None if header.get("ok") is True else failure_told(header.get("error"))
             round_trip_ms = 1e3 * (now_s - call.sent_s)
             self._arrived(call, Answer(call.tag, None if failure else message, failure, round_trip_ms))
 
     def release(self, failure: JGHandFailure) -> None:
-        """Everybody who waits gets this failure. What the engine worked on when it failed is not asked for again."""
+        """Everybody who waits gets this failure. What the engine worked on when it failed is not asked for again,
+        unless it was ended from outside."""
         flying, self.flying, self.doing = self.flying, None, ""
-        if flying is not None and flying.slot is not None and failure.kind in PASSING:
+        if flying is not None and flying.slot is not None and failure.kind in PASSING - {"killed"}:
             self._refuse(flying.tag, failure)
         for call in (flying, *self.exact):
             if call is not None and call.slot is None:
@@ -220,7 +213,7 @@ class Waiting:
             wanted = place.waiting or place.flying
             place.waiting = place.flying = None
             if wanted is not None:
-                self._answer(place, Answer(wanted.tag, None, failure))
+                place.answer = Answer(wanted.tag, None, failure)
 
     # ---- parts -------------------------------------------------------------------------------------------------------
 
@@ -256,13 +249,7 @@ class Waiting:
             self._refuse(call.tag, answer.failure)
         place = self._slots.get(call.slot)
         if place is not None and place.flying is call:
-            place.flying = None
-            self._answer(place, answer)
-
-    def _answer(self, place: _Slot, answer: Answer) -> None:
-        # or a view that is drawn again for every answer, and asks when it is drawn, would never rest
-        if not answer.fails_as(place.answer):
-            place.answer, self.changed = answer, True
+            place.flying, place.answer = None, answer
 
     def _refuse(self, tag: Hashable, failure: JGHandFailure) -> None:
         self._refused[tag] = failure

@@ -93,9 +93,7 @@ def _redraw(wanted: set[int]) -> None:
 def _follow_status() -> None:
     """Notices when the engine starts, ends or fails: panels say so, and views may ask again."""
     global _status
-    link = runtime.link()
-    link.tick()
-    status = link.status
+    status = runtime.link().status
     now = (status.state, status.failure)
     if now != _status:
         came_up = status.state == "ready" and _status[:1] != ("slow",)
@@ -107,6 +105,8 @@ def _follow_status() -> None:
         _redraw_panels(soon=True)
     elif status.state in ("starting", "slow", "stopping") or status.busy:
         _redraw_panels(soon=False)
+    elif status.state == "failed" and views.all_views():
+        runtime.link().start(by_user=False)  # where that may help, and not at once
 
 
 def _follow_problems() -> None:

@@ -53,16 +53,6 @@ def test_a_picture_starts_the_engine_and_comes():
         assert link.status.handshake["device"] == "stand-in"
 
 
-def test_a_tick_tells_of_every_change_once():
-    with linked() as link:
-        assert not link.tick()
-        link.ask("viewport", *picture(), tag=1)
-        assert link.tick()
-        answered(link, 1)
-        assert link.tick()
-        assert not link.tick()
-
-
 def test_a_picture_that_nobody_asked_for_is_not_waited_for():
     with linked() as link:
         assert link.wait("viewport", "never", PATIENCE_S) is None
@@ -227,6 +217,17 @@ def test_a_crashed_engine_is_started_again_but_not_with_what_crashed_it(monkeypa
         assert answered(link, "next").failure is None
 
 
+def test_what_a_killed_engine_was_at_is_asked_for_again(monkeypatch):
+    monkeypatch.setattr(renderer_state, "RESTART_S", 0.0)
+    with linked("killed:2") as link:
+        link.ask("viewport", *picture(), tag="good")
+        assert answered(link, "good").failure is None
+        link.ask("viewport", *picture(), tag="a")
+        assert answered(link, "a").failure.kind == "killed"
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.answer("viewport").failure is None)
+
+
 def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
     monkeypatch.setattr(renderer_state, "RESTART_S", 0.0)
     with linked("die") as link:
@@ -246,7 +247,6 @@ def test_an_engine_that_says_nothing_is_slow_and_its_picture_still_comes(monkeyp
     with linked("mute") as link:
         link.start()
         until(lambda: link.status.state == "slow")
-        assert link.tick()
         link.ask("viewport", *picture(), tag="a")
         assert answered(link, "a").failure is None
         assert link.status.state == "ready"

@@ -114,7 +114,7 @@ class Histories(RuleBasedStateMachine):
         self.wanted.pop(slot, None)
         assert self.waiting.answer(slot) is None
 
-    @rule(kind=st.sampled_from(["crashed", "stopped"]))
+    @rule(kind=st.sampled_from(["crashed", "killed", "stopped"]))
     def release(self, kind: str) -> None:
         flying = self.waiting.flying
         self.waiting.release(JGHandFailure(kind))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,7 +20,7 @@ from blender_addon.core.view import part_with
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, seen_hands
 from blender_addon.render import ENGINE, camera, composite, rendering
-from blender_addon.renderer import runtime
+from blender_addon.renderer import runtime, state
 from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers, views
 from blender_addon.viewport.view_camera import ORTHO_ROOM_M, view_camera
@@ -367,6 +369,61 @@ def test_a_failure_is_told_with_the_view_and_asked_for_no_more(full_link, extens
     look(context, view, hand)
     assert view.came is first
     assert views.problems() == []
+
+
+def test_a_failure_that_comes_a_second_time_is_heard_of_and_the_view_rests(full_link, extension):
+    context = extension
+    context.scene.jghand.sharpen_when_still = False
+    hand = add_hand(context)
+    view = view_on(context, hand)
+    wait_for(context, view)
+    hand.location.x = 0.01
+    context.view_layer.update()
+    look(context, view, hand)
+    wait_for(context, view)
+    views._views[1, views.SOLID] = view
+    views.forget_failures()  # as when another view brought the renderer back
+    look(context, view, hand)
+    wait_for(context, view)
+    assert view.failure.kind == "out_of_memory"
+    assert not pacing.is_open(view.pace)
+    for _ in range(3):
+        look(context, view, hand)
+        assert not views.take(view, views.moment_of(context.scene))
+
+
+def test_a_view_at_rest_brings_a_killed_renderer_back_and_asks_again(link, extension, monkeypatch):
+    monkeypatch.setattr(state, "RESTART_S", 0.3)
+    context = extension
+    hand = add_hand(context)
+    view = view_on(context, hand)
+    wait_for(context, view)
+    views._views[1, views.SOLID] = view
+    handlers._follow_status()
+    pid = link.status.handshake["pid"]
+    os.kill(pid, signal.SIGKILL)
+    follow_until("failed")
+    hand.location.x = 0.01  # too early for another renderer
+    context.view_layer.update()
+    look(context, view, hand)
+    wait_for(context, view)
+    assert view.failure.kind == "killed"
+    follow_until("ready")
+    assert view.failure is None
+    look(context, view, hand)
+    wait_for(context, view)
+    assert view.pace.shown is not None
+    assert view.pace.shown.want == view.pace.want
+
+
+def follow_until(name: str) -> None:
+    """The timer's look at the renderer, until that is in this state."""
+    end = time.monotonic() + 20
+    while runtime.link().status.state != name:
+        handlers._follow_status()
+        assert time.monotonic() < end, f"never {name}"
+        time.sleep(0.02)
+    handlers._follow_status()
 
 
 def test_a_view_survives_undo_and_asks_for_what_is_there_then(link, extension, installed):
