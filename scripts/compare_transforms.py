@@ -2,7 +2,7 @@
 
     .envs/engine/bin/python scripts/compare_transforms.py [--json FILE]
 
-The truth is another hand than the template: an identity of the captures, of other proportions, posed and skinned by
+The truth is another hand than the template: each identity of the captures, of other proportions, posed and skinned by
 its own rig of 25 joints. Each transform is given the 21 joints of that hand and carries the template's skin there.
 
     joints, matrices   mean distance of B_i j_i from joint i over the 21 joints: does the transform itself hit them
@@ -28,7 +28,7 @@ from scipy.spatial import KDTree
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from jghand_engine.captures.making.poses import varied_poses
-from jghand_engine.captures.making.rig import RiggedHand, load_identity
+from jghand_engine.captures.making.rig import RiggedHand, identity_names, load_identity
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
@@ -39,8 +39,8 @@ from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weight_field import WeightField
 
-# hands whose proportions differ from the template's, as `jghand capture` numbers them, and poses of each
-HANDS, POSES = ("1", "2"), 30
+# poses of each hand
+POSES = 30
 # points on the skin: 1.4 mm apart, well below the distances that the table tells apart
 SKIN_POINTS = 20_000
 
@@ -138,23 +138,26 @@ def _distances_m(
 
 
 def transform_table(scores: dict[str, dict[str, TransformScore]], poses: int) -> Table:
-    """The paper's table with our rows. scores: of each identity, by transform."""
-    columns = ("Transform", "Hand", "Joints, matrices", "Joints, skinned", "Chamfer-L1", "Skin")
+    """The paper's table with our rows: mean over the hands, and their spread. scores: of each hand, by transform."""
+    columns = ("Transform", "Joints, matrices", "Joints, skinned", "Chamfer-L1", "Skin")
     rows = []
-    for identity, by_transform in scores.items():
-        for name, score in by_transform.items():
-            cells = [number(value, 2) for value in vars(score).values()]
-            rows.append((name, identity, *cells))
+    for name in TRANSFORMS:
+        of_hands = np.array([[*vars(by_transform[name]).values()] for by_transform in scores.values()])
+        cells = zip(of_hands.mean(0), of_hands.std(0), strict=True)
+        rows.append((name, *(f"{number(mean, 2)} ± {number(spread, 2)}" for mean, spread in cells)))
     for name, sets in PAPER_TRANSFORM.items():
         for capture, (joints, chamfer) in zip(("test/Capture0", "test/Capture1"), sets, strict=True):
-            rows.append((name, capture, f"{joints:.4f} †", NONE, f"{chamfer:.2f} †", NONE))
+            rows.append((f"{name}, {capture}", f"{joints:.4f} †", NONE, f"{chamfer:.2f} †", NONE))
     return Table(
-        f"Transformation, {poses} poses of each hand, millimeters",
+        f"Transformation, {poses} poses of each of {len(scores)} hands, millimeters",
         columns,
         tuple(rows),
         (
+            f"Mean ± standard deviation over the hands ({', '.join(scores)}).",
             f"Joints: mean over {JOINT_COUNT} joints. Truth: a mesh of other proportions, posed by its own 25 joints.",
-            "naive and HALO-like: written from descriptions (METHOD 2.2), not code; they keep the template's lengths.",
+            "naive and HALO-like: written from descriptions (METHOD 2.2), not code. HALO's canonical skeleton has the "
+            "lengths of the posed hand, which its network is told; the template's skin has its own and misses by the "
+            "difference. The naive transform starts every bone on its joint, and so misses by one bone's difference.",
             "† In the paper's units, which it does not give (meters fit the joints).",
             CAVEAT,
         ),
@@ -162,16 +165,17 @@ def transform_table(scores: dict[str, dict[str, TransformScore]], poses: int) ->
 
 
 def headline(scores: dict[str, dict[str, TransformScore]]) -> str:
-    """How far the skin of our transform is from the truth, beside the naive one's, mean over the hands."""
-    ours, naive = (np.mean([scores[hand][name].skin_mm for hand in scores]) for name in ("ours, axial", "naive"))
-    return f"Skin of other hands: {ours:.2f} mm from where it belongs, by the naive transform {naive:.2f} mm."
+    """How far the skin of our transform is from the truth, beside the others', mean over the hands."""
+    skin_mm = {name: np.mean([by_transform[name].skin_mm for by_transform in scores.values()]) for name in TRANSFORMS}
+    others = ", ".join(f"by the {name} transform {skin_mm[name]:.2f} mm" for name in ("naive", "HALO-like"))
+    return f"Skin of other hands: {skin_mm['ours, axial']:.2f} mm from where it belongs, {others}."
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the figures here too")
     options = parser.parse_args()
-    names = [load_identity(identity).name for identity in HANDS]
+    names = identity_names()
     with progress("Measuring", POSES * len(names)) as bar:
         scores = {name: measure_transforms(name, POSES, tick=lambda: bar.advance(bar.task_ids[0])) for name in names}
     say_whole_table(transform_table(scores, POSES))

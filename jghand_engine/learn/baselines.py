@@ -1,6 +1,6 @@
-"""Two transforms to compare ours with: a naive one, and one after the description of HALO. They are no choices for use.
+"""Two transforms to compare ours with: a naive one, and HALO's. They are no choices for use.
 
-Both are written from the description in METHOD 2.2 and 6.2, not from anybody's code, and have the interface of
+Both are written from descriptions (METHOD 2.2 and 6.2), not from anybody's code, and have the interface of
 `JointTransform`, so that an avatar can be trained with them (the ablation "w/o trans").
 """
 
@@ -14,7 +14,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform
 from jghand_engine.learn import rotations as rot
-from jghand_engine.learn.frames import CanonicalTensors, ComponentFrames, swing_of
+from jghand_engine.learn.frames import CanonicalTensors, ComponentFrames
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.tensors import HandTensors
 
@@ -45,29 +45,31 @@ def transform_of(avatar: HandAvatar | HandTensors) -> JointTransform:
 
 
 class HaloLikeTransform(JointTransform):
-    """The canonical skeleton in the angles of the given joints: its own bone lengths, one rotation for the whole palm.
+    """Skeleton-driven canonicalization as HALO does it (arXiv 2109.11399): to a canonical skeleton of the *posed* hand.
 
-    The palm moves as one rigid piece by its frame S_0, each phalanx by its angles in the frame of its parent, and bones
-    follow one another along the chain. Wrong by what the hand's lengths and palm differ from the canonical hand's.
-    HALO itself maps posed to canonical and keeps the posed lengths, and its chain is exact only for a straight
-    canonical hand; this form is exact for every hand of canonical proportions.
+    That skeleton has the canonical directions and the given hand's bone lengths, each phalanx reaches it by a rigid
+    motion, and the whole palm by one, with its frame S_0. HALO's network is told the lengths and shapes the surface by
+    them; a surface that has lengths of its own, as a template has, is carried beside the joints by as much as the
+    lengths along the finger differ, and the palm by what its bones turn in it. HALO's matrices are exact only for a
+    straight canonical hand; these are for every one. tests/learn/test_baselines.py holds it to what the authors' code
+    was measured to do (PAPER 3).
     """
 
     def maps(
         self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalTensors
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """See JointTransform.maps; the bones meet on the chain instead of on the joints."""
+        """See JointTransform.maps; phalanges start where the canonical surface, not its skeleton, is carried."""
+        across = canonical.S.transpose(0, 1)
         palm = rot.mat_mul(frames.S0, canonical.S0.transpose(0, 1))
-        levels = [rot.mat_mul(palm, canonical.S[:, :, :5])]
-        for first in (0, 5, 10):
-            here = slice(first, first + 5)
-            levels.append(rot.mat_mul(levels[-1], swing_of(frames.u[:, here], canonical, here, self.swing)[0]))
-        turn = rot.mat_mul(torch.cat(levels, 2), canonical.S.transpose(0, 1))
-        placed = [torch.zeros_like(joints[:, :1]), rot.mat_vec(palm, canonical.joints_m[:, 1:6])]
-        for first in (5, 10, 15):
-            bone = canonical.joints_m[:, first + 1 : first + 6] - canonical.joints_m[:, first - 4 : first + 1]
-            placed.append(placed[-1] + rot.mat_vec(turn[:, :, first : first + 5], bone))
-        return torch.cat([palm, turn], 2), torch.cat(placed, 1), torch.ones_like(frames.size)
+        turn = rot.mat_mul(frames.S[:, :, 5:], across[:, :, 5:])
+        # how much farther along the canonical finger the canonical skeleton of the posed hand has its joints
+        longer = (frames.relative_length * frames.size - canonical.length_m) * canonical.direction
+        beyond = [longer[:, :5]]
+        for first in (5, 10):
+            beyond.append(beyond[-1] + longer[:, first : first + 5])
+        placed = joints[:, 1:16] - rot.mat_vec(turn, torch.cat(beyond, 1))
+        linear = torch.cat([palm.expand(-1, -1, 6, -1), turn], 2)
+        return linear, torch.cat([joints[:, :1], placed, joints[:, 16:]], 1), torch.ones_like(frames.size)
 
 
 class NaiveTransform(JointTransform):

@@ -150,7 +150,7 @@ def ablation_table(results: Mapping[str, Evaluation]) -> Table:
     columns = ("Variant", "SSIM", "PSNR dB", "against full", "box PSNR dB",
                "paper SSIM", "paper PSNR dB", "paper against full")  # fmt: skip
     notes = (f"Ours: all held-out pictures of {_origins(list(results.values()))}, full picture on black.",
-             "w/o trans: HALO-like transform, canonical bone lengths, one rotation of the palm (PAPER 3).",
+             "w/o trans: HALO-like transform, to a canonical skeleton of the posed bone lengths (PAPER 3).",
              CAVEAT)  # fmt: skip
     return Table("Ablation", columns, tuple(rows), notes)
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 F64 = torch.float64
-_KNUCKLES = torch.tensor([[-25, 22, -8], [-26, 92, 2], [-2, 95, 5], [18, 88, 3], [36, 77, -3]], dtype=F64) * 1e-3
-_SEGMENTS = torch.tensor([[45, 33, 28], [42, 26, 22], [46, 30, 24], [42, 28, 24], [34, 20, 21]], dtype=F64) * 1e-3
+KNUCKLES = torch.tensor([[-25, 22, -8], [-26, 92, 2], [-2, 95, 5], [18, 88, 3], [36, 77, -3]], dtype=F64) * 1e-3
+SEGMENTS = torch.tensor([[45, 33, 28], [42, 26, 22], [46, 30, 24], [42, 28, 24], [34, 20, 21]], dtype=F64) * 1e-3
 _THUMB_ALONG = torch.tensor([-0.60, 0.72, -0.35], dtype=F64)
 _THUMB_UP = torch.tensor([0.55, 0.2, 0.8], dtype=F64)
 PARENTS = [-1, 0, 0, 0, 0, 0, *range(1, 16)]
@@ -36,8 +36,8 @@ def _turn(axis: Tensor, angle: Tensor) -> Tensor:
 def hand(flexion: Tensor, abduction: Tensor, knuckles: Tensor | None = None, segments: Tensor | None = None) -> Tensor:
     """flexion (N, 5, 3), abduction (N, 5), radians -> joints (N, 21, 3)."""
     n = len(flexion)
-    knuckles = _KNUCKLES.expand(n, 5, 3) if knuckles is None else knuckles
-    segments = _SEGMENTS.expand(n, 5, 3) if segments is None else segments
+    knuckles = KNUCKLES.expand(n, 5, 3) if knuckles is None else knuckles
+    segments = SEGMENTS.expand(n, 5, 3) if segments is None else segments
     joints = torch.zeros(n, 21, 3, dtype=F64)
     joints[:, 1:6] = knuckles
     for finger in range(5):
@@ -92,9 +92,9 @@ def sample(
 
     flexion = torch.stack([-0.3 + uniform(n, 5) * 1.9, uniform(n, 5) * 1.9, -0.1 + uniform(n, 5) * 1.4], -1)
     abduction = (uniform(n, 5) - 0.5) * 0.7
-    knuckles = _KNUCKLES * (1 + bone * (2 * uniform(n, 1, 1) - 1))
+    knuckles = KNUCKLES * (1 + bone * (2 * uniform(n, 1, 1) - 1))
     knuckles = knuckles + palm_m * torch.randn(n, 5, 3, dtype=F64, generator=g)
-    joints = hand(flexion, abduction, knuckles, _SEGMENTS * (1 + bone * (2 * uniform(n, 5, 3) - 1)))
+    joints = hand(flexion, abduction, knuckles, SEGMENTS * (1 + bone * (2 * uniform(n, 5, 3) - 1)))
     if turned:
         joints = joints @ random_rotations(n, g).transpose(-1, -2)
     return joints + shift_m * (2 * uniform(n, 1, 3) - 1)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hand.sampled_hands import canonical, canonical_np, mirrored, random_rotations, sample
+from hand.sampled_hands import KNUCKLES, SEGMENTS, canonical, canonical_np, hand, mirrored, random_rotations, sample
 
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
-from jghand_engine.hand.orders import bone_lengths
-from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
 from jghand_engine.learn.skeleton import JointTransform
 
@@ -44,33 +42,37 @@ def test_halo_like_is_our_transform_on_hands_of_canonical_proportions():
     torch.testing.assert_close(halo().bones(joints).matrices(), ours.matrices(), rtol=0, atol=1e-13)
 
 
-def test_halo_like_keeps_the_canonical_bone_lengths():
-    placed = moved_joints(halo().bones(sample(30)))
-    length = (placed[:, 1:] - placed[:, STARTS_OF_BONES]).norm(dim=-1)
-    wanted = (canonical()[1:] - canonical()[STARTS_OF_BONES]).norm(dim=-1)
-    torch.testing.assert_close(length, wanted.expand(30, 20))
-
-
-def test_halo_like_bones_meet_at_their_joints():
-    bones = halo().bones(sample(30))
-    matrices = bones.matrices()
-    starts = (matrices[:, 6:, :, :3] * canonical()[1:16, None]).sum(-1) + matrices[:, 6:, :, 3]
-    torch.testing.assert_close(starts, moved_joints(bones)[:, 1:16])
-
-
 def test_halo_like_moves_the_palm_as_one_piece():
     linear = halo().bones(sample(5)).linear
     torch.testing.assert_close(linear[:, 1:6], linear[:, :1].expand(5, 5, 3, 3))
 
 
-def test_halo_like_misses_the_joints_of_longer_fingers():
-    """Every finger bone a fifth longer: the tips are missed by about a fifth of three bones."""
-    rest_m = canonical_np()[None]
-    longer = bone_lengths(rest_m) * np.repeat([1.0, 1.2], [5, 15])
-    joints = torch.from_numpy(rebuilt(rest_m[:, 0], bone_directions(rest_m), longer))[0]
-    error_m = (moved_joints(halo().bones(joints)) - joints).norm(dim=-1)
-    assert float(error_m[:6].max()) < 1e-12
-    assert bool((error_m[16:] > 0.012).all())
+def random_poses(n, *, lengths=1.0, palm_m=0.0):
+    """Hands as in `sample` with one factor for all lengths, knuckles moved by N(0, palm_m)."""
+    knuckles, segments = KNUCKLES.expand(n, 5, 3) * lengths, SEGMENTS.expand(n, 5, 3) * lengths
+    random = np.random.default_rng(0)
+    flexion = torch.from_numpy(random.uniform([-0.3, 0.0, -0.1], [1.6, 1.9, 1.3], (n, 5, 3)))
+    moved = torch.from_numpy(random.normal(0, palm_m, (n, 5, 3)))
+    return hand(flexion, torch.from_numpy(random.uniform(-0.35, 0.35, (n, 5))), knuckles + moved, segments)
+
+
+def joint_errors_mm(joints):
+    """(N, 20) of the joints, each carried by the bone that starts at it, a tip by its own, as a hand of MANO's is."""
+    matrices = halo().bones(joints).matrices()
+    carriers = [*range(6, 21), *range(16, 21)]
+    carried = (matrices[:, carriers, :, :3] * canonical()[1:, None]).sum(-1) + matrices[:, carriers, :, 3]
+    return 1e3 * (carried - joints[:, 1:]).norm(dim=-1)
+
+
+@pytest.mark.parametrize(
+    ("change", "published_mm", "within_mm"),
+    [({}, 0.0, 1e-3), ({"lengths": 1.2}, 25.0, 1.0), ({"palm_m": 0.006}, 4.5, 0.4)],
+)
+def test_halo_like_misses_joints_by_what_the_code_of_halo_was_measured_to_miss(change, published_mm, within_mm):
+    """The figures of PAPER 3, on other random hands: the same lengths, a fifth longer, the palm changed by 6 mm."""
+    # over 21 joints: the wrist is hit
+    mean_mm = float(joint_errors_mm(random_poses(300, **change)).sum(1).mean()) / 21
+    assert mean_mm == pytest.approx(published_mm, abs=within_mm)
 
 
 def test_the_naive_transform_starts_every_bone_on_its_joint_and_turns_it_the_right_way():
