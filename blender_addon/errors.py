@@ -104,7 +104,7 @@ ADVICE = {
     ),
     "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map", BAD_INPUT),
     "no_hand": Advice(
-        "There is no hand in this scene that is rendered", "Add a hand, or make its instances real", BAD_INPUT
+        "There is no hand in this scene that is rendered", "Add a hand, or enable one in renders", BAD_INPUT
     ),
     "hidden": Advice(
         "This object is disabled in viewports, so Blender does not evaluate it",
@@ -117,7 +117,9 @@ ADVICE = {
         BAD_INPUT,
     ),
     "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),
-    "mirrored": Advice("Mirrored scale is not supported", "Use the other hand instead", BAD_INPUT),
+    "mirrored": Advice(
+        "This hand is mirrored on some of the frames only", "Export the frames before and after it apart", BAD_INPUT
+    ),
     "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale", BAD_INPUT),
     "constrained": Advice(
         "Constraints or drivers move bones of this hand, so keys alone cannot", "Mute or remove them", BAD_INPUT

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ..errors import JGHandFailure
-from .joints import FINGERS, HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
+from .joints import FINGERS, HANDEDNESSES, NAMES, OTHER, TIPS, WRIST
 from .wire import conventions
 
 # so many of the 16 joints other than tips must have a bone before a convention counts as recognized: a wrist and one
@@ -258,7 +258,7 @@ def _preferred(convention: conventions.Convention, of_sets: dict[str, _Candidate
 
 def _may_be(prefix: str, handedness: str) -> bool:
     """Whether what stands before a name without a side does not say that it is the other hand."""
-    other = LEFT if handedness == RIGHT else RIGHT
+    other = OTHER[handedness]
     return other not in prefix and prefix != other[0]
 
 

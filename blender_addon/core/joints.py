@@ -18,6 +18,7 @@ TAILS = (MIDDLE, *(-1 if place in TIPS else place + 1 for place in range(1, 21))
 
 RIGHT, LEFT = "right", "left"
 HANDEDNESSES = (RIGHT, LEFT)
+OTHER = {RIGHT: LEFT, LEFT: RIGHT}
 
 # The right hand at rest: the joints of the engine's built-in hand, meters; +y wrist to middle MCP, +x to the index
 # side, +z out of the palm. Here as well, because a rig is useful without an engine; a test compares the two.

@@ -182,23 +182,29 @@ def record_steps(
     """Goes through the frames and yields the part that is done; at the end one recording per hand is in `into`.
 
     things: objects that are hands, a foreign rig counts up to two. The scene's frame is put back at the end, also when
-    this is closed half-way. JGHandFailure: no_hand, and what `sources.read_hands` and `samples.evaluated_at` raise.
+    this is closed half-way. JGHandFailure: no_hand, and what `sources.read_hands` and `samples.evaluated_at` raise;
+    mirrored where a hand becomes the other one on the way.
     """
     if not things or not len(frames):
         raise JGHandFailure("no_hand")
     now = context.scene
     before = now.frame_current, now.frame_subframe
     read: list[list[np.ndarray]] = []
+    named: list[tuple[bpy.types.Object, str, str]] = []
     try:
         for place, frame in enumerate(frames):
             depsgraph = samples.evaluated_at(now, frame, things)
             hands = [hand for thing in things for hand in sources.read_hands(thing, depsgraph)]
+            named = named or named_hands(context, things)
+            turned = [name for hand, (_, side, name) in zip(hands, named, strict=True) if hand.handedness != side]
+            if turned:
+                raise JGHandFailure("mirrored", f"frame {frame}: {', '.join(turned)}")
             read.append([hand.joints_world_m for hand in hands])
             yield (place + 1) / len(frames)
     finally:
         now.frame_set(before[0], subframe=before[1])
     fps = now.render.fps / now.render.fps_base
-    for place, (thing, handedness, name) in enumerate(named_hands(context, things)):
+    for place, (thing, handedness, name) in enumerate(named):
         joints_m = np.stack([frame[place] for frame in read])
         into.append(Recording(name, handedness, avatar_of(thing), joints_m, frames[0], fps, thing.name))
 

@@ -11,7 +11,7 @@ Source: BLENDER 6.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import bpy
 import numpy as np
@@ -19,14 +19,19 @@ from mathutils import Vector
 
 from .. import versions
 from ..core import posing
-from ..core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS, WRIST
+from ..core.joints import HANDEDNESSES, NAMES, OTHER, PARENTS, TAILS, TIPS, WRIST
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 
 # a finger tip ends the hand; its bone only marks the place
 TIP_BONE_M = 0.005
+# where a hand is that no instance shows: at its own place
+UNPLACED = np.eye(4)
 # det of the normalized axes of an object: below it, its scale is (nearly) zero in some direction
 SCALE_MIN = 1e-6
+
+# a left hand in its own space is a right one with x turned round
+_MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 # custom property of the armature object: which hand it is; an armature that has it is a hand
 HANDEDNESS_PROPERTY = "jghand_handedness"
@@ -60,17 +65,6 @@ def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, 
     return hand
 
 
-def evaluated_hands(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
-    """The hands that Blender evaluated for a render, by name, as it evaluated them: those that take part in it at the
-    frame of the depsgraph, and those whose visibility is animated.
-
-    A render has a thread of its own and data of its own, in which what is not rendered is not there; of the file's data
-    nothing is read here, for meanwhile the artist may delete objects.
-    """
-    things = [thing for thing in depsgraph.view_layer_eval.objects if thing is not None and is_any_hand(thing)]
-    return sorted(things, key=name_in_files)
-
-
 def name_in_files(thing: bpy.types.Object) -> tuple[str, str]:
     """What an object is known by: its name, and the file that it is linked from, "" for the opened one."""
     return thing.name, thing.library.filepath if thing.library is not None else ""
@@ -78,7 +72,20 @@ def name_in_files(thing: bpy.types.Object) -> tuple[str, str]:
 
 def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """The hands of a view layer that take part in renders now or, being animated so, at another frame, by name."""
-    return [hand for hand in _hands_of(view_layer) if not hand.hide_render or _is_animated(hand, "hide_render")]
+    return rendered_at_any_frame(view_layer, is_any_hand)
+
+
+def rendered_at_any_frame(
+    view_layer: bpy.types.ViewLayer, wanted: Callable[[bpy.types.Object], bool]
+) -> list[bpy.types.Object]:
+    """The same for other objects than hands."""
+    things = {  # names are no keys: a linked hand may have the name of one of this file
+        thing.session_uid: thing
+        for collection in _rendered_collections(view_layer.layer_collection)
+        for thing in collection.objects
+        if wanted(thing) and (not thing.hide_render or _is_animated(thing, "hide_render"))
+    }
+    return sorted(things.values(), key=lambda thing: (thing.name, thing.library is not None, thing.session_uid))
 
 
 def is_hand(thing: bpy.types.Object) -> bool:
@@ -88,6 +95,8 @@ def is_hand(thing: bpy.types.Object) -> bool:
 
 def is_foreign(thing: bpy.types.Object) -> bool:
     """Whether an object is a foreign armature with a bone map, or stands for 21 objects."""
+    if not thing.keys():  # most objects have none, and are many
+        return False
     marks = MAP_PROPERTIES.values() if thing.type == "ARMATURE" else OBJECT_PROPERTIES.values()
     return not is_hand(thing) and any(mark in thing for mark in marks)
 
@@ -119,14 +128,17 @@ def handedness_of(hand: bpy.types.Object) -> str:
     return handedness
 
 
-def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray = UNPLACED) -> HandInSpace:
     """The 21 joints of the *evaluated* armature (constraints, drivers and IK included), in meters.
 
     Hand space is the object's place and rotation without its scale: M = R S by polar decomposition; scale and shear
-    act on the joints, never on what is drawn. Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden.
+    act on the joints, never on what is drawn. A mirrored right hand is a left one, and the other way round.
+    placed: (4, 4) what M is multiplied with from the left, where an instance shows the hand.
+    Raises JGHandFailure: not_a_hand, zero_scale, hidden.
     """
     evaluated = evaluated_object(hand, depsgraph)
-    return in_hand_space(evaluated, _heads(evaluated), handedness_of(hand), depsgraph.scene)
+    world = placed @ np.array(evaluated.matrix_world)
+    return in_hand_space(world, _heads(evaluated), handedness_of(hand), evaluated.name, depsgraph.scene)
 
 
 def heads_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
@@ -135,15 +147,16 @@ def heads_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarr
 
 
 def in_hand_space(
-    evaluated: bpy.types.Object, joints: np.ndarray, handedness: str, scene: bpy.types.Scene
+    world: np.ndarray, joints: np.ndarray, handedness: str, name: str, scene: bpy.types.Scene
 ) -> HandInSpace:
-    """(21, 3) joints in the space and unit of an evaluated object -> the hand. Raises JGHandFailure: mirrored,
-    zero_scale."""
+    """(21, 3) joints in the space and unit of the object of this name, whose (4, 4) matrix is `world`, as a hand; as
+    the other one where that mirrors it. Raises JGHandFailure (zero_scale)."""
     unit_m = scene.unit_settings.scale_length
-    world = np.array(evaluated.matrix_world, dtype=np.float64)
     linear = world[:3, :3]
-    _check_scale(linear, evaluated.name)
-    rotation = posing.polar_rotation(linear)
+    _check_scale(linear, name)
+    mirrored = np.linalg.det(linear) < 0
+    handedness = OTHER[handedness] if mirrored else handedness
+    rotation = posing.polar_rotation(linear @ _MIRROR if mirrored else linear)
     world_from_hand = np.eye(4)
     world_from_hand[:3, :3], world_from_hand[:3, 3] = rotation, unit_m * world[:3, 3]
     return HandInSpace(handedness, unit_m * joints @ (rotation.T @ linear).T, world_from_hand)
@@ -154,16 +167,6 @@ def at_frame(scene: bpy.types.Scene, frame: float) -> bpy.types.Depsgraph:
     whole = int(np.floor(frame))
     scene.frame_set(whole, subframe=frame - whole)
     return bpy.context.evaluated_depsgraph_get()
-
-
-def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    hands = {  # names are no keys: a linked hand may have the name of one of this file
-        thing.session_uid: thing
-        for collection in _rendered_collections(view_layer.layer_collection)
-        for thing in collection.objects
-        if is_any_hand(thing)
-    }
-    return sorted(hands.values(), key=lambda hand: (hand.name, hand.library is not None, hand.session_uid))
 
 
 def _is_animated(thing: bpy.types.Object, data_path: str) -> bool:
@@ -198,8 +201,6 @@ def _check_scale(linear: np.ndarray, name: str) -> None:
     size = np.linalg.norm(linear, axis=0)
     if size.min() <= 0 or abs(np.linalg.det(linear / size)) < SCALE_MIN or size.min() < SCALE_MIN:
         raise JGHandFailure("zero_scale", name)
-    if np.linalg.det(linear) < 0:
-        raise JGHandFailure("mirrored", name)
 
 
 def _add_bones(armature: bpy.types.Armature, matrices: np.ndarray, unit_m: float) -> None:

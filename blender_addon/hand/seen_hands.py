@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which hands a 3D view shows, read as Blender evaluated them for it.
 
-Finding the hands of a view layer means looking at all of its objects, so what was found is kept until something is
-added, removed or undone. Kept are names with the `session_uid` that the object of that name had: one that was renamed,
-or replaced, is looked for anew.
+Finding the hands of a view layer, and what instances some, means looking at all of its objects, so what was found is
+kept until something is added, removed or undone. Kept are names with the `session_uid` that the object of that name
+had: one that was renamed, or replaced, is looked for anew.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import threading
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
 from .. import clock, folders
 from ..core.view import BUILTIN_AVATAR, HandInSpace
 from ..errors import JGHandFailure
-from . import armature, sources
+from . import instances, sources
 
-# (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand
+# (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand and what instances some
 _found: dict[tuple[int, str], list[tuple[str, int]]] = {}
 
 
@@ -29,13 +30,16 @@ def forget() -> None:
 
 def notice(depsgraph: bpy.types.Depsgraph) -> None:
     """Something was changed in Blender: where that can have made or removed a hand, look anew."""
-    known = {uid for hands in _found.values() for _, uid in hands}
+    known = {uid for found in _found.values() for _, uid in found}
+    collections: dict[bpy.types.Collection, bool] = {}
     for update in depsgraph.updates:
         thing = update.id
         if isinstance(thing, bpy.types.Scene | bpy.types.Collection):
             break
-        if isinstance(thing, bpy.types.Object) and armature.is_any_hand(thing) != (thing.original.session_uid in known):
-            break
+        if isinstance(thing, bpy.types.Object):
+            original = thing.original
+            if instances.shows_hands(original, collections) != (original.session_uid in known):
+                break
     else:
         return
     forget()
@@ -44,8 +48,8 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
 def hands_in(
     scene: bpy.types.Scene, layer: bpy.types.ViewLayer, space: bpy.types.SpaceView3D, *, switched_on_only: bool
 ) -> list[bpy.types.Object]:
-    """The hands that a 3D view shows: visible, in its local view and collections; in Solid and Material Preview
-    (`switched_on_only`) those alone that are to be shown there."""
+    """What a 3D view shows of hands and of what instances some: visible, in its local view and collections; in Solid
+    and Material Preview (`switched_on_only`) those alone that are to be shown there."""
     return [
         thing
         for thing in hands_of(scene, layer)
@@ -54,17 +58,25 @@ def hands_in(
 
 
 def read(
-    things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph
+    things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, switched_on_only: bool = False
 ) -> tuple[list[HandInSpace], list[tuple[str, JGHandFailure]]]:
     """The hands of these objects, with their avatars, and for those that cannot be read their name and why."""
     hands, failures = [], []
     for thing in things:
-        try:
-            avatar = avatar_of(thing)
-            hands += [replace(hand, avatar=avatar) for hand in sources.read_hands(thing, depsgraph)]
-        except JGHandFailure as failure:
-            failures.append((thing.name, failure))
+        for hand, placed in instances.hands_shown(thing.evaluated_get(depsgraph), for_render=False):
+            if switched_on_only and not hand.jghand.show_in_viewport:
+                continue
+            try:
+                hands += read_shown(hand, depsgraph, placed)
+            except JGHandFailure as failure:
+                failures.append((hand.name, failure))
     return hands, failures
+
+
+def read_shown(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray) -> list[HandInSpace]:
+    """The hands of one of `instances.hands_shown`, with their avatar. Raises JGHandFailure as `sources.read_hands`."""
+    avatar = avatar_of(hand)
+    return [replace(each, avatar=avatar) for each in sources.read_hands(hand, depsgraph, placed)]
 
 
 def avatar_of(thing: bpy.types.Object) -> str:
@@ -73,7 +85,8 @@ def avatar_of(thing: bpy.types.Object) -> str:
 
 
 def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    """The hands of a view layer, by name; panels ask at every redraw, also of scenes with thousands of objects."""
+    """The hands of a view layer and what instances some, by name; panels ask at every redraw, also of scenes with
+    thousands of objects."""
     key = (scene.session_uid, layer.name)
     if key in _found:
         things = [layer.objects.get(name) for name, _ in _found[key]]
@@ -82,7 +95,8 @@ def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.typ
         ):
             return [thing for thing in things if thing is not None]
     # an object that was deleted a moment ago is None here
-    things = [thing for thing in layer.objects if thing is not None and armature.is_any_hand(thing)]
+    known: dict[bpy.types.Collection, bool] = {}
+    things = [thing for thing in layer.objects if thing is not None and instances.shows_hands(thing, known)]
     things.sort(key=lambda thing: thing.name)
     _found[key] = [(thing.name, thing.session_uid) for thing in things]
     if things and threading.current_thread() is threading.main_thread():

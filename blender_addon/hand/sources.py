@@ -81,28 +81,36 @@ def stored_maps(rig: bpy.types.Object) -> list[BoneMap]:
     return [bone_maps.from_json(str(rig[name])) for name in armature.MAP_PROPERTIES.values() if name in rig]
 
 
-def read_hands(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
+def read_hands(
+    thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray = armature.UNPLACED
+) -> list[HandInSpace]:
     """Every hand that an object is or stands for: our armature one, a foreign one up to two, an empty one.
 
-    Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map.
+    placed: (4, 4) what its place in the world is multiplied with, where an instance shows it.
+    Raises JGHandFailure: not_a_hand, zero_scale, hidden, bad_bone_map.
     """
     if armature.is_hand(thing):
-        return [armature.read_hand(thing, depsgraph)]
+        return [armature.read_hand(thing, depsgraph, placed)]
     if not armature.is_foreign(thing):
         raise JGHandFailure("not_a_hand", thing.name)
     if thing.type == "ARMATURE":
-        return [read_mapped(thing, bone_map, depsgraph) for bone_map in stored_maps(thing)]
+        return [read_mapped(thing, bone_map, depsgraph, placed) for bone_map in stored_maps(thing)]
     objects = [thing.get(armature.OBJECT_PROPERTIES[name]) for name in NAMES]
     gone = [name for name, joint in zip(NAMES, objects, strict=True) if joint is None]
     if gone:
         raise JGHandFailure("bad_bone_map", f"{thing.name}: the objects of {', '.join(gone)} were deleted")
-    return [read_objects(objects, armature.handedness_of(thing), depsgraph)]
+    return [read_objects(objects, armature.handedness_of(thing), depsgraph, placed)]
 
 
-def read_mapped(rig: bpy.types.Object, bone_map: BoneMap, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+def read_mapped(
+    rig: bpy.types.Object,
+    bone_map: BoneMap,
+    depsgraph: bpy.types.Depsgraph,
+    placed: np.ndarray = armature.UNPLACED,
+) -> HandInSpace:
     """The 21 joints of the *evaluated* foreign armature (constraints, drivers and IK included), in meters.
 
-    Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map (a joint without a bone).
+    Raises JGHandFailure: not_a_hand, zero_scale, hidden, bad_bone_map (a joint without a bone).
     """
     evaluated = armature.evaluated_object(rig, depsgraph)
     if evaluated.pose is None:
@@ -114,21 +122,28 @@ def read_mapped(rig: bpy.types.Object, bone_map: BoneMap, depsgraph: bpy.types.D
         ends[end] = np.empty((len(bones), 3), np.float32)
         bones.foreach_get(end, ends[end].ravel())
     joints = np.array([ends[source.end][bones.find(source.bone)] for source in sources], dtype=np.float64)
-    return armature.in_hand_space(evaluated, joints, bone_map.handedness, depsgraph.scene)
+    world = placed @ np.array(evaluated.matrix_world)
+    return armature.in_hand_space(world, joints, bone_map.handedness, evaluated.name, depsgraph.scene)
 
 
-def read_objects(objects: Sequence[bpy.types.Object], handedness: str, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+def read_objects(
+    objects: Sequence[bpy.types.Object],
+    handedness: str,
+    depsgraph: bpy.types.Depsgraph,
+    placed: np.ndarray = armature.UNPLACED,
+) -> HandInSpace:
     """The hand whose 21 joints are the origins of objects, standard order; hand space lies at the wrist, unturned.
 
-    Only places count: a joint's own rotation and scale mean nothing. Raises JGHandFailure: hidden, bad_bone_map.
+    Only places count: a joint's own rotation and scale mean nothing; an instance's turn and mirror the hand.
+    Raises JGHandFailure: hidden, zero_scale, bad_bone_map.
     """
     if len(objects) != len(NAMES):
         raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} objects, got {len(objects)}")
     places = [armature.evaluated_object(thing, depsgraph).matrix_world.translation for thing in objects]
-    world_m = np.array(places, dtype=np.float64) * depsgraph.scene.unit_settings.scale_length
-    world_from_hand = np.eye(4)
-    world_from_hand[:3, 3] = world_m[0]
-    return HandInSpace(handedness, world_m - world_m[0], world_from_hand)
+    joints = np.array(places, dtype=np.float64)
+    at_wrist = np.eye(4)
+    at_wrist[:3, 3] = joints[0]
+    return armature.in_hand_space(placed @ at_wrist, joints - joints[0], handedness, objects[0].name, depsgraph.scene)
 
 
 def _bones(rig: bpy.types.Object) -> bpy.types.ArmatureBones:

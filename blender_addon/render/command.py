@@ -28,7 +28,7 @@ from .. import versions
 from ..core.files import write_whole
 from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS
 from ..errors import BAD_INPUT, JGHandFailure
-from ..hand import armature
+from ..hand import armature, instances
 from ..renderer import runtime
 from . import ENGINE, composite, samples
 from .properties import PRESETS
@@ -112,14 +112,13 @@ def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
         raise JGHandFailure("bad_file", f"{options.file}: {error}") from error
     samples.check_scripts()
     current = bpy.context.scene
-    hands = armature.hands_at_any_frame(bpy.context.view_layer)
-    if not hands:
-        raise JGHandFailure("no_hand", "; ".join([str(options.file), *samples.instanced_hands(current.objects)]))
+    if not instances.sources_at_any_frame(bpy.context.view_layer):
+        raise JGHandFailure("no_hand", str(options.file))
     if options.avatar is not None:
         chosen = options.avatar if options.avatar in SHIPPED_AVATARS else str(Path(options.avatar).resolve())
         if chosen not in SHIPPED_AVATARS and not Path(chosen).is_file():
             raise JGHandFailure("bad_avatar", f"{chosen} is no file")
-        for hand in hands:
+        for hand in filter(armature.is_any_hand, bpy.data.objects):
             hand.jghand.avatar = "" if chosen == BUILTIN_AVATAR else chosen
     frames = options.frames or range(current.frame_start, current.frame_end + 1, current.frame_step)
     folders = _folders(current, options.camera, frames[0])

@@ -17,7 +17,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import versions
 from ..errors import JGHandFailure
-from ..hand import armature
+from ..hand import armature, instances
 from . import ENGINE
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
@@ -60,7 +60,7 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
     ours, layer = hands_scene_of(scene), _combined_layer(scene)
     if ours is None or layer is None:
         return []
-    wanted, there = _things(scene, armature.hands_at_any_frame(layer)), set(ours.collection.objects)
+    wanted, there = _things(scene, instances.sources_at_any_frame(layer)), set(ours.collection.objects)
     found = [rpt_("{name} is missing").format(name=thing.name) for thing in wanted if thing not in there]
     found += [rpt_("{name} is too much").format(name=thing.name) for thing in there if thing not in wanted]
     for owner, of, names in _shared(scene, ours):
@@ -80,7 +80,7 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
 
     layer: the view layer that is combined with. Raises JGHandFailure: no_hand, no_camera.
     """
-    hands = armature.hands_at_any_frame(layer)
+    hands = instances.sources_at_any_frame(layer)
     if not hands:
         raise JGHandFailure("no_hand", scene.name)
     if scene.camera is None:

@@ -7,7 +7,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..errors import JGHandFailure
-from ..hand import armature
+from ..hand import armature, instances
 from ..hand.ops import add_camera
 from ..ops import PLUMBING, UNDOABLE, Reporting, missing
 from . import ENGINE, composite
@@ -138,7 +138,7 @@ class CombineWithScene(Reporting, bpy.types.Operator):
             return missing(cls, "Choose Cycles or EEVEE first: this scene is rendered by JGHand alone")
         if scene.camera is None:
             return missing(cls, "The scene has no camera")
-        if not armature.hands_at_any_frame(context.view_layer):
+        if not instances.sources_at_any_frame(context.view_layer):
             return missing(cls, "There is no hand in this scene that is rendered")
         return True
 

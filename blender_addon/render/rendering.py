@@ -28,7 +28,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import ui
 from ..errors import JGHandFailure
-from ..hand import armature
+from ..hand import instances
 from ..renderer import runtime
 from . import ENGINE, composite
 
@@ -82,7 +82,7 @@ def hands_left_out(scene: bpy.types.Scene) -> list[str]:
         return []
     if not scene.jghand.show_in_viewport:
         return []
-    found = {hand.name for layer in scene.view_layers if layer.use for hand in armature.hands_at_any_frame(layer)}
+    found = {hand.name for layer in scene.view_layers if layer.use for hand in instances.sources_at_any_frame(layer)}
     return sorted(found)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from .. import versions
 from ..core.view import HandInSpace, Moment, Part, picture_of
 from ..errors import JGHandFailure
-from ..hand import armature, seen_hands, sources
+from ..hand import armature, instances, seen_hands
 from . import camera
 
 # where in the open time of the shutter its frame lies
@@ -41,12 +41,12 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand,
     scripts_blocked, broken_driver, hidden.
     """
-    there = armature.evaluated_hands(depsgraph)
+    there = instances.evaluated_sources(depsgraph)
     if not (there or _hands_elsewhere(depsgraph)):
-        instanced = "; ".join(instanced_hands(depsgraph.view_layer_eval.objects))
-        raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
-    things = [hand for hand in there if not hand.hide_render]
-    check_drivers((*things, frame.eye()), depsgraph)
+        raise JGHandFailure("no_hand")
+    things = [thing for thing in there if not thing.hide_render]
+    hands = [hand for thing in things for hand, _ in instances.hands_shown(thing, for_render=True)]
+    check_drivers((*things, *hands, frame.eye()), depsgraph)
     times = shutter_times(depsgraph.scene_eval)
     names = [armature.name_in_files(thing) for thing in things]
     if len(times) == 1:
@@ -60,6 +60,9 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
             moments.append(replace(_moment(names, frame, depsgraph), weight=weight))
     finally:
         frame_set(whole, subframe)
+    # one that is mirrored, or comes and goes, while the shutter is open cannot be averaged: the hands of the middle
+    middle = _sides(moments[len(moments) // 2])
+    moments = [moment for moment in moments if _sides(moment) == middle]
     return moments if _moves(moments) else moments[:1]
 
 
@@ -85,22 +88,26 @@ def _hands_elsewhere(depsgraph: bpy.types.Depsgraph) -> bool:
     Of another layer a render knows what the file says, and nothing else; it is asked where nothing else can tell.
     """
     layers = depsgraph.scene.view_layers
-    return len(layers) > 1 and any(armature.hands_at_any_frame(layer) for layer in layers)
+    return len(layers) > 1 and any(instances.sources_at_any_frame(layer) for layer in layers)
 
 
 def _moment(names: list[tuple[str, str]], frame: Frame, depsgraph: bpy.types.Depsgraph) -> Moment:
-    """The hands of these names, and the camera. What Blender evaluated is looked for at each moment: at another frame
-    it may be another object."""
-    found = {armature.name_in_files(thing): thing for thing in armature.evaluated_hands(depsgraph)}
+    """The hands of these names, those of instances too, and the camera. What Blender evaluated is looked for at each
+    moment: at another frame it may be another object."""
+    found = {armature.name_in_files(thing): thing for thing in instances.evaluated_sources(depsgraph)}
     gone = [each[0] for each in names if each not in found]
     if gone:
         raise JGHandFailure("hidden", ", ".join(gone))
     hands: list[HandInSpace] = []
     for thing in map(found.__getitem__, names):
-        avatar = seen_hands.avatar_of(thing)
-        hands += [replace(hand, avatar=avatar) for hand in sources.read_hands(thing, depsgraph)]
+        for hand, placed in instances.hands_shown(thing, for_render=True):
+            hands += seen_hands.read_shown(hand, depsgraph, placed)
     whole = camera.pinhole(frame.eye(), depsgraph, frame.size)
     return Moment(picture_of(whole, frame.part, frame.part.pixels), hands)
+
+
+def _sides(moment: Moment) -> list[tuple[str, str]]:
+    return [(hand.handedness, hand.avatar) for hand in moment.hands]
 
 
 def _moves(moments: list[Moment]) -> bool:
@@ -140,17 +147,6 @@ def _background_node(world: bpy.types.World) -> bpy.types.Node | None:
 
 
 # ---- whether Blender evaluated it truly ------------------------------------------------------------------------------
-
-
-def instanced_hands(things: Iterable[bpy.types.Object]) -> list[str]:
-    """The hands that only show as instances of a collection, which are not rendered: "hand, in its instance"."""
-    return [
-        f"{hand.name}, in the instance {thing.name}"
-        for thing in things
-        if thing.instance_type == "COLLECTION" and thing.instance_collection
-        for hand in thing.instance_collection.all_objects
-        if armature.is_any_hand(hand)
-    ]
 
 
 def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:

@@ -197,7 +197,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
         view = _views[region.as_pointer(), kind] = View(region.as_pointer(), kind)
     view.settings = settings_of(context.scene)
     view.camera = view_camera(region, context.region_data, context.scene.unit_settings.scale_length)
-    view.hands, view.unreadable = seen_hands.read(things, depsgraph)
+    view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=kind == SOLID)
     view.part = part_with(view.camera.whole, view.hands)
     if view.part is None:
         _rest(view)
@@ -304,7 +304,7 @@ def look(view: View, moment: DrawMoment, *, drawing: bool) -> None:
 
 def read_again(view: View, things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
     """Reads the hands of a view that is not drawn yet, from where it looked last."""
-    view.hands, view.unreadable = seen_hands.read(things, depsgraph)
+    view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=view.kind == SOLID)
     view.part = part_with(view.camera.whole, view.hands) if view.camera is not None else None
 
 

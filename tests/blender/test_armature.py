@@ -117,16 +117,14 @@ def test_other_bones_and_another_order_do_not_disturb(context):
     np.testing.assert_allclose(after, before, atol=EXACT_M)
 
 
-@pytest.mark.parametrize(
-    ("scale", "kind"), [((-1, 1, 1), "mirrored"), ((1, 0, 1), "zero_scale"), ((0, 0, 0), "zero_scale")]
-)
-def test_a_scale_that_makes_no_hand_is_refused(context, scale, kind):
+@pytest.mark.parametrize("scale", [(1, 0, 1), (0, 0, 0)])
+def test_a_scale_that_makes_no_hand_is_refused(context, scale):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
     hand.scale = scale
     context.view_layer.update()
     with pytest.raises(JGHandFailure) as caught:
         armature.read_hand(hand, context.evaluated_depsgraph_get())
-    assert caught.value.kind == kind
+    assert caught.value.kind == "zero_scale"
 
 
 def test_an_armature_without_all_joints_is_refused(context):

@@ -120,10 +120,10 @@ def test_recording_that_is_given_up_puts_the_frame_back(extension):
 
 def test_a_hand_that_cannot_be_read_is_a_report_and_nothing_is_written(extension, tmp_path):
     hand = a_hand(extension)
-    hand.scale.x = -1
+    hand.scale.x = 0
     settings = extension.scene.jghand.output
     settings.format, settings.folder = "motion", str(tmp_path / "out")
-    with pytest.raises(RuntimeError, match="Mirrored"):
+    with pytest.raises(RuntimeError, match="A scale of zero"):
         bpy.ops.jghand.export()
     assert not (tmp_path / "out").exists()
 

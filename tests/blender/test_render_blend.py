@@ -170,9 +170,9 @@ def test_a_combined_scene_keeps_its_engine_and_hands_that_fail_are_in_the_exit_c
     current = bpy.context.scene
     current.render.engine, current.cycles.samples = "CYCLES", 1
     bpy.ops.jghand.combine_with_scene()
-    bpy.data.objects["right"].scale.x = -1
+    bpy.data.objects["right"].scale.x = 0
     code, files, report = rendered(saved(blend.parent), "--frames", "1-2")
-    assert (code, report["failure"]["kind"]) == (2, "mirrored")
+    assert (code, report["failure"]["kind"]) == (2, "zero_scale")
     assert files == ["CamPalm/0001.png", "CamPalm/0002.png"]
     assert (pixels(blend.parent / "out" / files[0])[..., :3] == (1, 0, 1)).all()
 
@@ -355,7 +355,7 @@ def test_a_scene_without_a_hand_is_bad_input(engine, blend):
     assert report["failure"]["kind"] == "no_hand"
 
 
-def test_a_hand_that_is_only_instanced_is_named(engine, blend):
+def test_a_hand_that_is_only_instanced_is_rendered_with_the_avatar_that_is_asked_for(engine, blend):
     hand = bpy.data.objects["right"]
     collection = bpy.data.collections.new("asset")
     collection.objects.link(hand)
@@ -363,9 +363,9 @@ def test_a_hand_that_is_only_instanced_is_named(engine, blend):
     instance = bpy.data.objects.new("placed", None)
     instance.instance_type, instance.instance_collection = "COLLECTION", collection
     bpy.context.scene.collection.objects.link(instance)
-    code, _, report = rendered(saved(blend.parent))
-    assert (code, report["failure"]["kind"]) == (2, "no_hand")
-    assert "right, in the instance placed" in report["failure"]["detail"]
+    code, files, _ = rendered(saved(blend.parent), "--frames", "1", "--avatar", "painted")
+    assert (code, files) == (0, ["CamPalm/0001.png"])
+    assert pixels(blend.parent / "out" / files[0])[..., 3].max() > 0
 
 
 def test_region_film_and_depth_of_the_file_are_honored(engine, blend):

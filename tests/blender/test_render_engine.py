@@ -476,9 +476,9 @@ def test_stereo_is_said(scene):
     refused(scene, "multiple views are not supported")
 
 
-def test_a_mirrored_hand_is_said(scene):
-    bpy.data.objects["right"].scale.x = -1
-    refused(scene, "Mirrored scale is not supported")
+def test_a_hand_without_size_is_said(scene):
+    bpy.data.objects["right"].scale.x = 0
+    refused(scene, "A scale of zero is not supported")
 
 
 def test_a_driver_of_the_hand_that_blender_may_not_run_is_said(scene):

@@ -119,15 +119,14 @@ def test_a_map_that_is_not_whole_or_whose_bones_went_away_is_refused_by_name(con
     assert caught.value.kind == "bad_bone_map"
 
 
-@pytest.mark.parametrize(("scale", "kind"), [((-1, 1, 1), "mirrored"), ((0, 1, 1), "zero_scale")])
-def test_a_foreign_rig_is_refused_for_the_same_reasons_as_ours(context, scale, kind):
+def test_a_foreign_rig_is_refused_for_the_same_reasons_as_ours(context):
     rig, _ = hands.mixamo_rig(context)
     found = sources.recognize(rig, "right").bone_map
-    rig.scale = scale
+    rig.scale = (0, 1, 1)
     context.view_layer.update()
     with pytest.raises(JGHandFailure) as caught:
         sources.read_mapped(rig, found, context.evaluated_depsgraph_get())
-    assert caught.value.kind == kind
+    assert caught.value.kind == "zero_scale"
     rig.scale, rig.hide_viewport = (1, 1, 1), True
     context.view_layer.update()
     with pytest.raises(JGHandFailure) as caught:

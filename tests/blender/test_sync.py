@@ -227,14 +227,14 @@ def test_undo_brings_a_hand_back_and_nothing_holds_the_old_one(extension, instal
     assert seen(bpy.context) == ["right"]
 
 
-def test_a_mirrored_hand_is_a_sentence_and_the_other_hand_is_still_read(extension):
+def test_a_hand_without_size_is_a_sentence_and_the_other_hand_is_still_read(extension):
     context = extension
     right, left = add_hand(context, "right"), add_hand(context, "left")
-    put(left, ((0, 0, 0), (0, 0, 0), (-1, 1, 1)))
+    put(left, ((0, 0, 0), (0, 0, 0), (0, 1, 1)))
     context.view_layer.update()
     hands, failures = seen_hands.read([right, left], context.evaluated_depsgraph_get())
     assert [hand.handedness for hand in hands] == ["right"]
-    assert [(name, failure.kind) for name, failure in failures] == [("left", "mirrored")]
+    assert [(name, failure.kind) for name, failure in failures] == [("left", "zero_scale")]
 
 
 # ---- the view's camera -----------------------------------------------------------------------------------------------
