@@ -153,7 +153,7 @@ def film(truth: Truth) -> Iterator[np.ndarray]:
     focal_px = truth.pinhole.focal_px
     world = np.diag([*MOTION_FROM_CAMERA, 1.0])
     camera = Camera(width, height, focal_px, focal_px, width / 2, height / 2, world)
-    renderer = HandRenderer(load_builtin(handedness=truth.handedness), replace(preset("viewport"), antialias=True))
+    renderer = HandRenderer(load_builtin(handedness=truth.handedness), preset("viewport"))
     x, y = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
     random = np.random.default_rng(SEED)
     wall = 0.35 + 0.25 * x + 0.1 * y + 0.01 * random.standard_normal((height, width))

@@ -106,7 +106,7 @@ class Render:
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
         # repeatable: any part of the pictures is the same as in the whole
-        settings = replace(settings, antialias=True, depth=False, repeatable=True)
+        settings = replace(settings, depth=False, repeatable=True)
         if effects is not None:
             settings = replace(settings, effects=effects)
         renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))

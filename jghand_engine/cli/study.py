@@ -108,6 +108,6 @@ class Study:
             poses = poses[: max(2, round(effects.QUICK_PART * len(poses)))]
         camera = framing_camera(poses, avatar.handedness, "quarter", width=width, height=height)
         with progress("Measuring", len(poses)) as bar:
-            subject, settings = Subject(name, avatar, poses, camera), replace(preset("viewport"), antialias=True)
+            subject, settings = Subject(name, avatar, poses, camera), preset("viewport")
             study = effects.measure_effects(subject, settings, lambda: bar.advance(bar.task_ids[0]))
         return Report("effects", study.headline, study.tables(), study, draw_figure(study))

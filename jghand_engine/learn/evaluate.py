@@ -44,7 +44,8 @@ class Picturer(Protocol):
 
 
 def avatar_picturer(avatar: HandAvatar, settings: RenderSettings) -> Picturer:
-    """Draws `avatar` with the renderer that users have."""
+    """Draws `avatar` with the renderer that users have, of hands as large as they were learned."""
+    settings = replace(settings, antialias=False)
 
     @cache
     def renderer(handedness: Handedness) -> HandRenderer:

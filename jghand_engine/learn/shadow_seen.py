@@ -74,7 +74,7 @@ def with_shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda 
 def shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda part: None) -> float:
     """0..1: the most that the whole shadow, of the usual reach, changes a channel of a pixel of the named poses, from
     all sides, whole and close up. tick: gets the part that is done."""
-    renderer = HandRenderer(avatar, RenderSettings(shadow=ShadowMode.OFF))
+    renderer = HandRenderer(avatar, RenderSettings(shadow=ShadowMode.OFF, antialias=False))
     views = list(_views(avatar))
     darkest = 0.0
     for number, (joints_m, camera) in enumerate(views, start=1):

@@ -36,8 +36,8 @@ class RenderSettings:
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
     depth, normals, ids: maps that the frame carries
     effects:           which may run
-    antialias:         whether hands that are much smaller than they were learned are drawn larger and averaged; not
-                       where an image is compared with what was learned
+    antialias:         whether hands that are much smaller than they were learned are drawn larger and averaged; off
+                       where an image is compared with the pictures it was learned from
     reuse:             whether stages whose input has hardly changed keep their last result, within the bound in the
                        report
     repeatable:        whether they keep it only when nothing changed at all: an image then depends on nothing that was
@@ -59,7 +59,7 @@ class RenderSettings:
     normals: bool = False
     ids: bool = False
     effects: Choice = AUTO
-    antialias: bool = False
+    antialias: bool = True
     reuse: bool = True
     repeatable: bool = False
     half: bool = False

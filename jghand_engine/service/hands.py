@@ -179,8 +179,7 @@ def _settings(wanted: ImageSettings, avatars: list[HandAvatar], size_px: tuple[i
         settings = replace(settings, correctives=Tier(wanted.correctives))
     if wanted.effects != "auto":
         settings = replace(settings, effects=Choice.parse(wanted.effects))
-    # a scene has hands of any size, as `jghand render` has
-    return replace(settings, antialias=True)
+    return settings
 
 
 def _measured_size(pixels: int) -> tuple[int, int]:

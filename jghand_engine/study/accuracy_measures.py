@@ -111,7 +111,8 @@ def profile_of(study: Accuracy, plan: Plan) -> Profile:
 
 
 def _drawer(variant: Variant, subject: Subject) -> Callable[[np.ndarray], np.ndarray]:
-    renderer = HandRenderer(variant.avatar or subject.avatar, variant.settings)
+    # the exact pictures are not filtered either
+    renderer = HandRenderer(variant.avatar or subject.avatar, replace(variant.settings, antialias=False))
     return lambda pose_m: renderer.render(pose_m, subject.camera).rgba
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -35,7 +35,7 @@ def side_by_side(
     avatar as it would stand before that camera.
     """
     tracked = list(hands.values())
-    renderer = SceneRenderer([avatar.for_hand(side) for side in hands], replace(preset("viewport"), antialias=True))
+    renderer = SceneRenderer([avatar.for_hand(side) for side in hands], preset("viewport"))
     window: _Window | None = None
     for frame, picture in enumerate(pictures):
         if frame >= len(tracked[0].seen):

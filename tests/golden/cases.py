@@ -167,8 +167,9 @@ PICTURES: dict[str, list[Picture]] = {
 def drawn(picture: Picture, jitter_m: np.ndarray | float = 0.0) -> Frame:
     """jitter_m: (21, 3), added to the joints."""
     avatar, view = avatar_of(picture.avatar, picture.hand), VIEWS[picture.view]
-    # repeatable: nothing of one case is kept for the next
-    settings = replace(preset(picture.preset), threads=1, repeatable=True, **picture.settings)
+    # repeatable: nothing of one case is kept for the next; most cases show what a kernel draws, without the filter
+    fixed = {"threads": 1, "repeatable": True, "antialias": False}
+    settings = replace(preset(picture.preset), **fixed | picture.settings)
     world = view.camera_from_world.copy()
     world[:3, 3] -= world[:3, :3] @ np.array(picture.offset_m)
     view = replace(view, camera_from_world=world, lens=picture.lens)

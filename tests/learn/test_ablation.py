@@ -51,7 +51,7 @@ def posed(avatar, name):
 @pytest.mark.parametrize("name", ["open", "point"])
 def test_what_is_trained_is_drawn_as_users_see_it(camera, name):
     """With its light, gloss, correctives and shadow."""
-    avatar, settings = trained_avatar(2000), RenderSettings(reuse=False)
+    avatar, settings = trained_avatar(2000), RenderSettings(reuse=False, antialias=False)
     renderer, live = HandRenderer(avatar, settings), LiveHand(avatar, settings)
     wanted = renderer.render(posed(avatar, name), camera).rgba
     came = live(posed(avatar, name), Handedness.RIGHT, camera)

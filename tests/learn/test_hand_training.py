@@ -108,7 +108,7 @@ def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, smal
     losses(training, 20)
     save_avatar(tmp_path / "hand.jghand", training.avatar())
     # the pictures are too small for a shadow that is only drawn where it is seen
-    settings = RenderSettings(shadow=ShadowMode.ALWAYS, shadow_samples=tiny.shadow_samples)
+    settings = RenderSettings(shadow=ShadowMode.ALWAYS, shadow_samples=tiny.shadow_samples, antialias=False)
     renderer = HandRenderer(load_avatar(tmp_path / "hand.jghand"), settings)
     strengths = []
     for sample in open_capture(small_capture).samples:

@@ -30,7 +30,7 @@ from jghand_engine.render.shadow import ShadowStyle
 
 AVATAR = trained_avatar(3000)
 BACKENDS = native_library.runnable_variants()
-PLAIN = RenderSettings(shadow=ShadowMode.OFF, reuse=True)
+PLAIN = RenderSettings(shadow=ShadowMode.OFF, antialias=False)
 
 
 @pytest.fixture(params=BACKENDS)

@@ -69,7 +69,7 @@ def test_a_picture_is_that_of_the_renderer_in_its_own_process(source, right):
 
     came = source.render(asked([right]))
     camera = Camera(120, 90, *PINHOLE, torch.from_numpy(CAMERA_FROM_WORLD))
-    renderer = HandRenderer(load_painted(handedness=Handedness.RIGHT), replace(preset("draft"), antialias=True))
+    renderer = HandRenderer(load_painted(handedness=Handedness.RIGHT), preset("draft"))
     frame = renderer.render(to_level(right.joints_m, JointOrder.STANDARD), camera)
     np.testing.assert_array_equal(came.rgba, frame.rgba)
     np.testing.assert_array_equal(came.depth_m, frame.depth_m)
@@ -167,9 +167,7 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
         came = source.render(asked([hand], moment, settings=ImageSettings("viewport")))
         camera = Camera(120, 90, *PINHOLE, camera_from_world)
         wanted, matt = (
-            HandRenderer(one, replace(preset("viewport"), antialias=True))
-            .render(to_level(right.joints_m, JointOrder.STANDARD), camera)
-            .rgba
+            HandRenderer(one, preset("viewport")).render(to_level(right.joints_m, JointOrder.STANDARD), camera).rgba
             for one in (avatar, dark)
         )
         np.testing.assert_array_equal(came.rgba, wanted)

@@ -97,7 +97,7 @@ def test_what_nobody_can_choose_is_no_choice():
 def test_the_renderers_own_reference_comes_near_the_picture_in_double_precision(make):
     subject = subject_of(make(300))
     exact = ExactPictures64(subject, spread_poses(subject, 2))
-    renderer = HandRenderer(subject.avatar, replace(PRESETS["reference"], reuse=False))
+    renderer = HandRenderer(subject.avatar, replace(PRESETS["reference"], reuse=False, antialias=False))
     error = exact.error(lambda pose_m: renderer.render(pose_m, subject.camera).rgba)
     # 93.7 dB and 0.0003 are the worst of the three
     assert error.psnr_db > 93

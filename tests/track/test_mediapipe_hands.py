@@ -1,7 +1,5 @@
 """The true detector, where it is installed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -33,7 +31,7 @@ def shown(handedness, joints_m):
     """A picture of the built-in hand, (H, W, 3) uint8."""
     axes = torch.eye(4, dtype=torch.float64)
     camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
-    renderer = HandRenderer(load_builtin(handedness=handedness), replace(preset("viewport"), antialias=True))
+    renderer = HandRenderer(load_builtin(handedness=handedness), preset("viewport"))
     return flatten(renderer.render(joints_m, camera).rgba, (0.45, 0.45, 0.47))
 
 
