@@ -42,7 +42,8 @@ class Study:
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
     """accuracy and effects: pixels of the pictures."""
     quick: bool = False
-    """For a first look. accuracy: a tenth of the frames, two poses in double precision, short curves; effects: the
+    """For a first look. accuracy: a tenth of the frames and pictures, two poses in double precision, short
+    curves; effects: the
     first quarter of the motion."""
 
     def run(self) -> None:
@@ -67,9 +68,9 @@ class Study:
 
         size_px = pixels(self.size)
         avatar = load_avatar_called(self.avatar)
-        truth = None if self.capture is None else measures.held_out_truth(avatar, self.capture, say)
-        log = Path(self.avatar).with_suffix(".training") / "log.jsonl"
-        plan = measures.Plan(avatar, self.avatar, size_px, truth=truth, log=log if log.is_file() else None)
+        pictures = measures.QUICK_PICTURES if self.quick else measures.PICTURES
+        truth = None if self.capture is None else measures.held_out_truth(avatar, self.capture, say, pictures)
+        plan = measures.Plan(avatar, self.avatar, size_px, truth=truth)
         if self.quick:
             plan = replace(plan, rounds=measures.QUICK_ROUNDS, reach=QUICK_REACH, poses=measures.QUICK_POSES)
         study = measures.measure_accuracy(plan, say)

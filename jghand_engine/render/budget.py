@@ -28,6 +28,7 @@ import jghand_engine
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.learned_storage import LearnedAbout
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import decibels
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import cache_folder, writing
@@ -54,7 +55,7 @@ LOOKS_ALIKE_DB = 38.0
 LOOKS_CLOSE_DB = 30.0
 
 # of the file
-FORMAT = 2
+FORMAT = 3
 APPROXIMATE = "approximate creases"
 NO_CORRECTIVES = Choice(frozenset(CHOOSABLE) - {Effect.CORRECTIVES})
 
@@ -100,6 +101,11 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
     for count, like in ((30_000, "viewport"), (30_000, "draft"), (20_000, "viewport"), (10_000, "draft")):
         if count < len(avatar):
             found[f"{like}, {count // 1000}k Gaussians"] = replace(PRESETS[like], gaussians=count)
+    if avatar.learned is not None and avatar.learned.distilled is not None and avatar.learned.distilled.linear:
+        taken = avatar.learned.with_tier(Tier.AUTO)[1]
+        other = Tier.EXACT if taken is not None and taken.tier is Tier.LINEAR else Tier.LINEAR
+        found["final, linear correctives"] = replace(PRESETS["final"], correctives=Tier.LINEAR)
+        found[f"viewport, {other} correctives"] = replace(viewport, correctives=other)
     if avatar.learned is not None and avatar.learned.correctives is not None:
         found["viewport, no correctives"] = replace(viewport, effects=NO_CORRECTIVES)
         found["draft, no correctives"] = replace(draft, effects=NO_CORRECTIVES)

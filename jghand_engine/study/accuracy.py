@@ -7,11 +7,12 @@ are taken from in accuracy_reference, how time grows in accuracy_growth, the plo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from jghand_engine.avatar.tiers import LOST_MAX_DB
 from jghand_engine.learn.tables import NONE, Table, number
 from jghand_engine.render.budget import LOOKS_SAME_DB
 from jghand_engine.render.settings import PRESETS
@@ -21,8 +22,34 @@ from jghand_engine.study.accuracy_variants import AXES, TOGETHER
 
 # part by which medians of one run differ without a reason: a preset is on the front unless something is faster by more
 FRONT_NOISE = 0.05
-# rows of the table of a training, at most
-LEARNING_ROWS = 12
+# standard errors by which a mean is taken to be certain
+CERTAIN = 2.0
+
+
+@dataclass(frozen=True)
+class TruthScore:
+    """How near a setting is to pictures of a capture: PSNR of whole pictures over black, dB."""
+
+    psnr_db: float
+    # standard error of that mean over pictures
+    error_db: float
+    # mean over pictures of what it has more than preset `reference`, and the standard error of that
+    gain_db: float
+    gain_error_db: float
+
+    @classmethod
+    def of(cls, psnr_db: np.ndarray, exact_db: np.ndarray) -> TruthScore:
+        """From the PSNR of each picture, its own and that of preset `reference`."""
+        return cls(*_mean_and_error(psnr_db), *_mean_and_error(psnr_db - exact_db))
+
+    @property
+    def as_near(self) -> bool:
+        """Whether it certainly loses no more than a tier may that is taken unasked."""
+        return self.gain_db - CERTAIN * self.gain_error_db >= -LOST_MAX_DB
+
+
+def _mean_and_error(values: np.ndarray) -> tuple[float, float]:
+    return float(values.mean()), float(values.std() / np.sqrt(max(len(values) - 1, 1)))
 
 
 @dataclass(frozen=True)
@@ -38,8 +65,8 @@ class Row:
     stages_ms: Mapping[str, float]
     # against the exact picture
     error: Error
-    # mean metrics against the pictures of a capture
-    truth: Mapping[str, float] = field(default_factory=dict)
+    # against the pictures of a capture, or None without
+    truth: TruthScore | None = None
     # see Measurement
     samples: int = 0
     dropped: int = 0
@@ -50,6 +77,8 @@ class Row:
     on_front: bool = False
     # (H, W, 3) uint8: the finger tips
     crop: np.ndarray | None = None
+    # the command that must be run before it can be chosen; empty where the settings alone make it
+    made_by: str = ""
 
     @property
     def preset(self) -> bool:
@@ -70,8 +99,6 @@ class Accuracy:
     poses: int
     # the pictures of a capture, in words; empty without
     truth: str
-    # minutes, and PSNR of held-out views, of the training of the avatar
-    learning: tuple[tuple[float, float], ...] = ()
 
     @property
     def choices(self) -> list[Row]:
@@ -90,12 +117,20 @@ class Accuracy:
 
     @property
     def headline(self) -> str:
-        """The quickest setting that looks the same, and what less time takes away."""
+        """The quickest setting that looks the same, what less time takes away, and what pictures of a capture say."""
         same = [row for row in self.front if row.error.psnr_db >= LOOKS_SAME_DB]
         less = [row for row in self.front if not same or row.median_ms < same[0].median_ms]
         # of several that look alike the most exact one
-        told = {row.looks: f"{row.median_ms:.0f} ms: {row.looks}" for row in [*less, *same[:1]]}
-        return "; ".join([*told.values()][::-1][:3]) or "nothing can be chosen"
+        told = {row.looks: f"{row.median_ms:.0f} ms: {row.looks}{_after(row)}" for row in [*less, *same[:1]]}
+        words = "; ".join([*told.values()][::-1][:3]) or "nothing can be chosen"
+        near = next((row for row in self.choices if row.truth is not None and row.truth.as_near), None)
+        if near is None or near.truth is None:
+            return words
+        gain = f"{near.truth.gain_db:+.2f} ± {near.truth.gain_error_db:.2f} dB"
+        return (
+            f"{words}. As near to {self.truth.split(' (')[0]} as preset reference: {near.name}, "
+            f"{near.median_ms:.0f} ms ({gain}){_after(near)}"
+        )
 
     @property
     def how_timed(self) -> str:
@@ -116,8 +151,6 @@ class Accuracy:
             found.append(_table("One thing changed alone, all else as preset final", rows, ()))
         if self.growth:
             found.append(self._growth_table())
-        if self.learning:
-            found.append(self._learning_table())
         return found
 
     def _notes(self) -> tuple[str, ...]:
@@ -132,7 +165,15 @@ class Accuracy:
             f"faster by less than {100 * FRONT_NOISE:.0f} %, which is noise.",
             f"dB: whole picture over black, against the same hand drawn in float64 with nothing left out, {self.poses} "
             "poses together; worst: of any pixel and channel.",
-            *((f"PSNR: against {self.truth}.",) if self.truth else ()),
+            *(
+                (
+                    f"PSNR: mean and standard error against {self.truth}; gain: on the same pictures, against preset "
+                    "reference.",
+                )
+                if self.truth
+                else ()
+            ),
+            *(f"{row.name}: after `{row.made_by}`." for row in self.choices if row.made_by),
             f"ms: whole frame from joints to picture, nothing reused, no file read or written, {self.how_timed}.",
             *beaten,
             *((busy,) if self.disturbed else ()),
@@ -146,14 +187,6 @@ class Accuracy:
         notes = ("Preset viewport, nothing reused. Poses in a batch: the bones of all of them in one call of torch.",)
         return Table("How time grows", ("With", "How many", "ms", "95 %"), cells, notes)
 
-    def _learning_table(self) -> Table:
-        """At most LEARNING_ROWS, evenly spread, the last one among them."""
-        step = -(-len(self.learning) // LEARNING_ROWS)
-        chosen = self.learning[::-1][::step][::-1]
-        cells = tuple((f"{minutes:.0f}", number(psnr_db, 2)) for minutes, psnr_db in chosen)
-        notes = ("PSNR of views that the training did not learn from, cut to the hand.",)
-        return Table("Training: accuracy against minutes", ("Minutes", "PSNR"), cells, notes)
-
 
 def _table(title: str, rows: Sequence[Row], notes: tuple[str, ...]) -> Table:
     cells = tuple(
@@ -163,12 +196,22 @@ def _table(title: str, rows: Sequence[Row], notes: tuple[str, ...]) -> Table:
             _ms(row.p95_ms, row.disturbed),
             number(row.error.psnr_db, 1),
             number(255 * row.error.worst, 1),
-            number(row.truth.get("psnr_full"), 2),
+            *_truth_cells(row.truth),
             (f"● {row.looks}" if row.on_front else row.looks) or NONE,
         )
         for row in rows
     )
-    return Table(title, ("Setting", "ms", "95 %", "dB", "Worst, 8-bit steps", "PSNR", "Looks"), cells, notes)
+    return Table(title, ("Setting", "ms", "95 %", "dB", "Worst, 8-bit steps", "PSNR", "Gain", "Looks"), cells, notes)
+
+
+def _truth_cells(truth: TruthScore | None) -> tuple[str, str]:
+    if truth is None:
+        return NONE, NONE
+    return f"{truth.psnr_db:.2f} ± {truth.error_db:.2f}", f"{truth.gain_db:+.2f} ± {truth.gain_error_db:.2f}"
+
+
+def _after(row: Row) -> str:
+    return f", after `{row.made_by}`" if row.made_by else ""
 
 
 def _ms(value: float, disturbed: bool) -> str:

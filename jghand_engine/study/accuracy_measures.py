@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.tiers import Tier
+from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.captures.capture_folder import open_capture
-from jghand_engine.captures.sample import Sample
+from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.errors import InputError
-from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out, means, measure_pictures
-from jghand_engine.learn.log import read_log
+from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out
+from jghand_engine.learn.metrics import checked_picture, psnr
 from jghand_engine.render.budget import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
 from jghand_engine.render.timing import Case, Measurement, frame_case, machine, measure
-from jghand_engine.study.accuracy import Accuracy, Row, faster_than
+from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than
 from jghand_engine.study.accuracy_growth import Growth, Reach, growth_cases
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
 from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tiers, variants
@@ -31,8 +30,9 @@ ROUNDS, QUICK_ROUNDS = 150, 15
 # poses of a quick study that are drawn in double precision, which takes seconds each
 QUICK_POSES = 2
 WARM_UP = 10
-# pictures of each kind of a capture that every setting is compared with: each takes its time with each setting
-PICTURES = 3
+# pictures of a capture that every setting is compared with: fewer do not tell settings apart (their standard error is
+# some tenths of a decibel with nine)
+PICTURES, QUICK_PICTURES = 120, 9
 # side of the part of the picture that is shown of a setting, in a picture 334 pixels high
 CROP_PX = 150
 
@@ -41,14 +41,9 @@ CROP_PX = 150
 class Truth:
     """Pictures of a capture to compare with."""
 
-    # by what was held out
-    categories: Mapping[str, tuple[Sample, ...]]
+    samples: tuple[Sample, ...]
     # which they are, in words
     origin: str
-
-    @property
-    def count(self) -> int:
-        return sum(map(len, self.categories.values()))
 
 
 @dataclass(frozen=True)
@@ -65,15 +60,12 @@ class Plan:
     rounds: int = ROUNDS
     # of the curves of growing time
     reach: Reach = field(default_factory=Reach)
-    # of the training of the avatar, or None
-    log: Path | None = None
     # that are drawn in double precision; 0: as `pose_count` says
     poses: int = 0
 
 
 def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None) -> Accuracy:
-    """Measures everything. say: called with what is being done. InputError for a log without any accuracy."""
-    learning = () if plan.log is None else learning_curve(plan.log)
+    """Measures everything. say: called with what is being done."""
     subject = moving_subject(plan.name, plan.avatar, *plan.size_px)
     say("Fitting linear correctives")
     compared = variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar))
@@ -82,10 +74,10 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     exact = ExactPictures64(subject, spread_poses(subject, poses))
     say(f"Comparing {len(compared)} settings with them")
     errors = [exact.error(_drawer(variant, subject)) for variant in compared]
-    scores: list[Mapping[str, float]] = [{} for _ in compared]
+    scores: list[TruthScore | None] = [None for _ in compared]
     if plan.truth is not None:
-        say(f"Comparing {len(compared)} settings with {plan.truth.count} pictures of the capture")
-        scores = [_truth_scores(variant, plan) for variant in compared]
+        say(f"Comparing {len(compared)} settings with {len(plan.truth.samples)} pictures of the capture")
+        scores = truth_scores(compared, plan.avatar, plan.truth)
     say(f"Measuring times: {plan.rounds} frames of each, in turn")
     measured, growth = _times(compared, subject, plan)
     rows = [
@@ -95,7 +87,7 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     rows = _described(rows, compared, subject)
     return Accuracy(
         plan.name, len(plan.avatar), plan.size_px, machine(0), tuple(rows), tuple(growth), poses,
-        "" if plan.truth is None else plan.truth.origin, tuple(learning),
+        "" if plan.truth is None else plan.truth.origin,
     )  # fmt: skip
 
 
@@ -105,7 +97,7 @@ def profile_of(study: Accuracy, plan: Plan) -> Profile:
     rows = tuple(
         Rated(row.name, settings[row.name], row.median_ms, row.p95_ms, row.error.psnr_db)
         for row in study.rows
-        if row.axis == TOGETHER
+        if row.name in settings and row.axis == TOGETHER
     )
     return Profile(rows, "jghand study accuracy", any(row.disturbed for row in study.rows if row.axis == TOGETHER))
 
@@ -136,12 +128,12 @@ def _times(
     return by_section, Growth.of(measured)
 
 
-def _row(variant: Variant, error: Error, truth: Mapping[str, float], measured: Sequence[Measurement]) -> Row:
+def _row(variant: Variant, error: Error, truth: TruthScore | None, measured: Sequence[Measurement]) -> Row:
     whole, stages = measured[0], measured[1:]
     return Row(
         variant.axis, variant.name, whole.median_ms, whole.p95_ms,
         {stage.name.strip(): stage.median_ms for stage in stages}, error, truth, whole.samples, whole.dropped,
-        whole.disturbed,
+        whole.disturbed, made_by=variant.made_by,
     )  # fmt: skip
 
 
@@ -167,10 +159,10 @@ def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subjec
 
 def _is_approximate(variant: Variant, avatar: HandAvatar) -> bool:
     """Whether its correctives are of the linear tier."""
-    if avatar.learned is None or "correctives" in left_out(variant.settings, len(avatar)):
+    learned = (variant.avatar or avatar).learned
+    if learned is None or "correctives" in left_out(variant.settings, len(avatar)):
         return False
-    price = avatar.learned.with_tier(variant.settings.correctives)[1]
-    return price is not None and price.tier is Tier.LINEAR
+    return isinstance(learned.with_tier(variant.settings.correctives)[0].correctives, LinearCorrectives)
 
 
 def finger_tips(picture: np.ndarray, pose_m: np.ndarray, subject: Subject) -> np.ndarray:
@@ -188,44 +180,37 @@ def finger_tips(picture: np.ndarray, pose_m: np.ndarray, subject: Subject) -> np
 
 # ---- against pictures of a capture ----------------------------------------------------------------------------------
 
-# metrics that are kept of each setting
-_METRICS = ("psnr_full", "psnr_box", "ssim_box", "flip_box")
 
-
-def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None]) -> Truth:
-    """At most PICTURES of each kind that a capture's split holds out. say: called with doubts about them."""
+def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None], pictures: int = PICTURES) -> Truth:
+    """About so many pictures that a capture's split holds out, of every kind as many as of the others, or all. say:
+    called with doubts about them."""
     capture = open_capture(folder)
     told = held_out(avatar, capture, split_capture(capture))
     if told.warning:
         say(told.warning)
     # pictures that were all learned from can still be compared with; that is said above and in the table
-    categories = categories_of(told.split, "test" if told.split.test else "train", PICTURES)
+    which = "test" if told.split.test else "train"
+    sizes = [len(samples) for samples in categories_of(told.split, which).values()]
+    categories = categories_of(told.split, which, pictures_of_each(sizes, pictures))
     counts = ", ".join(f"{len(samples)} {kind}" for kind, samples in categories.items())
-    return Truth(categories, f"pictures of {capture.name} ({counts}; {told.split.origin})")
+    samples = tuple(sample for kind in categories.values() for sample in kind)
+    return Truth(samples, f"{len(samples)} pictures of {capture.name} ({counts}; {told.split.origin})")
 
 
-def _truth_scores(variant: Variant, plan: Plan) -> Mapping[str, float]:
-    """Means over the pictures of the capture."""
-    if plan.truth is None:
-        return {}
-    draw = avatar_picturer(variant.avatar or plan.avatar, variant.settings)
-    found = means(measure_pictures(plan.truth.categories, draw))
-    return {name: found[name] for name in _METRICS if name in found}
+def pictures_of_each(sizes: Sequence[int], wanted: int) -> int:
+    """How many of each kind make `wanted` together, or `wanted` where there are not so many. sizes: of the kinds"""
+    return next((n for n in range(1, wanted) if sum(min(n, size) for size in sizes) >= wanted), wanted)
 
 
-# ---- training -------------------------------------------------------------------------------------------------------
-
-
-def learning_curve(log: Path) -> list[tuple[float, float]]:
-    """Minutes of training, and PSNR of its held-out view, of a log.jsonl. InputError for a log without any."""
-    if not log.is_file():
-        raise InputError(f"{log}", wanted="the log.jsonl of a training", came="no such file")
-    minutes, curve = 0.0, []
-    for line in read_log(log):
-        if isinstance(line.get("seconds"), int | float):
-            minutes = line["seconds"] / 60
-        if isinstance(line.get("psnr"), int | float):
-            curve.append((minutes, float(line["psnr"])))
-    if not curve:
-        raise InputError(f"{log}", wanted="lines with psnr", came="none", remedy="Give the log.jsonl of a training.")
-    return curve
+def truth_scores(compared: Sequence[Variant], avatar: HandAvatar, truth: Truth) -> list[TruthScore | None]:
+    """Of every variant; what it gains is against preset `reference`, picture by picture."""
+    drawers = [avatar_picturer(variant.avatar or avatar, variant.settings) for variant in compared]
+    psnr_db = np.empty((len(compared), len(truth.samples)))
+    for column, sample in enumerate(truth.samples):
+        picture = load_image(sample)
+        for line, draw in enumerate(drawers):
+            # premultiplied: over black it is the picture
+            rgb = draw(sample.joints_m, sample.handedness, sample.camera)[..., :3]
+            psnr_db[line, column] = psnr(checked_picture("rgb", rgb, picture.mask), picture.rgb)
+    exact = next(n for n, one in enumerate(compared) if (one.axis, one.name) == (TOGETHER, "reference"))
+    return [TruthScore.of(own, psnr_db[exact]) for own in psnr_db]

@@ -41,11 +41,9 @@ def draw_figure(study: Accuracy) -> Figure:
         strip = grid[0].subgridspec(1, max(len(shown), 1), wspace=0.05)
         for index, row in enumerate(shown):
             _draw_crop(figure.add_subplot(strip[index]), row)
-        middle = grid[1].subgridspec(2, 2, width_ratios=[2.1, 1], wspace=0.2, hspace=0.75)
-        _draw_front(figure.add_subplot(middle[:, 0]), study)
-        _draw_stages(figure.add_subplot(middle[0, 1]), study)
-        if study.learning:
-            _draw_learning(figure.add_subplot(middle[1, 1]), study)
+        middle = grid[1].subgridspec(1, 2, width_ratios=[2.1, 1], wspace=0.2)
+        _draw_front(figure.add_subplot(middle[0]), study)
+        _draw_stages(figure.add_subplot(middle[1]), study)
         lower = grid[2].subgridspec(1, len(PANELS), wspace=0.3)
         for index, panel in enumerate(PANELS):
             points = [point for point in study.growth if point.panel == panel]
@@ -117,14 +115,6 @@ def _draw_stages(axes: Axes, study: Accuracy) -> None:
     axes.legend(fontsize=8, frameon=False, ncols=3, loc="upper left", bbox_to_anchor=(-0.1, -0.18), handlelength=1)
     axes.invert_yaxis()
     title(axes, "Where the milliseconds go")
-
-
-def _draw_learning(axes: Axes, study: Accuracy) -> None:
-    minutes, psnr_db = zip(*study.learning, strict=True)
-    axes.plot(minutes, psnr_db, color=OURS, lw=2)
-    axes.set_xlabel("minutes", fontsize=9)
-    axes.set_ylabel("held out, cut to the hand, dB", fontsize=8)
-    title(axes, "Training: accuracy against minutes")
 
 
 def _draw_growth(axes: Axes, panel: str, points: Sequence[Growth]) -> None:

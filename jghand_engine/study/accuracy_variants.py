@@ -41,8 +41,10 @@ class Variant:
     axis: str
     name: str
     settings: RenderSettings
-    # None for the one that is studied; of another, the settings alone do not make the picture: nobody can choose them
+    # None for the one that is studied; of another, the settings alone do not make the picture
     avatar: HandAvatar | None = None
+    # the command that makes that avatar, where it can be had
+    made_by: str = ""
 
 
 def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, LinearCorrectives]) -> list[Variant]:
@@ -52,6 +54,10 @@ def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, 
         Variant(TOGETHER, name, replace(settings, reuse=False))
         for name, settings in candidates(avatar, size_px).items()
     ]
+    for basis, tier in sorted(linear.items()):
+        made_by, viewport = f"jghand distill --basis {basis}", replace(PRESETS["viewport"], reuse=False)
+        name = f"viewport, linear correctives, K = {basis}"
+        found.append(Variant(TOGETHER, name, viewport, with_correctives(avatar, tier), made_by))
     found += [Variant(GAUSSIANS, _thousands(n), replace(own, gaussians=n)) for n in _counts(len(avatar))]
     found += _correctives(avatar, own, linear)
     for name, rule in PRESETS.items():

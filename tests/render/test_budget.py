@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 from small_avatars import small_avatar, trained_avatar
 
+from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.color import PSNR_MAX_DB
 from jghand_engine.errors import InputError
 from jghand_engine.render import budget
@@ -30,6 +31,7 @@ from jghand_engine.render.budget import (
 from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.render.subject import moving_subject
+from jghand_engine.study.accuracy_variants import linear_tiers
 
 SIZE = (24, 16)
 
@@ -110,6 +112,23 @@ def test_a_shadow_that_is_not_drawn_is_nothing_to_choose():
         look = replace(avatar.learned.shadow, seen=seen)
         found = candidates(replace(avatar, learned=replace(avatar.learned, shadow=look)), (512, 334))
         assert ("viewport, no shadow" in found) is offered
+
+
+def test_both_forms_of_the_correctives_can_be_chosen():
+    avatar = trained_avatar(100)
+    linear = Tier.LINEAR
+    prices = (Price(Tier.EXACT, 0, 10.0, 0.2, 33.0, 0.0), Price(linear, 3, 6.0, 0.5, 32.9, 0.05))
+    tiers = Distilled(linear_tiers(avatar)[4], prices, "made up")
+    dear = replace(tiers, prices=(prices[0], replace(prices[1], lost_db=1.0)))
+    for distilled, other in ((tiers, Tier.EXACT), (dear, linear)):
+        known = replace(avatar, learned=replace(avatar.learned, distilled=distilled))
+        found = candidates(known, SIZE)
+        assert found["final, linear correctives"].correctives is linear
+        assert found[f"viewport, {other} correctives"].correctives is other
+        drawn = measure_quickly(moving_subject("small", known, *SIZE), found, 1, seconds=0)
+        figures = {row.name: row.psnr_db for row in drawn.rows}
+        assert figures["final, linear correctives"] < figures["final"]
+    assert "final, linear correctives" not in candidates(avatar, SIZE)
 
 
 # ---- the file --------------------------------------------------------------------------------------------------------

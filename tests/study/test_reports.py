@@ -21,7 +21,7 @@ from jghand_engine.native.threads import thread_count
 from jghand_engine.render.budget import Profile, Rated, read_profile
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.study import accuracy_measures, accuracy_plot, stability, stability_plot, stability_views
-from jghand_engine.study.accuracy import Accuracy, Row
+from jghand_engine.study.accuracy import Accuracy, Row, TruthScore
 from jghand_engine.study.accuracy_growth import PANELS, Growth
 from jghand_engine.study.accuracy_reference import Error
 from jghand_engine.study.accuracy_variants import BLEND, TOGETHER
@@ -41,7 +41,7 @@ PICTURE = PictureError(worst=1e-4, flipped=0, finite=True, visible=7, invalid=0)
 
 def row(name: str, ms: float, psnr_db: float, looks: str, on_front: bool = True) -> Row:
     stages = {"raster": 0.7 * ms, "skin": 0.2 * ms}
-    truth = {"psnr_full": 31.25, "flip_box": 0.123}
+    truth = TruthScore(31.25, 0.5, -0.1, 0.02)
     return Row(TOGETHER, name, ms, 1.1 * ms, stages, Error(psnr_db, 0.1), truth, 90, 10, False, looks, on_front, CROP)
 
 
@@ -57,8 +57,7 @@ def accuracy() -> Accuracy:
     )
     growth = tuple(Growth(panel, x, 2.0 * x, 2.5 * x, False) for panel in PANELS for x in (1, 1000, 1_000_000))
     facts = {"processor": "a processor", "threads": 2, "cores": 2, "backend": "v3"}
-    learning = ((0.0, 13.0), (1.0, 22.0), (20.0, 27.0))
-    return Accuracy("hand", 40_000, (512, 334), facts, rows, growth, 6, "pictures of a capture", learning)
+    return Accuracy("hand", 40_000, (512, 334), facts, rows, growth, 6, "pictures of a capture")
 
 
 @pytest.fixture
@@ -85,24 +84,23 @@ def views() -> list[stability_views.ViewPair]:
 
 
 def test_what_can_be_chosen_stands_in_one_table_with_its_looks(accuracy):
-    choices, axes, growth, learning = accuracy.tables()
-    assert choices.rows[0] == ("draft", "6.0", "6.6", "31.0", "25.5", "31.25", "● soft fingertips")
+    choices, axes, growth = accuracy.tables()
+    score = ("31.25 ± 0.50", "-0.10 ± 0.02")
+    assert choices.rows[0] == ("draft", "6.0", "6.6", "31.0", "25.5", *score, "● soft fingertips")
     assert [cells[0] for cells in axes.rows] == ["blend: cut at 1/255"]
     assert ("Gaussians in the hand", "1,000,000", "2000000.0", "2500000.0") in growth.rows
-    assert len(learning.rows) == 3
     assert any("512 x 334 pixels, 40,000 Gaussians" in note for note in choices.notes)
 
 
-@pytest.mark.parametrize("learning", [True, False])
-def test_the_plot_of_accuracy_is_small_and_opens(accuracy, learning):
-    picture = png_of(accuracy_plot.draw_figure(accuracy if learning else replace(accuracy, learning=())))
+def test_the_plot_of_accuracy_is_small_and_opens(accuracy):
+    picture = png_of(accuracy_plot.draw_figure(accuracy))
     assert len(picture) < 300_000
     assert Image.open(io.BytesIO(picture)).width > 1200
 
 
 def test_a_study_with_little_in_it_can_be_drawn(accuracy):
     for rows in (accuracy.rows[:1], accuracy.rows[-2:]):
-        assert png_of(accuracy_plot.draw_figure(replace(accuracy, rows=rows, growth=(), learning=())))
+        assert png_of(accuracy_plot.draw_figure(replace(accuracy, rows=rows, growth=())))
 
 
 def test_at_most_five_of_the_front_are_shown_with_its_ends(accuracy):
