@@ -10,8 +10,10 @@ what it needs to know of the canonical hand. The differentiable form is `learn.s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
+from functools import cache
 
 import numpy as np
 
@@ -26,14 +28,24 @@ from jghand_engine.native import library
 ZERO_BONE_EPS = 32.0
 # sine between neighboring palm bones below which the palm plane is clamped towards the canonical one (C1)
 PALM_CLAMP = 0.02
-# distance (radians, nearly) to a pole of the swing inside which the fallback acts and a flag is raised
+# weight of the canonical palm plane, carried by the palm, against the sine between two palm bones: what two short or
+# nearly parallel bones say of their plane is mostly the error of their joints. A canonical palm has sines from 0.22 on
+PALM_PRIOR = 0.2
+# distance (radians, nearly) to a pole of the swing inside which the fallback acts, and euler raises its flag
 SWING_POLE = 1e-3
+# cosine to the canonical direction below which the minimal swing turns towards flexion (110 degrees; real poses stay
+# within 107), and how much at the opposite of that direction: this puts its poles some 142 degrees to either side
+SWING_TURN_COSINE = -0.342
+SWING_TURN = 0.25
+# distance to those poles, radians, inside which a flag is raised: half a millimeter moves skin over 2 mm there
+SWING_POLE_NEAR = math.radians(25.0)
+# where the angle of a flexion jumps by a whole turn, radians: opposite the middle of what joints can do, -30 to 130
+# degrees, so that a joint folded back to 180 has the same angle in every precision
+FLEXION_CUT = math.radians(-135.0)
 # |z x n| below which a metacarpal takes its flexion axis from the canonical hand
 FLEXION_AXIS_MIN = 1e-3
 # part of the palm's area vector perpendicular to the palm axis below which there is no palm normal
 PALM_NORMAL_MIN = 1e-4
-# palm plane length, relative to PALM_CLAMP, below which the canonical plane is used outright
-PALM_PLANE_MIN = 1e-3
 # floor of s_i / s_g inside the power of the blended scale: its gradient is infinite at a zero bone
 SCALE_RATIO_MIN = 1e-2
 
@@ -52,8 +64,9 @@ ANGLE_COUNT = 37
 class Swing(StrEnum):
     """How the twist of a phalanx follows from its direction. An avatar keeps the swing it was trained with.
 
-    MINIMAL: smallest rotation from the canonical direction; one pole, far from real poses. EULER: flexion, then
-    abduction, as in the paper; poles at abduction +-90 degrees, which thumbs approach.
+    MINIMAL: smallest rotation from the canonical direction, and where a bone folds back on itself flexion instead; two
+    poles, backwards and sideways, far from real poses. EULER: flexion, then abduction, as in the paper; poles at
+    abduction +-90 degrees, which thumbs approach.
     """
 
     MINIMAL = "minimal"
@@ -307,19 +320,35 @@ def euler_swing(u: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
+@cache
+def swing_pole() -> tuple[float, float]:
+    """Where the minimal swing has its poles, as (|y|, z) in the canonical bone's frame: there z the twist that leads
+    back to flexion, SWING_TURN h(z)^2, is as large as the square of the stereographic radius, (1 + z) / (1 - z)."""
+    low, high = -1.0, SWING_TURN_COSINE
+    for _ in range(60):
+        z = (low + high) / 2
+        turn = SWING_TURN * ((SWING_TURN_COSINE - z) / (SWING_TURN_COSINE + 1)) ** 2
+        low, high = (low, z) if turn * (1 - z) < 1 + z else (z, high)
+    return math.sqrt(1 - z * z), z
+
+
 def _packed(hand: CanonicalHand, handedness: Handedness, swing: Swing, exponent: float) -> np.ndarray:
     """The doubles of `Skeleton` in native/skeleton.cpp, in its order; matrices column by column.
 
-    Its last matrices are the half turns that replace a minimal rotation at its pole: of the palm, the metacarpals and
-    the phalanges' swings.
+    Its last matrices are the half turns that replace a minimal rotation at its pole: of the palm and the metacarpals.
     """
     options = [
         ZERO_BONE_EPS * np.finfo(np.float64).eps,
         PALM_CLAMP,
+        PALM_PRIOR,
         SWING_POLE,
+        SWING_TURN_COSINE,
+        SWING_TURN,
+        *swing_pole(),
+        math.cos(SWING_POLE_NEAR),
+        FLEXION_CUT,
         FLEXION_AXIS_MIN,
         PALM_NORMAL_MIN,
-        PALM_PLANE_MIN,
         SCALE_RATIO_MIN,
         # floor of the hand's size, which everything is divided by: its fourth power is still a normal number
         float(np.finfo(np.float64).tiny) ** 0.25,
@@ -328,7 +357,7 @@ def _packed(hand: CanonicalHand, handedness: Handedness, swing: Swing, exponent:
         -1.0 if handedness is Handedness.LEFT else 1.0,
     ]
     matrices = [hand.frames[1:], hand.frames[0]]
-    flips = [half_turns(axis) for axis in (hand.frames[0, :, 0], hand.frames[1:6, :, 0], hand.swing[:, :, 1])]
+    flips = [half_turns(axis) for axis in (hand.frames[0, :, 0], hand.frames[1:6, :, 0])]
     vectors = [np.array(options), hand.joints_m, hand.length_m, hand.direction]
     parts = [*vectors, *map(_columns, matrices), hand.u, _columns(hand.swing), hand.palm_normal, *map(_columns, flips)]
     return np.concatenate([part.ravel() for part in parts])

@@ -9,6 +9,7 @@ Inside, the component comes first and the batch last: (3, bones, N), see `rotati
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,9 +19,10 @@ from torch import Tensor
 
 from jghand_engine.hand.skeleton import (
     FLEXION_AXIS_MIN,
+    FLEXION_CUT,
     PALM_CLAMP,
     PALM_NORMAL_MIN,
-    PALM_PLANE_MIN,
+    PALM_PRIOR,
     SWING_POLE,
     ZERO_BONE_EPS,
     CanonicalHand,
@@ -62,6 +64,7 @@ class HandFrames:
             square = ux * ux + uz * uz
             far = square > SWING_POLE**2
             flexion = torch.atan2(torch.where(far, ux, 0.0), torch.where(far, uz, 1.0))
+            flexion = torch.where(flexion < FLEXION_CUT, flexion + 2 * math.pi, flexion)
             across = torch.sqrt(torch.where(far, square, SWING_POLE**2))
             return torch.stack([flexion, torch.atan2(-uy, across)], -1)
 
@@ -95,8 +98,7 @@ class CanonicalTensors:
     S:            (3, 3, 20, 1);  S0: (3, 3, 1, 1)
     u:            (3, 15, 1);  swing: (3, 3, 15, 1)
     palm_normal:  (3, 4, 1)
-    palm_flip, metacarpal_flip, swing_flip: (3, 3, 1, 1), (3, 3, 5, 1), (3, 3, 15, 1) half turns that replace a
-                  minimal rotation at its pole
+    palm_flip, metacarpal_flip: (3, 3, 1, 1), (3, 3, 5, 1) half turns that replace a minimal rotation at its pole
     """
 
     root_m: Tensor
@@ -110,7 +112,6 @@ class CanonicalTensors:
     palm_normal: Tensor
     palm_flip: Tensor
     metacarpal_flip: Tensor
-    swing_flip: Tensor
 
     @classmethod
     def of(cls, hand: CanonicalHand) -> CanonicalTensors:
@@ -132,7 +133,6 @@ class CanonicalTensors:
             palm_normal=turned(hand.palm_normal),
             palm_flip=rot.half_turn(S0[:, 0]),
             metacarpal_flip=rot.half_turn(S[:, 0, :5]),
-            swing_flip=rot.half_turn(swing[:, 1]),
         )
 
     def to(self, dtype: torch.dtype, device: torch.device) -> CanonicalTensors:
@@ -251,13 +251,14 @@ class _PalmPlanes:
 
 
 def _palm_planes(palm: Tensor, palm_from_canonical: Tensor, canonical: CanonicalTensors) -> _PalmPlanes:
-    """Normals of the four palm planes, kept on the canonical side: identity on ordinary hands, never 0, never
-    flipped (METHOD 2.10)."""
+    """Normals of the four palm planes, drawn to the canonical side by PALM_PRIOR: those of a rigid palm as they are,
+    never 0, never flipped (METHOD 2.10)."""
     normal = rot.cross(palm[:, :-1], palm[:, 1:])
     expected = rot.mat_vec(palm_from_canonical, canonical.palm_normal)
     height = rot.dot(normal, expected)
-    lifted = normal + (rot.smooth_floor(height, PALM_CLAMP) - height) * expected
-    unit, _ = rot.safe_unit(lifted, expected, PALM_PLANE_MIN * PALM_CLAMP, full_at=0.5 * PALM_CLAMP)
+    lifted = normal + (PALM_PRIOR + rot.smooth_floor(height, PALM_CLAMP) - height) * expected
+    # along `expected` it is at least PALM_PRIOR long
+    unit = lifted * (1 / torch.sqrt(rot.dot(lifted, lifted)))
     return _PalmPlanes(normal, unit, (height < 2 * PALM_CLAMP).any(0))
 
 
@@ -313,4 +314,4 @@ def swing_of(u: Tensor, canonical: CanonicalTensors, bones: slice, swing: Swing)
     """Q (3, 3, k, N) of local directions u (3, k, N) of the phalanges `bones` (0..15), and where it is off the pole."""
     if swing is Swing.EULER:
         return rot.swing_euler(u)
-    return rot.swing_minimal(u, canonical.u[:, bones], canonical.swing[:, :, bones], canonical.swing_flip[:, :, bones])
+    return rot.swing_minimal(u, canonical.swing[:, :, bones])

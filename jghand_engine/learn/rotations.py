@@ -12,10 +12,12 @@ damped (`damped`): inside such a zone it is deliberately not the exact derivativ
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
-from jghand_engine.hand.skeleton import SWING_POLE
+from jghand_engine.hand.skeleton import SWING_POLE, SWING_POLE_NEAR, SWING_TURN, SWING_TURN_COSINE, swing_pole
 
 # relative length, sine or distance to a pole below which the gradient (never the value) is damped; larger values
 # bend gradients of ordinary hands, smaller ones let 1/|b| through
@@ -156,16 +158,36 @@ def swing_euler(direction: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack(rows).unflatten(0, (3, 3)), good
 
 
-def swing_minimal(
-    direction: Tensor, canonical: Tensor, canonical_swing: Tensor, opposite: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Q = Rmin(canonical -> direction) Q_euler(canonical): no twist, a single pole at direction = -canonical.
+def swing_minimal(direction: Tensor, canonical_swing: Tensor) -> tuple[Tensor, Tensor]:
+    """Q = Rmin(canonical -> direction) Q_euler(canonical): no twist; and where a bone folds back, flexion. METHOD 2.5.
 
-    opposite: the half turn about the flexion axis (y column of canonical_swing), used at the pole. Returns Q and
-    where it is away from the pole.
+    canonical_swing: (3, 3, *rest) Q_euler of the canonical direction, which is its z column. Returns Q and where it is
+    far from its poles. With (x, y, z) the direction in that frame, a smallest rotation twists about z by twice the
+    azimuth of (x, y) more than a flexion by 180 degrees and the smallest rotation from there do. So behind the hand the
+    latter is used, which has no pole there, and turned by the angle of the complex number
+
+        turn + ((x - iy) / (1 - z))^2,    turn = SWING_TURN max((c - z) / (c + 1), 0)^2,    c = SWING_TURN_COSINE
+
+    without the first term the swing is the smallest rotation, without the second it is flexion. It is 0, and the swing
+    has no answer, at two directions only.
     """
-    good = dot(direction, canonical) > 0.5 * SWING_POLE**2 - 1
-    return mat_mul(minimal_rotation(canonical, direction, opposite), canonical_swing), good
+    x, y, z = transposed_mat_vec(canonical_swing, direction)
+    behind = z < 0
+    ahead_z, behind_z = torch.where(behind, 0.0, z), torch.where(behind, z, 0.0)
+    k = 1 / (1 + ahead_z)
+    ahead = [1 - k * x * x, -k * x * y, x, -k * x * y, 1 - k * y * y, y, -x, -y, z]
+    k = 1 / (1 - behind_z)
+    turn = SWING_TURN * ((SWING_TURN_COSINE - z) / (SWING_TURN_COSINE + 1)).clamp_min(0) ** 2
+    twist = torch.stack([turn + k * k * (x * x - y * y), -2 * k * k * x * y])
+    one = torch.stack([torch.ones_like(x), torch.zeros_like(x)])
+    (cosine, sine), _ = safe_unit(twist, one, SWING_POLE)
+    bent = torch.stack([k * x * x - 1, k * x * y, -x])
+    across = torch.stack([-k * x * y, 1 - k * y * y, y])
+    folded = columns(cosine * bent + sine * across, cosine * across - sine * bent, torch.stack([x, y, z]))
+    swing = torch.where(behind, folded, torch.stack(ahead).unflatten(0, (3, 3)))
+    pole_y, pole_z = swing_pole()
+    far = pole_y * y.abs() + pole_z * z < math.cos(SWING_POLE_NEAR)
+    return mat_mul(canonical_swing, swing), far
 
 
 def quaternion_rotation(quaternion: Tensor) -> Tensor:

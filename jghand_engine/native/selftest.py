@@ -230,9 +230,9 @@ def _check_bones(library: Library) -> None:
     bone = canonical[1:] - canonical[parents]
     length = np.linalg.norm(bone, axis=1)
     half_turn, along, across = np.diag([-1.0, 1.0, -1.0]), [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
-    options = [1e-14, 0.02, 1e-3, 1e-3, 1e-4, 1e-3, 1e-2, 1e-77, 0.0, 0.0, 1.0]
+    options = [1e-14, 0.02, 0.2, 1e-3, -0.34, 0.25, 0.62, -0.78, 0.9, -2.4, 1e-3, 1e-4, 1e-2, 1e-77, 0.0, 0.0, 1.0]
     parts = [options, canonical, length, bone / length[:, None], np.tile(np.eye(3), (21, 1)), np.tile(along, (15, 1))]
-    parts += [np.tile(np.eye(3), (15, 1)), np.tile(across, (4, 1)), np.tile(half_turn, (21, 1))]
+    parts += [np.tile(np.eye(3), (15, 1)), np.tile(across, (4, 1)), np.tile(half_turn, (6, 1))]
     skeleton = np.concatenate([np.ravel(part) for part in parts])
     if library.call.jg_skeleton_bytes() != skeleton.nbytes:
         raise _failure(library, f"a Skeleton of {skeleton.nbytes} bytes", str(library.call.jg_skeleton_bytes()))

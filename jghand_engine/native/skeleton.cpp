@@ -10,6 +10,7 @@ namespace {
 
 constexpr int JOINTS = 21, BONES = 20, PHALANGES = 15, FINGERS = 5, PLANES = 4;
 constexpr int ANGLES = 2 * PHALANGES + PLANES + PLANES - 1;
+constexpr double PI = 3.141592653589793;
 
 enum Flag { ZERO_BONE = 1, PALM_CLAMPED = 2, SWING_POLE = 4, NO_PALM = 8, NOT_FINITE = 16 };
 
@@ -35,7 +36,9 @@ Mat transposed(const Mat& m) { return {{m.x.x, m.y.x, m.z.x}, {m.x.y, m.y.y, m.z
 
 // What the transform knows before a pose comes, as packed by hand/skeleton.py: doubles only, in this order.
 struct Skeleton {
-  double zero_bone, palm_clamp, swing_pole, flexion_axis_min, palm_normal_min, palm_plane_min, scale_ratio_min;
+  double zero_bone, palm_clamp, palm_prior, swing_pole;
+  double turn_cosine, turn, pole_y, pole_z, near_pole;  // of the minimal swing
+  double flexion_cut, flexion_axis_min, palm_normal_min, scale_ratio_min;
   double size_min;   // floor of the hand's size
   double exponent;   // of the scale mode
   double euler;      // 1: euler swing, 0: minimal
@@ -48,7 +51,7 @@ struct Skeleton {
   Vec u[PHALANGES];
   Mat swing[PHALANGES];
   Vec palm_normal[PLANES];
-  Mat palm_flip, metacarpal_flip[FINGERS], swing_flip[PHALANGES];
+  Mat palm_flip, metacarpal_flip[FINGERS];
 };
 
 // v / |v| where |v| > threshold, else the fallback.
@@ -90,9 +93,23 @@ bool swing_euler(Vec u, double pole, Mat& Q) {
   return false;
 }
 
-bool swing_minimal(Vec u, const Skeleton& s, int phalanx, Mat& Q) {
-  Q = minimal_rotation(s.u[phalanx], u, s.swing_flip[phalanx]) * s.swing[phalanx];
-  return dot(u, s.u[phalanx]) > 0.5 * s.swing_pole * s.swing_pole - 1;
+// Smallest rotation from the canonical direction, and behind the hand flexion: `swing_minimal` in learn/rotations.py.
+bool swing_minimal(Vec u, const Skeleton& s, const Mat& canonical, Mat& Q) {
+  const Vec v = transposed_times(canonical, u);
+  const double x = v.x, y = v.y, z = v.z;
+  if (z >= 0) {
+    const double k = 1 / (1 + z);
+    Q = canonical * Mat{{1 - k * x * x, -k * x * y, -x}, {-k * x * y, 1 - k * y * y, -y}, v};
+  } else {
+    const double k = 1 / (1 - z), back = fmax((s.turn_cosine - z) / (s.turn_cosine + 1), 0);
+    const double re = s.turn * back * back + k * k * (x * x - y * y), im = -2 * k * k * x * y;
+    const double square = re * re + im * im;
+    const bool good = square > s.swing_pole * s.swing_pole;
+    const double cosine = good ? re / sqrt(square) : 1, sine = good ? im / sqrt(square) : 0;
+    const Vec bent = {k * x * x - 1, k * x * y, -x}, across = {-k * x * y, 1 - k * y * y, y};
+    Q = canonical * Mat{cosine * bent + sine * across, cosine * across - sine * bent, v};
+  }
+  return s.pole_y * fabs(y) + s.pole_z * z < s.near_pole;
 }
 
 struct Frames {
@@ -125,8 +142,8 @@ int metacarpal_frames(const Skeleton& s, const Vec bone[BONES], Frames& frames) 
     const Vec plane = cross(frames.direction[k], frames.direction[k + 1]), expected = turn * s.palm_normal[k];
     const double height = dot(plane, expected);
     if (height < 2 * s.palm_clamp) flags |= PALM_CLAMPED;
-    const Vec lifted = plane + (smooth_floor(height, s.palm_clamp) - height) * expected;
-    unit(lifted, expected, s.palm_plane_min * s.palm_clamp, normal[k]);
+    const Vec lifted = plane + (s.palm_prior + smooth_floor(height, s.palm_clamp) - height) * expected;
+    normal[k] = (1 / sqrt(dot(lifted, lifted))) * lifted;
   }
   finger_normal[0] = normal[0], finger_normal[1] = normal[1], finger_normal[4] = normal[3];
   finger_normal[2] = 0.5 * (normal[1] + normal[2]), finger_normal[3] = 0.5 * (normal[2] + normal[3]);
@@ -149,7 +166,7 @@ int phalanx_frames(const Skeleton& s, const Vec bone[BONES], Frames& frames) {
     Mat Q;
     if (!unit(bone[i], parent * s.u[phalanx], s.zero_bone, frames.direction[i])) flags |= ZERO_BONE;
     unit(transposed_times(parent, frames.direction[i]), s.u[phalanx], s.zero_bone, u);
-    const bool off_pole = s.euler != 0 ? swing_euler(u, s.swing_pole, Q) : swing_minimal(u, s, phalanx, Q);
+    const bool off_pole = s.euler != 0 ? swing_euler(u, s.swing_pole, Q) : swing_minimal(u, s, s.swing[phalanx], Q);
     if (!off_pole) flags |= SWING_POLE;
     frames.frame[i] = parent * Q;
   }
@@ -194,7 +211,8 @@ void store_angles(const Skeleton& s, const Frames& frames, double* out) {
   for (const Vec& u : frames.u) {
     const double square = u.x * u.x + u.z * u.z;
     const bool far = square > s.swing_pole * s.swing_pole;
-    *out++ = far ? atan2(u.x, u.z) : 0;
+    const double flexion = far ? atan2(u.x, u.z) : 0;
+    *out++ = flexion < s.flexion_cut ? flexion + 2 * PI : flexion;
     *out++ = atan2(-u.y, far ? sqrt(square) : s.swing_pole);
   }
   for (int k = 0; k < PLANES; k++) {

@@ -7,7 +7,7 @@ from hand import sampled_hands as hands
 from hard_cases.hard_hands import hard_hands, size_of
 
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.skeleton import FrameFlag, Skeleton
+from jghand_engine.hand.skeleton import FrameFlag, Skeleton, swing_pole
 from jghand_engine.learn.skeleton import JointTransform
 
 CANONICAL = hands.canonical()
@@ -99,14 +99,40 @@ def test_flags_say_what_is_degenerate(name, minimal, euler):
         assert int(transform.frames(joints).flags) == flags
 
 
-def test_bone_folded_through_its_canonical_direction_is_flagged_and_a_rotation():
+def test_bones_folded_through_their_canonical_direction_have_frames_that_noise_turns_little():
     joints = CANONICAL.clone()
     for k in range(3):
-        # bones 7, 12, 17 turned round: the pole of the minimal swing
+        # bones 7, 12, 17 turned round: the antipode of the minimal swing
         joints[7 + 5 * k] = (joints[2] if k == 0 else joints[2 + 5 * k]) - (CANONICAL[7] - CANONICAL[2])
-    frames = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT).frames(joints)
+    transform = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT)
+    frames = transform.frames(joints)
+    assert int(frames.flags) == 0
+    assert (frames.S.transpose(-1, -2) @ frames.S - torch.eye(3)).abs().max() < 1e-12
+    noise = 1e-5 * torch.randn(100, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    assert (transform.frames(joints + noise).S - frames.S).abs().max() < 5e-3
+
+
+def test_a_bone_turned_backwards_and_sideways_is_flagged_and_a_rotation():
+    joints = CANONICAL.clone()
+    transform = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT)
+    pole_y, pole_z = swing_pole()
+    frames = transform.frames(CANONICAL)
+    # the canonical frame of bone 7 is where its smallest rotation starts from
+    joints[7] = joints[2] + 0.04 * (frames.S[6] @ torch.tensor([0.0, pole_y, pole_z], dtype=torch.float64))
+    frames = transform.frames(joints)
     assert int(frames.flags) & FrameFlag.SWING_POLE
     assert (frames.S.transpose(-1, -2) @ frames.S - torch.eye(3)).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("swing", SWINGS)
+def test_a_finger_folded_back_has_the_same_angles_in_every_precision(swing):
+    joints = hard_hands()["index folded back at MCP"]
+    transform = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT, swing=swing)
+    exact = transform.frames(joints).angles
+    assert abs(abs(exact[1, 0]) - np.pi) < 0.3
+    assert (transform.frames(joints.float()).angles - exact).abs().max() < 1e-4
+    noise = 1e-9 * torch.randn(50, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    assert (transform.frames(joints + noise).angles - exact).abs().max() < 1e-6
 
 
 @pytest.mark.parametrize("name", ["all fingers straight", "index collinear with its metacarpal"])

@@ -28,15 +28,6 @@ from jghand_engine.study.stability_measures import (
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
 RIGHT = Handedness.RIGHT
-# what is known to miss its bound, and by how much: largest movement of the skin, mm, by a nudge of 0.5 mm of every
-# joint, and by +-0.5 mm on every axis; worst observed and a little more
-NUDGED_MM = {
-    "index folded back at its tip joint": (6.2, 13.5),
-    "index folded back at its middle joint": (3.5, 6.8),
-    "index folded back at its knuckle": (3.6, 6.4),
-    "thumb sideways, 90 degrees": (2.0, 2.05),
-    "bones +50 % and -50 % in turn": (2.0, 3.0),
-}
 NEEDLES = "needles, 1e8 times as long as thin"
 
 
@@ -49,17 +40,7 @@ def test_a_hard_hand_is_finite_exact_and_continuous(name):
     assert row.picture.good
     if row.flags:
         return
-    skin_mm = 1e3 * SKIN_MAX_M
-    nudged_mm, axes_mm = NUDGED_MM.get(name, (skin_mm, skin_mm))
-    assert row.ours.nudged_mm <= nudged_mm
-    assert row.ours.axes_mm <= axes_mm
-
-
-def test_what_is_known_to_miss_still_does():
-    """Whoever mends one takes it off the list."""
-    for name in NUDGED_MM:
-        case = hand_cases()[name]
-        assert any("moves skin" in miss for miss in hand_row(case).missed), name
+    assert max(row.ours.nudged_mm, row.ours.axes_mm) <= 1e3 * SKIN_MAX_M
 
 
 @pytest.mark.parametrize("name", SCENES)
