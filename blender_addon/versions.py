@@ -64,6 +64,33 @@ def fcurves(owner: bpy.types.ID) -> list[Any]:
     return list(bag.fcurves) if bag else []
 
 
+def selected_bones(thing: bpy.types.Object) -> set[str]:
+    """Names of the selected bones of an armature's object that can be seen."""
+    return {bone.name for bone in _visible_bones(thing) if _selectable(bone).select}
+
+
+def select_bones(thing: bpy.types.Object) -> None:
+    """Selects all bones that can be seen, where none is: Blender's timeline shows the keys of selected bones only."""
+    if not selected_bones(thing):
+        for bone in _visible_bones(thing):
+            _selectable(bone).select = True
+
+
+def _selectable(bone: bpy.types.PoseBone) -> Any:
+    """What of a bone is selected: each object's own from 5.0 on."""
+    return bone if hasattr(bone, "select") else bone.bone
+
+
+def _visible_bones(thing: bpy.types.Object) -> list[bpy.types.PoseBone]:
+    """The bones of an armature's object that are not hidden, nor all collections that they are in."""
+    return [
+        bone
+        for bone in thing.pose.bones
+        if not (bone.hide if hasattr(bone, "select") else bone.bone.hide)
+        and (not bone.bone.collections or any(one.is_visible_effectively for one in bone.bone.collections))
+    ]
+
+
 def has_usd() -> bool:
     """Whether this Blender was built with USD; some Linux distributions leave it out."""
     return bool(getattr(bpy.app.build_options, "usd", False))

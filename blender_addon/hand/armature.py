@@ -128,6 +128,12 @@ def handedness_of(hand: bpy.types.Object) -> str:
     return handedness
 
 
+def shown_handedness(hand: bpy.types.Object) -> str:
+    """The side of the hand that is seen: the other one where the object is mirrored. JGHandFailure (not_a_hand)."""
+    side = handedness_of(hand)
+    return OTHER[side] if hand.matrix_world.to_3x3().determinant() < 0 else side
+
+
 def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray = UNPLACED) -> HandInSpace:
     """The 21 joints of the *evaluated* armature (constraints, drivers and IK included), in meters.
 
@@ -153,7 +159,7 @@ def in_hand_space(
     the other one where that mirrors it. Raises JGHandFailure (zero_scale)."""
     unit_m = scene.unit_settings.scale_length
     linear = world[:3, :3]
-    _check_scale(linear, name)
+    check_scale(linear, name)
     mirrored = np.linalg.det(linear) < 0
     handedness = OTHER[handedness] if mirrored else handedness
     rotation = posing.polar_rotation(linear @ _MIRROR if mirrored else linear)
@@ -197,7 +203,8 @@ def _heads(evaluated: bpy.types.Object) -> np.ndarray:
     return heads[places].astype(np.float64)
 
 
-def _check_scale(linear: np.ndarray, name: str) -> None:
+def check_scale(linear: np.ndarray, name: str) -> None:
+    """Refuses an object whose (3, 3) axes are (nearly) flat in some direction. JGHandFailure: zero_scale."""
     size = np.linalg.norm(linear, axis=0)
     if size.min() <= 0 or abs(np.linalg.det(linear / size)) < SCALE_MIN or size.min() < SCALE_MIN:
         raise JGHandFailure("zero_scale", name)

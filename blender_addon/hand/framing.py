@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
@@ -10,6 +13,7 @@ from mathutils import Matrix, Vector
 from ..core import posing
 from ..core.joints import LEFT, WRIST
 from ..core.view import CLIP_START_M
+from ..render.camera import set_picture_size
 
 # how far skin reaches beyond a joint, and beyond the wrist joint, where the avatar's forearm ends, meters
 SKIN_M, WRIST_SKIN_M = 0.015, 0.045
@@ -52,6 +56,40 @@ def add_framing_camera(
     distance = np.median((place - points) @ back)
     camera.matrix_world = _matrix(axes, place + back * distance * MARGIN)
     return camera
+
+
+def add_film_camera(
+    context: bpy.types.Context, film: Path, size_px: tuple[int, int], angle: float, first_frame: int
+) -> tuple[bpy.types.Object, bool]:
+    """The scene's new camera, at the world's origin and looking along y, with a film that plays behind what it sees
+    from `first_frame` on; the scene's images get the film's size. Also whether this Blender can play the film.
+
+    size_px: width and height as the film was looked at, which may be smaller than it is · angle: of view across its
+    longer edge, radians.
+    """
+    scene = context.scene
+    data = bpy.data.cameras.new(film.stem)
+    data.sensor_fit, data.angle = "AUTO", angle  # the longer edge
+    data.clip_start = CLIP_START_M / scene.unit_settings.scale_length
+    camera = bpy.data.objects.new(film.stem, data)
+    camera.rotation_euler.x = math.pi / 2
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    clip = bpy.data.movieclips.load(str(film))
+    clip.frame_start = first_frame
+    behind = data.background_images.new()
+    behind.source, behind.clip, behind.alpha = "MOVIE_CLIP", clip, 1.0
+    behind.frame_method = "STRETCH"  # pixels of a film may be oblong
+    data.show_background_images = True
+    larger = max(clip.size) / max(size_px) if clip.frame_duration else 1.0
+    set_picture_size(scene.render, *(round(larger * edge) for edge in size_px))
+    return camera, clip.frame_duration > 0
+
+
+def look_through_camera(area: bpy.types.Area | None) -> None:
+    """Shows what the scene's camera sees in a 3D view; any other area stays as it is."""
+    if area is not None and area.type == "VIEW_3D":
+        area.spaces.active.region_3d.view_perspective = "CAMERA"
 
 
 def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> None:

@@ -15,7 +15,7 @@ from ..core import posing
 from ..core.controls import CONTROLS, RULES
 from ..core.joints import NAMES
 from ..errors import JGHandFailure
-from .armature import build_armature, handedness_of, rest_matrices_of
+from .armature import build_armature, check_scale, evaluated_object, handedness_of, rest_matrices_of, shown_handedness
 from .motion_files import MotionFile
 
 # the channels of a bone that a driver may hold, whatever its keys say
@@ -37,27 +37,52 @@ class WantedMotion:
 
 
 def import_motions(
-    context: bpy.types.Context, wanted: Sequence[WantedMotion], *, first_frame: float = 1.0
+    context: bpy.types.Context,
+    wanted: Sequence[WantedMotion],
+    *,
+    first_frame: float = 1.0,
+    origin_m: np.ndarray | None = None,
+    set_rate: bool = False,
 ) -> list[bpy.types.Object]:
     """Keys motions at the scene's frame rate, each on its hand or on a new one of its proportions; returns the hands.
 
-    The joints are keyed where they are, in the armature object's space. The scene's frame rate and range stay. Our own
-    constraints may act on a hand: whoever calls makes them neutral. Raises JGHandFailure (other_hand, not_a_hand,
-    constrained, bad_joints) before anything is changed.
+    A motion has the axes and the meters of the world, however the object of its hand, and what that hangs on, is turned
+    and scaled now; a mirrored hand takes motions of the other side, which it shows. Its origin is where the object
+    stands, and the world's for a new hand.
+    origin_m: (3,) in the world, meters, one origin for all instead; new hands' objects then stand there ·
+    set_rate: the scene's frame rate becomes that of the first motion. Our own constraints may act on a hand: whoever
+    calls makes them neutral. Raises JGHandFailure (other_hand, not_a_hand, constrained, bad_joints, zero_scale, hidden)
+    before anything is changed.
     """
-    for one in wanted:
-        _check(one)
-    scene_fps = context.scene.render.fps / context.scene.render.fps_base
+    context.view_layer.update()
+    depsgraph = context.evaluated_depsgraph_get()
+    joints_m = [_checked_joints(one, depsgraph, origin_m) for one in wanted]
+    scene = context.scene
+    if set_rate and wanted:
+        scene.render.fps = max(1, round(wanted[0].motion.fps))
+        scene.render.fps_base = scene.render.fps / wanted[0].motion.fps
     hands = []
-    for one in wanted:
-        motion, hand = one.motion, one.hand
+    for one, joints in zip(wanted, joints_m, strict=True):
+        hand = one.hand
         if hand is None:
-            rest = posing.rest_joints_m(motion.handedness, motion.joints_m)
-            hand = build_armature(context, one.name, rest, motion.handedness)
-        frames = first_frame + scene_fps / motion.fps * np.arange(len(motion.joints_m))
-        key_motion(hand, motion.joints_m, context.scene, frames, filled=motion.filled).name = one.name
+            hand = build_armature(
+                context, one.name, posing.rest_joints_m(one.motion.handedness, joints), one.motion.handedness
+            )
+            hand.location = (0, 0, 0) if origin_m is None else origin_m / scene.unit_settings.scale_length
+        frames = first_frame + frame_rate(scene) / one.motion.fps * np.arange(len(joints))
+        key_motion(hand, joints, scene, frames, filled=one.motion.filled).name = one.name
         hands.append(hand)
     return hands
+
+
+def frame_rate(scene: bpy.types.Scene) -> float:
+    """Frames per second."""
+    return scene.render.fps / scene.render.fps_base
+
+
+def stands_at_m(hand: bpy.types.Object, scene: bpy.types.Scene) -> np.ndarray:
+    """(3,) where the object of a hand stands in the world, meters."""
+    return scene.unit_settings.scale_length * np.array(hand.matrix_world.translation, dtype=np.float64)
 
 
 def key_motion(
@@ -93,18 +118,24 @@ def key_motion(
     return action
 
 
-def _check(one: WantedMotion) -> None:
-    """Refuses what cannot be keyed."""
+def _checked_joints(one: WantedMotion, depsgraph: bpy.types.Depsgraph, origin_m: np.ndarray | None) -> np.ndarray:
+    """(F, 21, 3) joints of a motion that can be keyed, in the space of the object that takes it, meters."""
     motion, hand = one.motion, one.hand
     joints = posing.checked_joints(motion.joints_m)
     posing.palm_axes(joints, motion.handedness)
     if hand is None:
         posing.rest_matrices(posing.rest_joints_m(motion.handedness, joints), motion.handedness)
-        return
-    if handedness_of(hand) != motion.handedness:
-        raise JGHandFailure("other_hand", f"{hand.name}: {handedness_of(hand)}, the motion: {motion.handedness}")
+        return joints
+    if shown_handedness(hand) != motion.handedness:
+        raise JGHandFailure("other_hand", f"{hand.name}: {shown_handedness(hand)}, the motion: {motion.handedness}")
     rest_matrices_of(hand)
     check_free(hand, but=RULES)
+    world = np.array(evaluated_object(hand, depsgraph).matrix_world, dtype=np.float64)
+    linear = world[:3, :3]
+    check_scale(linear, hand.name)
+    if origin_m is not None:
+        joints = joints + origin_m - depsgraph.scene.unit_settings.scale_length * world[:3, 3]
+    return joints @ np.linalg.inv(linear).T
 
 
 def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:

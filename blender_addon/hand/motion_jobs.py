@@ -7,11 +7,14 @@ Does not use bpy.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..core.joints import WRIST
 from ..errors import JGHandFailure
 from .motion_files import MotionFile, read_motion
 
@@ -51,15 +54,35 @@ def read_converted(folder: Path) -> MotionFile:
     return replace(read_motion(folder / _MOTION), notes=_notes(folder, figures))
 
 
-def read_tracked(folder: Path) -> tuple[MotionFile, ...]:
-    """The motions that the renderer left, one of each hand; notes say what was filled in. JGHandFailure: bad_motion."""
+@dataclass(frozen=True)
+class TrackedFilm:
+    """What was found in a video. motions: one of each hand, before the camera, which is the origin and looks along y;
+    their notes say what was filled in · size_px: width and height of the video."""
+
+    motions: tuple[MotionFile, ...]
+    size_px: tuple[int, int]
+
+
+def read_tracked(folder: Path) -> TrackedFilm:
+    """What the renderer left of a video. JGHandFailure: bad_motion."""
     figures = _figures(folder)
     notes = _notes(folder, figures)
     try:
         hands = [(Path(str(hand["file"])).name, _sentence(hand)) for hand in figures["hands"]]
+        width, height = map(int, figures["size_px"])
     except (ValueError, KeyError, TypeError) as error:
         raise JGHandFailure("bad_motion", f"{folder / _FIGURES}: {error}") from error
-    return tuple(replace(read_motion(folder / name), notes=(*notes, *filter(None, [text]))) for name, text in hands)
+    motions = [replace(read_motion(folder / name), notes=(*notes, *filter(None, [text]))) for name, text in hands]
+    return TrackedFilm(tuple(motions), (width, height))
+
+
+def near_hand(motions: Sequence[MotionFile], anchor: int | None, *, in_place: bool) -> list[MotionFile]:
+    """Motions of one film brought from before its camera to the origin: there the wrist of motion `anchor` begins, or
+    the middle of all wrists. Hands keep their distance; in_place: after that the wrists stay."""
+    first = np.array([one.joints_m[0, WRIST] for one in motions])
+    center = first.mean(axis=0) if anchor is None else first[anchor]
+    moves = [one.joints_m[:, :1] - start if in_place else 0.0 for one, start in zip(motions, first, strict=True)]
+    return [replace(one, joints_m=one.joints_m - center - move) for one, move in zip(motions, moves, strict=True)]
 
 
 def _figures(folder: Path) -> dict[str, Any]:

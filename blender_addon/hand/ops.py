@@ -13,7 +13,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Vector
 
-from .. import folders
+from .. import folders, versions
 from .. import ops as common
 from ..core import bone_maps, posing
 from ..core.bone_maps import BoneMap, Recognition
@@ -96,6 +96,7 @@ class AddHand(Reporting, bpy.types.Operator):
         hand.rotation_euler = (math.pi / 2, 0.0, 0.0)
         if self.use_controls:
             controls.add_controls(context, hand)
+        versions.select_bones(hand)
         common.make_active(context, hand)
         context.view_layer.update()
         camera = add_camera(context, hand) if self.use_camera and context.scene.camera is None else None

@@ -9,22 +9,25 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
 import bpy
+import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy_extras.io_utils import ImportHelper
 
-from .. import folders, ui
+from .. import folders, ui, versions
 from .. import ops as common
 from ..core.joints import LEFT, RIGHT
 from ..errors import JGHandFailure
 from ..ops import CANCELLED, UNDOABLE_IMPORT, Elsewhere, InTurns, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from . import armature, controls, motion
+from . import armature, controls, framing, motion
+from .motion import WantedMotion
 from .motion_files import FPS_MAX, MotionFile, read_motion
 from .motion_jobs import (
     FETCH,
@@ -32,6 +35,8 @@ from .motion_jobs import (
     ORDERS,
     VIDEO_SUFFIXES,
     WANTS_HAND,
+    TrackedFilm,
+    near_hand,
     read_converted,
     read_tracked,
     words,
@@ -39,6 +44,8 @@ from .motion_jobs import (
 from .seen_hands import avatar_of
 
 _Result = TypeVar("_Result")
+# what was asked of the video that was tracked last, and what was found in it
+_last_film: tuple[tuple, TrackedFilm] | None = None
 
 # Blender's own importers take glTF and USD that are dropped
 DROPPED_SUFFIXES = (".npz", ".json", ".csv", ".npy", ".bvh")
@@ -98,6 +105,14 @@ _TRACKED_HANDS = (
     ("left", "Left", "The left hand", "NONE", 2),
     ("both", "Both", "Both, or none", "NONE", 3),
 )
+_FILM_TIP = (
+    "As the film shows it: adds its camera with the film behind the hand. The scene takes its size and frame rate"
+)
+_PLACEMENTS = (
+    ("IN_PLACE", "In Place", "The wrist stays where the hand is: it turns and bends on the spot", "NONE", 0),
+    ("FROM_HAND", "From the Hand", "The wrist begins where the hand is, and moves as it did in the film", "NONE", 1),
+    ("FILM", "Film Camera", _FILM_TIP, "NONE", 2),
+)
 
 
 class KeysFile(InTurns, ImportHelper):
@@ -127,6 +142,12 @@ class KeysFile(InTurns, ImportHelper):
         subtype="DISTANCE_CAMERA",  # Blender's word for millimeters, whatever the scene's unit is
     )
     first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)
+    use_scene_rate: bpy.props.BoolProperty(
+        name="Set Frame Rate",
+        description="Make the scene's frame rate that of the motion, so that all its keys are on whole frames; else "
+        "the motion keeps its speed at the scene's rate",
+        default=False,
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -137,7 +158,7 @@ class KeysFile(InTurns, ImportHelper):
     def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
         """The hand that takes a motion: the active one, where it is of the motion's side; None for a new one."""
         active = common.active_hand(context)
-        fits = active is not None and active.is_editable and armature.handedness_of(active) == content.handedness
+        fits = active is not None and active.is_editable and armature.shown_handedness(active) == content.handedness
         return active if fits else None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -195,52 +216,62 @@ class KeysFile(InTurns, ImportHelper):
             raise JGHandFailure("canceled")
         return results[0]
 
-    def keying(self, context: bpy.types.Context, contents: Sequence[tuple[MotionFile, str]]) -> None:
-        """Keys motions, each with its name, and tells what was done; where one of them is refused, none is keyed."""
+    def wanted(self, context: bpy.types.Context, contents: Sequence[tuple[MotionFile, str]]) -> list[WantedMotion]:
+        """Motions, each with its name and the hand that takes it."""
+        return [WantedMotion(content, name, self.hand_for(context, content)) for content, name in contents]
+
+    def keying(
+        self,
+        context: bpy.types.Context,
+        wanted: Sequence[WantedMotion],
+        *,
+        origin_m: np.ndarray | None = None,
+        set_rate: bool = False,
+    ) -> list[str]:
+        """Keys motions, and says in sentences what was done; where one of them is refused, none is keyed. origin_m,
+        set_rate: as `motion.import_motions` takes them."""
         common.object_mode(context)
-        wanted = [motion.WantedMotion(content, name, self.hand_for(context, content)) for content, name in contents]
         controlled = [one.hand for one in wanted if one.hand is not None and controls.has_controls(one.hand)]
         with common.wait_cursor(context):
-            hands = motion.import_motions(context, wanted, first_frame=self.first_frame)
+            hands = motion.import_motions(
+                context,
+                wanted,
+                first_frame=self.first_frame,
+                origin_m=origin_m,
+                set_rate=set_rate or self.use_scene_rate,
+            )
         for one, hand in zip(wanted, hands, strict=True):
             if one.hand is None:
                 common.link_to_active_collection(context, hand)
             common.make_active(context, hand)
+            versions.select_bones(hand)
         for hand in controlled:
             controls.reset_controls(hand)
             controls.mute_controls(hand, False)
             controls.use_joint_limits(hand, False)
-        self._tell(context, wanted, hands, controlled=bool(controlled))
-
-    def _tell(
-        self,
-        context: bpy.types.Context,
-        wanted: Sequence[motion.WantedMotion],
-        hands: Sequence[bpy.types.Object],
-        *,
-        controlled: bool,
-    ) -> None:
-        """What was keyed; the scene's range follows where that is wanted."""
-        scene = context.scene
-        scene_fps = scene.render.fps / scene.render.fps_base
+        scene_rate = motion.frame_rate(context.scene)
         lines, lasts = [], [self.first_frame]
         for one, hand in zip(wanted, hands, strict=True):
             frames = len(one.motion.joints_m)
-            lasts.append(self.first_frame + round((frames - 1) * scene_fps / one.motion.fps))
+            lasts.append(self.first_frame + round((frames - 1) * scene_rate / one.motion.fps))
             lines.append(
                 rpt_("{count} frames from {first} to {last} on {name}.").format(
                     count=frames, first=self.first_frame, last=lasts[-1], name=hand.name
                 )
             )
         if self.use_scene_range:
-            scene.frame_start, scene.frame_end = self.first_frame, max(lasts)
+            context.scene.frame_start, context.scene.frame_end = self.first_frame, max(lasts)
         if controlled:
             lines.append(rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly."))
-        notes = list(dict.fromkeys(note for one in wanted for note in one.motion.notes))
+        return lines
+
+    def conclude(self, done: Sequence[str], wanted: Sequence[WantedMotion], *doubts: str) -> None:
+        """Tells what was done, and warns of what was repaired and of `doubts`."""
+        notes = list(dict.fromkeys(note for one in wanted for note in one.motion.notes)) + list(doubts)
         if notes:
-            self.warn(*lines, *notes)
+            self.warn(*done, *notes)
         else:
-            self.tell(*lines)
+            self.tell(*done)
 
 
 class ImportMotion(KeysFile, bpy.types.Operator):
@@ -255,7 +286,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
 
     working = "Importing the motion"
     verb = "import_motion"
-    choices = ("target", "first_frame", "use_scene_range", *_OF_OTHERS)
+    choices = ("target", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
     headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
     filter_glob: bpy.props.StringProperty(
@@ -299,7 +330,8 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         path = Path(bpy.path.abspath(self.filepath))
         content = yield from self._content(context, path)
-        self.keying(context, [(content, path.stem)])
+        wanted = self.wanted(context, [(content, path.stem)])
+        self.conclude(self.keying(context, wanted), wanted)
 
     def said(self) -> dict[str, str | bool]:
         """What was chosen beside the file, in the renderer's words."""
@@ -341,7 +373,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             if failure.kind != "bad_motion" or WANTS_HAND not in failure.log or active is None:
                 raise
         # a file that shows both hands, or says nothing of its one: that which becomes one of the active hand's side
-        side = armature.handedness_of(active)
+        side = armature.shown_handedness(active)
         if self.mirror:
             side = LEFT if side == RIGHT else RIGHT
         return (yield from self._converted(path, {**options, "--hand": side}))
@@ -376,7 +408,10 @@ class TrackVideo(KeysFile, bpy.types.Operator):
     working = "Tracking the video"
     verb = "track_video"
     learns = True
-    choices = ("hand", "hand_length", "camera_angle", "smoothing", "in_place", "first_frame", "use_scene_range")
+    choices = (
+        *("hand", "hand_length", "camera_angle", "smoothing", "placement"),
+        *("first_frame", "use_scene_range", "use_scene_rate"),
+    )
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in VIDEO_SUFFIXES), options={"HIDDEN"}
@@ -398,8 +433,8 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         min=0.0,
         max=100.0,
     )
-    in_place: bpy.props.BoolProperty(
-        name="In Place", description="Keep the wrist at the origin; else the hand moves as before the camera"
+    placement: bpy.props.EnumProperty(
+        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS, default="IN_PLACE"
     )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True
@@ -407,30 +442,51 @@ class TrackVideo(KeysFile, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         path = Path(bpy.path.abspath(self.filepath))
-        found = yield from self._tracked(context, path)
-        many = len(found) > 1
-        named = [(content, f"{path.stem} {content.handedness}" if many else path.stem) for content in found]
-        self.keying(context, named)
+        film = yield from self._tracked(context, path)
+        many = len(film.motions) > 1
+        named = [(content, f"{path.stem} {content.handedness}" if many else path.stem) for content in film.motions]
+        wanted = self.wanted(context, named)
+        if self.placement != "FILM":
+            anchor = next((place for place, one in enumerate(wanted) if one.hand is not None), None)
+            near = near_hand(film.motions, anchor, in_place=self.placement == "IN_PLACE")
+            wanted = [replace(one, motion=content) for one, content in zip(wanted, near, strict=True)]
+            origin_m = np.zeros(3) if anchor is None else motion.stands_at_m(wanted[anchor].hand, context.scene)
+            self.conclude(self.keying(context, wanted, origin_m=origin_m), wanted)
+            return
+        done = self.keying(context, wanted, origin_m=np.zeros(3), set_rate=True)
+        camera, is_behind = framing.add_film_camera(context, path, film.size_px, self.camera_angle, self.first_frame)
+        common.link_to_active_collection(context, camera)
+        framing.look_through_camera(context.area)
+        text = rpt_("{name} sees as the film's camera did; the scene has the film's size and frame rate.")
+        doubts = [] if is_behind else [rpt_("This Blender cannot play the film, so it is not behind the hand.")]
+        self.conclude([*done, text.format(name=camera.name)], wanted, *doubts)
 
-    def _tracked(self, context: bpy.types.Context, path: Path) -> Generator[float, None, tuple[MotionFile, ...]]:
-        """The motions of the hands in a video."""
+    def _tracked(self, context: bpy.types.Context, path: Path) -> Generator[float, None, TrackedFilm]:
+        """The motions of the hands in a video. What was found last is kept: another placement is no reason to look
+        again."""
+        global _last_film
         active = common.active_hand(context)
-        wanted = ("auto", "both", armature.handedness_of(active)) if active is not None else ()
+        wanted = ("auto", "both", armature.shown_handedness(active)) if active is not None else ()
         options = {
             "--hand": self.hand,
             "--smoothing": f"{self.smoothing:g}",
             "--camera-angle": f"{math.degrees(self.camera_angle):g}",
             "--hand-length": f"{self.hand_length:g}" if self.hand_length else "",
             "--avatar": avatar_of(active) if active is not None and self.hand in wanted else "",
-            "--in-place": self.in_place,
             FETCH: bpy.app.online_access,
         }
+        state = path.stat() if path.is_file() else None
+        asked = (path, state and (state.st_mtime_ns, state.st_size), tuple(options.items()))
+        if _last_film is not None and _last_film[0] == asked:
+            return _last_film[1]
         try:
-            return (yield from self.made_by_engine(lambda folder: words("track", path, folder, options), read_tracked))
+            film = yield from self.made_by_engine(lambda folder: words("track", path, folder, options), read_tracked)
         except JGHandFailure as failure:
             if FETCH in failure.detail and not options[FETCH]:
                 raise JGHandFailure("offline", log=failure.log) from failure
             raise
+        _last_film = (asked, film)
+        return film
 
 
 class MotionDrop(bpy.types.FileHandler):

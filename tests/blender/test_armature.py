@@ -248,6 +248,55 @@ def test_keys_of_frames_that_were_filled_in_are_marked(context):
         assert [key.type for key in curve.keyframe_points] == ["JITTER" if mark else "KEYFRAME" for mark in filled]
 
 
+@pytest.mark.parametrize("place", hands.PLACES.values(), ids=hands.PLACES.keys())
+@pytest.mark.parametrize("is_child", [False, True])
+@pytest.mark.parametrize("unit_m", [1.0, 0.01])
+def test_a_motion_lies_in_the_world_as_its_file_says_from_where_the_object_stands(context, place, is_child, unit_m):
+    """However the object, or what it hangs on, is turned and scaled: as on a new hand, which stands at the origin."""
+    context.scene.unit_settings.scale_length = unit_m
+    joints = hands.moving_hand_m("right")
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    hands.put(hand, place)
+    if is_child:
+        parent = bpy.data.objects.new("Arm", None)
+        context.scene.collection.objects.link(parent)
+        hands.put(parent, ((0.3, 0.1, -0.2), (1.2, 0.3, -0.7), (1.1, 1.1, 1.1)))
+        hand.parent = parent
+        context.view_layer.update()
+    stands = unit_m * np.array(hand.matrix_world.translation)
+    content = MotionFile(joints, 24.0, "right")
+    (new,) = motion.import_motions(context, [motion.WantedMotion(content, "New")])
+    assert motion.import_motions(context, [motion.WantedMotion(content, "Wave", hand)]) == [hand]
+    for frame in range(len(joints)):
+        depsgraph = armature.at_frame(context.scene, 1 + frame)
+        # single precision through the object's scale; worst seen 4e-7 m
+        seen = armature.read_hand(hand, depsgraph).joints_world_m
+        np.testing.assert_allclose(seen, joints[frame] + stands, atol=2e-6)
+        np.testing.assert_allclose(armature.read_hand(new, depsgraph).joints_world_m, joints[frame], atol=2e-6)
+
+
+def test_a_mirrored_hand_takes_motions_of_the_side_that_it_shows(context):
+    joints = hands.moving_hand_m("left")
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    hands.put(hand, ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (-1.0, 1.0, 1.0)))
+    motion.import_motions(context, [motion.WantedMotion(MotionFile(joints, 24.0, "left"), "Wave", hand)])
+    seen = armature.read_hand(hand, armature.at_frame(context.scene, 2))
+    assert seen.handedness == "left"
+    np.testing.assert_allclose(seen.joints_world_m, joints[1] + (0.1, 0.2, 0.3), atol=2e-6)
+    with pytest.raises(JGHandFailure, match="other hand"):
+        content = MotionFile(hands.moving_hand_m("right"), 24.0, "right")
+        motion.import_motions(context, [motion.WantedMotion(content, "Wave", hand)])
+
+
+def test_an_object_without_size_takes_no_motion(context):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    hand.scale = (1.0, 0.0, 1.0)
+    wanted = motion.WantedMotion(MotionFile(hands.moving_hand_m("right"), 24.0, "right"), "Wave", hand)
+    with pytest.raises(JGHandFailure, match="scale of zero"):
+        motion.import_motions(context, [wanted])
+    assert hand.animation_data is None
+
+
 def test_a_motion_file_becomes_keys_at_the_scenes_frame_rate(context):
     context.scene.render.fps, context.scene.render.fps_base = 30, 1.001
     joints = hands.moving_hand_m("left")

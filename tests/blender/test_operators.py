@@ -512,7 +512,6 @@ def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extensio
     joints = hands.moving_hand_m(side)
     path = write_motion(tmp_path / "wave.npz", joints, side)
     thing = add(side)
-    thing.rotation_euler.zero()  # a motion is in the hand's own space
     thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
     assert bpy.ops.jghand.import_motion(filepath=str(path), first_frame=10, use_scene_range=True) == {"FINISHED"}
     assert extension.object == thing

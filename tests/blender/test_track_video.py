@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from hands import moving_hand_m
+from hands import blenders_pixels, moving_hand_m
 
 from blender_addon import folders, versions
 from blender_addon import ops as common
@@ -46,7 +46,9 @@ for side in sides:
     file = out if len(sides) == 1 else out.with_name(f"motion_{side}.npz")
     shutil.copy(here / f"{side}.npz", file)
     hands.append({"hand": side, "file": str(file), "frames_seen": 8, "frames_filled": 1 if side == "left" else 0})
-pathlib.Path(arguments[arguments.index("--json") + 1]).write_text(json.dumps({"notes": [], "hands": hands}))
+pathlib.Path(arguments[arguments.index("--json") + 1]).write_text(
+    json.dumps({"notes": [], "hands": hands, "size_px": [540, 960]})
+)
 """
 
 
@@ -58,6 +60,7 @@ def engine(extension, tmp_path, monkeypatch):
     (folder / "engine.py").write_text(_ENGINE)
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, str(folder / "engine.py")))
     monkeypatch.setattr(folders, "job_folder", lambda: _made(tmp_path / "job"))
+    monkeypatch.setattr(ops_motion, "_last_film", None)
     return folder
 
 
@@ -84,11 +87,11 @@ def leave(engine, side, seed=0):
 
 
 def check_keys(scene, hand, joints):
-    turn, place = np.array(hand.matrix_world)[:3, :3], np.array(hand.matrix_world)[:3, 3]
+    """joints: (F, 21, 3) where they are in the world, meters."""
     for frame in range(FRAMES):
         seen = armature.read_hand(hand, armature.at_frame(scene, 1 + frame))
         # Blender's single precision; worst seen 3e-7 m
-        np.testing.assert_allclose(seen.joints_world_m, joints[frame] @ turn.T + place, atol=3e-6)
+        np.testing.assert_allclose(seen.joints_world_m, joints[frame], atol=3e-6)
 
 
 def hands_of(scene):
@@ -98,11 +101,14 @@ def hands_of(scene):
 
 def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, capfd):
     joints = {side: leave(engine, side, seed) for seed, side in enumerate(("left", "right"))}
-    assert bpy.ops.jghand.track_video(filepath=str(video), hand_length=190.0, in_place=True) == {"FINISHED"}
+    assert bpy.ops.jghand.track_video(filepath=str(video), hand_length=190.0) == {"FINISHED"}
     hands = hands_of(extension.scene)
     assert {hand.name for hand in hands.values()} == {"waving left", "waving right"}
+    first = {side: joints[side][0, 0] for side in joints}
     for side, hand in hands.items():
-        check_keys(extension.scene, hand, joints[side])
+        # the middle of both wrists is the origin, and each stays where it was first
+        start = first[side] - (first["left"] + first["right"]) / 2
+        check_keys(extension.scene, hand, joints[side] - joints[side][:, :1] + start)
         kinds = ["JITTER" if side == "left" and frame == FILLED else "KEYFRAME" for frame in range(FRAMES)]
         assert all([key.type for key in curve.keyframe_points] == kinds for curve in versions.fcurves(hand))
     assert (extension.scene.frame_start, extension.scene.frame_end) == (1, FRAMES)
@@ -113,41 +119,95 @@ def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, cap
     assert asked[:2] == ["track", str(video)]
     for option, value in (("--up", "z"), ("--hand-length", "190"), ("--hand", "auto")):
         assert asked[asked.index(option) + 1] == value
-    assert {"--in-place", "--progress-json"} <= set(asked)
+    assert "--progress-json" in asked
     assert not (tmp_path / "job").exists(), "what the job needed is taken away"
 
 
-def test_the_active_hand_takes_the_motion_of_its_side(extension, engine, video):
-    old = leave(engine, "right", 1)
-    bpy.ops.jghand.track_video(filepath=str(video))
-    hand = extension.object
-    new = leave(engine, "right", 1) + np.array([0.0, 0.0, 0.1])
-    write_motion(engine / "right.npz", MotionFile(new, 24.0, "right"))
-    bpy.ops.jghand.track_video(filepath=str(video))
-    assert extension.object is hand
-    check_keys(extension.scene, hand, old + np.array([0.0, 0.0, 0.1]))
-
-
-def test_the_hand_that_add_hand_made_takes_the_motion_with_its_controls_and_its_avatar(
-    extension, engine, video, capfd, tmp_path
+@pytest.mark.parametrize("placement", ["IN_PLACE", "FROM_HAND"])
+def test_the_hand_that_add_hand_made_takes_the_motion_where_it_stands(
+    extension, engine, video, capfd, tmp_path, placement
 ):
+    """With its controls and its avatar; another hand of the film is beside it as it was in the film."""
+    extension.scene.cursor.location = (1, 2, 3)
     bpy.ops.jghand.add_hand(handedness="right")
     hand = extension.object
     assert controls.has_controls(hand)
     hand.jghand.avatar = str(tmp_path / "mine.jghand")
     hand.pose.bones[HAND_CONTROL].rotation_euler = (0.3, 0.0, 0.0)
-    joints = leave(engine, "right")
-    assert bpy.ops.jghand.track_video(filepath=str(video), camera_angle=np.radians(70.0)) == {"FINISHED"}
-    assert [thing for thing in extension.scene.objects if armature.is_hand(thing)] == [hand]
+    joints = {side: leave(engine, side, seed) for seed, side in enumerate(("left", "right"))}
+    chosen = {"camera_angle": np.radians(70.0), "placement": placement}
+    assert bpy.ops.jghand.track_video(filepath=str(video), **chosen) == {"FINISHED"}
+    hands = hands_of(extension.scene)
+    assert hands["right"] is hand
     assert controls.has_controls(hand)
     assert not controls.controls_are_muted(hand)
-    check_keys(extension.scene, hand, joints)
+    for side, each in hands.items():
+        wrist = joints[side][:, :1]
+        moved = wrist - wrist[:1] if placement == "IN_PLACE" else 0.0
+        check_keys(extension.scene, each, joints[side] - moved - joints["right"][0, 0] + (1, 2, 3))
     assert "Finger controls are neutral" in capfd.readouterr().out
     asked = json.loads((engine / "asked.json").read_text())
     assert asked[asked.index("--avatar") + 1] == str(tmp_path / "mine.jghand")
     assert asked[asked.index("--camera-angle") + 1] == "70"
+    extension.view_layer.objects.active = hand
     bpy.ops.jghand.track_video(filepath=str(video), hand="left")
     assert "--avatar" not in json.loads((engine / "asked.json").read_text()), "that hand is not the one looked for"
+
+
+@pytest.mark.parametrize("unit_m", [1.0, 0.01])
+def test_the_films_camera_sees_the_hand_where_the_film_shows_it(extension, engine, video, capfd, unit_m):
+    """540 x 960 pixels, 60 degrees across the longer edge, looking along y; the film plays frame for frame."""
+    scene = extension.scene
+    scene.render.fps, scene.unit_settings.scale_length = 24, unit_m
+    scene.cursor.location = (1, 2, 3)
+    bpy.ops.jghand.add_hand(handedness="right")
+    hand = extension.object
+    joints = moving_hand_m("right", FRAMES) + np.array([0.05, 0.65, -0.1])
+    write_motion(engine / "right.npz", MotionFile(joints, 30 / 1.001, "right"))
+    chosen = {"placement": "FILM", "first_frame": 11}
+    assert bpy.ops.jghand.track_video(filepath=str(video), **chosen) == {"FINISHED"}
+    assert (scene.render.fps, scene.render.fps_base) == (30, pytest.approx(1.001))
+    assert (scene.frame_start, scene.frame_end) == (11, 10 + FRAMES)
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (540, 960)
+    behind = scene.camera.data.background_images[0]
+    assert scene.camera.data.show_background_images
+    assert bpy.path.abspath(behind.clip.filepath) == str(video)
+    assert behind.clip.frame_start == 11
+    assert "cannot play the film" in capfd.readouterr().out, "it is none"
+    focal = 960 / 2 / np.tan(np.radians(30))
+    for frame in range(FRAMES):
+        seen = armature.read_hand(hand, armature.at_frame(scene, 11 + frame)).joints_world_m
+        x, y, z = joints[frame].T
+        wanted = np.stack([270 + focal * x / y, 480 - focal * z / y], -1)
+        # a lens and a sensor in single precision; worst seen 2e-4 px
+        np.testing.assert_allclose(blenders_pixels(scene, scene.camera, seen / unit_m, (540, 960)), wanted, atol=2e-3)
+
+
+def test_a_film_that_blender_plays_is_as_large_as_the_scenes_images(extension, engine, engine_python, tmp_path, capfd):
+    """The tracker looks at a smaller one."""
+    film = tmp_path / "film.mp4"
+    make = (
+        "import subprocess, sys, imageio_ffmpeg as f; subprocess.run([f.get_ffmpeg_exe(), *sys.argv[1:]], check=True)"
+    )
+    source = ["-v", "error", "-f", "lavfi", "-i", "testsrc=size=1080x1920:rate=30", "-frames:v", "3"]
+    subprocess.run([engine_python, "-c", make, *source, str(film)], check=True)
+    leave(engine, "right")
+    assert bpy.ops.jghand.track_video(filepath=str(film), placement="FILM") == {"FINISHED"}
+    assert "cannot play" not in capfd.readouterr().out
+    render = extension.scene.render
+    assert (render.resolution_x, render.resolution_y) == (1080, 1920)
+
+
+def test_another_placement_is_no_reason_to_look_for_hands_again(extension, engine, video):
+    leave(engine, "right")
+    assert bpy.ops.jghand.track_video(filepath=str(video)) == {"FINISHED"}
+    (engine / "engine.py").write_text("")
+    extension.view_layer.objects.active = None  # as after the undo of Blender's redo panel
+    assert bpy.ops.jghand.track_video(filepath=str(video), placement="FROM_HAND") == {"FINISHED"}
+    video.write_bytes(b"another film")
+    extension.view_layer.objects.active = None
+    with pytest.raises(RuntimeError, match="figures"):
+        bpy.ops.jghand.track_video(filepath=str(video))
 
 
 @pytest.mark.parametrize("online", [False, True])
@@ -185,7 +245,10 @@ def test_blender_is_free_while_the_engine_looks(extension, engine, video, tmp_pa
         ),
         screen=screen,
         workspace=SimpleNamespace(status_text_set=said.append),
-        **{name: getattr(extension, name) for name in ("scene", "view_layer", "mode", "object")},
+        **{
+            name: getattr(extension, name)
+            for name in ("scene", "view_layer", "mode", "object", "evaluated_depsgraph_get")
+        },
     )
     operator = working(video)
     assert InTurns.invoke(operator, context, None) == {"RUNNING_MODAL"}
@@ -233,7 +296,8 @@ def working(video):
 
     operator = Tracking.__new__(Tracking)
     chosen = {"filepath": str(video), "hand": "auto", "hand_length": 0.0, "smoothing": 1.0, "camera_angle": 1.0}
-    for name, value in {**chosen, "in_place": False, "first_frame": 1, "use_scene_range": False}.items():
+    placed = {"placement": "IN_PLACE", "first_frame": 1, "use_scene_range": False, "use_scene_rate": False}
+    for name, value in {**chosen, **placed}.items():
         setattr(operator, name, value)
     return operator
 
@@ -278,7 +342,7 @@ def test_figures_that_are_none_are_refused(extension, engine, video):
 def test_the_real_engine_takes_these_words(engine_python, tmp_path):
     """It gets as far as the video, which is none."""
     (tmp_path / "odd.mp4").write_bytes(b"no film")
-    options = {"--hand": "right", "--hand-length": "190", "--in-place": True, "--avatar": "painted", "--smoothing": "1"}
+    options = {"--hand": "right", "--hand-length": "190", "--avatar": "painted", "--smoothing": "1"}
     asked = words("track", tmp_path / "odd.mp4", tmp_path, {**options, "--camera-angle": "60"})
     done = subprocess.run(
         [engine_python, "-I", "-m", "jghand_engine", *asked], check=False, capture_output=True, text=True
