@@ -1,6 +1,7 @@
 """Renews what docs/ quotes of the studies: headlines, tables and plots, from the files of `jghand study`.
 
     jghand study accuracy builtin --out study && jghand study stability --out study && jghand study effects --out study
+    .envs/engine/bin/python scripts/benchmark_trainings.py CAPTURE --out study
     .envs/engine/bin/python scripts/quote_studies.py study
 
 A page is renewed between its marks <!-- jghand study NAME: begin --> and <!-- jghand study NAME: end -->.
@@ -23,6 +24,7 @@ OVERVIEW = "FIGURES.md"
 PAGES = {
     "accuracy": ("ACCURACY.md", "What accuracy costs in time: finger tips, and every setting as a point"),
     "stability": ("STABILITY.md", "Hands drawn both ways, and error against distance to each singularity"),
+    "trainings": ("ACCURACY.md", "Accuracy against planned minutes of training, and against milliseconds of drawing"),
     "effects": ("EFFECTS.md", "What ran on each frame of a motion, and what that saved"),
 }
 

@@ -33,17 +33,18 @@ def draw_figure(study: Accuracy) -> Figure:
         grid = figure.add_gridspec(3, 1, height_ratios=[0.85, 1.35, 0.7], hspace=0.3, left=0.06, right=0.985,
                                    top=0.885, bottom=0.045)  # fmt: skip
         figure.text(0.05, 0.972, "What accuracy costs in time", fontsize=20, weight="bold")
-        size = 13 if len(study.headline) < 110 else 10.5
-        figure.text(0.05, 0.953, study.headline, fontsize=size, color=OURS, weight="bold")
+        headline = textwrap.fill(study.headline, 150, break_on_hyphens=False)
+        figure.text(0.05, 0.965, headline, fontsize=11, color=OURS, weight="bold", va="top", linespacing=1.4)
         busy = "    The machine was busy: the times are too long." if study.disturbed else ""
-        figure.text(0.05, 0.936, f"{study.how_timed}.{busy}", fontsize=9, color=USUAL if busy else QUIET)
+        figure.text(0.05, 0.927, f"{study.how_timed}.{busy}", fontsize=9, color=USUAL if busy else QUIET)
         shown = shown_rows(study)
         strip = grid[0].subgridspec(1, max(len(shown), 1), wspace=0.05)
         for index, row in enumerate(shown):
             _draw_crop(figure.add_subplot(strip[index]), row)
-        middle = grid[1].subgridspec(1, 2, width_ratios=[2.1, 1], wspace=0.2)
-        _draw_front(figure.add_subplot(middle[0]), study)
-        _draw_stages(figure.add_subplot(middle[1]), study)
+        # below the bars is room for their legend
+        middle = grid[1].subgridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[3, 1], wspace=0.2)
+        _draw_front(figure.add_subplot(middle[:, 0]), study)
+        _draw_stages(figure.add_subplot(middle[0, 1]), study)
         lower = grid[2].subgridspec(1, len(PANELS), wspace=0.3)
         for index, panel in enumerate(PANELS):
             points = [point for point in study.growth if point.panel == panel]
