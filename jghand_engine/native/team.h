@@ -9,7 +9,7 @@
 #if defined(_WIN32)
 extern "C" __declspec(dllimport) int SwitchToThread(void);
 #else
-#include <sched.h>
+#include <time.h>
 #endif
 
 namespace jg {
@@ -28,8 +28,9 @@ struct Team {
   Step steps[TEAM_STEPS];
 };
 
-// Waiting for the last items of another thread: at first without leaving the processor, because they take microseconds,
-// then by giving it up, because the other thread may have none.
+// Waiting for the last items of another thread: at first without leaving the processor, because they take microseconds.
+// Then asleep, because other programs may have the other thread's processor: it comes back within some milliseconds,
+// and who sleeps meanwhile is let in at once afterwards, while who only yields has used up its turn.
 inline void wait_a_moment(int turn) {
   if (turn < 4096) {
 #if defined(__x86_64__)
@@ -40,9 +41,10 @@ inline void wait_a_moment(int turn) {
     return;
   }
 #if defined(_WIN32)
-  SwitchToThread();
+  SwitchToThread();  // the shortest sleep there may last 15 ms
 #else
-  sched_yield();
+  const struct timespec nap = {0, 50000};  // 50 us: the system's timers are no finer
+  nanosleep(&nap, nullptr);
 #endif
 }
 

@@ -3,17 +3,21 @@
 A ctypes call releases the GIL, so Python threads are enough: each makes the same call, and the call shares its items
 between them (native/team.h). The threads stay alive between calls; handing a call to one of them takes some ten
 microseconds, which is why a call should do all stages of a frame and not one.
+
+Other programs may have the processors. So nobody waits for a thread that has not begun when the call's work is done:
+it is told that the call is over.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -63,11 +67,20 @@ def thread_count(wanted: int) -> int:
 
 
 class _Call:
-    """One call of `function` on all threads. outcome: by thread index, once it is over: its error, or None."""
+    """One call of `function` on all threads that come in time.
+
+    outcome: by thread index, once the thread is done: its error, or None
+    """
 
     def __init__(self, function: Callable[[int], object]) -> None:
         self.function = function
         self.outcome: dict[int, BaseException | None] = {}
+        self._takers: dict[int, str] = {}
+
+    def taken(self, index: int, by: str) -> bool:
+        """Whether the share of thread `index` is `by`'s: of the worker that makes it, or of the caller that calls it
+        off. The first to ask has it, however often they ask."""
+        return self._takers.setdefault(index, by) == by
 
 
 class _Worker:
@@ -82,7 +95,7 @@ class _Worker:
 
     def _loop(self) -> None:
         while (call := self._calls.get()) is not None:
-            if self._index not in call.outcome:
+            if call.taken(self._index, "worker") and self._index not in call.outcome:
                 error: BaseException | None = None
                 try:
                     call.function(self._index)
@@ -90,15 +103,19 @@ class _Worker:
                     error = problem
                 call.outcome[self._index] = error
                 del error
+                self._bell.put(None)
             del call  # it holds the caller's arrays, and the next one may be long in coming
-            self._bell.put(None)
 
     def start(self, call: _Call | None) -> None:
         """Makes the call, if it was not made before; None ends the thread."""
         self._calls.put(call)
 
-    def wait(self, call: _Call) -> None:
-        """Until the call is over."""
+    def finish(self, call: _Call) -> None:
+        """Waits until the call is over here, or calls it off where it has not begun."""
+        if call.taken(self._index, "caller"):
+            with contextlib.suppress(Empty):  # it holds the caller's arrays, too
+                self._calls.get_nowait()
+            return
         while self._index not in call.outcome:
             self._bell.get()
 
@@ -112,8 +129,11 @@ class WorkerPool:
         self._workers = [_Worker(index) for index in range(1, self.threads)]
 
     def run(self, function: Callable[[int], object]) -> None:
-        """Calls function(thread index) on every thread and waits for all. The first error is raised here.
+        """Calls function(0) here and function(thread index) on the other threads, until all are done. The first error
+        is raised here.
 
+        function(0) must return no sooner than all work is done, its own and what the others took: a thread that has
+        not begun by then, because other programs have the processors, does not begin any more.
         Ctrl-C is raised here too, but not before all threads are done: they work on the caller's memory.
         Must not be called from inside `function`: the pool is busy then.
         """
@@ -122,14 +142,14 @@ class WorkerPool:
         with self._busy:
             while True:
                 try:
-                    # after an interruption once more: nobody knows which of them were told
-                    for worker in self._workers:
-                        worker.start(call)
                     if not begun:
+                        # after an interruption once more: nobody knows which of them were told
+                        for worker in self._workers:
+                            worker.start(call)
                         begun = True
                         function(0)
                     for worker in self._workers:
-                        worker.wait(call)
+                        worker.finish(call)
                     break
                 except BaseException as problem:
                     problems.append(problem)

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
 import time
+import weakref
 
+import numpy as np
 import pytest
 
+from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.native import threads
 from jghand_engine.native.threads import (
     AUTOMATIC_THREADS,
     WorkerPool,
+    _Call,
     physical_cores,
     processors,
     shared_pool,
     thread_count,
 )
+from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.subject import moving_subject
 
 
 @pytest.fixture(params=[1, 2, 3, 5])
@@ -27,12 +36,69 @@ def pool(request):
     some.close()
 
 
+def all_together(pool: WorkerPool):
+    """A function for a pool that ends on no thread before all have come."""
+    barrier = threading.Barrier(pool.threads)
+    return lambda _index: barrier.wait(20)
+
+
 def test_every_thread_runs_the_function_once_and_the_caller_is_one_of_them(pool):
     seen: dict[int, threading.Thread] = {}
-    pool.run(lambda index: seen.setdefault(index, threading.current_thread()))
+    together = all_together(pool)
+
+    def work(index: int) -> None:
+        assert seen.setdefault(index, threading.current_thread()) is threading.current_thread()
+        together(index)
+
+    pool.run(work)
     assert sorted(seen) == list(range(pool.threads))
     assert seen[0] is threading.current_thread()
     assert len(set(seen.values())) == pool.threads
+
+
+@contextlib.contextmanager
+def without_a_processor(pool: WorkerPool):
+    """The pool's other threads get none meanwhile: to them every call comes late."""
+    let_go = threading.Event()
+    for worker in pool._workers:
+        worker._calls.put(_Call(lambda _index: let_go.wait(20)))
+    while any(not worker._calls.empty() for worker in pool._workers):
+        time.sleep(0.001)
+    yield
+    let_go.set()
+
+
+def test_a_thread_that_gets_no_processor_does_not_hold_the_call_and_never_begins_it(pool):
+    seen: list[int] = []
+    with without_a_processor(pool):
+        for _ in range(3):
+            pool.run(seen.append)
+        assert pool.map(lambda i: i * i, 20) == [i * i for i in range(20)]
+    pool.run(all_together(pool))  # they have come back, and what was called off does not run
+    assert seen == [0, 0, 0]
+
+
+def test_a_call_that_was_called_off_leaves_nothing_of_its_caller_in_memory():
+    pool, array = WorkerPool(2), np.zeros(8)
+    gone = weakref.ref(array)
+    with without_a_processor(pool):
+        pool.run(lambda _index, array=array: None)
+        del array
+        assert gone() is None
+    pool.close()
+
+
+def test_a_picture_has_the_same_bits_whoever_comes():
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(2000)
+    subject = moving_subject("painted", avatar, 64, 48)
+    joints_m, camera = subject.poses[0], subject.camera
+    alone = HandRenderer(avatar, RenderSettings(threads=1)).render(joints_m, camera).rgba
+    with without_a_processor(shared_pool(3)):
+        late = HandRenderer(avatar, RenderSettings(threads=3)).render(joints_m, camera).rgba
+    together = HandRenderer(avatar, RenderSettings(threads=3)).render(joints_m, camera).rgba
+    assert alone.any()
+    assert np.array_equal(alone, late)
+    assert np.array_equal(alone, together)
 
 
 def test_items_come_back_in_order_and_each_is_done_once(pool):
@@ -48,7 +114,10 @@ def test_items_come_back_in_order_and_each_is_done_once(pool):
 
 
 def test_an_error_in_any_thread_is_raised_and_the_pool_lives_on(pool):
+    together = all_together(pool)
+
     def fail(index: int) -> None:
+        together(index)
         if index == pool.threads - 1:
             raise ValueError("in the last thread")
 
@@ -74,8 +143,10 @@ needs_signals = pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="
 @pytest.mark.parametrize("caller_s", [0.0, 0.3], ids=["while it waits", "while it works"])
 def test_ctrl_c_comes_through_only_when_all_threads_are_done(caller_s):
     pool, done = WorkerPool(3), []
+    together = all_together(pool)
 
     def work(index: int) -> None:
+        together(index)
         time.sleep(0.4 if index else caller_s)
         done.append(index)
 
