@@ -36,7 +36,12 @@ class Advice:
 
 ADVICE = {
     "no_interpreter": Advice(
-        "No renderer was found", 'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand', BAD_INPUT
+        "The renderer cannot be started",
+        'Leave "Renderer\'s Python" empty, or choose a Python that has JGHand',
+        BAD_INPUT,
+    ),
+    "no_python": Advice(
+        "The chosen Python does not exist", 'Correct the path of "Renderer\'s Python", or leave it empty', BAD_INPUT
     ),
     "no_tools": Advice(
         "Training and video tracking need PyTorch, which is not installed",
@@ -53,10 +58,10 @@ ADVICE = {
     ),
     "protocol": Advice("Extension and renderer are of different versions", "Update the older one", BAD_INPUT),
     "start_timeout": Advice("The renderer did not start in time", 'Look at "Show Log" and try again', TRY_AGAIN),
-    "out_of_memory": Advice("Out of memory", "Choose a smaller resolution or quality preset", OUT_OF_MEMORY),
+    "out_of_memory": Advice("Out of memory", 'Choose a smaller resolution or a lower "Quality"', OUT_OF_MEMORY),
     "killed": Advice(
         "The system ended the renderer, most likely for memory",
-        "Close other programs or choose a smaller preset",
+        'Close other programs, or choose a lower "Quality"',
         OUT_OF_MEMORY,
     ),
     "crashed": Advice(
@@ -81,7 +86,12 @@ ADVICE = {
     ),
     "token": Advice("Unexpected server", 'Press "Restart Renderer"', TRY_AGAIN),
     "busy": Advice("The renderer serves another program", 'Press "Restart Renderer"', TRY_AGAIN),
-    "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),
+    "bad_avatar": Advice(
+        "The avatar is damaged, or no JGHand avatar", 'Choose another "Avatar", or empty the field', BAD_INPUT
+    ),
+    "no_avatar": Advice(
+        "The file of the avatar does not exist", 'Choose another "Avatar", or put the file back', BAD_INPUT
+    ),
     "bad_input": Advice("The renderer cannot use what it was given", "Correct it and try again", BAD_INPUT),
     "retry": Advice("The renderer could not do it now", "Try again", TRY_AGAIN),
     "internal": Advice("Internal error", 'Look at "Show Log" and report it', MISTAKE),

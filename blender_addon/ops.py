@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
+from .core.panel_text import duration
 from .errors import JGHandFailure
 from .hand import armature, controls
 from .renderer.jobs import JOB_LOOK_S
@@ -180,8 +181,8 @@ class InTurns(Reporting):
         if part <= 0.0:  # nothing to foretell from yet
             return rpt_("{working}  ·  Esc cancels").format(working=rpt_(self.working))
         left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
-        template = rpt_("{working}  {percent}%  ·  {left} s left  ·  Esc cancels")
-        return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))
+        template = rpt_("{working}  {percent}%  ·  {left} left  ·  Esc cancels")
+        return template.format(working=rpt_(self.working), percent=round(100 * part), left=duration(left_s))
 
 
 def _something_is_dragged(context: bpy.types.Context) -> bool:

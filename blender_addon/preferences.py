@@ -75,7 +75,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         from .renderer.panel import draw_status, draw_tools
 
         box = self.layout.box()
-        draw_status(box, context)
+        draw_status(box, context, buttons=False)
         row = box.row(align=True)
         row.operator("jghand.restart_engine", icon="FILE_REFRESH")
         row.operator("jghand.show_log", icon="TEXT")

@@ -74,12 +74,6 @@ def any_hand(context: bpy.types.Context) -> bool:
     return active(context) is not None or bool(hands_of(context))
 
 
-def has_operator(name: str) -> bool:
-    """Whether an operator is registered."""
-    family, _, action = name.partition(".")
-    return hasattr(bpy.types, f"{family.upper()}_OT_{action}")
-
-
 def settings(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     """The column that properties stand in, with their names at the left."""
     column = layout.column()

@@ -39,6 +39,8 @@ EFFECTS = {
     "depth-of-field": "Depth of Field",
     "whole-picture": "Whole Image",
 }
+# which of several hands a note of the engine is about
+_HAND = re.compile(r"hand (\d+): (.*)", re.DOTALL)
 # `OutOfRange.sentence()` of the engine: index1 flexion 105°: 12° outside the 0° to 93° that was trained
 _OUTSIDE = re.compile(
     r"(?P<joint>[a-z]+\d) (?P<angle>\w+) -?[\d.]+°: (?P<beyond>[\d.]+)° outside the .* that was trained"
@@ -46,11 +48,14 @@ _OUTSIDE = re.compile(
 # remedies that a button can do: failure -> operator and label
 _MENDS = {
     "no_interpreter": ("jghand.open_preferences", "Choose Python"),
+    "no_python": ("jghand.open_preferences", "Choose Python"),
     "no_engine": ("jghand.open_preferences", "Choose Python"),
     "no_tools": ("jghand.open_preferences", "Preferences"),
     "protocol": ("jghand.open_preferences", "Preferences"),
 }
 _START = ("jghand.restart_engine", "Try Again")
+# the names of a picture's hands, in their order, which its report gets on this side
+HANDS = "hands"
 
 
 @dataclass(frozen=True)
@@ -97,13 +102,11 @@ class ReceiptText:
 
 
 def duration(seconds: float) -> str:
-    """ "12 s", "3 min", "2 h", "1 h 05 min"."""
+    """ "12 s", "3 min", "1 h 05 min", as the engine tells a training's."""
     if seconds < 59.5:
         return f"{max(seconds, 0):.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)
-    if not hours:
-        return f"{minutes} min"
-    return f"{hours} h {minutes:02d} min" if minutes else f"{hours} h"
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
 
 
 def milliseconds(value: float) -> str:
@@ -141,13 +144,13 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
         running = translate("Running for {since}").format(since=since)
         return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"),))
     facts = status.handshake or {}
-    parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
     if status.doing:
-        parts.append(f"{translate(status.doing)}…")
-    elif frame_ms is not None:
-        parts.append(milliseconds(frame_ms))
-    elif status.busy:  # it reads the avatar and warms up
-        parts.append(translate("first frame…"))
+        parts = [f"{translate(status.doing)}…"]
+    elif status.busy and frame_ms is None:  # it warms up
+        parts = [translate("First frame…")]
+    else:
+        parts = [translate("Ready"), str(facts.get("device", "")).upper()]
+        parts += [milliseconds(frame_ms)] if frame_ms is not None else []
     detail = translate("Running for {since}, version {version}, process {pid}").format(
         since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
     )
@@ -159,11 +162,7 @@ def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, tran
     total_ms = _number(report.get("total_ms"))
     return ReceiptText(
         _total(report, total_ms, budget_ms, translate),
-        # what ran, in its order, then what was skipped
-        tuple(
-            _stage(stage, total_ms, translate)
-            for stage in sorted(_mappings(report.get("stages")), key=lambda stage: not stage.get("ran"))
-        ),
+        tuple(_stage(stage, total_ms, translate) for stage in _mappings(report.get("stages"))),
         tuple(_effect(effect, translate) for effect in _mappings(report.get("effects"))),
         warnings(report, translate),
     )
@@ -227,12 +226,9 @@ def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, 
 
 def _stage(stage: Mapping[str, Any], total_ms: float, translate: Translate) -> Line:
     name = str(stage.get("name", "?"))
-    label = translate(STAGES.get(name, name.capitalize()))
-    if not stage.get("ran"):
-        return Line(label, translate("skipped"), tip=_why(stage, translate("Skipped"), translate), good=False)
-    spent_ms = _number(stage.get("milliseconds"))
+    label, spent_ms = translate(STAGES.get(name, name.capitalize())), _number(stage.get("milliseconds"))
     part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
-    return Line(label, milliseconds(spent_ms), part, _why(stage, translate("Ran"), translate))
+    return Line(label, milliseconds(spent_ms), part, str(stage.get("reason") or ""))
 
 
 def _effect(effect: Mapping[str, Any], translate: Translate) -> Line:
@@ -240,30 +236,27 @@ def _effect(effect: Mapping[str, Any], translate: Translate) -> Line:
     label = translate(EFFECTS.get(name, name.replace("-", " ").title()))
     cost_ms = _number(effect.get("estimated_ms"))
     value = translate("about {time}").format(time=milliseconds(cost_ms)) if ran and cost_ms > 0 else ""
-    return Line(label, value, tip=_why(effect, translate("Ran") if ran else translate("Not run"), translate), good=ran)
-
-
-def _why(entry: Mapping[str, Any], word: str, translate: Translate) -> str:
-    """ "Not run: no finger is near another. Difference to a picture with it: at most 0.2 %" """
-    reason, bound = str(entry.get("reason") or ""), str(entry.get("bound") or "")
-    text = f"{word}: {reason}" if reason else word
+    reason, bound = str(effect.get("reason") or ""), str(effect.get("bound") or "")
+    tip = translate("Ran") if ran else translate("Not run")
+    tip += f": {reason}" if reason else ""
     if bound:
-        ran = entry.get("runs", entry.get("ran"))
         template = translate("Without it: {bound}") if ran else translate("Off by: {bound}")
-        text = f"{text.rstrip('.')}. {template.format(bound=bound)}"
-    return text.rstrip(".")
+        tip = f"{tip.rstrip('.')}. {template.format(bound=bound)}"
+    return Line(label, value, tip=tip.rstrip("."), good=ran)
 
 
 def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Line, ...]:
-    """What an artist should look at in the last picture, the joint out of its trained range first."""
+    """What an artist should look at in the last picture, the joint out of its trained range first; by the names of the
+    hands where there are several (`HANDS` of the report)."""
     outside, others = [], []
     for note in (str(note) for note in report.get("notes") or ()):
+        of, note = _hand_of(note, report.get(HANDS) or ())
         match = _OUTSIDE.fullmatch(note)
         if match is None:
-            others.append(Line(note.rstrip("."), tip=note.rstrip("."), good=False))
+            others.append(Line(f"{of}{note.rstrip('.')}", tip=note.rstrip("."), good=False))
             continue
         template = translate("{joint}: {angle} {beyond}° outside trained range")
-        text = template.format(
+        text = of + template.format(
             joint=match["joint"], angle=translate(match["angle"]), beyond=round(float(match["beyond"]))
         )
         tip = translate("{note}. Such a pose was in no image that the avatar learned from, so its skin is a guess")
@@ -273,6 +266,15 @@ def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Lin
         text = translate("{count} splats could not be drawn").format(count=invalid)
         others.append(Line(text, tip=translate("Their numbers are not finite: the avatar may be damaged"), good=False))
     return (*outside, *others)
+
+
+def _hand_of(note: str, names: Sequence[str]) -> tuple[str, str]:
+    """The name of the hand that a note is about, with a colon, and the note itself; "" where there is but one hand."""
+    match = _HAND.fullmatch(note)
+    number = int(match[1]) if match is not None else 0
+    if match is None or not 1 <= number <= len(names):
+        return "", note
+    return f"{names[number - 1]}: ", match[2]
 
 
 def folded(lines: Sequence[Line], most: int, translate: Translate = str) -> tuple[Line, ...]:

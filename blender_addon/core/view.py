@@ -95,12 +95,14 @@ def avatar_stamp(avatar: str) -> str:
 
 @dataclass(frozen=True)
 class HandInSpace:
-    """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters."""
+    """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters; name: for people
+    alone."""
 
     handedness: str
     joints_m: np.ndarray
     world_from_hand: np.ndarray
     avatar: str = BUILTIN_AVATAR
+    name: str = ""
 
     @property
     def joints_world_m(self) -> np.ndarray:

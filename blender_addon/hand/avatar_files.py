@@ -103,7 +103,7 @@ def stamp(avatar: str) -> str:
 
 
 def card_of(avatar: str) -> Card:
-    """The card of an avatar; its file is read again when it changed. JGHandFailure: bad_avatar."""
+    """The card of an avatar; its file is read again when it changed. JGHandFailure: bad_avatar, no_avatar."""
     if avatar in SHIPPED_CARDS:
         return SHIPPED_CARDS[avatar]
     now = stamp(avatar)
@@ -129,7 +129,7 @@ def gaussians_of(avatar: str) -> tuple[int, bool]:
 
 
 def read_card(path: Path) -> Card:
-    """The card of a `.jghand` file. JGHandFailure: bad_avatar."""
+    """The card of a `.jghand` file. JGHandFailure: bad_avatar, no_avatar."""
     try:
         with path.open("rb") as file:
             (length,) = struct.unpack("<Q", file.read(8))
@@ -138,8 +138,10 @@ def read_card(path: Path) -> Card:
             header = json.loads(file.read(length))
         written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
         return _card(json.loads(header["__metadata__"]["jghand"]), written)
+    except FileNotFoundError as error:
+        raise JGHandFailure("no_avatar", str(path)) from error
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, struct.error) as error:
-        raise JGHandFailure("bad_avatar", f"{path}: {str(error)[:200]}") from error
+        raise JGHandFailure("bad_avatar", f"{path}\n{type(error).__name__}: {str(error)[:200]}") from error
 
 
 def _card(about: Mapping[str, Any], written: str) -> Card:

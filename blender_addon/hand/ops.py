@@ -381,8 +381,10 @@ class LoadAvatar(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         path = Path(bpy.path.abspath(self.filepath))
-        if path.suffix != ".jghand" or not path.is_file():
-            raise JGHandFailure("bad_avatar", f"{path}: wanted a file that ends with .jghand")
+        if not path.is_file():
+            raise JGHandFailure("no_avatar", str(path))
+        if path.suffix != ".jghand":
+            raise JGHandFailure("bad_avatar", f"{path} does not end with .jghand")
         kept = folders.relative(str(path)) if self.relative_path and context.blend_data.filepath else self.filepath
         hands = _editable_hands(context)
         for thing in hands:

@@ -13,7 +13,7 @@ from ..core.joints import FINGERS, NAMES
 from ..errors import JGHandFailure
 from ..render import ENGINE
 from ..renderer import runtime
-from ..renderer.panel import draw_job, draw_status
+from ..renderer.panel import draw_failure, draw_job, draw_status
 from ..ui import Sidebar
 from ..viewport import views
 from . import armature, avatar_files, controls, poses, sources
@@ -104,12 +104,7 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
     for name, failure in views.problems():
         if told is not None and failure.kind == told.kind:
             continue
-        box = layout.box()
-        sentence = iface_(failure.advice.sentence)
-        ui.paragraph(box, context, f"{name}: {sentence}" if name else sentence, icon="ERROR")
-        ui.paragraph(box, context, failure.advice.remedy, icon="BLANK1")
-        if failure.detail not in ("", name):
-            ui.explained(box, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
+        draw_failure(layout.box(), context, failure, name)
     report = runtime.last_report(runtime.VIEWPORT)
     warnings = panel_text.warnings(report, iface_) if report is not None else ()
     for line in panel_text.folded(warnings, _WARNINGS, iface_):
@@ -146,7 +141,7 @@ class CardPanel(Sidebar, bpy.types.Panel):
         try:
             card = avatar_files.card_of(avatar_of(context.object))
         except JGHandFailure as failure:
-            ui.paragraph(layout, context, failure.advice.sentence, icon="ERROR")
+            draw_failure(layout, context, failure)
             return
         for name, value in card.lines():
             row = layout.split(factor=0.3)

@@ -76,7 +76,7 @@ def read(
 def read_shown(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray) -> list[HandInSpace]:
     """The hands of one of `instances.hands_shown`, with their avatar. Raises JGHandFailure as `sources.read_hands`."""
     avatar = avatar_of(hand)
-    return [replace(each, avatar=avatar) for each in sources.read_hands(hand, depsgraph, placed)]
+    return [replace(each, avatar=avatar, name=hand.name) for each in sources.read_hands(hand, depsgraph, placed)]
 
 
 def avatar_of(thing: bpy.types.Object) -> str:

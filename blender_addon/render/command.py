@@ -117,7 +117,7 @@ def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
     if options.avatar is not None:
         chosen = options.avatar if options.avatar in SHIPPED_AVATARS else str(Path(options.avatar).resolve())
         if chosen not in SHIPPED_AVATARS and not Path(chosen).is_file():
-            raise JGHandFailure("bad_avatar", f"{chosen} is no file")
+            raise JGHandFailure("no_avatar", chosen)
         for hand in filter(armature.is_any_hand, bpy.data.objects):
             hand.jghand.avatar = "" if chosen == BUILTIN_AVATAR else chosen
     frames = options.frames or range(current.frame_start, current.frame_end + 1, current.frame_step)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The render engine JGHand: F12, animations and `blender -b -a` draw the hands of a scene through its camera.
 
-A frame that cannot be exact fails the render with a report and writes nothing: `error_set` and exceptions would let
-Blender write an empty picture and go on (BLENDER 8.3). Where another scene's compositor asks for the hands, Blender
+A frame that cannot be exact fails the render with a report and writes nothing: `error_set` or an exception alone would
+let Blender write an empty picture and go on (BLENDER 8.3). Where another scene's compositor asks for the hands, Blender
 goes on after a report too, so the frame is filled with magenta, nearer than everything. Source: BLENDER 8.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import film
+from ..core import film, panel_text
 from ..core.view import Moment, Part, moments_request
 from ..errors import JGHandFailure
 from ..ops import sentence_of
@@ -24,6 +24,7 @@ from ..preferences import preferences
 from ..renderer import runtime
 from ..renderer.runtime import RenderNote
 from ..renderer.state import REQUEST_S
+from ..ui import POPUP_LETTERS
 from ..viewport.views import ViewportEngine
 from . import ENGINE, camera, composite, rendering, samples
 
@@ -84,7 +85,15 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             if composite.is_hands_scene(scene):
                 self._fill_magenta(depsgraph.view_layer.name)
                 rendering.hands_failed(scene, failure)
-            self.report({"ERROR"}, sentence_of(failure))
+            self._say(sentence_of(failure))
+
+    def _say(self, text: str) -> None:
+        """Above the image, where it stays, at the pointer, and in the status bar."""
+        self.error_set(text)
+        self.update_stats("", "")  # shows it
+        if not bpy.app.background:  # a pop-up is cut where its window ends; the status bar puts lines one after another
+            text = " \n".join(panel_text.wrapped(text, POPUP_LETTERS))
+        self.report({"ERROR"}, text)
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         clock = time.perf_counter()
@@ -152,12 +161,13 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
     def _tell(self, reports: list[dict[str, Any]], seen: list[Moment], times: tuple[float, float]) -> None:
         evaluate_ms, request_ms = (1e3 * seconds for seconds in times)
         if reports:
-            runtime.set_report(runtime.RENDER, reports[0])
+            names = tuple(hand.name for hand in seen[0].hands)
+            runtime.set_report(runtime.RENDER, {**reports[0], panel_text.HANDS: names})
         before = runtime.last_render()
         if before is None or before.failure is None:  # another view layer of this frame may have failed
             runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
         counts = [f"{len(seen[0].hands)} hands"] + ([f"{len(seen)} sub-frames"] if len(seen) > 1 else [])
-        drawn = [f"{report.get('total_ms', 0):.0f} ms in the engine" for report in reports]
+        drawn = [panel_text.milliseconds(report.get("total_ms", 0.0)) for report in reports]
         self.update_stats("JGHand", " · ".join([*counts, *drawn]))
         self.update_progress(1.0)
 

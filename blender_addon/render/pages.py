@@ -69,10 +69,10 @@ class _OwnPage(_Page):
 
 
 class QualityPage(_Page, bpy.types.Panel):
-    """Quality, in every scene with hands."""
+    """How hands are drawn, in every scene with hands."""
 
     bl_idname = "RENDER_PT_jghand_quality"
-    bl_label = "Hand Quality"
+    bl_label = "Hands"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -107,7 +107,7 @@ class ViewportPage(_Page, bpy.types.Panel):
         budget.prop(settings, "viewport_budget_ms", text="ms")
         preset = column.row()
         preset.active = not settings.use_viewport_budget
-        preset.prop(settings, "viewport_preset", text="Preset")
+        preset.prop(settings, "viewport_preset", text="Quality")
         column.prop(settings, "viewport_density", slider=True)
         column.prop(settings, "sharpen_when_still")
 
@@ -121,7 +121,7 @@ class RenderPage(_Page, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column, settings = ui.settings(self.layout), context.scene.jghand
-        column.prop(settings, "render_preset", text="Preset")
+        column.prop(settings, "render_preset", text="Quality")
         column.prop(settings, "motion_samples")
 
 

@@ -9,6 +9,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..core import panel_text
+from ..errors import JGHandFailure
 from . import runtime
 from .jobs import Phase
 
@@ -16,23 +17,24 @@ from .jobs import Phase
 _SILENT_S = 120.0
 
 
-def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """One line; when something is wrong, the sentence, what to do, and buttons that do it."""
+def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, buttons: bool = True) -> None:
+    """One line; when something is wrong, the sentence, what to do, and buttons that do it, unless they are there."""
     report = runtime.last_report(runtime.VIEWPORT)
     frame_ms = report.get("total_ms") if report is not None else None
     status = panel_text.status_text(runtime.link().status, frame_ms, iface_)
-    buttons = [button for button in status.buttons if ui.has_operator(button.operator)]
     if status.good:
         ui.explained(layout, panel_text.Line(status.text, tip=status.detail))
         return
     box = layout.box().column()
     ui.paragraph(box, context, status.text, icon="ERROR")
+    if status.detail:
+        ui.paragraph(box, context, status.detail.splitlines()[0], icon="BLANK1")
     if status.remedy:
         ui.paragraph(box, context, status.remedy, icon="BLANK1")
     if status.since or status.detail:
         ui.explained(box, panel_text.Line(status.since or iface_("Details"), tip=status.detail), icon="INFO")
     row = box.row(align=True)
-    for button in buttons:
+    for button in status.buttons if buttons else ():
         row.operator(button.operator, text=button.label)
 
 
@@ -47,14 +49,25 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -
         row.progress(factor=state.fraction or 0.0, text=state.sentence(iface_), translate=False)
         row.operator("jghand.cancel_job", text="", icon="CANCEL").key = key
         if job.silent_s > _SILENT_S:
-            text = iface_("It has said nothing for {minutes} min").format(minutes=round(job.silent_s / 60))
+            text = iface_("Silent for {time}").format(time=panel_text.duration(job.silent_s))
             layout.label(text=text, icon="TIME", translate=False)
     elif state.phase is Phase.FAILED and state.failure is not None:
-        ui.paragraph(layout, context, iface_(state.failure.advice.sentence) + ".", icon="ERROR")
-        ui.paragraph(layout, context, iface_(state.failure.advice.remedy) + ".")
-        if state.failure.detail:
-            ui.paragraph(layout, context, state.failure.detail.splitlines()[0])
+        draw_failure(layout, context, state.failure)
         layout.operator("jghand.show_job_log", icon="TEXT").key = key
+
+
+def draw_failure(
+    layout: bpy.types.UILayout, context: bpy.types.Context, failure: JGHandFailure, name: str = ""
+) -> None:
+    """What failed, of the thing of this name; what exactly, as far as it is one line; what to do."""
+    sentence = iface_(failure.advice.sentence)
+    ui.paragraph(layout, context, f"{name}: {sentence}" if name else sentence, icon="ERROR")
+    first, _, rest = failure.detail.partition("\n")
+    if first not in ("", name):
+        ui.paragraph(layout, context, first, icon="BLANK1")
+    ui.paragraph(layout, context, failure.advice.remedy, icon="BLANK1")
+    if rest:
+        ui.explained(layout, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
 
 
 _STATES = {

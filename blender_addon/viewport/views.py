@@ -22,6 +22,7 @@ import numpy as np
 from .. import clock
 from ..core import pacing
 from ..core.pacing import Activity, Attempts, DrawMoment, Pace, ViewSettings, Want
+from ..core.panel_text import HANDS
 from ..core.view import HandInSpace, Part, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
@@ -44,10 +45,11 @@ _OUTPUTS = ("rgba_u8", "depth")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a picture belongs: a part of the view, and how far its camera stood back, meters."""
+    """Where a picture belongs: a part of the view, how far its camera stood back, meters, and its hands by name."""
 
     part: Part
     room_m: float
+    hands: tuple[str, ...]
 
 
 @dataclass
@@ -323,8 +325,9 @@ def take(view: View, moment: DrawMoment) -> bool:
         arrays = answer.message.arrays
         view.came = np.asarray(arrays["rgba_u8"].view()), np.asarray(arrays["depth"].view())
         view.place = view.places.get(tag)
+        names = view.place.hands if view.place is not None else ()
         for report in answer.message.header.get("reports", [])[:1]:
-            runtime.set_report(runtime.VIEWPORT, report)
+            runtime.set_report(runtime.VIEWPORT, {**report, HANDS: names})
     return accepted or view.failure is not before
 
 
@@ -351,7 +354,7 @@ def _ask(view: View, ask: pacing.Ask) -> None:
     header, arrays = picture_request(pinhole, view.hands, outputs=_OUTPUTS, settings=ask.quality.settings())
     kept = {each.tag for each in view.pace.asks}
     view.places = {tag: place for tag, place in view.places.items() if tag in kept}
-    view.places[ask.tag] = Place(view.part, room_m)
+    view.places[ask.tag] = Place(view.part, room_m, tuple(hand.name for hand in view.hands))
     runtime.link().ask(view.slot, header, arrays, ask.tag, droppable=ask.droppable)
     clock.hasten(next_look_s(view))
 

@@ -139,6 +139,7 @@ class Capture:
 
     def _render(self, todo: list, python: Path) -> list[float]:
         from jghand_engine.captures.making.worker import render
+        from jghand_engine.learn.progress import duration
         from jghand_engine.native.threads import processors
 
         seconds: list[float] = []
@@ -150,7 +151,7 @@ class Capture:
                 now = time.monotonic()
                 if bar.disable and now - shown > _LINE_EVERY_S:
                     left_s = (now - started) / len(seconds) * (len(todo) - len(seconds))
-                    say(f"{len(seconds)} of {len(todo)} pictures, about {left_s / 60:.0f} minutes left")
+                    say(f"{len(seconds)} of {len(todo)} pictures, {duration(left_s)} left")
                     shown = now
         return seconds
 

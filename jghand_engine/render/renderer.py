@@ -245,8 +245,8 @@ class SceneRenderer:
             Pose(one, one.root_m - origin_m, keep_correctives=same_shape(one, angles_rad, settings))
             for one, angles_rad in zip(bones, corrected, strict=True)
         ]
-        unseen = [note for trained, pose in zip(self._ranges, poses, strict=True) for note in _unseen(trained, pose)]
-        notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
+        unseen = _by_hand([_unseen(trained, pose) for trained, pose in zip(self._ranges, poses, strict=True)])
+        notes = _by_hand([describe_flags(one.flags) for one in bones])
         angles = [
             old if pose.keep_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)
@@ -425,6 +425,12 @@ def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
     learned, price = avatar.learned.with_tier(wanted)
     told = str(Tier.EXACT) if price is None else f"{price.name} ({price.lost_db:.2f} dB lost)"
     return replace(avatar, learned=learned), f"correctives {told}"
+
+
+def _by_hand(notes: Sequence[Sequence[str]]) -> list[str]:
+    """The notes of all hands; of several each says which it is about, counted from 1."""
+    several = len(notes) > 1
+    return [f"hand {number}: {note}" if several else note for number, of in enumerate(notes, 1) for note in of]
 
 
 def _unseen(trained: np.ndarray | None, pose: Pose) -> list[str]:

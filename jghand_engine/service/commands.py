@@ -26,6 +26,12 @@ class Canceled(Exception):  # noqa: N818 - not an error: the client does not wan
     """A request was given up half way, because its client asked for that."""
 
 
+class AvatarError(InputError):
+    """An avatar that cannot be read. missing: there is no file of that name."""
+
+    missing = False
+
+
 def never() -> bool:
     """For requests that nobody cancels."""
     return False
@@ -142,6 +148,8 @@ def error_header(error: BaseException) -> dict[str, str]:
         return {"kind": "canceled", "sentence": "The request was canceled.", "detail": ""}
     kinds = ((MemoryLimitError, "out_of_memory"), (RetryError, "retry"), (InputError, "bad_input"))
     kind = next((name for known, name in kinds if isinstance(error, known)), "")
+    if isinstance(error, AvatarError):
+        kind = "no_avatar" if error.missing else "bad_avatar"
     if kind:
         return {"kind": kind, "sentence": str(error)[:DETAIL_MAX], "detail": ""}
     if is_out_of_memory(error):

@@ -24,7 +24,7 @@ from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
-from jghand_engine.service.commands import Canceled, LoadedAvatar, RenderedImage, never
+from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, never
 from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings
 
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
@@ -149,8 +149,15 @@ class HandImages:
         return loaded.for_hand(Handedness(handedness))
 
     def _load(self, version: _Version) -> HandAvatar:
-        """Reads a file as it is now, in the place of all that was read from it before."""
-        loaded = load_avatar_called(version.avatar)
+        """Reads a file as it is now, in the place of all that was read from it before. AvatarError."""
+        try:
+            loaded = load_avatar_called(version.avatar)
+        except InputError as error:
+            refusal = AvatarError(error.thing, wanted=error.wanted, came=error.came)  # what to do, the client says
+            if version.size < 0:
+                refusal = AvatarError(f"{version.avatar} is not there")
+                refusal.missing = True
+            raise refusal from error
         for older in [each for each in self._avatars if each.avatar == version.avatar]:
             del self._avatars[older]
         for key in [key for key in self._renderers if any(each.avatar == version.avatar for each, _ in key.hands)]:

@@ -51,6 +51,12 @@ def test_what_is_no_avatar_is_refused(tmp_path, content):
     assert caught.value.kind == "bad_avatar"
 
 
+def test_an_avatar_that_is_not_there_is_no_damaged_one(tmp_path):
+    with pytest.raises(JGHandFailure) as caught:
+        read_card(tmp_path / "a.jghand")
+    assert (caught.value.kind, caught.value.detail) == ("no_avatar", str(tmp_path / "a.jghand"))
+
+
 def test_long_and_many_lined_texts_of_an_avatar_do_not_break_the_panel(tmp_path):
     card = read_card(write_avatar(tmp_path / "a.jghand", name="a\n\nb" + "x" * 5000, gaussians=3))
     assert "\n" not in card.name

@@ -37,10 +37,10 @@ def test_the_engine_is_found_in_the_order_that_is_promised(tmp_path, monkeypatch
     assert engine_program(None, checkout=checkout, environment=named) == (str(chosen), *module)
     assert engine_program(None, checkout=checkout, environment={}) == (str(in_checkout), *module)
     assert engine_program(tools=tools, learns=True, environment={}) == (str(tools), *module)
-    for wrong in ({"python": str(tmp_path / "nothing")}, {}):
+    for wrong, kind in (({"python": str(tmp_path / "nothing")}, "no_python"), ({}, "no_interpreter")):
         with pytest.raises(JGHandFailure) as caught:
             engine_program(environment={}, **wrong)
-        assert caught.value.kind == "no_interpreter"
+        assert caught.value.kind == kind
 
 
 def test_the_engine_that_the_extension_carries_draws_and_does_not_learn(tmp_path, monkeypatch):

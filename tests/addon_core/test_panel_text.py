@@ -47,8 +47,13 @@ def test_every_failure_says_what_happened_when_and_what_to_do(kind):
 
 
 def test_before_the_first_picture_a_busy_engine_says_what_it_is_at():
-    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE, busy=True)).text == "Ready · CPU · first frame…"
+    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE, busy=True)).text == "First frame…"
     assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE)).text == "Ready · CPU"
+
+
+def test_an_engine_that_loads_is_not_called_ready():
+    status = Status("ready", 3.0, None, HANDSHAKE, busy=True, doing="Loading the avatar")
+    assert panel_text.status_text(status, 7.2).text == "Loading the avatar…"
 
 
 def test_a_ready_engine_says_since_when_in_the_small_print():
@@ -64,15 +69,8 @@ RECEIPT = {
     "invalid_gaussians": 0,
     "notes": [],
     "stages": [
-        {"name": "skin", "ran": True, "milliseconds": 1.81, "reason": "", "bound": ""},
-        {"name": "raster", "ran": True, "milliseconds": 3.62, "reason": "", "bound": ""},
-        {
-            "name": "shadow + compose",
-            "ran": False,
-            "milliseconds": 0.0,
-            "reason": "gate 0.21",
-            "bound": "at most 0.2 %",
-        },
+        {"name": "skin", "ran": True, "milliseconds": 1.81, "reason": "correctives exact"},
+        {"name": "raster", "ran": True, "milliseconds": 3.62, "reason": ""},
     ],
     "effects": [
         {
@@ -99,11 +97,9 @@ def test_a_receipt_becomes_bars_of_the_stages_that_ran():
     said = panel_text.receipt_text(RECEIPT)
     assert (said.total.text, said.total.value, said.total.good) == ("Last Frame", "7.2 ms", True)
     assert said.total.tip == "51,000 of 60,000 splats, drawn by avx2 on 2 threads"
-    skin, raster, shadow = said.stages
-    assert (skin.text, skin.value, skin.part) == ("Skin", "1.8 ms", 0.25)
-    assert (raster.text, raster.part) == ("Drawing", 0.5)
-    assert (shadow.text, shadow.value, shadow.part) == ("Shadow", "skipped", 0.0)
-    assert shadow.tip == "Skipped: gate 0.21. Off by: at most 0.2 %"
+    skin, raster = said.stages
+    assert (skin.text, skin.value, skin.part, skin.tip) == ("Skin", "1.8 ms", 0.25, "correctives exact")
+    assert (raster.text, raster.part, raster.tip) == ("Drawing", 0.5, "")
 
 
 def test_effects_say_whether_they_ran_and_why_in_a_tooltip_without_a_final_full_stop():
@@ -128,6 +124,14 @@ def test_a_joint_out_of_its_trained_range_is_named_before_everything_else():
     assert first.tip.startswith(notes[1])
     assert not first.tip.endswith(".")
     assert second.text == "The palm is nearly a line"
+
+
+def test_a_warning_names_its_hand_where_there_are_several():
+    notes = ["hand 2: index1 flexion 105°: 12° outside the 0° to 93° that was trained", "hand 1: a bone has no length"]
+    report = {**RECEIPT, "notes": notes, panel_text.HANDS: ("Left Hand", "Right Hand")}
+    first, second = panel_text.receipt_text(report).warnings
+    assert first.text == "Right Hand: index1: flexion 12° outside trained range"
+    assert second.text == "Left Hand: a bone has no length"
 
 
 def test_the_engines_own_sentence_about_a_joint_is_understood():
@@ -211,7 +215,7 @@ def test_everything_that_is_said_goes_through_the_translation():
 
 
 def test_durations_and_paragraphs_are_short():
-    assert [panel_text.duration(s) for s in (-1, 59, 59.6, 61, 7200)] == ["0 s", "59 s", "1 min", "1 min", "2 h"]
+    assert [panel_text.duration(s) for s in (-1, 59, 59.6, 61, 7200)] == ["0 s", "59 s", "1 min", "1 min", "2 h 00 min"]
     assert panel_text.duration(3900) == "1 h 05 min"
     assert panel_text.wrapped("one two three four", 12) == ["one two", "three four"]
     assert panel_text.wrapped("one threeteen two", 6) == ["one", "threeteen", "two"]

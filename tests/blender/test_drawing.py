@@ -127,7 +127,7 @@ def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, m
     )
     context = SimpleNamespace(window_manager=manager, temp_override=lambda window: nullcontext(window))
     monkeypatch.setattr(ui, "bpy", SimpleNamespace(app=SimpleNamespace(background=False), context=context))
-    text = "Frame 3 has no hands and is not written: Mirrored scale is not supported. Use the other hand instead"
+    text = "Frame 3 has no hands and is not written: A scale of zero is not supported. Give the object a scale"
     ui.show_message(text, icon="ERROR", operators=(("jghand.use_engine", "RESTRICT_RENDER_OFF"),))
     ((draw, options),) = shown
     layout = RecordingLayout()

@@ -93,8 +93,8 @@ def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, e
     assert "jghand.restart_engine" in layout.operators
     runtime.use_link(None)
     monkeypatch.setenv(VARIABLE, "/nowhere/python")
-    assert "No renderer was found" in refuses(bpy.ops.jghand.restart_engine)
-    assert "No renderer was found" in " ".join(draw_preferences(extension).texts)
+    assert "The chosen Python does not exist" in refuses(bpy.ops.jghand.restart_engine)
+    assert "The chosen Python does not exist" in " ".join(draw_preferences(extension).texts)
 
 
 def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension, tmp_path, monkeypatch):
@@ -134,7 +134,7 @@ def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_i
         return found[0]
 
     runtime.use_link(EngineLink(look))
-    assert "No renderer was found" in refuses(bpy.ops.jghand.restart_engine)
+    assert "The renderer cannot be started" in refuses(bpy.ops.jghand.restart_engine)
     found.append(stand_in_command)
     runtime.look_again()
     runtime.link().wait_until_ready()

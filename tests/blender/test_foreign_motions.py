@@ -215,7 +215,7 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "program", none)
     path = tmp_path / "wave.bvh"
     path.write_text("HIERARCHY\n")
-    with pytest.raises(RuntimeError, match="No renderer was found"):
+    with pytest.raises(RuntimeError, match="The renderer cannot be started"):
         bpy.ops.jghand.import_motion(filepath=str(path))
 
 

@@ -38,10 +38,7 @@ RECEIPT = {
     "gaussians": 60000,
     "visible_gaussians": 51000,
     "notes": ["index1 flexion 105°: 12° outside the 0° to 93° that was trained"],
-    "stages": [
-        {"name": "skin", "ran": True, "milliseconds": 3.6},
-        {"name": "ids", "ran": False, "reason": "not asked"},
-    ],
+    "stages": [{"name": "skin", "ran": True, "milliseconds": 3.6}],
     "effects": [
         {"effect": "depth", "runs": True, "reason": "requested", "estimated_ms": 0.5},
         {"effect": "self-shadow", "runs": False, "reason": "no finger is near another", "estimated_ms": 0.4},
@@ -200,17 +197,35 @@ def test_a_ready_renderer_is_told_in_the_preferences_alone(extension, engine):
 def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
     engine.status = Status("failed", 5.0, JGHandFailure("no_interpreter", "nothing found"))
     seen = draw(hand_panel.HandPanel, extension)
-    assert "No renderer was found" in text_of(seen)
+    assert "The renderer cannot be started" in text_of(seen)
     assert "jghand.open_preferences" in seen.operators
+
+
+def test_a_chosen_python_that_does_not_exist_is_named(extension, engine):
+    engine.status = Status("failed", 5.0, JGHandFailure("no_python", "/nowhere/python"))
+    said = text_of(draw(hand_panel.HandPanel, extension))
+    assert said.startswith("The chosen Python does not exist /nowhere/python")
+
+
+@pytest.mark.parametrize("damaged", [True, False])
+def test_an_avatar_that_is_damaged_or_gone_is_told_in_the_panel(extension, engine, monkeypatch, tmp_path, damaged):
+    file, hand = tmp_path / "mine.jghand", add()
+    file.write_bytes(b"no avatar") if damaged else None
+    hand.jghand.avatar = str(file)
+    sentence = "The avatar is damaged" if damaged else "The file of the avatar does not exist"
+    assert sentence in text_of(draw(hand_panel.CardPanel, extension))
+    told = f"{file}: wanted a .jghand file, got a header of no length."
+    monkeypatch.setattr(views, "problems", lambda: [("", JGHandFailure("bad_avatar", told))])
+    assert told in text_of(draw(hand_panel.HandPanel, extension))
 
 
 def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatch):
     add()
-    found = [("Right Hand", JGHandFailure("mirrored", "small print")), ("", JGHandFailure("killed"))]
+    found = [("Right Hand", JGHandFailure("zero_scale", "small print")), ("", JGHandFailure("killed"))]
     monkeypatch.setattr(views, "problems", lambda: found)
     engine.status = Status("failed", 5.0, JGHandFailure("killed"))
     said = text_of(draw(hand_panel.HandPanel, extension))
-    assert "Right Hand: Mirrored scale is not supported" in said
+    assert "Right Hand: A scale of zero is not supported" in said
     assert said.count("The system ended the renderer") == 1
 
 

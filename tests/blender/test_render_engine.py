@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import hands
@@ -459,6 +460,24 @@ def test_no_camera_is_said(scene):
     scene.camera = None
     with pytest.raises(RuntimeError, match="camera"):
         bpy.ops.render.render(write_still=True)
+
+
+def test_a_failed_render_says_why_above_its_image_too_and_in_lines_that_fit_a_pop_up():
+    said, engine = [], render_engine.JGHandRenderEngine
+    fake = SimpleNamespace(
+        error_set=lambda text: said.append(("image", text)),
+        update_stats=lambda *_: said.append(("shown", "")),
+        report=lambda kind, text: said.append((kind, text)),
+    )
+    text = "Orthographic cameras have no depth of field here. Switch it off, or choose another (Hand Camera)"
+    engine._say(fake, text)
+    assert said == [("image", text), ("shown", ""), ({"ERROR"}, text)]  # a log has its sentence in one line
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(render_engine, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+        engine._say(fake, text)
+    lines = said[-1][1].split(" \n")
+    assert " ".join(lines) == text
+    assert max(map(len, lines)) <= 48
 
 
 def test_a_scene_without_hands_is_said(scene):

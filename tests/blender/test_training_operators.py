@@ -268,10 +268,10 @@ def test_a_linked_hand_keeps_its_avatar(library):
     assert "linked from another file" in said[0]
 
 
-@pytest.mark.parametrize("name", ["none.jghand", "scene.blend"])
-def test_what_is_no_avatar_is_not_put_on_a_hand(place, name):
+@pytest.mark.parametrize(("name", "why"), [("none.jghand", "does not exist"), ("scene.blend", "no JGHand avatar")])
+def test_what_is_no_avatar_is_not_put_on_a_hand(place, name, why):
     bpy.ops.jghand.add_hand(handedness="right")
-    with pytest.raises(RuntimeError, match="not a JGHand avatar"):
+    with pytest.raises(RuntimeError, match=why):
         bpy.ops.jghand.load_avatar(filepath=str(place / name))
     assert bpy.context.object.jghand.avatar == ""
 
@@ -288,7 +288,7 @@ def test_the_card_is_shown_and_an_avatar_without_one_says_so(place, monkeypatch)
     assert "Ana's hand" in text
     assert "12345" in text
     file.write_bytes(b"another")
-    assert "not a JGHand avatar" in text_of(hand_panel.CardPanel)
+    assert "no JGHand avatar" in text_of(hand_panel.CardPanel)
 
 
 def test_the_size_of_an_export_is_said_before_the_click(place):

@@ -88,7 +88,7 @@ def step_a_combined_picture_whose_hands_failed_is_magenta_and_says_why(window):
     bpy.context.preferences.view.render_display_type = "NONE"
     bpy.ops.mesh.primitive_cube_add(size=0.02, location=(0.2, 0.2, 0.0))
     window.call("jghand.combine_with_scene")
-    _hand().scale.x = -1.0
+    _hand().scale = (0.0, 0.0, 0.0)
     scene.render.filepath = str(window.out / "combined.png")
     shown, interface = [], window.module("ui")
     show = interface.show_message
@@ -99,7 +99,7 @@ def step_a_combined_picture_whose_hands_failed_is_magenta_and_says_why(window):
         yield lambda: shown
     finally:
         interface.show_message = show
-    assert "failed and are magenta: Mirrored scale" in shown[0]
+    assert "failed and are magenta: A scale of zero" in shown[0]
     assert (window.out / "combined.png").exists()
     yield 0.5
     window.picture("combined_failed")

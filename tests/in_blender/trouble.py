@@ -67,7 +67,7 @@ def step_no_engine_at_all_is_a_sentence_too(window):
     yield 0.7
     window.picture("no_engine")
     failure = window.runtime().link().status.failure
-    assert failure.kind == "no_interpreter"
+    assert failure.kind == "no_python"
     assert "/nowhere/python" in failure.detail
     preferences.engine_python = ""
     window.runtime().link().restart()

@@ -23,7 +23,7 @@ def test_a_status_is_one_line():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(7.4, "7 s"), (59.9, "60 s"), (90, "2 min"), (3599, "1 h 00 min"), (7500, "2 h 05 min")]
+    ("seconds", "text"), [(7.4, "7 s"), (59.9, "1 min"), (90, "2 min"), (3599, "1 h 00 min"), (7500, "2 h 05 min")]
 )
 def test_durations_read_well(seconds, text):
     assert duration(seconds) == text

@@ -313,6 +313,8 @@ def test_odd_hands_are_noted(backend: str):
     frame = HandRenderer(RIGHT, replace(ALWAYS, backend=backend)).render(joints, camera())
     assert "a bone has no length" in frame.report.notes
     assert np.isfinite(frame.rgba).all()
+    both = SceneRenderer([RIGHT, RIGHT], replace(ALWAYS, backend=backend)).render([CANONICAL_M, joints], camera())
+    assert both.report.notes == ["hand 2: a bone has no length"]
 
 
 # ---- bad input ------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from jghand_engine.render import blur, budget
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
-from jghand_engine.service.commands import Canceled
+from jghand_engine.service.commands import Canceled, error_header
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
 from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand
 
@@ -177,6 +177,18 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
 
 def test_a_png_is_encoded(source, right):
     assert source.encode_png(source.render(asked([right])).rgba).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("content", "kind"), [(None, "no_avatar"), (b"no avatar", "bad_avatar")])
+def test_an_avatar_that_is_gone_is_told_from_a_damaged_one(source, right, tmp_path, content, kind):
+    path = tmp_path / "mine.jghand"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        source.render(asked([replace(right, avatar=str(path))]))
+    told = error_header(caught.value)
+    assert told["kind"] == kind
+    assert str(path) in told["sentence"]
 
 
 @pytest.mark.parametrize("changes", [{"handedness": "both"}, {"avatar": "/nowhere.jghand"}])
