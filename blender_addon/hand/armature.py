@@ -23,8 +23,9 @@ from ..core.joints import HANDEDNESSES, NAMES, OTHER, PARENTS, TAILS, TIPS, WRIS
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 
-# a finger tip ends the hand; its bone only marks the place
-TIP_BONE_M = 0.005
+# a fingertip's joint lies at the skin, within 2 mm on the shipped avatars; its bone marks the place, as short as single
+# precision still gives it a direction
+TIP_BONE_M = 0.001
 # where a hand is that no instance shows: at its own place
 UNPLACED = np.eye(4)
 # det of the normalized axes of an object: below it, its scale is (nearly) zero in some direction

@@ -12,7 +12,7 @@ inverse kinematics for the whole finger, which has the same limits as properties
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 
 import bpy
 import numpy as np
@@ -38,6 +38,8 @@ from . import armature, motion
 
 # turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
 IK_ITERATIONS = 500
+# length of the controls' bones, which show shapes instead, meters
+CONTROL_BONE_M = 0.005
 # how large the shapes of the controls are drawn, meters: radius of a ring around a finger, of a ball at a tip; half the
 # width and depth of the bracelet around the palm, and its way from the wrist
 FINGER_SHAPE_M, TIP_SHAPE_M, HAND_SHAPE_M = 0.014, 0.006, (0.062, 0.03, 0.05)
@@ -201,13 +203,14 @@ def show_held_tips(hand: bpy.types.Object) -> None:
     hand.data.collections[TIP_COLLECTION].is_visible = held
 
 
-def reset_controls(hand: bpy.types.Object) -> list[Touched]:
-    """Every control to its neutral place; the hand then shows the keys of its 21 bones. Returns what it changed."""
-    rules = [tip_rule(hand, finger) for finger in range(len(FINGERS))]
+def reset_controls(hand: bpy.types.Object, names: Container[str] = CONTROLS) -> list[Touched]:
+    """Controls, all or those of these names, to their neutral place; the hand then shows the keys of its 21 bones.
+    Returns what it changed."""
+    rules = [tip_rule(hand, finger) for finger, name in enumerate(TIP_CONTROLS) if name in names]
     for rule in rules:
         rule.influence = 0.0
     show_held_tips(hand)
-    bones = [(hand.pose.bones[name], controls.channel(name)) for name in CONTROLS]
+    bones = [(hand.pose.bones[name], controls.channel(name)) for name in CONTROLS if name in names]
     for bone, channel in bones:
         setattr(bone, channel, (0.0, 0.0, 0.0))
     return [*((rule, "influence") for rule in rules), *bones]
@@ -257,7 +260,7 @@ def _make_bones(data: bpy.types.Armature, matrices: dict[str, np.ndarray], unit_
     for name, matrix in matrices.items():
         bone = data.edit_bones.get(name) or data.edit_bones.new(name)
         head, along = Vector(matrix[:3, 3]), Vector(matrix[:3, 1])
-        bone.head, bone.tail = head, head + along * (armature.TIP_BONE_M / unit_m)
+        bone.head, bone.tail = head, head + along * (CONTROL_BONE_M / unit_m)
         bone.align_roll(Vector(matrix[:3, 2]))
         bone.use_connect = bone.use_deform = False
         bone.parent = None if name in TIP_CONTROLS else data.edit_bones[NAMES[WRIST]]

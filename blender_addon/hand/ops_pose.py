@@ -9,6 +9,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import ops as common
+from .. import versions
 from ..core import poses
 from ..ops import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_bones, poll_controls, poll_hand, poll_hands
 from . import armature, controls
@@ -39,11 +40,17 @@ class _Posing(Reporting):
         raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> None:
+        posed = False
         for hand in self.hands(context):
             touched = self.pose_one(context, hand)
-            if self.use_keys or common.keys_itself(context):
+            if touched and (self.use_keys or common.keys_itself(context)):
                 hand_poses.key(touched, context.scene.frame_current_final)
+                if hand.mode != "POSE":
+                    versions.select_bones(hand)
             hand.update_tag()
+            posed = posed or bool(touched)
+        if not posed:
+            self.warn(rpt_("No finger bone is selected: nothing was posed."))
 
 
 class ApplyPose(_Posing, bpy.types.Operator):
@@ -52,8 +59,8 @@ class ApplyPose(_Posing, bpy.types.Operator):
     bl_idname = "jghand.apply_pose"
     bl_label = "Apply Pose"
     bl_description = (
-        "Give this pose to the fingers of the selected hands, right and left. Controls go to neutral, pinned tips "
-        "are released, the wrist stays"
+        "Give this pose to the fingers of the selected hands, in pose mode to the selected bones alone, where any is. "
+        "Controls go to neutral, pinned tips are released, the wrist stays"
     )
     bl_options = UNDOABLE
 
@@ -69,7 +76,8 @@ class ApplyPose(_Posing, bpy.types.Operator):
     )
 
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
-        return hand_poses.take_pose(hand, poses.pose_named(self.pose, armature.handedness_of(hand)), self.part)
+        pose = poses.pose_named(self.pose, armature.handedness_of(hand))
+        return hand_poses.take_pose(hand, pose, self.part, hand_poses.chosen_part(hand))
 
 
 class FlipPose(_Posing, bpy.types.Operator):
@@ -105,11 +113,14 @@ class ResetPose(_Posing, bpy.types.Operator):
 
     bl_idname = "jghand.reset_pose"
     bl_label = "Reset Pose"
-    bl_description = "Put the fingers and controls of the selected hands back to rest; the wrist stays"
+    bl_description = (
+        "Put the fingers and controls of the selected hands back to rest, in pose mode the selected bones alone, where "
+        "any is; the wrist stays"
+    )
     bl_options = UNDOABLE
 
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
-        return hand_poses.reset_pose(hand)
+        return hand_poses.reset_pose(hand, hand_poses.chosen_part(hand))
 
 
 class InstallPoseLibrary(Reporting, bpy.types.Operator):

@@ -9,14 +9,15 @@ The left hand's bones have the mirrored axes of the right hand's (`core.posing`)
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 from mathutils import Quaternion
 
-from .. import clock
+from .. import clock, versions
 from ..core import controls as control_numbers
-from ..core.controls import CONTROLS
+from ..core.controls import CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS
 from ..core.poses import HandPose
 from ..errors import JGHandFailure
@@ -36,7 +37,37 @@ _tries_left = 0
 MOVING_BONES = tuple(name for finger in range(len(FINGERS)) for name in control_numbers.moving_bones(finger))
 
 
-def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0) -> list[Touched]:
+@dataclass(frozen=True)
+class PosedPart:
+    """Which part of a hand is posed. bones: of the 15 that move · controls: those that are put back to neutral."""
+
+    bones: frozenset[str]
+    controls: frozenset[str]
+
+
+WHOLE_HAND = PosedPart(frozenset(MOVING_BONES), frozenset(CONTROLS))
+
+
+def chosen_part(hand: bpy.types.Object) -> PosedPart:
+    """As Blender's pose library has it: in pose mode the selected bones, the whole hand where none is.
+
+    A selected control stands for what it moves. The controls of a finger that is posed in part stay as they are, for
+    they would move its other bones.
+    """
+    selected = versions.selected_bones(hand) if hand.mode == "POSE" else set()
+    if not selected or HAND_CONTROL in selected:
+        return WHOLE_HAND
+    bones, neutral = set(), set()
+    for finger in range(len(FINGERS)):
+        own = {control_numbers.FINGER_CONTROLS[finger], control_numbers.TIP_CONTROLS[finger]}
+        moving = set(control_numbers.moving_bones(finger))
+        posed = moving if own & selected else moving & selected
+        bones |= posed
+        neutral |= own if posed == moving else set()
+    return WHOLE_HAND if bones == WHOLE_HAND.bones else PosedPart(frozenset(bones), frozenset(neutral))
+
+
+def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0, only: PosedPart = WHOLE_HAND) -> list[Touched]:
     """Turns the finger bones as the pose says, and puts controls back to neutral; the wrist stays.
 
     part: 0 to 1, how far from the bones' present turns towards the pose. Returns what it changed, for `key`.
@@ -48,12 +79,13 @@ def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0) -> list
         raise JGHandFailure("not_a_hand", f"{hand.name} is no {pose.handedness} hand")
     touched = []
     for name, turn in pose.turns.items():
-        bone = hand.pose.bones[name]
-        touched.append(_set_turn(bone, _turn(bone).slerp(Quaternion(turn), part)))
-    return touched + _reset_controls(hand)
+        if name in only.bones:
+            bone = hand.pose.bones[name]
+            touched.append(_set_turn(bone, _turn(bone).slerp(Quaternion(turn), part)))
+    return touched + _reset_controls(hand, only)
 
 
-def reset_pose(hand: bpy.types.Object) -> list[Touched]:
+def reset_pose(hand: bpy.types.Object, only: PosedPart = WHOLE_HAND) -> list[Touched]:
     """Fingers and controls back to rest; the wrist, and so the place of the hand, stays. Raises: not_a_hand.
 
     Returns what it changed.
@@ -61,10 +93,11 @@ def reset_pose(hand: bpy.types.Object) -> list[Touched]:
     armature.rest_matrices_of(hand)  # refuses what has not all bones
     touched: list[Touched] = []
     for name in MOVING_BONES:
-        bone = hand.pose.bones[name]
-        bone.location, bone.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-        touched += [(bone, "location"), _set_turn(bone, Quaternion()), (bone, "scale")]
-    return touched + _reset_controls(hand)
+        if name in only.bones:
+            bone = hand.pose.bones[name]
+            bone.location, bone.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+            touched += [(bone, "location"), _set_turn(bone, Quaternion()), (bone, "scale")]
+    return touched + _reset_controls(hand, only)
 
 
 def copy_pose(source: bpy.types.Object, target: bpy.types.Object) -> list[Touched]:
@@ -92,8 +125,8 @@ def key(touched: Iterable[Touched], frame: float) -> None:
         owner.keyframe_insert(path, frame=frame, group=owner.path_from_id().split('"')[1])
 
 
-def _reset_controls(hand: bpy.types.Object) -> list[Touched]:
-    return controls.reset_controls(hand) if controls.has_controls(hand) else []
+def _reset_controls(hand: bpy.types.Object, only: PosedPart = WHOLE_HAND) -> list[Touched]:
+    return controls.reset_controls(hand, only.controls) if controls.has_controls(hand) else []
 
 
 def _copy_controls(source: bpy.types.Object, target: bpy.types.Object, mirrored: bool) -> list[Touched]:

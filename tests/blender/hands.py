@@ -95,6 +95,12 @@ def joint_empties(context: bpy.types.Context, handedness: str) -> list[bpy.types
     return things
 
 
+def select_bones(thing: bpy.types.Object, *names: str) -> None:
+    """Selects these bones alone."""
+    for bone in thing.pose.bones:
+        (bone if hasattr(bone, "select") else bone.bone).select = bone.name in names
+
+
 def put(thing: bpy.types.Object, place: tuple) -> None:
     location, rotation, scale = place
     thing.matrix_world = Matrix.LocRotScale(Vector(location), Euler(rotation), Vector(scale))

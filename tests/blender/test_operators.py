@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -61,6 +62,7 @@ ANYWHERE = {
 _OF_FILE_BROWSERS = ("filepath", "directory", "files")
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
 EXACT_M = 1e-6
+ALL_CURLS = (HAND_CONTROL, *FINGER_CONTROLS)
 
 
 def add(side: str = "right", **options: object) -> bpy.types.Object:
@@ -286,6 +288,61 @@ def test_a_pose_is_keyed_where_it_is_asked_for_and_with_auto_keying(extension):
     assert {key.co[0] for curve in versions.fcurves(thing) for key in curve.keyframe_points} == {7.0, 20.0}
     extension.scene.frame_set(7)
     np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+
+
+def shown_curves(thing: bpy.types.Object) -> int:
+    """How many curves a timeline with Only Show Selected shows: those of selected bones."""
+    selected = versions.selected_bones(thing)
+    return sum(curve.data_path.split('"')[1] in selected for curve in versions.fcurves(thing))
+
+
+def test_the_timeline_shows_the_keys_of_a_pose_in_object_mode(extension):
+    thing = add()
+    assert versions.selected_bones(thing) >= {*hand_poses.MOVING_BONES, *FINGER_CONTROLS}
+    assert not versions.selected_bones(thing) & {"tip_index"}, "it is hidden until its tip is pinned"
+    bpy.ops.jghand.apply_pose(pose="fist", use_keys=True)
+    assert shown_curves(thing) >= 15 * 4
+    hands.select_bones(thing)
+    bpy.ops.jghand.apply_pose(pose="fist", use_keys=True)
+    assert shown_curves(thing) >= 15 * 4
+
+
+@pytest.mark.parametrize("what", ["apply_pose", "reset_pose"])
+@pytest.mark.parametrize(
+    ("selected", "posed", "neutral"),
+    [
+        ((), hand_poses.MOVING_BONES, ALL_CURLS),
+        (("index2",), ("index2",), ()),
+        (("index1", "index2", "index3", "wrist"), ("index1", "index2", "index3"), (FINGER_CONTROLS[1],)),
+        ((FINGER_CONTROLS[4],), ("pinky1", "pinky2", "pinky3"), (FINGER_CONTROLS[4],)),
+        ((HAND_CONTROL,), hand_poses.MOVING_BONES, ALL_CURLS),
+    ],
+    ids=["nothing", "a bone", "a finger", "a ring", "the bracelet"],
+)
+def test_in_pose_mode_selected_bones_alone_are_posed(extension, what, selected, posed, neutral):
+    thing = add()
+    for name in hand_poses.MOVING_BONES:
+        thing.pose.bones[name].rotation_quaternion = (math.cos(0.1), 0.0, math.sin(0.1), 0.0)
+    for name in ALL_CURLS:
+        thing.pose.bones[name].rotation_euler.x = 0.1
+    bpy.ops.object.mode_set(mode="POSE")
+    hands.select_bones(thing, *selected)
+    before = {bone.name: bone.matrix_basis.copy() for bone in thing.pose.bones}
+    call = bpy.ops.jghand.reset_pose if what == "reset_pose" else partial(bpy.ops.jghand.apply_pose, pose="fist")
+    assert call(use_keys=True) == {"FINISHED"}
+    changed = {name for name, matrix in before.items() if thing.pose.bones[name].matrix_basis != matrix}
+    assert changed == {*posed, *neutral}
+    keyed = {curve.data_path.split('"')[1] for curve in versions.fcurves(thing)}
+    assert {name for name in keyed if not name.startswith("tip_")} == {*posed, *neutral}
+    assert versions.selected_bones(thing) == set(selected), "the selection stays"
+
+
+def test_a_selection_without_a_finger_is_told(extension, capfd):
+    thing = add()
+    bpy.ops.object.mode_set(mode="POSE")
+    hands.select_bones(thing, "wrist")
+    assert bpy.ops.jghand.apply_pose(pose="fist") == {"FINISHED"}
+    assert "No finger bone is selected" in capfd.readouterr().out
 
 
 def key_by_hand(thing: bpy.types.Object, *, bones: bool) -> None:
