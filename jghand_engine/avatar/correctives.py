@@ -33,7 +33,8 @@ class PoseNetShape:
     angle_channels: features of the angle planes
     angle_texels:   width and height of the angle planes
     hidden:         width of the two hidden layers
-    level1:         whether metacarpals have features
+    level1:         whether metacarpals have features that depend on the pose; the paper keeps them constant, and the
+                    angles of a rigid palm say more about errors of the joints than about the pose
     reach_m:        longest offset along an axis, meters
     shaded:         whether the shade is predicted too
     """
@@ -42,7 +43,7 @@ class PoseNetShape:
     angle_channels: int = 16
     angle_texels: int = 16
     hidden: int = 128
-    level1: bool = True
+    level1: bool = False
     reach_m: float = 0.010
     shaded: bool = True
 

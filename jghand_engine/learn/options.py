@@ -11,7 +11,11 @@ from jghand_engine.learn.model import ModelOptions, OffsetFrame
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2)."""
+    """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2).
+
+    roughness:       of the identity planes
+    angle_roughness: of the angle planes, whose texels that no pose touched would stay as random as they began
+    """
 
     l1: float = 1.0
     ssim: float = 0.2
@@ -19,6 +23,7 @@ class LossWeights:
     mask: float = 0.2
     offset: float = 0.1
     roughness: float = 1e-4
+    angle_roughness: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,9 @@ class TrainOptions:
     schedule:       in which order
     shadow:         whether the screen-space self-shadow is part of the picture; the cast one is the model's
     shadow_samples: its taps
+    joint_noise_m:  standard deviation, along each axis, of an error of the joints in the angles that the pose's network
+                    reads, new in every step; the bones stay exact. What the network adds then answers to the pose and
+                    not to the last half millimeter of a joint
     transform:      how the bones follow the joints
     seed:           of all that is random
     """
@@ -67,6 +75,7 @@ class TrainOptions:
     schedule: Schedule = field(default_factory=Schedule)
     shadow: bool = True
     shadow_samples: int = 16
+    joint_noise_m: float = 5e-4
     transform: Transform = Transform.JOINTS
     seed: int = 0
 
@@ -89,12 +98,13 @@ PAPER_FAITHFUL = TrainOptions(
         glossy=False,
         cast_shadow=False,
     ),
-    loss=LossWeights(perceptual=0.2, offset=1.0, roughness=0.0),
+    loss=LossWeights(perceptual=0.2, offset=1.0, roughness=0.0, angle_roughness=0.0),
     schedule=Schedule(
         views=1, rate=1e-3, plane_rate=1e-3, last_part=1.0, levels=((0.0, 1.0),), strides=((0.0, 1),), waves=None,
         perceptual_from=0.0,
     ),
     shadow_samples=64,
+    joint_noise_m=0.0,
 )  # fmt: skip
 
 PRESETS = {"default": TrainOptions(), "paper-faithful": PAPER_FAITHFUL}

@@ -32,9 +32,14 @@ class FixedLookup(nn.Module):
         return weighted_rows(self.texels, self._corner[:, :count], self._weight[:, :count])  # type: ignore[index]
 
     def roughness(self) -> Tensor:
-        """Mean squared difference of neighboring texels: the total variation that METHOD 4.2 keeps small."""
-        plane = self.texels.reshape(self.shape)
-        return plane.diff(dim=0).square().mean() + plane.diff(dim=1).square().mean()
+        """See `roughness`."""
+        return roughness(self.texels.reshape(self.shape).movedim(-1, 0))
+
+
+def roughness(planes: Tensor) -> Tensor:
+    """Mean squared difference of neighboring texels of planes (..., rows, columns): the total variation that METHOD 4.2
+    keeps small."""
+    return planes.diff(dim=-2).square().mean() + planes.diff(dim=-1).square().mean()
 
 
 def weighted_rows(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:

@@ -23,14 +23,17 @@ from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.cast_shadow import LampsSeen
+from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss
 from jghand_engine.learn.model import LearnedHand
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import LruCache, Pictures, View
+from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
@@ -164,7 +167,7 @@ class HandTraining:
         samples = self._draw(number)
         views = [self._pictures.view(sample, stride) for sample in samples]
         self._set_rates(number, part)
-        terms = self._terms(samples[0], views, part)
+        terms = self._terms(samples[0], views, part, self._read_frames(samples[0], number))
         loss = torch.stack([term.cpu() for term in terms.values()]).sum()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -255,11 +258,13 @@ class HandTraining:
         for group, rate in zip(self._optimizer.param_groups, (schedule.rate, schedule.plane_rate), strict=True):
             group["lr"] = rate * factor
 
-    def _terms(self, sample: Sample, views: Sequence[View], part: float) -> dict[str, Tensor]:
-        """The weighted terms of the loss of one pose."""
+    def _terms(
+        self, sample: Sample, views: Sequence[View], part: float, read: HandFrames | None = None
+    ) -> dict[str, Tensor]:
+        """The weighted terms of the loss of one pose. read: see `_read_frames`"""
         weights, avatar = self.options.loss, self._live()
         posed = self._posed_bones(sample)
-        skin, offset_m = self._pose(avatar, posed, part)
+        skin, offset_m = self._pose(avatar, posed, part, read)
         terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
         for view in views:
             rgb, alpha = self._draw_view(avatar, skin, posed.shadow, view.camera)
@@ -275,14 +280,28 @@ class HandTraining:
         mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
         if weights.roughness:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
+        if weights.angle_roughness:
+            mean["angle_roughness"] = weights.angle_roughness * roughness(self.hand.pose_net.angles.planes)
         return mean
+
+    def _read_frames(self, sample: Sample, number: int) -> HandFrames | None:
+        """The frames whose angles the pose's network reads in this step; None: those of the bones."""
+        if not self.options.joint_noise_m:
+            return None
+        noise = np.random.default_rng([self.options.seed, number]).normal(size=(21, 3))
+        if self._handedness is Handedness.LEFT:  # a left hand is learned as its mirror image is
+            noise[:, 0] *= -1
+        frames = self._transform.frames(torch.from_numpy(sample.joints_m + self.options.joint_noise_m * noise).float())
+        return mapped(frames, lambda tensor: tensor.to(self._device))
 
     def _live(self, count: int = 0) -> HandTensors:
         return self.hand.avatar(self._info, handedness=self._handedness, count=count or self._count)
 
-    def _pose(self, avatar: HandTensors, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
-        """The skin of a pose, and its offsets (N, 3) meters."""
-        correction = self.hand.pose_net(posed.bones.frames, len(avatar), self._wave_weight(part))
+    def _pose(
+        self, avatar: HandTensors, posed: _PosedBones, part: float, read: HandFrames | None = None
+    ) -> tuple[PosedSkin, Tensor]:
+        """The skin of a pose, and its offsets (N, 3) meters. read: see `_read_frames`"""
+        correction = self.hand.pose_net(read or posed.bones.frames, len(avatar), self._wave_weight(part))
         maps = mapped(posed.maps, lambda tensor: tensor[: len(avatar)])
         return pose_skin(avatar, posed.bones, correction, maps=maps, seen=posed.seen), correction.offset_m
 

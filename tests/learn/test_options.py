@@ -42,11 +42,12 @@ def test_the_paper_is_followed_where_it_says_something():
     assert (paper.schedule.views, paper.schedule.rate, paper.schedule.plane_rate) == (1, 1e-3, 1e-3)
     assert paper.schedule.last_part == 1  # the rate does not fall
     assert paper.shadow_samples == 64
+    assert paper.joint_noise_m == 0
     assert paper.transform is Transform.JOINTS
 
 
 def test_the_terms_have_the_papers_weights():
-    wanted = LossWeights(l1=1.0, ssim=0.2, perceptual=0.2, mask=0.2, offset=1.0, roughness=0.0)
+    wanted = LossWeights(l1=1.0, ssim=0.2, perceptual=0.2, mask=0.2, offset=1.0, roughness=0.0, angle_roughness=0.0)
     assert PAPER_FAITHFUL.loss == wanted
 
 

@@ -18,6 +18,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.model import SHADOW_GAIN_RANGE
 from jghand_engine.learn.options import LossWeights, TrainOptions, Transform
+from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.skinning import seen_from
@@ -26,7 +27,7 @@ from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
 
-EVERYTHING = LossWeights(l1=1.0, ssim=0.2, perceptual=0.3, mask=0.2, offset=0.1, roughness=1e-2)
+EVERYTHING = LossWeights(l1=1.0, ssim=0.2, perceptual=0.3, mask=0.2, offset=0.1, roughness=1e-2, angle_roughness=1e-2)
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +227,7 @@ def terms_of(training: HandTraining, samples: list[Sample], part: float = 1.0) -
 def test_every_term_counts_by_its_weight(build, samples):
     """Doubling a weight doubles its term and leaves the others."""
     plain = terms_of(build(replace(SMALL, loss=EVERYTHING), perceptual=Brightness()), samples[3:5])
-    assert set(plain) == {"l1", "ssim", "perceptual", "mask", "offset", "roughness"}
+    assert set(plain) == {"l1", "ssim", "perceptual", "mask", "offset", "roughness", "angle_roughness"}
     assert all(value > 0 for value in plain.values())
     for name in plain:
         doubled = replace(EVERYTHING, **{name: 2 * getattr(EVERYTHING, name)})
@@ -237,7 +238,7 @@ def test_every_term_counts_by_its_weight(build, samples):
 def test_the_loss_is_the_sum_of_its_terms(build):
     figures = build(replace(SMALL, loss=EVERYTHING), perceptual=Brightness()).step(0)
     terms = {name: value for name, value in figures.items() if name not in ("loss", "gaussians", "gradient")}
-    assert len(terms) == 5  # the perceptual one comes later
+    assert len(terms) == 6  # the perceptual one comes later
     assert figures["loss"] == pytest.approx(sum(terms.values()))
 
 
@@ -261,6 +262,40 @@ def test_offsets_are_measured_as_part_of_the_hand(build, samples):
         wanted = (identity_m.norm(dim=1).mean() + pose_m.norm(dim=1).mean()) / size_m
     # the smooth length lacks at most a hundredth of a millimeter
     assert terms_of(training, samples[:1])["offset"] == pytest.approx(float(wanted), abs=2e-5 / size_m)
+
+
+def test_errors_of_the_joints_reach_the_pose_network_alone(build, samples):
+    """New ones in every step, the same ones in the same step; the bones stay where they are."""
+    still, shaken = build(replace(SMALL, joint_noise_m=0.0)), build(replace(SMALL, joint_noise_m=5e-4))
+    assert still._read_frames(samples[0], 7) is None
+    first, again, other = (shaken._read_frames(samples[0], number) for number in (7, 7, 8))
+    exact = shaken._posed_bones(samples[0]).bones.frames
+    assert torch.equal(first.angles, again.angles)
+    for frames in (first, other):
+        # half a millimeter is a degree or two
+        assert 0.2 < math.degrees(float((frames.angles - exact.angles).square().mean().sqrt())) < 4
+    assert not torch.equal(first.angles, other.angles)
+    posed, avatar = shaken._posed_bones(samples[0]), shaken._live()
+    with torch.no_grad():
+        plain, noisy = (shaken._pose(avatar, posed, 1.0, read)[0].matt.position_m for read in (None, first))
+        shaken.hand.pose_net.out.weight.zero_()
+        shaken.hand.pose_net.out.bias.zero_()
+        bare = [shaken._pose(avatar, posed, 1.0, read)[0].matt.position_m for read in (None, first)]
+    assert not torch.equal(plain, noisy)
+    assert torch.equal(*bare)
+
+
+def test_texels_that_no_pose_touches_are_smoothed(build):
+    """They would stay as random as they began, and a pose beside those that were learned would tremble."""
+
+    def rough(weight: float) -> float:
+        training = build(replace(SMALL, loss=replace(SMALL.loss, angle_roughness=weight)), moved=False)
+        training.plan(60)
+        for number in range(60):
+            training.step(number)
+        return float(roughness(training.hand.pose_net.angles.planes.detach()))
+
+    assert rough(1e-4) < 0.5 * rough(0.0)
 
 
 # ---- the update ------------------------------------------------------------------------------------------------------
