@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from .core.panel_text import duration
+from .core.panel_text import duration, in_blenders_words
 from .errors import JGHandFailure
 from .hand import armature, controls
 from .renderer.jobs import JOB_LOOK_S
@@ -34,7 +34,8 @@ def sentence_of(failure: JGHandFailure) -> str:
     """What a report says: the sentence, the remedy, the small print."""
     advice = failure.advice
     text = f"{rpt_(advice.sentence)}. {rpt_(advice.remedy)}"
-    return f"{text} ({failure.detail})" if failure.detail else text
+    detail = in_blenders_words(failure.detail)
+    return f"{text} ({detail})" if detail else text
 
 
 class Reporting:

@@ -54,6 +54,13 @@ _MENDS = {
     "protocol": ("jghand.open_preferences", "Preferences"),
 }
 _START = ("jghand.restart_engine", "Try Again")
+# the engine's options that trainings, training sets and exports are given, and the labels of their controls
+CONTROLS = {
+    **{"--resume": '"Resume"', "--fresh": '"Restart…"', "--preset": '"Preset"', "--minutes": '"Time"'},
+    **{"--size": '"Resolution"', "--samples": '"Samples"', "--seed": '"Seed"', "--cameras": '"Cameras"'},
+    **{"--poses": '"Poses"', "--identity": '"Hand Model"', "--default-variant": '"Default Variant"'},
+}
+_OPTION, _SENTENCES = re.compile(r"--[a-z][a-z-]+"), re.compile(r"(?<=[.!?])\s+(?=\S)")
 # the names of a picture's hands, in their order, which its report gets on this side
 HANDS = "hands"
 
@@ -109,6 +116,13 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
 
 
+def in_blenders_words(text: str) -> str:
+    """The engine's sentences without options of its command line: by the label of their control; a sentence that names
+    another one is left out."""
+    said = [_OPTION.sub(lambda found: CONTROLS.get(found[0], found[0]), one) for one in _SENTENCES.split(text)]
+    return " ".join(one for one in said if not _OPTION.search(one))
+
+
 def milliseconds(value: float) -> str:
     """ "7.3 ms", "31 ms"."""
     return f"{value:.1f} ms" if value < 9.95 else f"{value:.0f} ms"
@@ -140,9 +154,9 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
         return StatusText(translate("Stopping…  {since}").format(since=since), True)
     if state == "slow":
         text = translate("The renderer is not answering")
-        remedy = translate('It may be at work: wait, or press "Restart"')
+        remedy = translate('It may be at work: wait, or press "Restart Renderer"')
         running = translate("Running for {since}").format(since=since)
-        return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"),))
+        return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart Renderer"),))
     facts = status.handshake or {}
     if status.doing:
         parts = [f"{translate(status.doing)}…"]

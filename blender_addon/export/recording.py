@@ -104,7 +104,7 @@ def check_made(path: Path, recording: Recording) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise JGHandFailure("internal", f"{path}: {error}") from error
     if joints != recording.digest:
-        raise JGHandFailure("internal", f"{recording.name}: the engine wrote other joints than it was given")
+        raise JGHandFailure("internal", f"{recording.name}: the renderer wrote other joints than it was given")
     return figures
 
 

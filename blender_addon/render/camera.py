@@ -70,7 +70,7 @@ def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.type
     Raises JGHandFailure (pixel_aspect) for pixels that are not square.
     """
     if abs(view.fx / view.fy - 1) > _SQUARE_PIXEL_MAX:
-        raise JGHandFailure("pixel_aspect", f"{name}: fx is {view.fx:g}, fy {view.fy:g}")
+        raise JGHandFailure("pixel_aspect", f"{name}: {view.fx:g} pixels across, {view.fy:g} upwards")
     unit_m = context.scene.unit_settings.scale_length
     data = bpy.data.cameras.new(name)
     data.sensor_fit = "HORIZONTAL"

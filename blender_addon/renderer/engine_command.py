@@ -70,7 +70,7 @@ def engine_program(
             return _by_python(made)
     if carried:
         raise JGHandFailure("no_tools")
-    raise JGHandFailure("no_interpreter", f"neither {VARIABLE}, nor .envs/engine, and this extension carries no engine")
+    raise JGHandFailure("no_interpreter", "this is a checkout that was not installed: run scripts/demo.py once")
 
 
 def _interpreter_at(text: str) -> Path:

@@ -63,6 +63,7 @@ def draw_failure(
     sentence = iface_(failure.advice.sentence)
     ui.paragraph(layout, context, f"{name}: {sentence}" if name else sentence, icon="ERROR")
     first, _, rest = failure.detail.partition("\n")
+    first = panel_text.in_blenders_words(first)
     if first not in ("", name):
         ui.paragraph(layout, context, first, icon="BLANK1")
     ui.paragraph(layout, context, failure.advice.remedy, icon="BLANK1")

@@ -214,6 +214,17 @@ def test_everything_that_is_said_goes_through_the_translation():
     assert {"The renderer stopped unexpectedly", "Self-Shadow", "Over Budget"} <= set(heard)
 
 
+def test_sentences_of_the_engine_name_controls_and_no_options():
+    told = panel_text.in_blenders_words
+    assert told("a.training: wanted no training. Resume it with --resume, or name another folder with --work.") == (
+        "a.training: wanted no training."
+    )
+    assert told("The checkpoint is of other options. Continue with --resume or --fresh.") == (
+        'The checkpoint is of other options. Continue with "Resume" or "Restart…".'
+    )
+    assert told("/a/b.jghand is not there.") == "/a/b.jghand is not there."
+
+
 def test_durations_and_paragraphs_are_short():
     assert [panel_text.duration(s) for s in (-1, 59, 59.6, 61, 7200)] == ["0 s", "59 s", "1 min", "1 min", "2 h 00 min"]
     assert panel_text.duration(3900) == "1 h 05 min"

@@ -14,6 +14,7 @@ import pytest
 from recording_layout import Drawn, RecordingLayout, draw, draw_rows, operator_type
 
 from blender_addon import errors, preferences, registration
+from blender_addon.core import panel_text
 from blender_addon.export import panel as export_panel
 from blender_addon.hand import panel as hand_panel
 from blender_addon.train import panel as training
@@ -28,7 +29,9 @@ FINGERS = ("", *(f"{finger}{bone}" for finger in ("Thumb", "Index", "Middle", "R
 # what the file browser draws itself
 FILE_BROWSERS = {"filepath", "filter_glob", "check_existing"}
 # calls whose texts an artist reads
-SAYS = {"missing", "tell", "warn", "report", "paragraph", "rpt_", "iface_", "Advice"}
+SAYS = {"missing", "tell", "warn", "report", "paragraph", "rpt_", "iface_", "translate", "Advice", "JGHandFailure"}
+# what no artist sees: options of a command line, names in a program, the process by its inner name
+INNER = re.compile(r"(^|\s)--[a-z]|[a-z0-9]_[a-z]|\bf[xy]\b|\.envs|(?<!JGHand )\bengine\b")
 # controls of Blender's own that messages name, and where Blender has them
 BLENDERS = {"Allow Online Access": (bpy.types.PreferencesSystem, "use_online_access")}
 
@@ -54,6 +57,9 @@ def everything(extension, tmp_path, monkeypatch) -> list[Drawn]:
             _draw_panels(seen)
     (tmp_path / "my_hand.jghand").write_bytes(b"another's")  # in the way of a training
     hands.mixamo_rig(bpy.context)
+    _draw_panels(seen)
+    (tmp_path / "my_hand.training").mkdir()
+    (tmp_path / "my_hand.training" / "training.json").write_text("{}")  # one that can go on
     _draw_panels(seen)
     bpy.ops.jghand.use_armature()
     _draw_panels(seen)
@@ -168,4 +174,9 @@ def test_messages_name_controls_in_quotes_and_no_options_of_a_command_line(every
         if text != label and label in re.sub(r'"[^"]*"', "", text)
     ]
     assert not unmarked
-    assert not [(place, text) for place, text in messages() if re.search(r"(^|\s)--[a-z]", text)]
+    inner = [(place, text) for place, text in messages() if " " in text and INNER.search(re.sub(r"{\w*", "", text))]
+    assert not inner
+
+
+def test_the_labels_that_stand_for_options_are_there(everything):
+    assert {label.strip('"') for label in panel_text.CONTROLS.values()} <= labels(everything)
