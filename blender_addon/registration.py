@@ -19,7 +19,7 @@ from .hand import ops as hand_ops
 from .hand import ops_motion, ops_pose
 from .hand import panel as hand_panel
 from .hand import properties as hand_properties
-from .render import command, pages, rendering
+from .render import command, pages, preview, rendering
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
@@ -34,13 +34,13 @@ from .viewport import handlers
 WITH_CLASSES = (
     *(preferences, hand_properties, scene_properties, render_engine, renderer_ops),
     *(hand_ops, ops_pose, ops_motion),
-    *(render_ops, export_ops, train_ops),
+    *(render_ops, preview, export_ops, train_ops),
     *(hand_panel, render_panel, export_panel, train_panel, pages),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
     *(preferences, hand_properties, scene_properties, runtime, usd_hook, train_panel),
-    *(folders, handlers, rendering, render_engine, command, hand_ops, ops_motion),
+    *(folders, handlers, rendering, render_engine, preview, command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(
     [each for module in WITH_CLASSES for each in module.CLASSES]

@@ -172,6 +172,14 @@ def take_compositor_tree_away(scene: bpy.types.Scene) -> bpy.types.NodeTree | No
     return tree
 
 
+def empty_compositor(scene: bpy.types.Scene) -> None:
+    """Leaves a scene without compositor's nodes; those that it shares with another stay there."""
+    if hasattr(scene, "compositing_node_group"):
+        scene.compositing_node_group = None
+    elif scene.node_tree is not None:
+        scene.node_tree.nodes.clear()
+
+
 def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node whose first input is the finished picture, made where there is none."""
     if bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is None:  # 4.5

@@ -127,9 +127,20 @@ def remove(scene: bpy.types.Scene) -> None:
         bpy.data.scenes.remove(ours)
     _give_depth_back(scene)
     scene.render.use_lock_interface = bool(scene.get(HAD_LOCK, scene.render.use_lock_interface))
+    _forget_marks(scene)
+
+
+def forget(copy: bpy.types.Scene) -> None:
+    """Leaves a copy of a scene without nodes in its compositor, and without what it has of a combination."""
+    versions.empty_compositor(copy)
+    for layer in copy.view_layers:
+        layer.pop(HAD_DEPTH, None)
+    _forget_marks(copy)
+
+
+def _forget_marks(scene: bpy.types.Scene) -> None:
     for name in (HANDS_SCENE, OWN_TREE, HAD_COMPOSITING, ASIDE, HAD_LOCK):
-        if name in scene:
-            del scene[name]
+        scene.pop(name, None)
 
 
 def _combined_layer(scene: bpy.types.Scene) -> bpy.types.ViewLayer | None:

@@ -42,6 +42,18 @@ class UseEngine(Reporting, bpy.types.Operator):
             self.tell(rpt_("The scene had no camera: {name} shows the hand.").format(name=camera.name))
 
 
+def has_standard(view: bpy.types.ColorManagedViewSettings) -> bool:
+    """Whether a scene's OCIO configuration has the view transform Standard for its display."""
+    return bool(bpy.types.UILayout.enum_item_name(view, "view_transform", "Standard"))
+
+
+def use_standard(view: bpy.types.ColorManagedViewSettings) -> None:
+    """Colors as they were captured, where `has_standard`."""
+    view.view_transform, view.look = "Standard", "None"
+    view.exposure, view.gamma = 0.0, 1.0
+    view.use_curve_mapping = False
+
+
 class UseStandard(Reporting, bpy.types.Operator):
     """Operator: colors as the avatar was captured."""
 
@@ -55,16 +67,12 @@ class UseStandard(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        # the name of an item that the scene's OCIO configuration has for its display; empty where it has none
-        if not bpy.types.UILayout.enum_item_name(context.scene.view_settings, "view_transform", "Standard"):
+        if not has_standard(context.scene.view_settings):
             return missing(cls, "The color management (OCIO) in use has no view transform Standard")
         return True
 
     def run(self, context: bpy.types.Context) -> None:
-        view = context.scene.view_settings
-        view.view_transform, view.look = "Standard", "None"
-        view.exposure, view.gamma = 0.0, 1.0
-        view.use_curve_mapping = False
+        use_standard(context.scene.view_settings)
 
 
 class AddCamera(Reporting, bpy.types.Operator):

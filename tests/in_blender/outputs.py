@@ -50,6 +50,63 @@ def step_an_animated_hand(window):
     yield 0.5
 
 
+def step_a_preview_movie_has_hands_and_all_else_and_changes_no_setting(window):
+    scene = bpy.context.scene
+    bpy.ops.mesh.primitive_cube_add(size=0.04, location=(0.05, -0.03, 0.1))
+    cube = bpy.context.object
+    bpy.context.view_layer.objects.active = bpy.data.objects["Right Hand"]
+    scene.render.engine, scene.render.filepath = "CYCLES", str(window.out / "preview" / "####.png")
+    scene.frame_end = 4
+    view = window.space().region_3d
+    for name, perspective in (("camera", "CAMERA"), ("view", "PERSP"), ("ortho", "ORTHO")):
+        view.view_perspective = perspective
+        yield from window.settle()
+        window.picture(f"before_preview_{name}")
+        about, started = _kept_by_a_preview(), time.monotonic()
+        window.call("jghand.preview_movie")
+        yield lambda: not bpy.app.is_job_running("RENDER") and len(bpy.data.scenes) == 1
+        print(f"JGHAND a preview of 4 frames took {time.monotonic() - started:.1f} s", flush=True)
+        yield 0.5
+        window.picture(f"preview_{name}")
+        yield from window.key("Escape")
+        assert not _changes_since(about), _changes_since(about)
+        written = sorted((window.out / "preview").glob("*.png"))
+        assert len(written) == 4, written
+        for path in written:
+            path.rename(window.out / f"preview_{name}_{path.name}")
+    scene.frame_end = 2000
+    about = _kept_by_a_preview()
+    window.call("jghand.preview_movie")
+    yield lambda: len(list((window.out / "preview").glob("*.png"))) > 2
+    yield from window.key("Escape")
+    yield lambda: not bpy.app.is_job_running("RENDER") and len(bpy.data.scenes) == 1
+    assert not _changes_since(about), _changes_since(about)
+    window.picture("preview_canceled")
+    bpy.data.meshes.remove(cube.data)
+    scene.render.engine, scene.frame_end = "BLENDER_EEVEE", FRAMES
+
+
+def _changes_since(before):
+    now = _kept_by_a_preview()
+    return {key: (value, now.get(key)) for key, value in before.items() if now.get(key) != value}
+
+
+def _kept_by_a_preview():
+    """What a preview must leave as it is: how many data-blocks there are, and every setting of the scene."""
+    scene = bpy.context.scene
+    owners = (scene, scene.render, scene.display, scene.display.shading, scene.view_settings, scene.jghand)
+    owners = (*owners, bpy.context.preferences.view, bpy.context.view_layer)
+    found = {
+        (type(owner).__name__, each.identifier): str(getattr(owner, each.identifier))
+        for owner in owners
+        for each in owner.bl_rna.properties
+        if each.type in ("BOOLEAN", "INT", "FLOAT", "STRING", "ENUM")
+    }
+    for name in ("scenes", "objects", "cameras", "node_groups", "worlds"):
+        found["data", name] = len(getattr(bpy.data, name))
+    return found
+
+
 def step_escape_ends_the_reading_of_an_animation(window):
     scene = bpy.context.scene
     scene.frame_end = 20000
