@@ -19,7 +19,14 @@ The packages, in the order of imports: each imports only from those above it (do
 
 native, hand, avatar, render, motion, export and service import neither torch nor scipy nor trimesh.
 Units are meters and radians, matrices act on column vectors, `a_from_b` maps b to a.
-This module imports nothing, so that Blender's Python can import `jghand_engine.service.protocol` without torch.
+This module imports nothing of ours, so that Blender's Python can import `jghand_engine.service.protocol` without torch.
 """
+
+import os
+
+# Threads of torch that have nothing to do sleep instead of spinning. Spinning wins microseconds where nobody else wants
+# the processors; where somebody does, it takes them from the very threads that are waited for: a training beside two
+# busy programs then makes a sixth of the steps. OpenMP reads it once, when torch is loaded; who set it keeps it.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __version__ = "0.1.0"

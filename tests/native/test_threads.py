@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 import weakref
@@ -189,3 +191,12 @@ def test_a_forked_child_makes_threads_of_its_own():
     if child == 0:
         os._exit(0 if shared_pool(2).map(lambda i: i, 4) == [0, 1, 2, 3] else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_threads_of_torch_that_wait_sleep():
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    command = [sys.executable, "-c", "import jghand_engine.learn.gaussians"]
+    done = subprocess.run(
+        command, env={**environment, "OMP_DISPLAY_ENV": "TRUE"}, capture_output=True, text=True, check=True
+    )
+    assert "PASSIVE" in next(line for line in done.stderr.splitlines() if "OMP_WAIT_POLICY" in line)
