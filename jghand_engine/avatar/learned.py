@@ -58,12 +58,14 @@ class Light:
 class ShadowLook:
     """How dark the self-shadow is: gain and strength per color channel of METHOD 5.2, both learned.
 
-    seen: 0..1, the most that it changes a channel of any pixel, as `jghand distill` measured it; None: not measured
+    seen:    0..1, the most that it changes a channel of any pixel, as `jghand distill` measured it; None: not measured
+    printed: learned with the paper's own form, which `learn.shadow` alone draws; the renderer draws its own instead
     """
 
     gain: float = SHADOW_GAIN
     tint: tuple[float, float, float] = SHADOW_TINT
     seen: float | None = None
+    printed: bool = False
 
     @property
     def is_seen(self) -> bool:

@@ -167,7 +167,8 @@ class LearnedAbout:
 def _parsed_shadow(of: JsonObject) -> ShadowLook:
     red, green, blue = of.numbers("tint", 3, 0, 1)
     seen = None if of.fields.get("seen") is None else of.number("seen", 0, 1)
-    return ShadowLook(of.number("gain", 0, SHADOW_GAIN_MAX), (red, green, blue), seen)
+    printed = of.flag("printed", left_out=False)
+    return ShadowLook(of.number("gain", 0, SHADOW_GAIN_MAX), (red, green, blue), seen, printed)
 
 
 def _parsed_net(of: JsonObject) -> PoseNetShape:

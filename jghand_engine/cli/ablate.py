@@ -29,7 +29,7 @@ DESCRIPTION = """Train with parts of the method taken out, one at a time, and pr
 
 Examples:
   jghand ablate captures/id3 --steps 4000 --out id3_ablation
-  jghand ablate captures/id3 --steps 4000 --out id3_ablation --variants "w/o shadow" full
+  jghand ablate captures/id3 --steps 4000 --out id3_ablation --variants "w/o screen shadow" full
 
 It can be stopped with Ctrl-C; the same command resumes it."""
 
@@ -46,7 +46,7 @@ class Ablate:
     steps: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 4000
     """Steps of each training, the same for all."""
     variants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = ()
-    """Only these rows of the table, such as "w/o shadow" and full."""
+    """Only these rows of the table, such as "w/o screen shadow" and full."""
     preset: Literal["default", "paper-faithful"] = "default"
     """What the parts are taken out of."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0

@@ -58,8 +58,7 @@ class PerceptualOptions:
         if self.lpips_trunk is None:
             say(perceptual.LPIPS_MISSING)
         else:
-            kind = "alex" if "alex" in self.lpips_trunk.name.lower() else "vgg"
-            metrics.append(perceptual.lpips(self.lpips_trunk, kind))
+            metrics.append(perceptual.lpips(self.lpips_trunk))
         return metrics
 
 
@@ -88,7 +87,7 @@ class Evaluate:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.files import make_folder
-        from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out
+        from jghand_engine.learn.evaluate import categories_of, held_out
         from jghand_engine.learn.sheets import write_evaluation_sheets
         from jghand_engine.render.settings import preset
 
@@ -103,14 +102,14 @@ class Evaluate:
         which = self.split if told.split.test else "train"
         categories = categories_of(told.split, which, self.limit)
         out, settings = make_folder(self.out or Path(self.avatar).with_suffix(".evaluation")), preset(self.preset)
-        draw = avatar_picturer(avatar, settings)
+        draw = _drawer(avatar, capture, settings)
         evaluation = self._measured(draw, capture, categories, told.split.origin)
         tables = self._tables(evaluation, avatar, capture, settings)
         self._write(out, evaluation, tables, settings)
         if not self.figures_only:
             drawers = {Path(self.avatar).stem: draw}
             if other is not None and self.beside is not None:
-                drawers[self.beside.stem] = avatar_picturer(other, settings)
+                drawers[self.beside.stem] = _drawer(other, capture, settings)
             write_evaluation_sheets(out, evaluation, categories, drawers)
         say(f"\n{out}: tables.md, evaluation.json{'' if self.figures_only else ', sheets'}")
 
@@ -131,11 +130,12 @@ class Evaluate:
     def _tables(
         self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture, settings: RenderSettings
     ) -> list[Table]:
+        from jghand_engine.learn.ablation import drawn_as_learned
         from jghand_engine.learn.tables import figures_table, flexion_table, rendering_table
 
         tables = [rendering_table([evaluation]), figures_table(evaluation, "full"), figures_table(evaluation, "box"),
                   flexion_table(evaluation)]  # fmt: skip
-        if not self.figures_only:
+        if not self.figures_only and drawn_as_learned(avatar):
             tables.append(timed_table(evaluation.name, avatar, capture, settings))
         for table in tables:
             say_whole_table(table)
@@ -150,6 +150,17 @@ class Evaluate:
             temporary.write_text("\n".join([drawn, "", *(table.markdown() for table in tables)]), encoding="utf-8")
         figures = {"command": "evaluate", "preset": self.preset, "settings": settings.as_dict(), "box": BOX_RULE}
         write_json(out / "evaluation.json", figures | evaluation.as_dict())
+
+
+def _drawer(avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Picturer:
+    """The renderer that users have; of an avatar that learned what the renderer does not know, what training draws."""
+    from jghand_engine.learn.ablation import LiveHand, drawn_as_learned
+    from jghand_engine.learn.evaluate import avatar_picturer
+
+    if drawn_as_learned(avatar):
+        return avatar_picturer(avatar, settings)
+    say(f"{avatar.info.name} is drawn as it was learned, with a transform or a shadow that the renderer does not have.")
+    return LiveHand(avatar.for_hand(capture.handedness), settings)
 
 
 def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Table:

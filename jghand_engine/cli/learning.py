@@ -41,12 +41,13 @@ def device_called(name: DeviceName) -> torch.device:
 
 
 def train_options(
-    preset: str, seed: int, device: torch.device | None = None
+    preset: str, seed: int, device: torch.device | None = None, lpips_trunk: Path | None = None
 ) -> tuple[TrainOptions, PerceptualMetric | None]:
-    """What is learned, and the perceptual metric where the preset wants one.
+    """What is learned, and the perceptual metric where the preset wants one: LPIPS with the user's own trunk, else
+    ST-LPIPS, which a line says.
 
     Where there is none, a line says so, and the options have no such term: they are what a training is known by.
-    InputError for a seed below 0.
+    InputError for a seed below 0, an unusable trunk, or one that the preset has no use for.
     """
     from jghand_engine.learn import perceptual
     from jghand_engine.learn.options import PRESETS
@@ -55,11 +56,18 @@ def train_options(
         raise InputError("--seed", wanted="0 or more", came=str(seed))
     options = replace(PRESETS[preset], seed=seed)
     if not options.loss.perceptual:
+        if lpips_trunk is not None:
+            raise InputError("--lpips-trunk", wanted="a preset that learns by LPIPS", came=preset,
+                             remedy="Take --preset paper-faithful, or leave --lpips-trunk out.")  # fmt: skip
         return options, None
+    if lpips_trunk is not None:
+        return options, perceptual.lpips(lpips_trunk, device=device)
     metric = perceptual.st_lpips(device)
     if metric is None:
         say(f"{perceptual.ST_LPIPS_MISSING} The training goes without the perceptual term.")
         options = replace(options, loss=replace(options.loss, perceptual=0.0))
+    else:
+        say("The perceptual term is ST-LPIPS: the paper's LPIPS needs its trunk (--lpips-trunk).")
     return options, metric
 
 

@@ -80,6 +80,9 @@ class Train:
     template: File = None
     """Your own MANO_RIGHT.pkl or MANO_LEFT.pkl: the hand is learned on MANO's surface and joints. Left out: on
     JGHand's own. MANO's texture layout (MANO_UV_right.obj) counts where it lies beside it."""
+    lpips_trunk: File = None
+    """With paper-faithful: torchvision's checkpoint of vgg16, or of alexnet if its name says so, and the loss has exact
+    LPIPS instead of ST-LPIPS; nobody may ship it."""
     start: StartOptions = field(default_factory=StartOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     json: FiguresFile = None
@@ -98,7 +101,7 @@ class Train:
         self.check()
         run = self._run_options()
         device = device_called(self.device)
-        options, perceptual = train_options(self.preset, self.seed, device)
+        options, perceptual = train_options(self.preset, self.seed, device, self.lpips_trunk)
         template = hand_template(self.template)
         check_places(run)
         capture = self.pictures.open(self.folder)
@@ -107,6 +110,8 @@ class Train:
         stamp = stamp_of(options, split.train)
         if self.template is not None:
             stamp["template"] = template.identifier
+        if perceptual is not None:
+            stamp["perceptual"] = f"{perceptual.name}, {perceptual.note}"
         run = replace(run, stamp=stamp, budget=self._budget(len(split.train)))
         say(f"{capture.name}: {len(split.train)} of {len(capture)} pictures to learn from ({split.origin})")
 

@@ -17,12 +17,13 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.progress import Display
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.run import RunOptions, train
-from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.learn.trainable import Trainable
 from jghand_engine.native.library import load
@@ -59,9 +60,15 @@ def train_variant(build: Callable[[], Trainable], run: RunOptions, display: Disp
     return load_avatar(run.out) if outcome.finished else None
 
 
+def drawn_as_learned(avatar: HandAvatar) -> bool:
+    """Whether the renderer moves and shades the avatar as its training did; else `LiveHand` does."""
+    look = None if avatar.learned is None else avatar.learned.shadow
+    return avatar.info.transform is Transform.JOINTS and not (look is not None and look.printed)
+
+
 class LiveHand:
-    """A Picturer (learn.evaluate). avatar: a trained one; its bones follow the joints as it names it. settings: with a
-    shadow that fades, as it was learned."""
+    """A Picturer (learn.evaluate). avatar: a trained one; its bones follow the joints as it names it, and its shadow is
+    the one that it was learned with: under a gate, or the paper's own in every pose."""
 
     def __init__(self, avatar: HandAvatar, settings: RenderSettings) -> None:
         self._avatar, self._transform, self._settings = avatar, transform_of(avatar), settings
@@ -81,7 +88,11 @@ class LiveHand:
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
             large = fade_with_size(extent_px(*camera.project(joints_m), camera))
             strength = large * fade(self._gate.score(joints_m, float(bones.scale)))
-            if self._look is not None and strength > 0:
+            if self._look is not None and self._look.printed:
+                seen = printed_visibility(picture.depth_sum, picture.alpha, settings.shadow_samples)
+                dark = settings.shadow_strength * (1 - seen)
+                planes[:3] *= 1 - dark * torch.tensor(self._look.tint)[:, None, None]
+            elif self._look is not None and strength > 0:
                 style = ShadowStyle(
                     samples=settings.shadow_samples,
                     strength=settings.shadow_strength * strength,

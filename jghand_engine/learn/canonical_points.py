@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import safetensors
@@ -58,17 +59,25 @@ class CanonicalPoints:
 
 
 def place_points(
-    template: HandTemplate, count: int, *, depth_m: float, area_power: float, seed: int
+    template: HandTemplate,
+    count: int,
+    *,
+    depth_m: float,
+    area_power: float,
+    seed: int,
+    depth_of_points: bool = False,
 ) -> CanonicalPoints:
     """`count` points in the shell of `depth_m` under the skin; the same arguments give the same points.
 
     area_power: bones share the points as their area to this power: 0 equally, as the paper does, 1 evenly over the
-    skin. InputError for numbers out of range. Points that were placed before come from the user's cache.
+    skin. depth_of_points: as of `sample_shell`. InputError for numbers out of range. Points that were placed before
+    come from the user's cache.
     """
-    file = points_file(template, {"count": count, "depth_m": depth_m, "area_power": area_power, "seed": seed})
+    numbers = {"depth_m": depth_m, "area_power": area_power, "seed": seed, "depth_of_points": depth_of_points}
+    file = points_file(template, {"count": count, **numbers})
     found = read_points(file)
     if found is None or not _is_of(found, count):
-        placed = _placed(template, count, depth_m=depth_m, area_power=area_power, seed=seed)
+        placed = _placed(template, count, **numbers)
         write_points(file, {name: value.contiguous() for name, value in vars(placed).items() if name != "template"})
         return placed
     return CanonicalPoints(**found, template=template.identifier)
@@ -82,9 +91,9 @@ def _is_of(found: Points, count: int) -> bool:
     return {name: (tuple(array.shape), array.dtype) for name, array in found.items()} == wanted
 
 
-def _placed(template: HandTemplate, count: int, *, depth_m: float, area_power: float, seed: int) -> CanonicalPoints:
+def _placed(template: HandTemplate, count: int, *, area_power: float, **numbers: Any) -> CanonicalPoints:
     counts = shared_out(bone_areas(template) ** area_power, count)
-    sample = sample_shell(template, per_bone=int(counts.max()), depth_m=depth_m, seed=seed)
+    sample = sample_shell(template, per_bone=int(counts.max()), **numbers)
     chosen, _ = take_turns(sample.bone, counts)
     position_m = sample.position_m[chosen]
     nearest = np.asarray(KDTree(position_m).query(position_m, k=4)[0])[:, 1:]

@@ -73,6 +73,7 @@ class ModelOptions:
     gaussians:        how many
     shell_depth_m:    how deep under the skin they start
     area_power:       how bones share them, see `place_points`
+    depth_of_points:  whether the depth coordinate spans the points instead of a fixed range, see `place_points`
     swing:            as `JointTransform` takes it
     scale_mode:       as `JointTransform` takes it
     offset_frame:     axes of the pose's offsets
@@ -80,6 +81,7 @@ class ModelOptions:
     plane_texels:     of the identity planes, along u and v
     depth_texels:     of the identity planes, along the depth
     hidden:           width of the identity decoder
+    one_decoder:      whether one network decodes all of the identity, or offset, color and opacity have one each
     identity_reach_m: longest identity offset along an axis
     opacity_bias:     before the sigmoid, at the start
     anisotropic:      whether a Gaussian has three radii and a rotation instead of one radius (METHOD 4.3)
@@ -91,6 +93,7 @@ class ModelOptions:
     gaussians: int = 40_000
     shell_depth_m: float = 0.001
     area_power: float = 0.78
+    depth_of_points: bool = False
     swing: str = "minimal"
     scale_mode: str = "axial"
     offset_frame: OffsetFrame = OffsetFrame.TURNED
@@ -98,6 +101,7 @@ class ModelOptions:
     plane_texels: int = 256
     depth_texels: int = 32
     hidden: int = 128
+    one_decoder: bool = True
     identity_reach_m: float = 0.008
     opacity_bias: float = 2.0
     anisotropic: bool = False
@@ -122,14 +126,9 @@ class LearnedHand(nn.Module):
     def _make_parameters(self) -> None:
         options, points = self.options, self.points
         self.planes = IdentityPlanes(points.uvd, texels=options.plane_texels, depth_texels=options.depth_texels)
-        self.trunk = nn.Sequential(
-            nn.Linear(self.planes.width, options.hidden),
-            nn.ReLU(),
-            nn.Linear(options.hidden, options.hidden),
-            nn.ReLU(),
-        )
-        # one layer for all heads: offset 3, color 3, opacity 1, normal 3, shine 1
-        self.heads = nn.Linear(options.hidden, 11)
+        # offset 3, color 3, opacity 1, normal 3, shine 1
+        widths = (11,) if options.one_decoder else (3, 3, 1)
+        self.decoders = nn.ModuleList(_decoder(self.planes.width, options.hidden, width) for width in widths)
         self.log_sigma = nn.Parameter(points.sigma_m.log())
         if options.anisotropic:
             self.log_stretch = nn.Parameter(torch.zeros(len(points), 3))
@@ -148,19 +147,25 @@ class LearnedHand(nn.Module):
         self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(contract.SHADOW_TINT)))
         for plane in (self.planes.uv.texels, self.planes.ud.texels, self.planes.vd.texels, self.pose_net.angles.planes):
             nn.init.normal_(plane, std=PLANE_START_STD)
-        for last in (self.heads, self.pose_net.out):
+        for last in (*(decoder[-1] for decoder in self.decoders), self.pose_net.out):
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
         with torch.no_grad():
-            self.heads.bias[6] = options.opacity_bias
+            self.decoders[-1][-1].bias[6 if options.one_decoder else 0] = options.opacity_bias
         self.keep_in_range()
+
+    def _decoded(self, count: int) -> Tensor:
+        """(count, 11) what the identity is made of. Networks apart predict neither normal nor shine: those are 0."""
+        features = self.planes(count)
+        out = torch.cat([decoder(features) for decoder in self.decoders], 1)
+        return nn.functional.pad(out, (0, 11 - out.shape[1]))
 
     def avatar(self, info: AvatarInfo, *, handedness: Handedness, count: int = 0) -> HandTensors:
         """The hand as it is now, with gradients. count: of its Gaussians, a prefix whose radii grow as
         `HandAvatar.prefix` says; 0: all."""
         count = count or len(self.points)
         points, options = self.points, self.options
-        out = self.heads(self.trunk(self.planes(count)))
+        out = self._decoded(count)
         offset_m = options.identity_reach_m * torch.tanh(out[:, :3])
         sigma_m = self.log_sigma[:count].exp()
         return HandTensors(
@@ -259,6 +264,11 @@ class LearnedHand(nn.Module):
             growth = (self.log_sigma[:known] - start[:known])[nearest.to(start.device)]
             self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth
         self.keep_in_range()
+
+
+def _decoder(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    layers = nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(), nn.Linear(hidden, outputs)
+    return nn.Sequential(*layers)
 
 
 def grown_radii(sigma_m: Tensor, scale: float, uvd_depth: Tensor) -> Tensor:

@@ -26,7 +26,6 @@ from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
 PERCEPTUAL_NORM_EPS = 1e-10
 
 ST_LPIPS, LPIPS = "ST-LPIPS", "LPIPS"
-TRUNKS = ("vgg", "alex")
 ST_LPIPS_MISSING = f"ST-LPIPS: not available (no package stlpips-pytorch). {install_extra('perceptual')}"
 LPIPS_MISSING = "LPIPS: not available (needs the ImageNet trunk: torchvision's checkpoint of vgg16 or alexnet)"
 
@@ -146,22 +145,20 @@ _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 
 
-def lpips(trunk: Path | None, kind: str = "vgg") -> PerceptualMetric:
-    """Exact LPIPS 0.1. trunk: torchvision's checkpoint of vgg16 (`kind` vgg) or alexnet (alex).
-
-    InputError without a trunk: a random one gives figures that look like LPIPS and are not.
-    """
-    if kind not in _TRUNKS:
-        raise InputError("trunk of LPIPS", wanted=" or ".join(TRUNKS), came=kind)
-    if trunk is None:
-        raise InputError(LPIPS_MISSING.rstrip(")") + ", none was given)", remedy="Give it, or use ST-LPIPS instead.")
+def lpips(trunk: Path, device: torch.device | None = None) -> PerceptualMetric:
+    """Exact LPIPS 0.1. trunk: torchvision's checkpoint of vgg16, or of alexnet where its name says so · device: where
+    its pictures are compared; left out: the CPU. InputError for a file that is no such trunk, and without the heads."""
+    kind = "alex" if "alex" in trunk.name.lower() else "vgg"
     if not trunk.is_file():
         raise InputError(f"trunk of LPIPS {trunk}", wanted="torchvision's checkpoint", came="no such file")
     heads = _installed_file("lpips", f"weights/v0.1/{kind}.pth")
     if heads is None:
         raise InputError("heads of LPIPS", wanted="the package lpips 0.1.4", came="none",
                          remedy="pip install --no-deps lpips==0.1.4 (without it torchvision comes along).")  # fmt: skip
-    return lpips_of(_load_tensors(trunk), _load_tensors(heads), kind, str(trunk))
+    ours, theirs = (
+        {name: tensor.to(device or "cpu") for name, tensor in _load_tensors(path).items()} for path in (trunk, heads)
+    )
+    return lpips_of(ours, theirs, kind, str(trunk))
 
 
 def lpips_of(trunk: Tensors, heads: Tensors, kind: str, thing: str = "trunk of LPIPS") -> PerceptualMetric:
@@ -170,9 +167,9 @@ def lpips_of(trunk: Tensors, heads: Tensors, kind: str, thing: str = "trunk of L
     numbers = [number for group in spec.convolutions for number in group]
     _check_present(trunk, [f"features.{n}.{part}" for n in numbers for part in ("weight", "bias")], thing)
     _check_present(heads, [f"lin{i}.model.1.weight" for i in range(5)], "heads of LPIPS")
-    shift, scale = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
 
     def features(x: Tensor) -> list[Tensor]:
+        shift, scale = (x.new_tensor(values).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
         x, maps = (x - shift) / scale, []
         for place, group in enumerate(spec.convolutions):
             if place in spec.pooled:

@@ -27,6 +27,11 @@ from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.shadow import NativeShade, ShadowStyle, vogel_disc
 
+# the paper's own form: where its offsets reach, pixels; about 20 mm at 0.9 m through the lens of our captures
+PRINTED_RADIUS_PX = 24.0
+# ... and beta of its curve, METHOD 5.2
+PRINTED_BIAS = 0.1
+
 
 def normalized_depth(depth_sum: torch.Tensor, alpha: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Sum of weight * z and alpha, both (H, W) -> depth in meters (0 where there is none) and where there is one."""
@@ -55,6 +60,25 @@ def visibility(depth_m: torch.Tensor, valid: torch.Tensor, camera: Camera, style
     occlusion = style.softness * softplus((cosine - style.bias) / style.softness) * falloff
     mean = torch.where(occluding, occlusion, torch.zeros_like(occlusion)).mean(-1)
     return torch.ones_like(depth_m).masked_scatter(valid, torch.exp(-style.gain * mean))
+
+
+def printed_visibility(depth_sum: torch.Tensor, alpha: torch.Tensor, samples: int) -> torch.Tensor:
+    """V = 1 - S (H, W) of the paper's S_x = 1/N sum_k f(d(x), d(x + dx_k)), with what it leaves open as METHOD 5.2 has
+    it: d is the mean depth, f(a, b) = sigmoid(((a - b) / R - beta) / tau), the offsets lie on a disc of fixed size, and
+    the background is far.
+
+    depth_sum, alpha: (H, W) as of `normalized_depth` · samples: N
+    """
+    depth_m, valid = normalized_depth(depth_sum, alpha)
+    offsets = torch.from_numpy((PRINTED_RADIUS_PX * vogel_disc(samples)).round()).long().flip(-1)
+    taps = valid.nonzero()[:, None] + offsets
+    size = torch.tensor(depth_m.shape)
+    inside = ((taps >= 0) & (taps < size)).all(-1)
+    row, column = torch.minimum(taps.clamp_min(0), size - 1).unbind(-1)
+    nearer = (depth_m[valid][:, None] - depth_m[row, column]) / contract.SHADOW_RADIUS_M
+    shade = torch.sigmoid((nearer - PRINTED_BIAS) / contract.SHADOW_SOFTNESS)
+    mean = torch.where(inside & valid[row, column], shade, torch.zeros_like(shade)).mean(-1)
+    return torch.ones_like(depth_m).masked_scatter(valid, 1 - mean)
 
 
 def shade(

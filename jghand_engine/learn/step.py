@@ -36,7 +36,7 @@ from jghand_engine.learn.pictures import LruCache, Pictures, View
 from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
-from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
@@ -113,6 +113,7 @@ class HandTraining:
             model.gaussians,
             depth_m=model.shell_depth_m,
             area_power=model.area_power,
+            depth_of_points=model.depth_of_points,
             seed=options.seed,
         )
         hand = LearnedHand(points, model, options.seed)
@@ -131,6 +132,8 @@ class HandTraining:
         self._gate = ShadowGate(points.joints_m.numpy())
         self._poses = _by_pose(material.train)
         self._names = sorted(self._poses)
+        steps = [-(-len(self._poses[name]) // options.schedule.views) for name in self._names]
+        self._rounds = [[pose for pose, own in enumerate(steps) if own > turn] for turn in range(max(steps))]
         self._known: LruCache[_PosedBones] = LruCache(POSE_CACHE_BYTES, _PosedBones.nbytes)
         self._pictures = Pictures()
         self._settings = RenderSettings()
@@ -160,7 +163,7 @@ class HandTraining:
         self._steps = max(steps, 1)
 
     def step(self, number: int) -> dict[str, float]:
-        """See Trainable. Its poses go round in a new random order each time; the cameras are drawn anew."""
+        """See Trainable."""
         self._part = part = min(number / self._steps, 1.0)
         self._refine(part)
         stride = int(at_part(self.options.schedule.strides, part))
@@ -174,8 +177,8 @@ class HandTraining:
         norm = torch.nn.utils.get_total_norm(list(self.gradients().values()), foreach=self._fast)
         # shortened by a norm that is not finite, all gradients would be so too, and hide which one it was
         if bool(torch.isfinite(norm)):
-            longest = self.options.schedule.gradient_norm
-            torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
+            if (longest := self.options.schedule.gradient_norm) is not None:
+                torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
             self._optimizer.step()
             self.hand.keep_in_range()
         figures = {name: float(term.detach()) for name, term in terms.items()}
@@ -228,17 +231,25 @@ class HandTraining:
         assert learned is not None
         if waves is not None and isinstance(learned.correctives, PoseNetwork):
             learned.correctives.weights["encoding_in.weight"] *= waves.cpu().numpy()
-        return avatar if self.options.shadow else replace(avatar, learned=replace(learned, shadow=None))
+        look = replace(self.hand.shadow_look(), printed=self.options.printed_shadow) if self.options.shadow else None
+        return replace(avatar, learned=replace(learned, shadow=look))
 
     # ---- what a step does --------------------------------------------------------------------------------------------
 
     def _draw(self, number: int) -> list[Sample]:
-        """Pictures of one pose by different cameras."""
-        turn, place = divmod(number, len(self._names))
-        order = np.random.default_rng([self.options.seed, turn]).permutation(len(self._names))
-        samples = self._poses[self._names[order[place]]]
-        chosen = np.random.default_rng([self.options.seed, turn, place]).permutation(len(samples))
-        return [samples[index] for index in chosen[: self.options.schedule.views]]
+        """Pictures of one pose by different cameras. An epoch shows every picture once, in rounds of all poses; where
+        the views do not divide the cameras, the last step of a pose shows some of the epoch's pictures again."""
+        views, seed = self.options.schedule.views, self.options.seed
+        epoch, place = divmod(number, sum(map(len, self._rounds)))
+        turn = 0
+        while place >= len(self._rounds[turn]):
+            place -= len(self._rounds[turn])
+            turn += 1
+        poses = self._rounds[turn]
+        pose = poses[np.random.default_rng([seed, epoch, 0, turn]).permutation(len(poses))[place]]
+        samples = self._poses[self._names[pose]]
+        cameras = np.random.default_rng([seed, epoch, 1, pose]).permutation(len(samples))
+        return [samples[cameras[(turn * views + view) % len(samples)]] for view in range(min(views, len(samples)))]
 
     def _refine(self, part: float) -> None:
         """Lets the Gaussians of a finer level of detail join, with the radii of their neighbors."""
@@ -319,13 +330,16 @@ class HandTraining:
         picture = rasterize(gaussians, camera, self._settings)
         if not (self.options.shadow and shadow > 0):
             return picture.rgb, picture.alpha
-        # drawn in white on white the shadow pass gives the visibility itself; its constants are learned outside of it
-        white = torch.ones_like(picture.alpha)[None].expand(3, -1, -1)
-        planes = torch.cat([white, picture.alpha[None], picture.depth_sum[None]])
-        style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
-        seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
         gain, tint = (number.cpu() for number in self.hand.shadow())
-        seen = seen.clamp_min(VISIBILITY_MIN) ** (gain / style.gain)
+        if self.options.printed_shadow:
+            seen = printed_visibility(picture.depth_sum, picture.alpha, self.options.shadow_samples)
+        else:
+            # drawn in white on white the pass gives the visibility itself; its constants are learned outside of it
+            white = torch.ones_like(picture.alpha)[None].expand(3, -1, -1)
+            planes = torch.cat([white, picture.alpha[None], picture.depth_sum[None]])
+            style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
+            seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
+            seen = seen.clamp_min(VISIBILITY_MIN) ** (gain / style.gain)
         return picture.rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
 
     def _posed_bones(self, sample: Sample) -> _PosedBones:
@@ -336,7 +350,8 @@ class HandTraining:
         maps = skin_maps(self._points.bone_weights, bones)
         with torch.no_grad():
             seen = None if self._cast is None else see_lamps(self._cast, self._points.joints_m, bones)
-        posed = _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
+        gate = 1.0 if self.options.printed_shadow else fade(self._gate.score(joints_m, float(bones.scale)))
+        posed = _PosedBones(bones, maps, gate, seen)
         return mapped(posed, lambda tensor: tensor.to(self._device))
 
     def _drawn(self, sample: Sample) -> tuple[View, Tensor]:

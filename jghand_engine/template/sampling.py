@@ -22,6 +22,8 @@ SHELL_DEPTH_M = 0.003
 GAUSSIANS_PER_BONE = 3000
 # farthest-point order takes (points per bone)^2 steps
 SHELL_PER_BONE_MAX = 20_000
+# a shell as deep as this is the whole hand: the middle of the thickest palm is less deep
+SHELL_DEPTH_MAX_M = 0.030
 # edge of the cells from which the shell is drawn, meters: speed only
 SHELL_CELL_M = 0.003
 # draws per wanted point after which a bone is taken to have no skin (built-in hand: at most 11)
@@ -57,39 +59,46 @@ def sample_shell(
     per_bone: int = GAUSSIANS_PER_BONE,
     depth_m: float = SHELL_DEPTH_M,
     seed: int = 0,
+    depth_of_points: bool = False,
 ) -> ShellSample:
     """Draws `per_bone` points per bone, uniformly in the shell of thickness `depth_m` under the closed surface.
 
+    depth_of_points: the depth coordinate goes from the deepest point to the shallowest, as the paper has it
     The same arguments give the same points. Raises InputError for numbers out of range, and when a bone has no skin.
     """
     if not 1 <= per_bone <= SHELL_PER_BONE_MAX:
         raise InputError("points per bone", wanted=f"1..{SHELL_PER_BONE_MAX}", came=str(per_bone))
-    if not 0 < depth_m <= UVD_RANGE_M:
-        raise InputError("depth of the shell", wanted=f"0..{UVD_RANGE_M} m", came=f"{depth_m} m")
+    most_m = SHELL_DEPTH_MAX_M if depth_of_points else UVD_RANGE_M
+    if not 0 < depth_m <= most_m:
+        raise InputError("depth of the shell", wanted=f"0..{most_m} m", came=f"{depth_m} m")
     surface = Surface(template.vertices_m, template.faces)
     points_m, drawn = _draw(template, surface, per_bone, depth_m, np.random.default_rng(seed))
     order = farthest_point_order(points_m)
     ranked = (order + per_bone * np.arange(BONE_COUNT)[:, None]).T.ravel()
     ranked_m, near = points_m.reshape(-1, 3)[ranked], drawn.rows(ranked)
+    signed_m = near.signed_m
+    spread_m = (float(signed_m.min()), float(signed_m.max())) if depth_of_points else (-UVD_RANGE_M, UVD_RANGE_M)
     return ShellSample(
         position_m=ranked_m,
         bone=np.tile(np.arange(1, JOINT_COUNT), per_bone),
-        uvd=uvd_coordinates(template, near),
+        uvd=uvd_coordinates(template, near, spread_m),
         normal=surface.normals(near.face, near.barycentric),
         face=near.face,
         barycentric=near.barycentric,
     )
 
 
-def uvd_coordinates(template: HandTemplate, near: ClosestPoints) -> np.ndarray:
-    """(N, 3) coordinates in 0..1: UV of the closest point in *its* face, and the signed distance over a fixed range.
+def uvd_coordinates(
+    template: HandTemplate, near: ClosestPoints, spread_m: tuple[float, float] = (-UVD_RANGE_M, UVD_RANGE_M)
+) -> np.ndarray:
+    """(N, 3) coordinates in 0..1: UV of the closest point in *its* face, and the signed distance over `spread_m`.
 
     UVs belong to the corners of faces, so they are mixed inside the closest face, never between neighboring vertices.
-    The range is fixed (UVD_RANGE_M either side): with the range of the points at hand features would shift when points
-    move. METHOD 3.3.
+    The range is fixed (UVD_RANGE_M either side) unless one is given: with that of the points at hand features would
+    shift when points move. METHOD 3.3.
     """
     uv = np.einsum("nk,nkc->nc", near.barycentric, template.face_uv[near.face])
-    depth = (near.signed_m + UVD_RANGE_M) / (2 * UVD_RANGE_M)
+    depth = (near.signed_m - spread_m[0]) / max(spread_m[1] - spread_m[0], 1e-9)
     return np.clip(np.concatenate([uv, depth[:, None]], axis=1), 0, 1)
 
 

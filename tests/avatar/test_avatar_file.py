@@ -261,6 +261,13 @@ def test_a_trained_avatar_without_correctives_or_shadow_comes_back(tmp_path):
     assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
 
 
+def test_a_shadow_of_the_papers_own_form_comes_back(tmp_path):
+    avatar = trained_avatar()
+    avatar = replace(avatar, learned=replace(avatar.learned, shadow=ShadowLook(tint=(0.1, 0.2, 0.3), printed=True)))
+    save_avatar(tmp_path / "hand.jghand", avatar)
+    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+
+
 @pytest.mark.parametrize("shaded", [False, True])
 def test_a_network_of_any_shape_comes_back(tmp_path, shaded):
     shape = PoseNetShape((1, 0, 3), 3, 2, 5, level1=False, reach_m=0.004, shaded=shaded)

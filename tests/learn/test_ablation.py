@@ -85,7 +85,7 @@ def test_variants_are_chosen_by_name_in_the_papers_order():
     options = TrainOptions()
     assert list(chosen_variants(options, ())) == list(ablations(options))
     assert list(chosen_variants(options, ("full", "w/o trans"))) == ["w/o trans", "full"]
-    with pytest.raises(InputError, match="w/o shadow, "):
+    with pytest.raises(InputError, match="w/o screen shadow, w/o cast shadow, "):
         chosen_variants(options, ("w/o hands",))
 
 
@@ -117,7 +117,7 @@ def test_an_ablation_leaves_a_table_figures_and_a_sheet(ablate, tmp_path):
     for name, transform in (("without_trans", Transform.HALO_LIKE), ("full", Transform.JOINTS)):
         assert load_avatar(tmp_path / "out" / f"{name}.jghand").info.transform is transform
     assert content["variants"]["full"]["means"]["all"]["psnr_full"] > 0
-    assert "w/o shadow | - |" in (tmp_path / "out" / "ablation.md").read_text()
+    assert "w/o screen shadow | - |" in (tmp_path / "out" / "ablation.md").read_text()
     assert read_png(tmp_path / "out" / "ablation.png").shape[1] > 800
     assert read_png(tmp_path / "out" / "isotropic_anisotropic.png").shape[1] > 1600
 

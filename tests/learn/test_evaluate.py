@@ -153,10 +153,10 @@ def test_every_row_is_as_long_as_the_head(evaluation):
 
 
 def test_the_ablation_says_what_each_variant_loses(capture, split, evaluation):
-    worse = Evaluation("w/o shadow", capture.name, split.origin,
+    worse = Evaluation("w/o screen shadow", capture.name, split.origin,
                        measure_pictures(categories_of(split, "test"), truth_but(capture, 0.2)))  # fmt: skip
-    table = tables.ablation_table({"full": evaluation, "w/o shadow": worse})
-    row = cells_of(table, "w/o shadow")
+    table = tables.ablation_table({"full": evaluation, "w/o screen shadow": worse})
+    row = cells_of(table, "w/o screen shadow")
     assert float(row[3]) == pytest.approx(-20 * np.log10(2), abs=0.01)
     assert row[5:] == ("0.954", "30.92", "-2.52")
     assert cells_of(table, "w/o trans")[1:5] == ("-",) * 4

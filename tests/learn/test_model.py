@@ -216,7 +216,7 @@ def test_gradients_reach_every_parameter(anisotropic):
     missed = [n for n, p in hand.named_parameters() if n not in OF_THE_SHADOW and (p.grad is None or not p.grad.any())]
     assert missed == []
     # the head has eleven numbers for eight things, and none of them is idle
-    assert bool(hand.heads.weight.grad.any(1).all())  # type: ignore[union-attr]
+    assert bool(hand.decoders[0][-1].weight.grad.any(1).all())  # type: ignore[union-attr]
     assert all(bool(torch.isfinite(p.grad).all()) for p in hand.parameters() if p.grad is not None)
 
 

@@ -75,12 +75,6 @@ def test_without_its_package_there_is_no_st_lpips_and_a_sentence_says_so(monkeyp
     assert "pip install" in perceptual.ST_LPIPS_MISSING
 
 
-@pytest.mark.parametrize("kind", perceptual.TRUNKS)
-def test_lpips_refuses_to_run_without_a_trunk(kind):
-    with pytest.raises(InputError, match="ImageNet trunk"):
-        perceptual.lpips(None, kind)
-
-
 def test_lpips_refuses_a_trunk_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         perceptual.lpips(tmp_path / "vgg16.pth")

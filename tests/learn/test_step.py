@@ -15,9 +15,10 @@ from small_trainings import SMALL, parameters_of, small_training
 from jghand_engine.avatar.avatar import SIGMA_MAX_M
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
+from jghand_engine.learn.ablation import LiveHand
 from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.model import SHADOW_GAIN_RANGE
-from jghand_engine.learn.options import LossWeights, TrainOptions, Transform
+from jghand_engine.learn.options import PAPER_FAITHFUL, LossWeights, TrainOptions, Transform
 from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
@@ -93,6 +94,19 @@ def test_a_pose_with_fewer_cameras_than_wanted_gives_those_it_has(build, samples
     training = build(scheduled(views=8), few)
     counts = {training._draw(number)[0].frame: len(training._draw(number)) for number in range(3)}
     assert counts == {0: 1, 1: 3, 2: 3}
+
+
+@pytest.mark.parametrize("views", [1, 2, 3])
+def test_an_epoch_shows_every_picture_once(build, samples, views):
+    """Of three cameras two views leave one over: the pose's last step shows one of them again."""
+    few = samples[1:]  # the first pose has a camera less
+    training = build(scheduled(views=views), few)
+    epoch = {1: 8, 2: 5, 3: 3}[views]
+    for first in (0, epoch, 2 * epoch):
+        names = [name for step in drawn(training, range(first, first + epoch)) for name in step]
+        assert set(names) == {sample.image.name for sample in few}
+        assert len(names) == 8 or views == 2
+    assert drawn(training, range(epoch)) != drawn(training, range(epoch, 2 * epoch))
 
 
 @pytest.mark.parametrize("hands", ["none", "both"])
@@ -319,6 +333,30 @@ def test_without_shadow_nothing_of_it_is_learned(build, samples):
     training = build(replace(SMALL, shadow=False), samples[3:6])
     training.step(0)
     assert not set(training.gradients()) & {"raw_shadow_gain", "raw_shadow_tint"}
+
+
+def test_the_papers_preset_has_its_own_shadow_in_every_pose_and_no_cast_one(build, samples):
+    """The open hand of the first pose is below the gate. Offset, color and opacity have networks of their own."""
+    model = replace(PAPER_FAITHFUL.model, gaussians=300, plane_texels=12, depth_texels=4, hidden=10)
+    options = replace(PAPER_FAITHFUL, model=model, shadow_samples=8)
+    training = build(options)
+    posed = training._posed_bones(samples[0])
+    assert posed.seen is None
+    assert (posed.shadow, build()._posed_bones(samples[0]).shadow) == (1, 0)
+    learned = training.avatar().learned
+    assert learned.cast is None
+    assert learned.shadow.printed
+    assert not build().avatar().learned.shadow.printed
+    assert [decoder[-1].out_features for decoder in training.hand.decoders] == [3, 3, 1]
+    training.plan(4)
+    training.step(0)
+    assert training.hand.raw_shadow_tint.grad.abs().sum() > 0
+    assert training.hand.raw_shadow_gain.grad is None, "V = 1 - S has no gain"
+    # what the training shows is what `jghand evaluate` draws of the avatar
+    view, ours = training._drawn(samples[0])
+    drawn = LiveHand(training.avatar(), RenderSettings(shadow_samples=8))
+    rgba = drawn(samples[0].joints_m, samples[0].handedness, view.camera)
+    np.testing.assert_allclose(rgba[..., :3], ours.numpy(), atol=2e-5)
 
 
 def test_the_shadow_darkens_by_strength_and_tint(build, samples):

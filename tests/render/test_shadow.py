@@ -14,7 +14,7 @@ import torch
 from depth_scenes import camera, fingers, plane, planes_of, rays, sphere
 
 from jghand_engine.errors import InputError
-from jghand_engine.learn.shadow import darken, normalized_depth, shade, surface_normals, visibility
+from jghand_engine.learn.shadow import darken, normalized_depth, printed_visibility, shade, surface_normals, visibility
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library
 from jghand_engine.render import passes
@@ -51,6 +51,35 @@ def test_a_sphere_is_not_darkened_up_to_its_silhouette():
     view = camera(120, 120, 1000.0, off_center=3.0)
     v = seen(sphere(view, (0.0, 0.0, 0.6), 0.03), view)
     assert float(v.min()) > 0.997  # observed 0.9987
+
+
+def test_the_papers_own_form_is_the_mean_over_nearer_neighbors_and_knows_no_tangent_plane():
+    """Beside a step of 30 mm half of the disc is nearer; a plane that faces the camera has the foot of the curve, a
+    tilted one is dark all over, and the background, however it is stored, occludes nothing."""
+    foot, half = 1 / (1 + math.exp(2)), 64
+    step = torch.full((90, 120), 0.6)
+    step[:, 60:] = 0.57
+    v = printed_visibility(step, torch.ones_like(step), half)[45]
+    assert float(v[30]) == pytest.approx(1 - foot, abs=1e-5)
+    assert float(v[59]) == pytest.approx(1 - (1 + foot) / 2, abs=0.03)
+    assert float(v[60]) == pytest.approx(1 - foot / 2, abs=0.03)
+    view = camera(96, 80, 900.0)
+    tilted = plane(view, (0.8, 0.0, -1.0), 0.5).float()
+    assert float(printed_visibility(tilted, torch.ones_like(tilted), 64)[40, 48]) < 0.75
+    alpha = torch.zeros_like(step)
+    alpha[:, :60] = 0.5  # of half transparent skin the mean depth counts, not the sum
+    alone = printed_visibility(step * alpha, alpha, half)
+    assert float(alone[45, 30]) == pytest.approx(1 - foot, abs=1e-5)
+    assert float(alone[45, 59]) == pytest.approx(1 - foot / 2, abs=0.03)
+    assert float(alone[45, 90]) == 1
+
+
+def test_the_gradient_of_the_papers_own_form_is_that_of_its_formula():
+    g = torch.Generator().manual_seed(3)
+    depth = (0.6 + 0.004 * torch.rand(12, 14, generator=g, dtype=torch.float64)).requires_grad_(True)
+    alpha = torch.ones(12, 14, dtype=torch.float64)
+    alpha[:2] = 0
+    assert torch.autograd.gradcheck(lambda d: printed_visibility(d * alpha, alpha, 8), (depth,), atol=1e-6)
 
 
 def test_a_crease_is_dark_and_its_flanks_are_light():
