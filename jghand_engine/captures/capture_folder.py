@@ -3,12 +3,13 @@ that published figures stand for, by name. Source: DATA 5.
 
 The avatar papers (HandAvatar and those after it) learn from one sequence of a person of InterHand2.6M and show
 another, at 5 frames per second, and leave out images by the rules of HandAvatar's published preparation. Their masks
-are MANO's silhouette, stored as masks_removeblack; where those are absent our template's stands in, and figures say so.
+are MANO's silhouette, stored as masks_removeblack; where those are absent a template's stands in, and figures say so.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from jghand_engine.captures.reading import Report, find_roots, subfolders
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.template.mesh import HandTemplate
 
 # the same papers leave an image out when the hand's box is nearer to the border than this or smaller, pixels; when it
 # is as dark as this; when two color channels differ nowhere by more than this; when the mask has fewer pixels
@@ -49,7 +51,7 @@ class Protocol:
 
 
 def _avatar_papers(split: str, capture: str) -> Protocol:
-    choice = CaptureChoice(split, capture, (_LEARN, _SHOW), Handedness.RIGHT)
+    choice = CaptureChoice(split, capture, (_LEARN, _SHOW), Handedness.RIGHT, some=True)
     papers = f"{split}/{capture} of HandAvatar and the papers after it"
     return Protocol(f"{split}-{capture}".lower(), Layout.INTERHAND, choice, (_LEARN,), (_SHOW,), papers)
 
@@ -84,6 +86,7 @@ def open_capture(
     protocol: str | None = None,
     choice: CaptureChoice | None = None,
     report: Report | None = None,
+    template: HandTemplate | None = None,
 ) -> Capture:
     """The images of one hand in a folder of InterHand2.6M, of HanCo, or made by `jghand capture`.
 
@@ -91,16 +94,19 @@ def open_capture(
     protocol: a name of PROTOCOLS, instead of a choice
     choice:   which images, where there are those of several persons or hands
     report:   is told of broken images and implausible joints instead of the error, and the reading goes on
+    template: whose silhouette stands in for masks that are not there; None: the built-in hand's
     InputError names what is wrong: the folder, an annotation, the first image that is missing or broken.
     """
     place = Path(folder)
-    if protocol is None:
-        if layout_of(place) is Layout.HANCO:
-            return read_hanco(place, choice, report=report)
-        return read_interhand(place, choice, report=report)
-    if choice is not None:
-        raise InputError("choice of images", wanted="a protocol or a choice", came="both", remedy="Drop one.")
-    return _by_protocol(place, find_protocol(protocol), report)
+    if protocol is not None:
+        if choice is not None:
+            raise InputError("choice of images", wanted="a protocol or a choice", came="both", remedy="Drop one.")
+        capture = _by_protocol(place, find_protocol(protocol), report, template)
+    elif layout_of(place) is Layout.HANCO:
+        capture = read_hanco(place, choice, report=report)
+    else:
+        capture = read_interhand(place, choice, report=report)
+    return capture.only(replace(sample, template=template) for sample in capture.samples)
 
 
 def layout_of(folder: Path) -> Layout:
@@ -123,14 +129,15 @@ def layout_of(folder: Path) -> Layout:
     raise InputError(f"data set {folder}", wanted="InterHand2.6M, HanCo or our own capture", came=came, remedy=remedy)
 
 
-def _by_protocol(folder: Path, protocol: Protocol, report: Report | None) -> Capture:
+def _by_protocol(folder: Path, protocol: Protocol, report: Report | None, template: HandTemplate | None) -> Capture:
     came = layout_of(folder)
     if came is not protocol.layout:
         raise InputError(f"protocol {protocol.name}", wanted=protocol.layout.value, came=f"{came.value} in {folder}")
     if protocol.layout is Layout.HANCO:
         capture = read_hanco(folder, protocol.choice, report=report)
     else:
-        capture = read_interhand(folder, protocol.choice, drop_rule=avatar_papers_drop, report=report)
+        drop = partial(avatar_papers_drop, template=template)
+        capture = read_interhand(folder, protocol.choice, drop_rule=drop, report=report)
         capture = with_papers_masks(capture)
     return replace(capture, protocol=protocol.name, train_sequences=protocol.train, test_sequences=protocol.test)
 
@@ -138,8 +145,8 @@ def _by_protocol(folder: Path, protocol: Protocol, report: Report | None) -> Cap
 # ---- the rules of the avatar papers ----------------------------------------------------------------------------------
 
 
-def avatar_papers_drop(sample: Sample, image: InterHandImage) -> str | None:
-    """Why the avatar papers leave an image out, or None. It reads the image."""
+def avatar_papers_drop(sample: Sample, image: InterHandImage, template: HandTemplate | None = None) -> str | None:
+    """Why the avatar papers leave an image out, or None. It reads the image. template: as in `open_capture`."""
     reason = _box_reason(image)
     if reason is not None:
         return reason
@@ -149,7 +156,7 @@ def avatar_papers_drop(sample: Sample, image: InterHandImage) -> str | None:
     pairs = ((0, 1), (1, 2), (0, 2))
     if any(np.abs(rgb[..., a] - rgb[..., b]).max() <= PAPER_CHANNEL_DIFFERENCE for a, b in pairs):
         return "gray camera"
-    mask = _mask(sample) > 0
+    mask = _mask(sample, template) > 0
     if mask.sum() < PAPER_MASK_MIN_PX:
         return "small mask"
     return "dark hand" if rgb[mask].mean(axis=-1).max() < PAPER_DARK else None
@@ -165,10 +172,10 @@ def _box_reason(image: InterHandImage) -> str | None:
     return "small hand" if max(width, height) < PAPER_BOX_MIN_PX else None
 
 
-def _mask(sample: Sample) -> np.ndarray:
+def _mask(sample: Sample, template: HandTemplate | None) -> np.ndarray:
     if sample.mask is not None:
         return read_mask(sample.mask)
-    return template_mask(sample.camera, sample.joints_m, sample.handedness)
+    return template_mask(sample.camera, sample.joints_m, sample.handedness, template)
 
 
 def with_papers_masks(capture: Capture) -> Capture:

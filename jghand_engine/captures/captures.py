@@ -30,6 +30,7 @@ class CaptureChoice:
     sequences:   names of sequences, such as 'ROM04_RT_Occlusion', or '0191' of HanCo
     handedness:  needed only where both hands were recorded
     interacting: take images that show both hands too; their mask is the projected template
+    some:        leave out sequences that are not there, as long as one is
     """
 
     split: str | None = None
@@ -37,6 +38,7 @@ class CaptureChoice:
     sequences: tuple[str, ...] | None = None
     handedness: Handedness | None = None
     interacting: bool = False
+    some: bool = False
 
 
 @dataclass(frozen=True)

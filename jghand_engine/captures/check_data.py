@@ -19,6 +19,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.motion.choose import CURL_MIN, curl_towards_palm
+from jghand_engine.template.mesh import HandTemplate
 
 # check-data looks at so many images of a larger set, and names so many examples of what is wrong
 CHECK_IMAGES = 400
@@ -75,16 +76,17 @@ def check_data(
     protocol: str | None = None,
     choice: CaptureChoice | None = None,
     most: int = CHECK_IMAGES,
+    template: HandTemplate | None = None,
     tick: Callable[[int, int], None] | None = None,
 ) -> DataReport:
     """Opens a data set as training would, looks at up to `most` of its images, and says what is wrong.
 
-    Never raises for a bad data set: that is its result. protocol, choice: as in `open_capture` · tick: is called with
-    the number of images looked at and to be looked at.
+    Never raises for a bad data set: that is its result. protocol, choice, template: as in `open_capture` · tick: is
+    called with the number of images looked at and to be looked at.
     """
     troubles: list[InputError] = []
     try:
-        capture = open_capture(folder, protocol=protocol, choice=choice, report=troubles.append)
+        capture = open_capture(folder, protocol=protocol, choice=choice, report=troubles.append, template=template)
     except InputError as error:
         return DataReport(None, tuple(_errors([*troubles, error])), ())
     seen: list[Seen] = []

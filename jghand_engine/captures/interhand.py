@@ -100,7 +100,7 @@ class _Reader:
         present = sorted({image.sequence for image in of_person})
         sequences = self.choice.sequences or ((self.files.sequence,) if self.files.sequence else tuple(present))
         for name in sequences:
-            if name not in present:
+            if name not in present and not (self.choice.some and set(sequences) & set(present)):
                 raise _unknown("sequence", name, present, self.files.data)
         return [image for image in of_person if image.sequence in sequences]
 

@@ -1,12 +1,11 @@
 """The mask of a hand where no file has one: the template, posed by the joints and projected.
 
-It is the silhouette of *our* hand in that pose, not of the person's: a few millimeters off where their hand is thicker
-or thinner. Figures got with it say so.
+It is the silhouette of the template's hand in that pose, not of the person's: a few millimeters off where their hand is
+thicker or thinner. Figures got with it say so.
 """
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import HandTemplate
 
 # samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
 MASK_SUPERSAMPLING = 4
@@ -25,12 +25,15 @@ MASK_SUPERSAMPLING = 4
 PAPER_MASK_GRAY = (10, 200)
 
 
-def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
-    """(H, W) float32 coverage 0..1 of the built-in template posed by joints_m (21, 3), level order, world, meters.
+def template_mask(
+    camera: Camera, joints_m: np.ndarray, handedness: Handedness, template: HandTemplate | None = None
+) -> np.ndarray:
+    """(H, W) float32 coverage 0..1 of a template posed by joints_m (21, 3), level order, world, meters.
 
-    Faces that reach behind the near plane are left out.
+    template: None is the built-in one. Faces that reach behind the near plane are left out.
     """
-    return silhouette(camera, posed_template(joints_m, handedness), load_template().faces)
+    template = template or load_template()
+    return silhouette(camera, posed_template(template, joints_m, handedness), template.faces)
 
 
 def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
@@ -54,15 +57,14 @@ def template_note(count: int, total: int) -> tuple[str, ...]:
     if not count:
         return ()
     return (
-        f"{count} of {total} images have no mask: our template, posed and projected, stands in for it, so figures "
+        f"{count} of {total} images have no mask: the template, posed and projected, stands in for it, so figures "
         "are not those of the papers' protocol.",
     )
 
 
-def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
-    """(V, 3) vertices of the built-in template, posed by linear blend skinning; world, meters."""
-    template = load_template()
-    skeleton = _skeleton(handedness)
+def posed_template(template: HandTemplate, joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
+    """(V, 3) vertices of the template, posed by linear blend skinning; world, meters."""
+    skeleton = Skeleton(template.joints_m, handedness=handedness)
     bones = skeleton.bones(joints_m, np.float64)
     maps = np.einsum("vb,bij->vij", template.bone_weights, bones.linear_offset)
     relative_m = template.vertices_m - skeleton.canonical_root_m
@@ -90,8 +92,3 @@ def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.
 def _touches(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """(F,) whether a triangle's box overlaps the canvas; the others need not be drawn."""
     return ((corners.max(axis=1) >= 0) & (corners.min(axis=1) <= np.array(size))).all(axis=1)
-
-
-@functools.cache
-def _skeleton(handedness: Handedness) -> Skeleton:
-    return Skeleton(load_template().joints_m, handedness=handedness)

@@ -15,6 +15,7 @@ from jghand_engine.captures.masks import lit_part, template_mask
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.render.camera import Camera
+from jghand_engine.template.mesh import HandTemplate
 
 
 class MaskSource(StrEnum):
@@ -28,7 +29,7 @@ class MaskSource(StrEnum):
 
     @property
     def is_projected(self) -> bool:
-        """Whether it is a silhouette of our hand, and so no evidence of where the person's hand is."""
+        """Whether it is a silhouette of a template, and so no evidence of where the person's hand is."""
         return self in (MaskSource.TEMPLATE, MaskSource.TEMPLATE_LIT)
 
 
@@ -42,6 +43,7 @@ class Sample:
     handedness:  which hand
     capture, sequence, frame, camera_name: where it comes from; (sequence, frame) names a pose
     mask_source, mask: how to get the mask; `mask` is the file for MaskSource.FILE
+    template:    whose silhouette stands in for a mask; None: the built-in hand's
     """
 
     image: Path
@@ -54,6 +56,7 @@ class Sample:
     camera_name: str
     mask_source: MaskSource = MaskSource.ALPHA
     mask: Path | None = None
+    template: HandTemplate | None = None
 
     @property
     def pose(self) -> tuple[str, int]:
@@ -84,7 +87,7 @@ def load_image(sample: Sample) -> TrainingImage:
 
 def _mask(sample: Sample, stored: np.ndarray) -> np.ndarray:
     if sample.mask_source.is_projected:
-        mask = template_mask(sample.camera, sample.joints_m, sample.handedness)
+        mask = template_mask(sample.camera, sample.joints_m, sample.handedness, sample.template)
         return lit_part(mask, stored) if sample.mask_source is MaskSource.TEMPLATE_LIT else mask
     if sample.mask_source is MaskSource.FILE:
         if sample.mask is None:

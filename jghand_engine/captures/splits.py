@@ -53,13 +53,25 @@ class Split:
         return {name: samples for name, samples in kinds.items() if samples}
 
 
-def split_capture(capture: Capture) -> Split:
-    """The split that belongs to a capture: its protocol's, else that of its splits.json, else the fixed rule."""
+def split_capture(capture: Capture, *, to_learn: bool = True) -> Split:
+    """The split that belongs to a capture: its protocol's, else that of its splits.json, else the fixed rule.
+
+    to_learn: InputError where nothing is left to learn from; else the folder may hold test images alone
+    """
+    file = capture.folder / SPLITS_FILE
     if capture.train_sequences:
         origin = f"protocol {capture.protocol}"
-        return split_by_sequence(capture, capture.train_sequences, capture.test_sequences, origin)
-    file = capture.folder / SPLITS_FILE
-    return split_from_file(capture, file) if file.exists() else split_by_rule(capture)
+        split = split_by_sequence(capture, capture.train_sequences, capture.test_sequences, origin)
+    else:
+        split = split_from_file(capture, file) if file.exists() else split_by_rule(capture)
+    if to_learn and not split.train:
+        raise InputError(
+            f"split of {capture.name} ({split.origin})",
+            wanted="at least one image to learn from",
+            came=f"{len(capture)} images, all of them held out",
+            remedy="Hold out fewer poses or cameras.",
+        )
+    return split
 
 
 def split_by_rule(
@@ -68,7 +80,7 @@ def split_by_rule(
     """Every n-th pose of a sequence and every n-th camera are for the test, in the order of their names and numbers.
 
     The same images give the same split on any machine. With fewer poses, or cameras, than n none is held out. 0:
-    hold out none. InputError for n = 1 or negative numbers, which would leave nothing to learn from.
+    hold out none. InputError for n = 1, which would leave nothing to learn from, and for negative numbers.
     """
     for what, every in (("every_pose", every_pose), ("every_camera", every_camera)):
         if every < 0 or every == 1:
@@ -88,7 +100,7 @@ def split_from_file(capture: Capture, file: Path) -> Split:
 
     {"format": 1, "test_frames": {"<sequence>": [frame, …]}, "test_cameras": ["<camera>", …]}; either may be absent.
     Names that the capture does not have are ignored: it may be a part of the one that was split. InputError for a file
-    that is damaged, or that leaves nothing to learn from.
+    that is damaged.
     """
     content = JsonObject.of_file(file, "Write the split again.")
     content.value("format", lambda value: value == SPLITS_FORMAT, str(SPLITS_FORMAT))
@@ -120,15 +132,7 @@ def _split(capture: Capture, test_poses: set[tuple[str, int]], test_cameras: set
             if (sample.pose in test_poses) is pose_is_new and (sample.camera_name in test_cameras) is camera_is_new
         )
 
-    train = images(False, False)
-    if not train:
-        raise InputError(
-            f"split of {capture.name} ({origin})",
-            wanted="at least one image to learn from",
-            came=f"{len(capture)} images, all of them held out",
-            remedy="Hold out fewer poses or cameras.",
-        )
-    return Split(train, images(True, False), images(False, True), images(True, True), origin)
+    return Split(images(False, False), images(True, False), images(False, True), images(True, True), origin)
 
 
 def _nth(names: Iterable[Any], every: int) -> list[Any]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_figures
-from jghand_engine.cli.options import FiguresFile
+from jghand_engine.cli.learning import hand_template
+from jghand_engine.cli.options import FiguresFile, File
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
@@ -38,6 +39,9 @@ class CheckData:
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("check_data.png")
     """Picture with joints and bones drawn over a dozen of the pictures, a third of them those that fit worst."""
+    template: File = None
+    """Your own MANO_RIGHT.pkl or MANO_LEFT.pkl: its silhouette stands in for masks that are not there, as it will with
+    `jghand train --template`."""
     all: bool = False
     """Look at every picture; else at 400, evenly spread."""
     json: FiguresFile = None
@@ -51,6 +55,7 @@ class CheckData:
                 self.folder,
                 protocol=self.pictures.protocol,
                 choice=self.pictures.choice(),
+                template=None if self.template is None else hand_template(self.template),
                 most=ALL if self.all else CHECK_IMAGES,
                 tick=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
             )

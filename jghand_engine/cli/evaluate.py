@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
+from jghand_engine.cli.learning import hand_template
 from jghand_engine.cli.options import File, PresetName
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
@@ -78,6 +79,8 @@ class Evaluate:
     """How the avatar is drawn."""
     beside: File = None
     """Another avatar, shown beside the first on poses between poses: isotropic against anisotropic."""
+    template: File = None
+    """The MANO file of an avatar that was trained on it: its silhouette stands in for masks that are not there."""
     figures_only: bool = False
     """Leave out the sheets of pictures, and the time per picture, which is measured on its own after the rest."""
     perceptual: PerceptualOptions = field(default_factory=PerceptualOptions)
@@ -94,8 +97,8 @@ class Evaluate:
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
         avatar, other = load_avatar_called(self.avatar), load_avatar_called(str(self.beside)) if self.beside else None
-        capture = self.pictures.open(self.folder)
-        told = held_out(avatar, capture, split_capture(capture))
+        capture = self.pictures.open(self.folder, None if self.template is None else hand_template(self.template))
+        told = held_out(avatar, capture, split_capture(capture, to_learn=False))
         if told.warning:
             say(f"Warning: {told.warning}")
         # of an avatar that learned all of them, none was held out

@@ -14,6 +14,7 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.captures.captures import Capture, CaptureChoice
+    from jghand_engine.template.mesh import HandTemplate
 
 ProtocolName = Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"]
 
@@ -32,11 +33,12 @@ class PictureSetOptions:
     interacting: bool = False
     """Take pictures that show both hands too; their mask is the projected template."""
 
-    def open(self, folder: Path) -> Capture:
-        """The pictures of `folder` that are meant; what is left out of them is said. Errors as `open_capture`."""
+    def open(self, folder: Path, template: HandTemplate | None = None) -> Capture:
+        """The pictures of `folder` that are meant; what is left out of them is said. template, errors: as of
+        `open_capture`."""
         from jghand_engine.captures.capture_folder import open_capture
 
-        capture = open_capture(folder, protocol=self.protocol, choice=self.choice())
+        capture = open_capture(folder, protocol=self.protocol, choice=self.choice(), template=template)
         for why, count in capture.dropped:
             say(f"Left out: {count} {'picture' if count == 1 else 'pictures'}, {why}")
         return capture

@@ -104,7 +104,7 @@ class Train:
         options, perceptual = train_options(self.preset, self.seed, device, self.lpips_trunk)
         template = hand_template(self.template)
         check_places(run)
-        capture = self.pictures.open(self.folder)
+        capture = self.pictures.open(self.folder, template)
         split = split_capture(capture)
         split = split.all_learned() if self.all_pictures else split
         stamp = stamp_of(options, split.train)

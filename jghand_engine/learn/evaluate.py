@@ -138,11 +138,11 @@ def categories_of(split: Split, which: str, limit: int = 0) -> dict[str, tuple[S
     limit: at most so many of each category, spread evenly over it; 0: all. InputError where there are none.
     """
     groups = split.categories() if which in ("test", "all") else {}
-    if which in ("train", "all"):
+    if which in ("train", "all") and split.train:
         groups = groups | {"learnt": split.train}
     if not groups:
         raise InputError(f"pictures of the {which} split", wanted="at least one", came=f"none ({split.origin})",
-                         remedy="Hold out poses or cameras, or take --split train.")  # fmt: skip
+                         remedy="Hold out poses or cameras, or take another --split.")  # fmt: skip
     return {name: spread(samples, limit) for name, samples in groups.items()}
 
 
@@ -224,6 +224,8 @@ def held_out(avatar: HandAvatar, capture: Capture, split: Split) -> HeldOut:
     if avatar.learned is None:
         return HeldOut(split)
     told = avatar.info.learned_from
+    if not split.train:
+        return _not_known(split, "There are no pictures to learn from beside those that are measured")
     if told is None:
         return _not_known(split, "The avatar does not say which pictures it was learned from")
     if told.digest == image_digest(split.train):

@@ -173,7 +173,7 @@ def inference_table(ours: Sequence[tuple[str, float, float]], machine: str) -> T
 def _mask_notes(evaluations: Sequence[Evaluation]) -> list[str]:
     """A silhouette of our own hand flatters our own avatar (DATA 5)."""
     projected = any(picture.sample.mask_source.is_projected for one in evaluations for picture in one.pictures)
-    return ["Masks: our template, projected; not the masks of the papers' protocol."] if projected else []
+    return ["Masks: a template, projected; not the masks of the papers' protocol."] if projected else []
 
 
 def _triple(figures: Sequence[float | None] | None) -> str:

@@ -185,7 +185,7 @@ def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None],
     """About so many pictures that a capture's split holds out, of every kind as many as of the others, or all. say:
     called with doubts about them."""
     capture = open_capture(folder)
-    told = held_out(avatar, capture, split_capture(capture))
+    told = held_out(avatar, capture, split_capture(capture, to_learn=False))
     if told.warning:
         say(told.warning)
     # pictures that were all learned from can still be compared with; that is said above and in the table

@@ -39,13 +39,15 @@ def test_what_is_behind_the_camera_or_far_outside_is_not_drawn():
 
 def test_the_template_posed_by_its_own_joints_is_itself():
     template = load_template()
-    np.testing.assert_allclose(posed_template(template.joints_m, RIGHT), template.vertices_m, atol=1e-12)
+    np.testing.assert_allclose(posed_template(template, template.joints_m, RIGHT), template.vertices_m, atol=1e-12)
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(index):
-    right = posed_template(pose(index, RIGHT) - FAR, RIGHT)
-    np.testing.assert_allclose(posed_template(pose(index, LEFT) - FAR, LEFT), right * [-1, 1, 1], atol=1e-12)
+    right = posed_template(load_template(), pose(index, RIGHT) - FAR, RIGHT)
+    np.testing.assert_allclose(
+        posed_template(load_template(), pose(index, LEFT) - FAR, LEFT), right * [-1, 1, 1], atol=1e-12
+    )
     view = look(0.0, 128, 128)
     centered = dataclasses.replace(view, cx=64.0)
     masks = [template_mask(centered, pose(index, hand), hand) for hand in (RIGHT, LEFT)]

@@ -60,6 +60,16 @@ def test_one_sequence_is_learned_and_another_shown_of_one_person(stored):
     assert {one.mask_source for one in capture.samples} == {MaskSource.FILE}
 
 
+def test_the_sequence_that_is_shown_can_be_there_alone(changeable):
+    shutil.rmtree(changeable / f"images/test/Capture0/{LEARN}")
+    capture = opened(changeable)
+    assert capture.sequences == (SHOW,)
+    split = split_capture(capture, to_learn=False)
+    assert (len(split.train), len(split.test)) == (0, 2)
+    with pytest.raises(InputError, match="at least one image to learn from"):
+        split_capture(capture)
+
+
 def dark(picture):
     return np.minimum(picture, 15)
 

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import pickle
 
 import numpy as np
 import pytest
-from picture_sets import edited, recorded, write_set
+from mano_samples import mano_fields, mano_objects, python2_pickle
+from picture_sets import RIGHT, edited, recorded, write_set
 from PIL import Image
 
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.masks import template_mask
+from jghand_engine.captures.sample import load_image
 from jghand_engine.cli import main
+from jghand_engine.template.mano import load_mano
 
 
 @pytest.fixture
@@ -41,6 +47,42 @@ def test_a_broken_set_ends_with_the_exit_code_of_bad_input_and_still_shows_pictu
     assert "ERROR: Joints do not project onto the hand" in said
     assert "look like meters" in said
     assert out.exists()
+
+
+def test_masks_that_are_not_there_are_the_silhouette_of_the_users_own_mano(tmp_path, capsys):
+    """In check-data, evaluate and train alike: each hands its template to the loader."""
+    folder = write_set(tmp_path / "set", recorded(suffix=".jpg"))
+    mano, hostile = tmp_path / "MANO_RIGHT.pkl", tmp_path / "other.pkl"
+    mano.write_bytes(python2_pickle(mano_objects(mano_fields())))
+    hostile.write_bytes(pickle.dumps(print))
+    for words in (["check-data", "--out"], ["evaluate", "builtin", "--out"], ["train", "--out"]):
+        verb, out = words[0], str(tmp_path / "out.jghand")
+        assert main([*words, out, str(folder), "--template", str(hostile)]) == 2, verb
+        assert "Nothing in it was executed" in capsys.readouterr().err
+    plain, capture = open_capture(folder), open_capture(folder, template=load_mano(mano))
+    ours, theirs = (load_image(one.samples[0]).mask for one in (plain, capture))
+    mitten = template_mask(capture.samples[0].camera, capture.samples[0].joints_m, RIGHT, load_mano(mano))
+    np.testing.assert_array_equal(theirs, mitten)
+    assert theirs.sum() > 1.3 * ours.sum(), "a mitten covers what is between the fingers"
+    assert run(folder, "--out", tmp_path / "o.png", "--template", mano) == 0
+    figures = []
+    for words in ([], ["--template", str(mano)]):
+        out = tmp_path / f"evaluation{len(words)}"
+        plain = [
+            "evaluate",
+            "builtin",
+            str(folder),
+            "--out",
+            str(out),
+            "--split",
+            "all",
+            "--limit",
+            "1",
+            "--figures-only",
+        ]
+        assert main([*plain, "--preset", "draft", *words]) == 0
+        figures.append(json.loads((out / "evaluation.json").read_text())["means"]["all"]["psnr_mask"])
+    assert figures[0] != figures[1]
 
 
 def test_a_wrong_folder_ends_with_the_exit_code_of_bad_input(tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 from picture_sets import recorded, write_set
@@ -48,6 +49,22 @@ def test_figures_alone_can_be_had(folder, tmp_path, capsys):
     means = json.loads((tmp_path / "evaluation.json").read_text())["means"]
     assert next(iter(means)) == "learnt"
     assert "Inference time" not in capsys.readouterr().out
+
+
+def test_a_folder_of_test_pictures_alone_is_measured(folder, tmp_path, capsys):
+    """Whoever keeps the held-out pictures apart has no other ones there: the split's frames are all that there is."""
+    place = shutil.copytree(folder, tmp_path / "apart")
+    (place / "splits.json").write_text(
+        json.dumps({"format": 1, "test_frames": {"ROM_JGHAND": list(range(2000, 2100))}})
+    )
+    words = ("--out", tmp_path / "out", "--limit", 1, "--preset", "draft", "--figures-only")
+    assert run("evaluate", "builtin", place, *words) == 0
+    assert "no pictures to learn from beside those that are measured" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["means"]["novel pose"]["pictures"] == 1
+    assert run("evaluate", "builtin", place, "--split", "train", *words) == 2
+    assert "pictures of the train split" in capsys.readouterr().err
+    assert run("train", place, "--out", tmp_path / "hand.jghand") == 2
+    assert "at least one image to learn from" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

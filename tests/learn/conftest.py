@@ -29,8 +29,8 @@ _PLACE = step.place_points
 
 
 @functools.cache
-def _points_of_the_builtin_hand(count: int, depth_m: float, area_power: float, seed: int) -> CanonicalPoints:
-    return _PLACE(load_template(), count, depth_m=depth_m, area_power=area_power, seed=seed)
+def _points_of_the_builtin_hand(count: int, **how) -> CanonicalPoints:
+    return _PLACE(load_template(), count, **how)
 
 
 @pytest.fixture(scope="session")
