@@ -17,7 +17,7 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
-from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.template.mesh import HandTemplate, posed_vertices
 
 # samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
 MASK_SUPERSAMPLING = 4
@@ -33,7 +33,8 @@ def template_mask(
     template: None is the built-in one. Faces that reach behind the near plane are left out.
     """
     template = template or load_template()
-    return silhouette(camera, posed_template(template, joints_m, handedness), template.faces)
+    skeleton = Skeleton(template.joints_m, handedness=handedness)
+    return silhouette(camera, posed_vertices(template, skeleton, joints_m), template.faces)
 
 
 def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
@@ -60,15 +61,6 @@ def template_note(count: int, total: int) -> tuple[str, ...]:
         f"{count} of {total} images have no mask: the template, posed and projected, stands in for it, so figures "
         "are not those of the papers' protocol.",
     )
-
-
-def posed_template(template: HandTemplate, joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
-    """(V, 3) vertices of the template, posed by linear blend skinning; world, meters."""
-    skeleton = Skeleton(template.joints_m, handedness=handedness)
-    bones = skeleton.bones(joints_m, np.float64)
-    maps = np.einsum("vb,bij->vij", template.bone_weights, bones.linear_offset)
-    relative_m = template.vertices_m - skeleton.canonical_root_m
-    return np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + bones.root_m
 
 
 def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:

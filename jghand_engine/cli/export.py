@@ -1,5 +1,5 @@
-"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera), splat files, or a web
-page."""
+"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera), splat files, a web
+page, or meshes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jghand_engine.hand.sequence import PoseSequence
     from jghand_engine.render.camera import Camera
 
-DESCRIPTION = """Write a motion as OpenUSD, as splat files, or as a web page.
+DESCRIPTION = """Write a motion as OpenUSD, as splat files, as a web page, or as meshes.
 
 OpenUSD: hand.usda with its layers: splats, points, skeleton and mesh, cameras. Splat files: one for every
 frame, hand.0000.ply and so on. The web page plays the motion and poses the hand.
@@ -42,7 +42,8 @@ Examples:
   jghand export --poses open,fist --for usdview --package usdz --out usd
   jghand export ply --poses open,fist --out splats
   jghand export glb --poses fist --frames 0 --out splats
-  jghand export web --poses open,fist,ok --out page"""
+  jghand export web --poses open,fist,ok --out page
+  jghand export mesh --poses fist --frames 0 --out meshes"""
 
 # part by which constant radii may be off those of a frame before it is said: less is not seen
 SIGMA_ERROR_TOLD = 0.05
@@ -76,8 +77,6 @@ class UsdStageOptions:
     package: Literal["layers", "usdc", "usdz"] = "layers"
     """layers: files that refer to each other, and the shot with its cameras. usdc: one file with the chosen variant
     alone. usdz: one file with all variants."""
-    template: File = None
-    """The MANO file of an avatar that was trained on it (`jghand train --template`): its surface becomes the mesh."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +104,13 @@ class WebPageOptions:
 class Export:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where the files are written."""
-    format: Annotated[Literal["usd", "ply", "glb", "splat", "spz", "sog", "web"], tyro.conf.Positional] = "usd"
+    format: Annotated[
+        Literal["usd", "ply", "glb", "splat", "spz", "sog", "web", "mesh", "mesh-obj", "mesh-ply"], tyro.conf.Positional
+    ] = "usd"
     """usd: one animated stage. ply, glb, splat, spz, sog: a file of splats for every frame; ply and glb keep every
     number as it is, splat, spz and sog are 2, 6 and 9 times smaller than ply, and sog needs the extra formats. web: a
-    folder whose index.html any browser opens."""
+    folder whose index.html any browser opens. mesh: the posed surface of every frame, colored, as GLB; or as OBJ or
+    PLY. Meshes need the extra learn."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
     """Stem of the files: letters, digits and _."""
     first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
@@ -118,7 +120,10 @@ class Export:
     """Also replace files that are there, a stage with what somebody has put into its shot, too. Splat files of frames
     that are not written (--frames) stay, whatever motion they are of."""
     up: Literal["y", "z"] = "y"
-    """The axis that points up in the world of the motion. USD says it, splat files are turned."""
+    """The axis that points up in the world of the motion. USD says it, splats and meshes are turned."""
+    template: File = None
+    """For usd and mesh: the MANO file of an avatar that was trained on it (`jghand train --template`), whose surface
+    becomes the mesh."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
     splats: SplatFileOptions = field(default_factory=SplatFileOptions)
     web: WebPageOptions = field(default_factory=WebPageOptions)
@@ -137,6 +142,7 @@ class Export:
         for note in motion.notes:
             say(note)
         write = {"usd": self._write_usd, "web": self._write_web}.get(self.format, self._write_splats)
+        write = self._write_meshes if self._is_mesh else write
         with polite_kill_is_ctrl_c():
             figures = write(avatar.for_hand(motion.sequence.handedness), motion)
         write_figures(self.json, {
@@ -146,8 +152,10 @@ class Export:
 
     def _check_options(self) -> None:
         """InputError for options of another format: they would change nothing."""
+        plain = self._is_mesh or self.format in ("usd", "web")
         unused = {
-            "ply": self.format in ("usd", "web") and self.splats != SplatFileOptions(),
+            "ply": plain and self.splats != SplatFileOptions(),
+            "usd or mesh": not self._is_mesh and self.format != "usd" and self.template is not None,
             "usd": self.format != "usd" and self.usd != UsdStageOptions(),
             # a page has no names of files, no numbers of frames, and is turned as one likes
             "usd or ply": self.format == "web"
@@ -160,6 +168,10 @@ class Export:
                 came=f"one of jghand export {other}, which is without effect",
                 remedy=f"Leave it out, or write jghand export {other}.",
             )  # fmt: skip
+
+    @property
+    def _is_mesh(self) -> bool:
+        return self.format.startswith("mesh")
 
     def _write_usd(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.export.usd.package import PRESETS
@@ -211,7 +223,7 @@ class Export:
             precision=given.precision,
             package=given.package,
             overwrite=self.overwrite,
-            template=None if given.template is None else hand_template(given.template),
+            template=None if self.template is None else hand_template(self.template),
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
@@ -226,16 +238,38 @@ class Export:
                 self.out, avatar, motion.whole, options, frames=motion.frames,
                 progress=lambda done, _: bar.update(task, completed=done),
             )  # fmt: skip
-        first, last = report.files[0], report.files[-1]
-        which = f"{first} to {last.name}" if len(report.files) > 1 else str(first)
-        say(f"Wrote {which}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB, axes {report.axes}")
-        if report.kept:
-            say(f"{report.kept} other frames of {self.name} stay there. Nothing tells whether they show this motion.")
+        self._say_files(report.files, report.bytes, f"axes {report.axes}", report.kept)
         return {
             "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
             "gaussians": report.gaussians, "bytes": report.bytes, "kept": report.kept,
             "made_from": made_from(avatar, motion.sequence),
         }  # fmt: skip
+
+    def _write_meshes(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
+        from jghand_engine.export.made_from import made_from
+        from jghand_engine.export.mesh import MESH_FORMATS, export_meshes
+        from jghand_engine.export.splats.files import FrameFiles
+
+        names = FrameFiles(self.name, MESH_FORMATS[self.format], self.first_frame, self.overwrite)
+        template = None if self.template is None else hand_template(self.template)
+        with progress("Writing meshes", len(motion.frames)) as bar:
+            task = bar.task_ids[0]
+            report = export_meshes(
+                self.out, avatar, motion.whole, names, up=self.up, template=template, frames=motion.frames,
+                progress=lambda done, _: bar.update(task, completed=done),
+            )  # fmt: skip
+        self._say_files(report.files, report.bytes, f"{report.vertices} vertices, {report.faces} faces", report.kept)
+        return {
+            "files": [str(path) for path in report.files], "frames": len(report.files), "vertices": report.vertices,
+            "faces": report.faces, "bytes": report.bytes, "kept": report.kept,
+            "made_from": made_from(avatar, motion.sequence),
+        }  # fmt: skip
+
+    def _say_files(self, files: tuple[Path, ...], size: int, about: str, kept: int) -> None:
+        which = f"{files[0]} to {files[-1].name}" if len(files) > 1 else str(files[0])
+        say(f"Wrote {which}: {len(files)} frames, {size / 1e6:.1f} MB, {about}")
+        if kept:
+            say(f"{kept} other frames of {self.name} stay there. Nothing tells whether they show this motion.")
 
     def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.export.made_from import made_from

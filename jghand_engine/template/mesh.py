@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from jghand_engine.hand.skeleton import Skeleton
+
 
 @dataclass(frozen=True)
 class HandTemplate:
@@ -31,6 +33,18 @@ class HandTemplate:
     skin_face_count: int
     joints_m: np.ndarray
     bone_weights: np.ndarray
+
+
+def posed_vertices(template: HandTemplate, skeleton: Skeleton, joints_m: np.ndarray) -> np.ndarray:
+    """(V, 3) float64 vertices by linear blend skinning, in the world of joints_m (21, 3), meters.
+
+    template: the right hand, whichever hand is posed
+    skeleton: of the template's joints and the hand's handedness
+    """
+    bones = skeleton.bones(joints_m, np.float64)
+    maps = np.einsum("vb,bij->vij", template.bone_weights, bones.linear_offset)
+    relative_m = template.vertices_m - skeleton.canonical_root_m
+    return np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + bones.root_m
 
 
 def mirrored(template: HandTemplate) -> HandTemplate:

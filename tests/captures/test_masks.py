@@ -9,14 +9,21 @@ import pytest
 import torch
 from picture_sets import FAR, LEFT, RIGHT, look, pose
 
-from jghand_engine.captures.masks import lit_part, posed_template, silhouette, template_mask
+from jghand_engine.captures.masks import lit_part, silhouette, template_mask
+from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import posed_vertices
 
 
 def camera(size=64):
     """At the origin, looking along +z: a point at 1 m depth is at its x and y times 100 plus the middle."""
     return Camera(size, size, 100.0, 100.0, size / 2, size / 2, torch.eye(4, dtype=torch.float64))
+
+
+def posed(joints_m, handedness):
+    template = load_template()
+    return posed_vertices(template, Skeleton(template.joints_m, handedness=handedness), joints_m)
 
 
 def test_a_rectangle_covers_the_pixels_that_it_should():
@@ -39,15 +46,13 @@ def test_what_is_behind_the_camera_or_far_outside_is_not_drawn():
 
 def test_the_template_posed_by_its_own_joints_is_itself():
     template = load_template()
-    np.testing.assert_allclose(posed_template(template, template.joints_m, RIGHT), template.vertices_m, atol=1e-12)
+    np.testing.assert_allclose(posed(template.joints_m, RIGHT), template.vertices_m, atol=1e-12)
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(index):
-    right = posed_template(load_template(), pose(index, RIGHT) - FAR, RIGHT)
-    np.testing.assert_allclose(
-        posed_template(load_template(), pose(index, LEFT) - FAR, LEFT), right * [-1, 1, 1], atol=1e-12
-    )
+    right = posed(pose(index, RIGHT) - FAR, RIGHT)
+    np.testing.assert_allclose(posed(pose(index, LEFT) - FAR, LEFT), right * [-1, 1, 1], atol=1e-12)
     view = look(0.0, 128, 128)
     centered = dataclasses.replace(view, cx=64.0)
     masks = [template_mask(centered, pose(index, hand), hand) for hand in (RIGHT, LEFT)]

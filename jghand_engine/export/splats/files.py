@@ -50,15 +50,60 @@ FORMATS = {
 
 
 @dataclass(frozen=True)
+class FrameFiles:
+    """Names of files, one per frame.
+
+    name:        stem
+    suffix:      without its dot
+    first_frame: number of the motion's first frame
+    overwrite:   also replace files that are there
+    """
+
+    name: str = "hand"
+    suffix: str = "ply"
+    first_frame: int = 0
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise InputError("name of the files", wanted="letters, digits, - and _", came=repr(self.name))
+
+    def path(self, folder: Path, index: int) -> Path:
+        """The file of a frame, counted from 0."""
+        return folder / f"{self.name}.{self.first_frame + index:04d}.{self.suffix}"
+
+    def refuse_others(self, folder: Path, files: tuple[Path, ...], frames: int) -> int:
+        """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost.
+        Gives how many other frames of that name it holds."""
+        pattern = re.compile(re.escape(self.name) + r"\.(-?\d+)\." + self.suffix)
+        there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
+        known = range(self.first_frame, self.first_frame + frames)
+        if others := sorted(name for name, number in there.items() if number not in known):
+            raise InputError(
+                f"folder {folder}",
+                wanted=f"no frames of {self.name} but {known.start} to {known[-1]}, which the motion has",
+                came=f"{len(others)} others ({others[0]} to {others[-1]})",
+                remedy="Remove them, or choose another folder or name.",
+            )
+        lost = [path.name for path in files if path.name in there]
+        if lost and not self.overwrite:
+            raise InputError(
+                f"folder {folder}",
+                wanted=f"none of the frames of {self.name} that are to be written",
+                came=f"{len(lost)} ({lost[0]} to {lost[-1]})",
+                remedy="Replace them with --overwrite, or choose another folder or name.",
+            )
+        return len(there) - len(lost)
+
+
+@dataclass(frozen=True)
 class SplatOptions:
     """What files are written.
 
-    format:      a key of FORMATS
-    name:        stem of the files
-    axes:        of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
-    first_frame: number of the motion's first frame
-    up:          the axis of the motion's world that points up
-    overwrite:   also replace files that are there
+    format: a key of FORMATS
+    axes:   of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
+    up:     the axis of the motion's world that points up
+    name, first_frame, overwrite: as of FrameFiles
     """
 
     format: str = "ply"
@@ -69,8 +114,6 @@ class SplatOptions:
     overwrite: bool = False
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
-            raise InputError("name of the splat files", wanted="letters, digits, - and _", came=repr(self.name))
         choices = (("format", self.format, FORMATS), ("up", self.up, RUB_FROM_UP))
         for option, value, wanted in choices:
             if value not in wanted:
@@ -78,18 +121,20 @@ class SplatOptions:
         if self.axes is not None and self.axes not in self._format.axes:
             wanted = " or ".join(self._format.axes if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
             raise InputError(f"axes of {self.format} files", wanted=wanted, came=repr(self.axes))
+        _ = self.names
 
     @property
     def _format(self) -> SplatFormat:
         return FORMATS[self.format]
 
     @property
+    def names(self) -> FrameFiles:
+        """Those of the files. InputError for a name that no file should have."""
+        return FrameFiles(self.name, self.format, self.first_frame, self.overwrite)
+
+    @property
     def written_axes(self) -> str:
         return self.axes or self._format.axes[0]
-
-    def path(self, folder: Path, index: int) -> Path:
-        """The file of a frame, counted from 0."""
-        return folder / f"{self.name}.{self.first_frame + index:04d}.{self.format}"
 
 
 @dataclass(frozen=True)
@@ -131,8 +176,8 @@ def export_splats(
     clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up)
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
-    files = tuple(options.path(target, index) for index in frames)
-    kept = _refuse_others(target, options, files, len(sequence))
+    files = tuple(options.names.path(target, index) for index in frames)
+    kept = options.names.refuse_others(target, files, len(sequence))
     check_room(target, len(avatar) * len(files) * kind.bytes_each, "the splat files")
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
@@ -152,27 +197,3 @@ class SplatMotion:
 
     def cloud(self, index: int) -> SplatCloud:
         return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
-
-
-def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...], frames: int) -> int:
-    """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost.
-    Gives how many other frames of that name it holds."""
-    pattern = re.compile(re.escape(options.name) + r"\.(-?\d+)\." + options.format)
-    there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
-    known = range(options.first_frame, options.first_frame + frames)
-    if others := sorted(name for name, number in there.items() if number not in known):
-        raise InputError(
-            f"folder {folder}",
-            wanted=f"no frames of {options.name} but {known.start} to {known[-1]}, which the motion has",
-            came=f"{len(others)} others ({others[0]} to {others[-1]})",
-            remedy="Remove them, or choose another folder or name.",
-        )
-    lost = [path.name for path in files if path.name in there]
-    if lost and not options.overwrite:
-        raise InputError(
-            f"folder {folder}",
-            wanted=f"none of the frames of {options.name} that are to be written",
-            came=f"{len(lost)} ({lost[0]} to {lost[-1]})",
-            remedy="Replace them with --overwrite, or choose another folder or name.",
-        )
-    return len(there) - len(lost)

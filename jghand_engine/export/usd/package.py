@@ -36,6 +36,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import PosedHand
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
+from jghand_engine.export.mesh import template_of
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.splats.cloud import SteadyAxes
 from jghand_engine.export.usd.rig import (
@@ -59,8 +60,7 @@ from jghand_engine.files import check_room, make_folder, sync
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
-from jghand_engine.template.builtin import load_template
-from jghand_engine.template.mesh import HandTemplate, mirrored
+from jghand_engine.template.mesh import HandTemplate
 
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 CREATOR = "JGHand"
@@ -264,22 +264,6 @@ def name_cameras(cameras: Mapping[str, Camera] | Sequence[Camera]) -> dict[str, 
         if not IDENTIFIER.fullmatch(name):
             raise InputError("camera name", wanted="letters, digits and _, no digit first", came=repr(name))
     return named
-
-
-def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: Handedness) -> HandTemplate:
-    """The surface of the avatar's hand, mirrored for a left one. InputError when it is not the one the avatar was
-    made on: the skin would follow other joints."""
-    template = template or load_template()
-    if template.identifier != avatar.info.template or not np.allclose(
-        template.joints_m, np.asarray(avatar.canonical_joints_m), rtol=0, atol=1e-7
-    ):
-        raise InputError(
-            "template",
-            wanted=f"{avatar.info.template!r}, on which the avatar was made",
-            came=repr(template.identifier),
-            remedy="Give the avatar's own template (UsdOptions.template).",
-        )
-    return mirrored(template) if handedness is Handedness.LEFT else template
 
 
 def provenance(avatar: HandAvatar, stamp: Mapping[str, str]) -> dict[str, Any]:

@@ -1,0 +1,180 @@
+"""A motion as triangle meshes, a file per frame: the surface that the avatar was made on, posed by its bones.
+
+GLB and OBJ have UV and a texture, PLY a color for each vertex: those of the nearest Gaussians, in the light and shade
+of the pose. What training adds to the shape of a pose is in the Gaussians alone. trimesh (extra learn) writes the
+files; meters, y up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.errors import InputError, install_extra
+from jghand_engine.export.motion import HandMotion
+from jghand_engine.export.splats.cloud import RUB_FROM_UP
+from jghand_engine.export.splats.files import FrameFiles
+from jghand_engine.files import check_room, make_folder, writing
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import HandTemplate, mirrored, posed_vertices
+from jghand_engine.template.surface import vertex_normals
+from jghand_engine.template.texture import rasterize_uv
+
+if TYPE_CHECKING:
+    import trimesh
+
+# format of `jghand export` -> suffix of its files
+MESH_FORMATS = {"mesh": "glb", "mesh-obj": "obj", "mesh-ply": "ply"}
+# a texel of the built-in hand is then 0.7 mm wide, as its Gaussians are
+TEXTURE_PX = 512
+# Gaussians around a texel or a vertex whose mean color it gets
+COLOR_NEIGHBORS = 4
+# of a file, at most: positions, normals, UV and faces as text, and the texture
+BYTES_PER_VERTEX, BYTES_PER_TEXEL = 400, 3
+
+
+@dataclass(frozen=True)
+class MeshReport:
+    """What an export did. files: one per frame written · bytes: of all of them, textures of OBJ included"""
+
+    files: tuple[Path, ...]
+    vertices: int
+    faces: int
+    bytes: int
+    kept: int
+
+
+def export_meshes(
+    folder: Path | str,
+    avatar: HandAvatar,
+    sequence: PoseSequence,
+    names: FrameFiles,
+    *,
+    up: str = "y",
+    template: HandTemplate | None = None,
+    frames: range | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> MeshReport:
+    """Writes NAME.0000.glb and so on into `folder`, as `export_splats` writes splats; an OBJ beside its .mtl and .png.
+
+    names:    of the files, whose suffix is one of MESH_FORMATS
+    up:       the axis of the motion's world that points up
+    template: surface of the avatar; None takes the built-in one
+    frames:   which of the motion's are written; None: all
+    InputError as `export_splats`, for a template that is not the avatar's, and without trimesh.
+    """
+    motion = HandMotion(avatar, sequence)
+    surface = _Surface(motion, template_of(motion.avatar, template, motion.handedness), names.suffix)
+    target, size = make_folder(folder), 0
+    frames = range(len(sequence)) if frames is None else frames
+    files = tuple(names.path(target, index) for index in frames)
+    kept = names.refuse_others(target, files, len(sequence))
+    each = BYTES_PER_VERTEX * len(surface.vertex) + BYTES_PER_TEXEL * TEXTURE_PX**2
+    check_room(target, len(files) * each, "the meshes")
+    for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
+        for name, content in _encoded(surface.mesh(index, RUB_FROM_UP[up]), path).items():
+            with writing(target / name) as temporary:
+                temporary.write_bytes(content)
+            size += len(content)
+        if progress:
+            progress(done, len(files))
+    return MeshReport(files, len(surface.vertex), len(surface.faces), size, kept)
+
+
+def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: Handedness) -> HandTemplate:
+    """The surface of the avatar's hand, mirrored for a left one. InputError when it is not the one the avatar was
+    made on: the skin would follow other joints."""
+    template = template or load_template()
+    if template.identifier != avatar.info.template or not np.allclose(
+        template.joints_m, np.asarray(avatar.canonical_joints_m), rtol=0, atol=1e-7
+    ):
+        raise InputError(
+            "template",
+            wanted=f"{avatar.info.template!r}, on which the avatar was made",
+            came=repr(template.identifier),
+            remedy="Give the avatar's own template (UsdOptions.template).",
+        )
+    return mirrored(template) if handedness is Handedness.LEFT else template
+
+
+class _Surface:
+    """The skin of a motion. suffix: of the files, which decides between texture and colors of vertices."""
+
+    def __init__(self, motion: HandMotion, template: HandTemplate, suffix: str) -> None:
+        trimesh = _trimesh()
+        from scipy.ndimage import distance_transform_edt
+        from scipy.spatial import KDTree
+
+        self._motion, self._template, self._trimesh = motion, template, trimesh
+        self._skeleton = motion.avatar.skeleton()
+        self._right = mirrored(template) if motion.handedness is Handedness.LEFT else template
+        rest_m = motion.rest_arrays()[0].astype(np.float64)
+        self._textured = suffix != "ply"
+        if self._textured:
+            # a vertex has one UV in these files: it is written once for each that its faces have
+            corners = np.column_stack([template.faces.reshape(-1), template.face_uv.reshape(-1, 2)])
+            rows, number = np.unique(corners, axis=0, return_inverse=True)
+            self.vertex, self._uv = rows[:, 0].astype(int), rows[:, 1:]
+            self.faces = number.reshape(-1, 3)
+            points_m, covered = rasterize_uv(template.face_uv, template.vertices_m[template.faces], TEXTURE_PX)
+            # beyond the islands the nearest texel goes on, or filtering brings black over their edges
+            nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+            colored_m = points_m[nearest[0], nearest[1]].reshape(-1, 3)
+        else:
+            self.vertex, self.faces = np.arange(len(template.vertices_m)), template.faces
+            colored_m = template.vertices_m
+        self._nearest = KDTree(rest_m).query(colored_m, k=min(COLOR_NEIGHBORS, len(rest_m)))[1]
+
+    def mesh(self, index: int, axes: np.ndarray) -> trimesh.Trimesh:
+        """The skin in one frame. axes: (3, 3) a turn of everything."""
+        trimesh, motion = self._trimesh, self._motion
+        rgb = motion.frame(index).rgb
+        rgb = np.asarray(motion.avatar.rgb if rgb is None else rgb, np.float64).clip(0, 1)
+        mean = rgb[self._nearest].reshape(len(self._nearest), -1, 3).mean(axis=1)
+        colors = np.rint(255 * mean).astype(np.uint8)
+        vertices_m = posed_vertices(self._right, self._skeleton, motion.sequence.joints_m[index]) @ axes.T
+        if self._textured:
+            from PIL import Image
+
+            image = Image.fromarray(colors.reshape(TEXTURE_PX, TEXTURE_PX, 3))
+            material = trimesh.visual.material.PBRMaterial(
+                name="skin", baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.6
+            )
+            visual = trimesh.visual.TextureVisuals(uv=self._uv, material=material)
+        else:
+            visual = trimesh.visual.ColorVisuals(vertex_colors=colors)
+        normals = vertex_normals(vertices_m, self._template.faces)[self.vertex]
+        return trimesh.Trimesh(
+            vertices_m[self.vertex], self.faces, vertex_normals=normals, visual=visual, process=False
+        )
+
+
+def _encoded(mesh: trimesh.Trimesh, path: Path) -> dict[str, bytes]:
+    """The files of a mesh by name, that of `path` last."""
+    if path.suffix == ".obj":
+        material = mesh.visual.material.to_simple()
+        material.name = path.stem
+        mesh.visual.material = material
+        text, others = _trimesh().exchange.obj.export_obj(
+            mesh, include_normals=True, return_texture=True, mtl_name=f"{path.stem}.mtl", header=None
+        )
+        return {**others, path.name: text.encode()}
+    if path.suffix == ".ply":
+        return {path.name: mesh.export(file_type="ply", vertex_normal=True)}
+    return {path.name: mesh.export(file_type="glb", include_normals=True)}
+
+
+def _trimesh() -> Any:
+    """The package, or InputError that says how to install it."""
+    try:
+        import trimesh
+    except ImportError as error:
+        raise InputError("meshes", wanted="the package trimesh", came="none", remedy=install_extra("learn")) from error
+    return trimesh

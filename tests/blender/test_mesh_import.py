@@ -1,0 +1,57 @@
+"""Blender's own importers read the meshes: glTF and OBJ with their texture, upright, where the engine has them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import environments  # noqa: E402
+
+# the importers turn y up into z up
+Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+@pytest.mark.parametrize("kind", ["mesh", "mesh-obj"])
+def test_a_posed_hand_is_a_textured_mesh_in_blender(tmp_path, kind):
+    python = environments.ENGINE.python
+    if not python.is_file():
+        pytest.skip("there is no engine environment: run scripts/test.py")
+    variables = {**environments.clean_variables(), "PYTHONPATH": str(ROOT)}
+    for each in (kind, "mesh-ply"):
+        words = ["export", each, "--poses", "fist", "--hand", "left", "--frames", "0", "--out", tmp_path]
+        subprocess.run([python, "-m", "jghand_engine", *words], check=True, env=variables, timeout=300)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if kind == "mesh":
+        bpy.ops.import_scene.gltf(filepath=str(tmp_path / "hand.0000.glb"))
+    else:
+        bpy.ops.wm.obj_import(filepath=str(tmp_path / "hand.0000.obj"))
+    (hand,) = (one for one in bpy.data.objects if one.type == "MESH")
+    came = np.array([hand.matrix_world @ vertex.co for vertex in hand.data.vertices])
+    truth = ply_positions(tmp_path / "hand.0000.ply") @ Z_UP_FROM_Y_UP.T
+    for side in (np.min, np.max):
+        np.testing.assert_allclose(side(came, axis=0), side(truth, axis=0), atol=1e-6)
+    assert [layer.name for layer in hand.data.uv_layers] == ["UVMap"]
+    (material,) = hand.data.materials
+    images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"]
+    assert [tuple(image.size) for image in images] == [(512, 512)]
+    # skin, not black: red is its strongest color
+    red, green, blue, _ = np.array(images[0].pixels).reshape(-1, 4).mean(axis=0)
+    assert red > green > blue > 0.1
+
+
+def ply_positions(path: Path) -> np.ndarray:
+    """(V, 3) of a binary PLY whose vertices begin with x, y, z and normals as floats and end with four bytes."""
+    content = path.read_bytes()
+    end = content.index(b"end_header\n") + len(b"end_header\n")
+    (count,) = [int(line.split()[2]) for line in content[:end].splitlines() if line.startswith(b"element vertex ")]
+    kind = np.dtype([("floats", "<f4", 6), ("rgba", "u1", 4)])
+    return np.frombuffer(content, kind, count, end)["floats"][:, :3].astype(np.float64)

@@ -1,0 +1,98 @@
+"""Meshes hold the posed surface, with the colors of the skin where its UV says, in files that other programs read."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from usd_samples import engine_mesh, lively_motion, small_avatar
+
+from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.cli import main
+from jghand_engine.errors import InputError
+from jghand_engine.export.mesh import MESH_FORMATS, TEXTURE_PX, export_meshes
+from jghand_engine.export.splats.cloud import RUB_FROM_UP
+from jghand_engine.export.splats.files import FrameFiles
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.template.builtin import load_template
+
+# float32 of the files, half a meter from the origin; OBJ has eight decimals
+POSITION_ERROR_M = 1e-7
+
+
+def read(path) -> trimesh.Trimesh:
+    """As trimesh reads it, nothing merged and nothing left out."""
+    return trimesh.load(path, process=False, maintain_order=True, force="mesh")
+
+
+@pytest.mark.parametrize("handedness", list(Handedness))
+@pytest.mark.parametrize("suffix", list(MESH_FORMATS.values()))
+def test_every_frame_is_the_surface_where_the_bones_put_it(tmp_path, suffix, handedness):
+    """Faces look outwards for the left hand too."""
+    avatar, motion = small_avatar(), lively_motion(handedness, 2)
+    report = export_meshes(tmp_path, avatar, motion, FrameFiles("hand", suffix, first_frame=7), up="z")
+    assert [path.name for path in report.files] == [f"hand.0007.{suffix}", f"hand.0008.{suffix}"]
+    assert report.bytes == sum(path.stat().st_size for path in tmp_path.iterdir())
+    template = load_template()
+    for path, wanted_m in zip(report.files, engine_mesh(motion), strict=True):
+        mesh = read(path)
+        assert mesh.volume > 0.5 * trimesh.Trimesh(template.vertices_m, template.faces).volume
+        wanted_m = wanted_m @ RUB_FROM_UP["z"].T
+        faces = template.faces[:, ::-1] if handedness is Handedness.LEFT else template.faces
+        np.testing.assert_allclose(mesh.triangles, wanted_m[faces], atol=POSITION_ERROR_M)
+
+
+def test_the_texture_has_the_color_of_the_skin_at_its_uv(tmp_path):
+    """Seen through the UV of each face, glTF and OBJ have what PLY has at the vertices, where skin is of one color."""
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(4000)
+    side = np.asarray(avatar.position_m)[:, :1] > 0.0
+    avatar = replace(avatar, rgb=np.where(side, [1.0, 0.2, 0.0], [0.0, 0.2, 1.0]).astype(np.float32))
+    motion = lively_motion(Handedness.RIGHT, 1)
+    plain = None
+    for suffix in ("ply", "glb", "obj"):
+        (path,) = export_meshes(tmp_path, avatar, motion, FrameFiles(suffix=suffix)).files
+        mesh = read(path)
+        if suffix == "ply":
+            plain = mesh.visual.vertex_colors[:, :3].astype(int)
+            at = load_template().vertices_m[:, 0]
+            np.testing.assert_array_equal(plain[at > 0.004], [[255, 51, 0]] * int((at > 0.004).sum()))
+            np.testing.assert_array_equal(plain[at < -0.004], [[0, 51, 255]] * int((at < -0.004).sum()))
+            continue
+        material = mesh.visual.material
+        image = np.asarray((material.baseColorTexture if suffix == "glb" else material.image).convert("RGB"))
+        assert image.shape == (TEXTURE_PX, TEXTURE_PX, 3)
+        uv = mesh.visual.uv[mesh.faces].mean(axis=1)
+        column, row = (TEXTURE_PX * uv[:, 0]).astype(int), (TEXTURE_PX * (1 - uv[:, 1])).astype(int)
+        corners = plain[load_template().faces]
+        of_one_color = (np.abs(load_template().vertices_m[load_template().faces, 0]) > 0.004).all(axis=1)
+        assert of_one_color.sum() > 2500
+        np.testing.assert_array_equal(image[row, column][of_one_color], corners[of_one_color, 0])
+
+
+def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(tmp_path):
+    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 1)
+    foreign = replace(load_template(), identifier="another")
+    with pytest.raises(InputError, match="on which the avatar was made"):
+        export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="glb"), template=foreign)
+    export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="glb"))
+    with pytest.raises(InputError, match="--overwrite"):
+        export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="glb"))
+
+
+def test_one_pose_of_a_motion_can_be_had_from_the_command_line(tmp_path, capsys):
+    words = ["export", "mesh-ply", "--poses", "open,fist", "--avatar", "painted", "--frames", "3"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    assert "1610 vertices, 3216 faces" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["hand.0003.ply"]
+    assert main(["export", "web", "--poses", "fist", "--template", "MANO_RIGHT.pkl", "--out", str(tmp_path)]) == 2
+    assert "jghand export usd or mesh" in capsys.readouterr().err
+
+
+def test_without_trimesh_a_sentence_says_how_to_install_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(InputError, match=r"package trimesh.*jghand\[learn\]"):
+        export_meshes(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 1), FrameFiles(suffix="glb"))
+    assert list(tmp_path.iterdir()) == []
