@@ -7,6 +7,7 @@ Does not use bpy.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +36,19 @@ ORDERS = (
 # what the renderer advises where only a hand has to be chosen, and where the networks that find a hand are missing
 WANTS_HAND, FETCH = "--hand right or --hand left", "--fetch-model"
 _MOTION, _FIGURES = "motion.npz", "figures.json"
+# what the renderer calls its options -> the field of Import Motion, and of Track Video
+MOTION_FIELDS = {
+    **{"--hand": "Hand", "--hand-length": "Hand Length", "--unit": "Unit", "--order": "Order", "--fps": "Frame Rate"},
+    **{"--part": "Part", "--bones": "Bone Names", "--labels": "Labels", "--file-up": "Up", "--mirror": "Mirror"},
+}
+VIDEO_FIELDS = {
+    **{"--hand": "Hands", "--hand-length": "Hand Length"},
+    **{"--camera-angle": "Camera Angle", "--smoothing": "Smoothing"},
+}
+# an option as the renderer's sentences have it, with the command and what it is to be given
+_OPTION = re.compile(r"(?:jghand [a-z]+ )?(--[a-z][a-z-]*)(?: (?:NUMBER|NAME|true|left|right)\b)?")
+# what else an artist cannot type
+_COMMAND = re.compile(r"(?:^|[\s(])(?:--[a-z]|jghand [a-z]+ -|\S*python\S* -m )")
 
 
 def words(verb: str, path: Path, folder: Path, options: Mapping[str, str | bool]) -> tuple[str, ...]:
@@ -51,7 +65,8 @@ def words(verb: str, path: Path, folder: Path, options: Mapping[str, str | bool]
 def read_converted(folder: Path) -> MotionFile:
     """The motion that the renderer left, with its sentences as notes. JGHandFailure: bad_motion."""
     figures = _figures(folder)
-    return replace(read_motion(folder / _MOTION), notes=_notes(folder, figures))
+    notes = tuple(in_fields(note, MOTION_FIELDS) for note in _notes(folder, figures))
+    return replace(read_motion(folder / _MOTION), notes=notes)
 
 
 @dataclass(frozen=True)
@@ -83,6 +98,21 @@ def near_hand(motions: Sequence[MotionFile], anchor: int | None, *, in_place: bo
     center = first.mean(axis=0) if anchor is None else first[anchor]
     moves = [one.joints_m[:, :1] - start if in_place else 0.0 for one, start in zip(motions, first, strict=True)]
     return [replace(one, joints_m=one.joints_m - center - move) for one, move in zip(motions, moves, strict=True)]
+
+
+def in_fields(text: str, fields: Mapping[str, str]) -> str:
+    """The renderer's sentences with the names of Blender's fields instead of its own options; what names an option that
+    has no field is left out. Sentences about OpenPose's own options stay."""
+    pieces = []
+    for sentence in re.split(r"(?<=[.;]) ", text):
+        if "OpenPose with" in sentence:
+            pieces.append(sentence)
+            continue
+        named = _OPTION.sub(lambda found: f'"{fields[found[1]]}"' if found[1] in fields else found[0], sentence)
+        clauses = [clause for clause in named.split(", ") if not _COMMAND.search(clause)]
+        if clauses:
+            pieces.append(", ".join(clauses) + ("." if not named.endswith(clauses[-1]) else ""))
+    return " ".join(pieces).replace('"Hand" or "Hand"', '"Hand"')
 
 
 def _figures(folder: Path) -> dict[str, Any]:

@@ -31,11 +31,14 @@ from .motion import WantedMotion
 from .motion_files import FPS_MAX, MotionFile, read_motion
 from .motion_jobs import (
     FETCH,
+    MOTION_FIELDS,
     MOTION_SUFFIXES,
     ORDERS,
+    VIDEO_FIELDS,
     VIDEO_SUFFIXES,
     WANTS_HAND,
     TrackedFilm,
+    in_fields,
     near_hand,
     read_converted,
     read_tracked,
@@ -87,11 +90,6 @@ _LABELS = (
     ("mirrored", "Mirrored", "A right hand is labeled left, as in a mirror", "NONE", 2),
 )
 
-# what the renderer calls its options -> what stands beside the file; the longer first
-_LABELS_OF = {
-    **{"--hand-length": "Hand Length", "--hand": "Hand", "--file-up": "Up", "--unit": "Unit", "--order": "Order"},
-    **{"--fps": "Frame Rate", "--part": "Part", "--bones": "Bone Names", "--labels": "Labels"},
-}
 # options that go to the renderer; where one of them is chosen, it reads jghand's own files too
 _OF_OTHERS = (
     *("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones"),
@@ -388,9 +386,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         except JGHandFailure as failure:
             if failure.kind != "bad_input":
                 raise
-            detail = failure.detail
-            for option, label in _LABELS_OF.items():
-                detail = detail.replace(option, label)
+            detail = in_fields(failure.detail, MOTION_FIELDS)
             raise JGHandFailure("bad_motion", detail, log=f"{failure.detail}\n{failure.log}") from failure
 
 
@@ -484,7 +480,7 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         except JGHandFailure as failure:
             if FETCH in failure.detail and not options[FETCH]:
                 raise JGHandFailure("offline", log=failure.log) from failure
-            raise
+            raise JGHandFailure(failure.kind, in_fields(failure.detail, VIDEO_FIELDS), log=failure.log) from failure
         _last_film = (asked, film)
         return film
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,10 @@ import pytest
 
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import motion_files
+from blender_addon.hand import motion_files, motion_jobs
 from blender_addon.hand.motion_jobs import WANTS_HAND, read_converted, words
 
+ROOT = Path(__file__).resolve().parents[2]
 SAID = {"order": "standard", "unit": "m", "fps": 25.0, "handedness": "left"}
 
 
@@ -93,6 +96,43 @@ def test_the_renderers_sentences_become_notes(tmp_path):
     motion_files.write_motion(tmp_path / "motion.npz", motion_files.MotionFile(motion_m(), 25.0, "left"))
     (tmp_path / "figures.json").write_text(json.dumps({"notes": ["Its unit is not said."]}))
     assert read_converted(tmp_path).notes == ("Its unit is not said.",)
+
+
+def engine_sentences(folder: str) -> list[str]:
+    """All texts in the engine's modules that name an option, as they stand in the source."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "jghand_engine" / folder).glob("*.py")]
+    texts = [node.value for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    return [
+        text for text in texts if isinstance(text, str) and " --" in f" {text}" and " " in text and "\n" not in text
+    ]
+
+
+@pytest.mark.parametrize(
+    ("folder", "fields", "said"),
+    [
+        ("motion", motion_jobs.MOTION_FIELDS, '"Frame Rate" plays its frames without their times.'),
+        ("track", motion_jobs.VIDEO_FIELDS, "Cut it into shorter ones."),
+    ],
+)
+def test_what_the_renderer_says_names_blenders_fields_and_no_option(folder, fields, said):
+    sentences = engine_sentences(folder)
+    shown = [motion_jobs.in_fields(text, fields) for text in sentences]
+    assert len(sentences) > 3
+    assert said in shown
+    assert not [text for text in shown if re.search(r"(^|\W)--[a-z]|jghand [a-z]+ ", text) and "OpenPose" not in text]
+
+
+def test_fields_are_named_in_quotes_and_paths_stay_as_they_are():
+    text = "motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with --hand right or --hand left."
+    wanted = 'motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with "Hand".'
+    assert motion_jobs.in_fields(text, motion_jobs.MOTION_FIELDS) == wanted
+
+
+def test_the_renderers_notes_name_blenders_fields(tmp_path):
+    motion_files.write_motion(tmp_path / "motion.npz", motion_files.MotionFile(motion_m(), 25.0, "left"))
+    note = "Its unit is not declared: 190 look like millimeters; --unit sets another."
+    (tmp_path / "figures.json").write_text(json.dumps({"notes": [note]}))
+    assert read_converted(tmp_path).notes == (note.replace("--unit", '"Unit"'),)
 
 
 @pytest.mark.parametrize("figures", [None, "", "[]", '{"notes": 5}'])
