@@ -79,7 +79,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         row = box.row(align=True)
         row.operator("jghand.restart_engine", icon="FILE_REFRESH")
         row.operator("jghand.show_log", icon="TEXT")
-        draw_tools(self.layout)
+        draw_tools(self.layout, context)
         self.layout.operator("wm.url_open", text="Manual", icon="HELP").url = PAGE.as_uri()
 
 

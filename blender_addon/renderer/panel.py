@@ -78,20 +78,14 @@ _STATES = {
 }
 
 
-def draw_tools(layout: bpy.types.UILayout) -> None:
+def draw_tools(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What there is, and what can be done about it."""
-    job = runtime.jobs().get(runtime.TOOLS)
     box = layout.box().column()
-    if job is not None and not job.is_over:
-        row = box.row(align=True)
-        row.label(text=job.state.sentence(iface_), icon="IMPORT", translate=False)
-        row.operator("jghand.cancel_job", text="", icon="X").key = runtime.TOOLS
+    draw_job(box, context, runtime.TOOLS)
+    if runtime.jobs().runs(runtime.TOOLS):
         return
     now = runtime.tools_state()
     box.label(text=_STATES[now], icon="CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO")
-    if job is not None and job.state.failure is not None:
-        box.label(text=job.state.failure.detail.splitlines()[-1] if job.state.failure.detail else "", translate=False)
-        box.operator("jghand.show_job_log", text="Show Log", icon="TEXT").key = runtime.TOOLS
     row = box.row(align=True)
     if now != "ready":
         row.operator("jghand.install_tools", icon="IMPORT")

@@ -8,11 +8,10 @@ from functools import partial
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from .. import folders
+from .. import folders, ui
 from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
-from ..hand import armature
 from ..ops import REGISTERED, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
@@ -41,12 +40,12 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.jghand.training.use_motion and not _active_hand(context):
+        if context.scene.jghand.training.use_motion and not ui.active(context):
             return missing(cls, "Select the hand whose poses are taken")
         return poll_job(cls, runtime.CAPTURE)
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
-        hand = _active_hand(context)
+        hand = ui.active(context)
         return [hand] if hand is not None and context.scene.jghand.training.use_motion else []
 
     def prepare(self, context: bpy.types.Context) -> None:
@@ -131,11 +130,6 @@ class Train(StartsJob, bpy.types.Operator):
 
     def done(self, _context: bpy.types.Context) -> str:
         return rpt_("The avatar is {file}.").format(file=self._out)
-
-
-def _active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
-    thing = context.object
-    return thing if thing is not None and armature.is_any_hand(thing) else None
 
 
 CLASSES = (RenderTrainingSet, Train)

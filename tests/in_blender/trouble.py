@@ -8,6 +8,7 @@ import signal
 
 import bpy
 
+from in_blender.animator import close_other_windows
 from in_blender.pictures import skin
 
 
@@ -40,6 +41,13 @@ def step_its_button_brings_the_picture_back(window):
     assert skin(window.crop(window.picture("started_again"))).mean() > 0.03
 
 
+def step_a_view_at_rest_brings_a_killed_engine_back(window):
+    yield from kill_engine(window)
+    yield lambda: window.runtime().link().status.state == "ready"
+    yield from window.settle()
+    assert skin(window.crop(window.picture("back_by_itself"))).mean() > 0.03
+
+
 def step_f12_starts_a_dead_engine_itself(window):
     window.call("jghand.use_engine")
     window.call("jghand.add_camera")
@@ -56,6 +64,35 @@ def step_f12_starts_a_dead_engine_itself(window):
     window.picture("rendered_after_death")
     assert (window.out / "after_death.png").exists()
     assert window.runtime().link().status.state == "ready"
+
+
+def step_a_failed_f12_says_why_where_its_image_would_be(window):
+    close_other_windows(window)
+    camera = bpy.context.scene.camera.data
+    camera.type, camera.dof.use_dof = "ORTHO", True
+    yield 0.5
+    with window.override():
+        bpy.ops.render.render("INVOKE_DEFAULT")
+    yield lambda: window.runtime().last_render() is not None and window.runtime().last_render().failure is not None
+    yield 2.0
+    window.picture("f12_failed")  # the sentence above the image, in a pop-up that is whole, and in the status bar
+    assert window.runtime().last_render().failure.kind == "orthographic_lens"
+    camera.type, camera.dof.use_dof = "PERSP", False
+    close_other_windows(window)
+
+
+def step_an_avatar_that_is_damaged_or_gone_is_told_in_the_panel(window):
+    views, hand = window.module("viewport.views"), bpy.context.object
+    file = window.out / "mine.jghand"
+    file.write_bytes(b"no avatar")
+    for path, kind in ((file, "bad_avatar"), (window.out / "gone.jghand", "no_avatar")):
+        hand.jghand.avatar = str(path)
+        yield lambda kind=kind: [failure.kind for _, failure in views.problems()] == [kind]
+        yield 1.0
+        window.picture(kind)
+    hand.jghand.avatar = ""
+    yield from window.settle()
+    assert not views.problems()
 
 
 def step_no_engine_at_all_is_a_sentence_too(window):
