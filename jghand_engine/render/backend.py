@@ -135,6 +135,11 @@ class Backend:
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
         return rgba, depth_m
 
+    def rest(self) -> None:
+        """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""
+        self._rasterizer, self._shade = NativeRasterizer(self._library, self.threads), None
+        self._planes = aligned_zeros((PLANES, 0, 0))
+
     def mean(self, width: int, height: int) -> LinearMean:
         """A mean of images of that size, empty."""
         return LinearMean(self._library, self.threads, width, height)

@@ -133,6 +133,11 @@ class SceneRenderer:
             return self._render(joints_m, camera, shutter, check_canceled)
         return _enlarged(self._render(joints_m, camera.halved(), shutter, check_canceled), camera)
 
+    def rest(self) -> None:
+        """Gives back the memory that has the size of the last image; the next one takes it anew."""
+        self._drawn = None
+        self._backend.rest()
+
     def _render(
         self,
         joints_m: Sequence[np.ndarray],

@@ -78,6 +78,10 @@ class ImageSource(Protocol):
         it that take long; Canceled ends it then."""
         ...
 
+    def rest(self) -> None:
+        """Gives back the memory that only images need: nobody has asked for one for some time."""
+        ...
+
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """A premultiplied (H, W, 4) float32 image as the bytes of an RGBA8 PNG (straight alpha)."""
         ...

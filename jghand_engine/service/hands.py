@@ -18,6 +18,7 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
+from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
 from jghand_engine.render.blur import Moment
 from jghand_engine.render.camera import Camera, Lens
@@ -105,6 +106,12 @@ class HandImages:
         frame, covered_depth_m = renderer.render_moments(moments, weights, middle=request.middle, check_canceled=check)
         ids = renderer.bone_ids(moments[request.middle].camera) if request.ids else None
         return RenderedImage(frame.rgba, frame.report.as_dict(), frame.depth_m, ids, covered_depth_m)
+
+    def rest(self) -> None:
+        """Gives back what the last images left in the renderers; avatars stay."""
+        for renderer in self._renderers.values():
+            renderer.rest()
+        return_free_memory()
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """(H, W, 4) premultiplied float32 -> the bytes of a PNG with straight alpha."""

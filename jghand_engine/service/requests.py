@@ -29,6 +29,12 @@ class Requests:
                 self._waiting.append(message)
                 self._changed.notify_all()
 
+    def come(self, within_s: float) -> bool:
+        """Waits for the next request or the client's leaving; False when neither came in time. Nothing runs now."""
+        with self._changed:
+            self._running = None
+            return self._changed.wait_for(lambda: self._over or bool(self._waiting), within_s)
+
     def take(self) -> Message | None:
         """Waits for the next request, which is running from now on; None when the client is gone."""
         with self._changed:

@@ -6,7 +6,7 @@ socket on the loopback, and the end of stdin ends the process, whatever became o
 
 Threads: the main thread answers requests one after the other; one reads the client's messages, so that it can cancel
 what runs; one accepts connections and one each checks greetings; one sends the heart-beat; one watches stdin. All of
-them sleep until something comes: an idle renderer uses no processor.
+them sleep until something comes: an idle renderer uses no processor, and gives back the memory of its last image.
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ HEARTBEAT_S = 1.0
 GREETING_S = 2.0
 # connections that the system keeps until they are accepted
 BACKLOG = 8
+# seconds without a request after which memory for images is given back: longer than between two frames of somebody who
+# works, as the next one has to get it anew (some ms)
+REST_AFTER_S = 5.0
 # after the end of stdin a running request may finish for so long before the process ends regardless
 STOP_GRACE_S = 3.0
 
@@ -158,12 +161,11 @@ class Server:
                 protocol.send(connection, {"kind": "welcome"})
             beat.start()
             read.start()
-            while not self._stop.is_set() and (message := requests.take()) is not None:
-                header, reply = self._answer(message, requests.is_canceled)
-                with sending:
-                    protocol.send(connection, header, reply.arrays)
-                if reply.last:
-                    self._stop.set()
+            while not self._stop.is_set():
+                if not requests.come(REST_AFTER_S):
+                    self._commands.source.rest()
+                if not self._answer_next(connection, requests, sending):
+                    break
         except Disconnected as error:
             self._tell(error)
         except OSError as error:
@@ -176,6 +178,18 @@ class Server:
                 connection.shutdown(socket.SHUT_RDWR)
             connection.close()
             self._busy.release()
+
+    def _answer_next(self, connection: socket.socket, requests: Requests, sending: threading.Lock) -> bool:
+        """Answers one request; False when the client is gone. Nothing of it stays in memory: an idle renderer is
+        small."""
+        if (message := requests.take()) is None:
+            return False
+        header, reply = self._answer(message, requests.is_canceled)
+        with sending:
+            protocol.send(connection, header, reply.arrays)
+        if reply.last:
+            self._stop.set()
+        return True
 
     def _signs_of_life(self, requests: Requests) -> Callable[[], list[dict[str, Any]]]:
         """What a heart-beat says: that the process lives, and what takes long just now."""

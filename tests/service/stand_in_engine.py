@@ -71,6 +71,9 @@ class StandInHands:
         covered = near / np.where(behind > 0, behind, 1)
         return RenderedImage(rgba, {"total_ms": 1.0, "stages": []}, depth, ids, covered)
 
+    def rest(self) -> None:
+        self._canvas = None
+
     def _blank(self, picture: ImageRequest) -> RenderedImage:
         size = (picture.height, picture.width)
         if self._canvas is None or self._canvas.shape[:2] != size:

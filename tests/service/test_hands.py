@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -130,6 +131,25 @@ def test_a_renderer_is_kept_and_only_the_last_few_are(source, right):
     for count in range(3, 12):
         fresh.render(replace(asked([right] * count), width=8, height=6))
     assert len(fresh._renderers) == 8
+
+
+def test_what_a_large_picture_needs_is_given_back_and_the_next_one_is_the_same(right):
+    fresh = HandImages()
+    large = replace(asked([right]), width=900, height=700)
+    fresh.render(asked([right]))
+    fresh.rest()
+    tracemalloc.start()
+    try:
+        before = fresh.render(large).rgba.copy()
+        held = tracemalloc.get_traced_memory()[0] - before.nbytes
+        fresh.rest()
+        left = tracemalloc.get_traced_memory()[0] - before.nbytes
+        after = fresh.render(large).rgba
+    finally:
+        tracemalloc.stop()
+    assert held > 5e6  # of the box that the hand fills
+    assert left < 0.02 * held
+    assert np.array_equal(before, after)
 
 
 def test_an_avatar_whose_file_changed_is_drawn_anew_without_being_told(right, tmp_path):

@@ -8,7 +8,9 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
+import weakref
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,8 +20,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stand_in_engine import StandInHands
+from waiting import wait_until
 
-from jghand_engine.service import protocol
+from jghand_engine.service import protocol, server
 from jghand_engine.service.protocol import Array, Disconnected
 from jghand_engine.service.requests import REQUESTS_WAITING_MAX
 
@@ -129,6 +133,35 @@ def test_it_listens_on_the_loopback_only(engine):
         pytest.skip("the list of sockets is read from Linux's /proc")
     listening = [row.split()[1] for row in rows.read_text().splitlines() if port in row and " 0A " in row]
     assert [address.split(":")[0] for address in listening] == ["0100007F"]
+
+
+def test_an_idle_engine_rests_once_and_holds_nothing_of_its_last_picture(monkeypatch):
+    rested: list[bool] = []
+
+    class Tired(StandInHands):
+        """Says whether the canvas of its last picture is still held by anybody when it rests."""
+
+        def rest(self) -> None:
+            canvas = weakref.ref(self._canvas)
+            super().rest()
+            rested.append(canvas() is None)
+
+    monkeypatch.setattr(server, "REST_AFTER_S", 0.05)
+    token = secrets.token_bytes(protocol.TOKEN_BYTES)
+    mine = server.Server(Tired("blank"), token)
+    running = threading.Thread(target=mine.run, daemon=True)
+    running.start()
+    connection = socket.create_connection(("127.0.0.1", mine.port), timeout=PATIENCE_S)
+    connection.sendall(protocol.greeting(token))
+    assert receive(connection).header["kind"] == "welcome"
+    assert answer(connection, {**PICTURE, "outputs": ["rgba_f32"]}, picture_arrays()).header["ok"]
+    wait_until(lambda: rested, "an idle engine")
+    time.sleep(0.3)
+    assert rested == [True]
+    assert answer(connection, PICTURE, picture_arrays()).header["ok"]
+    mine.stop()
+    running.join(PATIENCE_S)
+    connection.close()
 
 
 def test_requests_are_answered_with_their_own_number(engine):
