@@ -6,12 +6,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 from compare_transforms import (  # pyright: ignore[reportMissingImports]
     TRANSFORMS,
+    _distances_m,
     measure_transforms,
     transform_table,
 )
@@ -42,6 +44,17 @@ def test_our_skin_is_nearest_to_the_truth(scores):
 def test_a_skin_of_its_own_lengths_misses_the_joints_of_another_hand_by_the_other_transforms(scores):
     assert scores["HALO-like"].joints_matrices_mm > 1
     assert scores["naive"].joints_matrices_mm > 0.3
+
+
+def test_joints_by_blended_matrices_are_measured_apart_from_those_by_their_own(scores):
+    assert 0.05 < scores["ours, axial"].joints_skinned_mm < 1
+
+
+def test_chamfer_counts_both_ways():
+    """Every point of one surface lies on the other, which has one more, 8 m away: nothing one way, 4 m the other."""
+    joints_m, one, two = np.zeros((21, 3)), np.zeros((2, 3)), np.array([[0.0, 0, 0], [8.0, 0, 0]])
+    for skin, truth_m in ((one, two), (two, one)):
+        assert list(_distances_m((joints_m, joints_m, skin), joints_m, truth_m)) == [0, 0, 2, 4]
 
 
 def test_nothing_reproduces_the_skin_of_another_hand_exactly(scores):

@@ -414,6 +414,13 @@ def test_the_shutters_curve_weighs_the_subframes(sliding):
     weights = np.array([weight for _, weight in times])
     np.testing.assert_allclose(weights / weights[-1], np.array([1, 3, 5, 7]) / 7, atol=0.02)
     assert [time for time, _ in times] == pytest.approx([-0.1875, -0.0625, 0.0625, 0.1875])
+    blurred, alone = f12(), []
+    for time, _ in times:
+        sliding.frame_set(int((2 + time) // 1), subframe=(2 + time) % 1)
+        alone.append(asked(sliding, "rgba_f32")[0][..., 3])
+    weighed = np.average(alone, axis=0, weights=weights)
+    np.testing.assert_allclose(blurred[..., 3], weighed, atol=0.51 / 255)
+    assert np.abs(weighed - np.mean(alone, 0)).max() > 0.1
 
 
 def test_a_camera_that_moves_blurs_a_hand_that_does_not(sliding):

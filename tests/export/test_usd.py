@@ -307,6 +307,17 @@ def test_sizes_per_frame_are_the_engine_s_and_constant_ones_report_their_error(e
     assert exact.sigma_error == 0
 
 
+def test_a_point_is_two_standard_deviations_wide_times_the_factor(export, tmp_path):
+    _, avatar, motion = export
+    _, sigma_m = engine_gaussians(avatar, motion)
+    for factor in (1.0, 1.5):
+        report = export_usd(
+            tmp_path / str(factor), avatar, motion, [], UsdOptions(sizes="per_frame", width_factor=factor)
+        )
+        widths = values(report, Variant.POINTS, "/Hand/Points", "widths", range(FRAMES))
+        assert np.abs(widths / (2 * factor * sigma_m) - 1).max() < 2e-6
+
+
 def test_time_is_that_of_the_motion(export):
     stage = Usd.Stage.Open(str(export[0].shot))
     assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == FPS

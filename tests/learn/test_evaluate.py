@@ -140,6 +140,21 @@ def test_the_box_rule_stands_beside_figures_of_the_box(evaluation):
     assert "mask PSNR dB" not in tables.figures_table(evaluation, "full").columns
 
 
+def test_columns_of_the_box_are_of_the_box(evaluation):
+    """Figures as no picture has them, so that a cell tells where it is from."""
+    picture = evaluation.pictures[0]
+    known = {"psnr_full": 11.0, "psnr_box": 22.0, "psnr_mask": 33.0, "ssim_full": 0.1, "ssim_box": 0.2}
+    one = Evaluation("a", "b", "c", (replace(picture, scores=known),))
+    for table, wanted in (
+        (tables.figures_table(one, "box"), {"PSNR dB": "22.00", "mask PSNR dB": "33.00", "SSIM": "0.2000"}),
+        (tables.figures_table(one, "full"), {"PSNR dB": "11.00", "SSIM": "0.1000"}),
+        (tables.flexion_table(one), {"PSNR dB": "22.00", "mask PSNR dB": "33.00", "SSIM": "0.2000"}),
+    ):
+        assert dict(zip(table.columns[2:], table.rows[0][2:], strict=True)) == wanted
+    row = next(row for row in tables.ablation_table({"full": one}).rows if row[0] == "full")
+    assert (row[2], row[4]) == ("11.00", "22.00")
+
+
 def test_every_row_is_as_long_as_the_head(evaluation):
     made = [
         tables.rendering_table([evaluation]),
