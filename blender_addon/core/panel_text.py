@@ -87,11 +87,12 @@ class Button:
 
 @dataclass(frozen=True)
 class StatusText:
-    """How the renderer is. text: one line · remedy: what an artist can do, "" when all is well · since: since when,
-    where the line does not say it · detail: the small print."""
+    """How the renderer is. text: one line · which: path or module, where somebody has to mend it · remedy: what an
+    artist can do, "" when all is well · since: since when, where the line does not say it · detail: the small print."""
 
     text: str
     good: bool
+    which: str = ""
     remedy: str = ""
     since: str = ""
     detail: str = ""
@@ -156,7 +157,9 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
         text = translate("The renderer is not answering")
         remedy = translate('It may be at work: wait, or press "Restart Renderer"')
         running = translate("Running for {since}").format(since=since)
-        return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart Renderer"),))
+        return StatusText(
+            text, False, remedy=remedy, since=running, buttons=(Button("jghand.restart_engine", "Restart Renderer"),)
+        )
     facts = status.handshake or {}
     if status.doing:
         parts = [f"{translate(status.doing)}…"]
@@ -217,9 +220,10 @@ def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
     if failure is None:
         return StatusText(translate("The renderer stopped"), False, buttons=(Button(*_START), log))
     mend = Button(*_MENDS.get(failure.kind, _START))
+    which = failure.detail.partition("\n")[0] if failure.kind in _MENDS else ""
     sentence, remedy = translate(failure.advice.sentence), translate(failure.advice.remedy)
     ago = translate("{since} ago").format(since=since)
-    return StatusText(sentence, False, remedy, ago, failure.detail, (mend, log))
+    return StatusText(sentence, False, which, remedy, ago, failure.detail, (mend, log))
 
 
 def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, translate: Translate) -> Line:

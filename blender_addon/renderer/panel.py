@@ -27,8 +27,8 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, butto
         return
     box = layout.box().column()
     ui.paragraph(box, context, status.text, icon="ERROR")
-    if status.detail:
-        ui.paragraph(box, context, status.detail.splitlines()[0], icon="BLANK1")
+    if status.which:
+        ui.paragraph(box, context, status.which, icon="BLANK1")
     if status.remedy:
         ui.paragraph(box, context, status.remedy, icon="BLANK1")
     if status.since or status.detail:

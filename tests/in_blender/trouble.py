@@ -71,8 +71,8 @@ def step_a_failed_f12_says_why_where_its_image_would_be(window):
     camera = bpy.context.scene.camera.data
     camera.type, camera.dof.use_dof = "ORTHO", True
     yield 0.5
-    with window.override():
-        bpy.ops.render.render("INVOKE_DEFAULT")
+    yield from window.point_at_view()
+    yield from window.key("F12")
     yield lambda: window.runtime().last_render() is not None and window.runtime().last_render().failure is not None
     yield 2.0
     window.picture("f12_failed")  # the sentence above the image, in a pop-up that is whole, and in the status bar
