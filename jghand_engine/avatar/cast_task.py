@@ -1,9 +1,11 @@
-"""The shadows that fingers cast, as the kernel of trained skin takes them (native/learned_cast.cpp).
+"""The shadows that fingers and other hands cast, as the kernel of trained skin takes them (native/learned_cast.cpp).
 
 The specification is `learn/cast_shadow.py`.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,6 +32,21 @@ BOUNCED_MIN = 1e-12
 LIGHT_TO_DISPLAY = 1 / 2.2
 
 
+@dataclass(frozen=True)
+class Capsules:
+    """The flesh of other hands, (K,) capsules, meters relative to the root of the hand on which they cast a shadow.
+
+    start_m, end_m: (K, 3)
+    radius_m:       (K,)
+    part:           (K,) 0..1 how much they count
+    """
+
+    start_m: np.ndarray
+    end_m: np.ndarray
+    radius_m: np.ndarray
+    part: np.ndarray
+
+
 class CastStep:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
@@ -44,15 +61,11 @@ class CastStep:
         self.joints_m = avatar.canonical_joints_m - root_m
         self.direction, lamp = _lamps(cast.lamp_rgb)
         groups = len(lamp)
-        self._capsule = aligned_zeros((BONE_COUNT, 8))
-        self._capsule_lamp = aligned_zeros((BONE_COUNT, groups, 2, LANES))
         self.arrays = {
             "rest": own.blocked(rest),
             **own.bones(anchors.bone_weights),
             "foreign": own.blocked(1 - cast.own.astype(np.float64)),
             "lamp": lamp,
-            "capsule": self._capsule,
-            "capsule_lamp": self._capsule_lamp,
             "fallen": aligned_zeros((own.rows, 4)),
         }
         row_of_anchor = np.argsort(own.order)
@@ -68,21 +81,42 @@ class CastStep:
         shadow.to_display = LIGHT_TO_DISPLAY
         set_pointers(shadow, self.arrays)
         set_pointers(task, self.around)
+        self._shadow, self._groups = shadow, groups
+        self._set_capsules(BONE_COUNT)
 
-    def prepare(self, bones: Bones) -> None:
-        """Sets the capsules of the next pose."""
+    def _set_capsules(self, count: int) -> None:
+        """Room for so many of them."""
+        self._capsule = aligned_zeros((count, 8))
+        self._capsule_lamp = aligned_zeros((count, self._groups, 2, LANES))
+        self._other = aligned_zeros((max(count - BONE_COUNT, 1), 5))
+        self._shadow.capsules = count
+        arrays = {"capsule": self._capsule, "capsule_lamp": self._capsule_lamp, "other": self._other}
+        set_pointers(self._shadow, arrays)
+
+    def prepare(self, bones: Bones, others: Capsules | None = None) -> None:
+        """Sets the capsules of the next pose. others: of hands beside this one."""
         matrices = bones.linear_offset.astype(np.float64)
         # bone i ends at joint i
         joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self.joints_m) + matrices[:, :, 3]
         start, end, radius_m = capsules(joints_m, bones.scale)
+        if others is not None:
+            start, end = np.concatenate([start, others.start_m]), np.concatenate([end, others.end_m])
+            radius_m = np.concatenate([radius_m, others.radius_m])
+        count = len(start)
+        if count != len(self._capsule):
+            self._set_capsules(count)
+        if others is not None:
+            half_m = 0.5 * (others.end_m - others.start_m)
+            self._other[:, 0], self._other[:, 1:4] = others.part, others.start_m + half_m
+            self._other[:, 4] = np.linalg.norm(half_m, axis=1) + others.radius_m
         axis = end - start
         length2 = np.maximum((axis * axis).sum(1), CAPSULE_LENGTH2_MIN)
         along = axis @ self.direction.T
         sine2 = np.maximum(length2[:, None] - along * along, CAPSULE_SINE2_MIN * length2[:, None])
         self._capsule[:, :3], self._capsule[:, 3:6] = start, axis
         self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m
-        self._capsule_lamp[:, :, 0] = along.reshape(BONE_COUNT, -1, LANES)
-        self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(BONE_COUNT, -1, LANES)
+        self._capsule_lamp[:, :, 0] = along.reshape(count, -1, LANES)
+        self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(count, -1, LANES)
 
 
 def _lamps(rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -216,3 +216,37 @@ class PoseFeatures:
         above = texels[plane, top, left] * (1 - x) + texels[plane, top, right] * x
         below = texels[plane, bottom, left] * (1 - x) + texels[plane, bottom, right] * x
         return above * (1 - y) + below * y
+
+
+class OffsetChange:
+    """A bound on how far the offsets of correctives differ between two poses, from their own weights. Lipschitz:
+    rectifiers and tanh change no more than what goes in, matrices by their largest singular value, and a Gaussian reads
+    a mean of what its bones say."""
+
+    def __init__(self, net: Correctives | None) -> None:
+        self._net, self._features = net, None if net is None else PoseFeatures(net.angles)
+        if isinstance(net, PoseNetwork):
+            into, middle, out = (net.weights[f"{name}.weight"] for name in ("angles_in", "middle", "out"))
+            self._into = into.T.astype(np.float64)
+            self._slope_m = net.shape.reach_m * float(np.linalg.norm(middle, 2) * np.linalg.norm(out[:3], 2))
+        elif net is not None:
+            self._into = net.projection.astype(np.float64)
+            directions = net.direction[..., :3].astype(np.float32) * net.scale[:, :1, None]
+            self._slope_m = float(np.sqrt(np.square(directions).sum((1, 2)).max(initial=0.0)))
+
+    def __call__(self, before_rad: np.ndarray, after_rad: np.ndarray) -> float:
+        """Meters, between two poses of angles (37,)."""
+        if self._features is None or np.array_equal(before_rad, after_rad):
+            return 0.0
+        change = self._numbers(after_rad) - self._numbers(before_rad)
+        return self._slope_m * float(np.linalg.norm(change, axis=1).max())
+
+    def _numbers(self, angles_rad: np.ndarray) -> np.ndarray:
+        """(21, K) what the bones say to the Gaussians."""
+        assert self._features is not None
+        features = self._features(angles_rad)
+        if not isinstance(self._net, LinearCorrectives):
+            return features @ self._into
+        simple = (features - self._net.mean) @ self._into
+        first, second = products(simple.shape[1], self._net.basis)
+        return np.concatenate([simple[:, : self._net.basis], simple[:, first] * simple[:, second]], 1)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
-from jghand_engine.avatar.cast_task import CastStep
+from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
@@ -114,9 +114,12 @@ class Poser:
         self._posed, self._eye_m = False, None
         self._keep: tuple[object, ...] = ()
 
-    def prepare(self, bones: Bones, shift_m: np.ndarray, *, keep_correctives: bool = False) -> None:
+    def prepare(
+        self, bones: Bones, shift_m: np.ndarray, *, keep_correctives: bool = False, others: Capsules | None = None
+    ) -> None:
         """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
-        keep_correctives: whether those of the last pose that was run are used again.
+        keep_correctives: whether those of the last pose that was run are used again. others: the flesh of hands beside
+        this one, which cast their shadow on it.
 
         InputError names an array that the kernel cannot read or write.
         """
@@ -134,7 +137,7 @@ class Poser:
         task.scale, task.inverse_scale = bones.scale, inverse_scale
         if self._light is not None:
             self._light.task.skin = task
-            self._light.prepare(bones, inverse_scale, into.rgb, keep_correctives=keep_correctives)
+            self._light.prepare(bones, inverse_scale, into.rgb, others, keep_correctives=keep_correctives)
         self._keep, self._posed, self._eye_m = (linear_offset,), True, None
         self._team.fill(0)
 
@@ -176,7 +179,9 @@ class _Light:
         self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)
         self._cast = None if learned.cast is None else CastStep(learned.cast, avatar, blocks, self.task)
 
-    def prepare(self, bones: Bones, inverse_scale: float, rgb: np.ndarray, *, keep_correctives: bool) -> None:
+    def prepare(
+        self, bones: Bones, inverse_scale: float, rgb: np.ndarray, others: Capsules | None, *, keep_correctives: bool
+    ) -> None:
         task = self.task
         task.rgb = address(rgb, np.float32, "rgb", (self._rows, 3), writable=True)
         task.palm = tuple((bones.linear_offset[0, :, :3].astype(np.float64) * inverse_scale).ravel())
@@ -185,7 +190,7 @@ class _Light:
         elif task.given is not None:
             task.correctives = CorrectiveKind.GIVEN
         if self._cast is not None:
-            self._cast.prepare(bones)
+            self._cast.prepare(bones, others)
 
 
 def _check_size(library: Library, size: int, mirror: type[ctypes.Structure]) -> None:

@@ -30,6 +30,7 @@ from jghand_engine.avatar.cast_task import (
     FLESH_SOFTNESS,
     LAMP_HALF_WIDTH,
     LIGHT_TO_DISPLAY,
+    Capsules,
 )
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, CAPSULE_RADII_MM, SHARE_UNITS, lamp_directions
 from jghand_engine.hand.joints import PARENTS
@@ -114,9 +115,15 @@ class LampsSeen:
 
 
 def lamps_seen(
-    shadow: CastTensors, position_m: Tensor, normal: Tensor, joints_m: Tensor, hand_scale: Tensor
+    shadow: CastTensors,
+    position_m: Tensor,
+    normal: Tensor,
+    joints_m: Tensor,
+    hand_scale: Tensor,
+    others: Capsules | None = None,
 ) -> LampsSeen:
-    """position_m, normal: (A, 3) of the posed anchors · joints_m: (21, 3) posed · hand_scale: (), all in one frame."""
+    """position_m, normal: (A, 3) of the posed anchors · joints_m: (21, 3) posed · hand_scale: () · others: the flesh of
+    hands beside this one, all in one frame."""
     direction = torch.from_numpy(lamp_directions(len(shadow.lamp_rgb))).to(normal)
     cosine = (normal @ direction.T).clamp_min(0)
     hidden = 1 - shadow.own.to(position_m)
@@ -127,15 +134,24 @@ def lamps_seen(
             past_capsule, position_m, direction, start, end, radius_m, use_reentrant=False, preserve_rng_state=False
         )  # type: ignore[assignment]
         visible = visible * (1 - hidden[:, bone, None] * (1 - stands_free))
+    if others is not None:
+        values = (torch.from_numpy(values).to(position_m) for values in vars(others).values())
+        for start, end, radius_m, part in zip(*values, strict=True):
+            stands_free = past_capsule(position_m, direction, start, end, radius_m, far=True)
+            visible = visible * (1 - part * (1 - stands_free))
     return LampsSeen(cosine, cosine * visible)
 
 
-def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tensor, radius_m: Tensor) -> Tensor:
+def past_capsule(
+    position_m: Tensor, direction: Tensor, start: Tensor, end: Tensor, radius_m: Tensor, *, far: bool = False
+) -> Tensor:
     """(A, K) how much of each lamp shines past one capsule: 0 behind it, 1 well beside it, smooth between.
 
     The least distance between ray and axis decides, by two rounds of alternating projection, which are exact where
     neither end of the axis nor the ray's own start is nearest. The edge widens with the way to the capsule, like
     that of a lamp of LAMP_HALF_WIDTH. position_m: (A, 3) · direction: (K, 3) unit · start, end: (3,)
+    far: a capsule that is smaller than the lamp, as the point sees it, hides only its share of the lamp, radius over
+    half width; within a hand that is in what was learned.
     """
     axis, from_start = end - start, position_m - start
     length2 = (axis * axis).sum().clamp_min(CAPSULE_LENGTH2_MIN)
@@ -155,7 +171,10 @@ def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tens
     )
     distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
     width = FLESH_SOFTNESS * radius_m + LAMP_HALF_WIDTH * t
-    return _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(CAPSULE_WIDTH_MIN_M))
+    stands_free = _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(CAPSULE_WIDTH_MIN_M))
+    if not far:
+        return stands_free
+    return 1 - (1 - stands_free) * (radius_m / (LAMP_HALF_WIDTH * t).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
 
 
 def exponent(shadow: CastTensors, seen: LampsSeen) -> Tensor:

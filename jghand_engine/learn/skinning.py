@@ -11,6 +11,7 @@ from typing import Protocol
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -122,9 +123,12 @@ class PosedSkin:
     shine: torch.Tensor | None = None
 
 
-def see_lamps(shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: PoseTransforms) -> LampsSeen:
+def see_lamps(
+    shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: PoseTransforms, others: Capsules | None = None
+) -> LampsSeen:
     """What the skin of one pose sees of the lamps, without the pose's correction: it moves skin by less than an edge
-    of a shadow is wide. canonical_joints_m: (21, 3) of the avatar."""
+    of a shadow is wide. canonical_joints_m: (21, 3) of the avatar · others: the flesh of hands beside this
+    one, relative to its root."""
     anchors = shadow.anchors
     with torch.autocast(bones.linear.device.type, enabled=False):
         maps = skin_maps(anchors.bone_weights, bones)
@@ -134,7 +138,7 @@ def see_lamps(shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: Pose
         normal = unit(apply(maps.turning, anchors.normal.to(dtype)))
         # bone i ends at joint i
         joints_m = apply(bones.linear, canonical_joints_m.to(dtype) - root_m) + bones.offset_m
-        return lamps_seen(shadow, position_m, normal, joints_m, bones.scale)
+        return lamps_seen(shadow, position_m, normal, joints_m, bones.scale, others)
 
 
 def pose_skin(
@@ -195,17 +199,23 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandTensors) -> Gaus
     return replace(skin.matt, rgb=skin.matt.rgb + reflected)
 
 
-def posed_skin(avatar: HandTensors, bones: PoseTransforms, frames: PoseAngles | None) -> PosedSkin:
-    """The skin of a finished avatar: `pose_skin` with the correction that its own correctives give for `frames`.
+def posed_skin(
+    avatar: HandTensors, bones: PoseTransforms, frames: PoseAngles | None, others: Capsules | None = None
+) -> PosedSkin:
+    """The skin of a finished avatar: `pose_skin` with the correction that its own correctives give for `frames`, in the
+    shadow of `others`, see `see_lamps`.
 
     InputError when it has correctives and there are no frames.
     """
-    correctives = None if avatar.learned is None else avatar.learned.correctives
+    learned, seen = avatar.learned, None
+    if learned is not None and learned.cast is not None and others is not None:
+        seen = see_lamps(learned.cast, avatar.canonical_joints_m, bones, others)
+    correctives = None if learned is None else learned.correctives
     if correctives is None:
-        return pose_skin(avatar, bones)
+        return pose_skin(avatar, bones, seen=seen)
     if frames is None:
         raise InputError("pose of a trained avatar", wanted="its frames, for the joint angles", came="none")
-    return pose_skin(avatar, bones, correctives(frames))
+    return pose_skin(avatar, bones, correctives(frames), seen=seen)
 
 
 def pose_gaussians(
@@ -214,14 +224,15 @@ def pose_gaussians(
     *,
     frames: PoseAngles | None = None,
     eye_m: torch.Tensor | None = None,
+    others: Capsules | None = None,
 ) -> Gaussians:
     """Canonical Gaussians -> what is drawn of one pose, in the frame of the joints that made `bones`.
 
     frames: of the same pose; a trained avatar with correctives needs them (InputError) · eye_m: (3,) where the camera
-    stands; None leaves out what only that camera would see mirrored
+    stands; None leaves out what only that camera would see mirrored · others: see `see_lamps`
     """
     hand = HandTensors.of(avatar)
-    skin = posed_skin(hand, bones, frames)
+    skin = posed_skin(hand, bones, frames, others)
     return skin.matt if eye_m is None else seen_from(skin, eye_m, hand)
 
 

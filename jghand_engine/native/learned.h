@@ -16,13 +16,15 @@ struct CastTask {
   const float* weight;
   const float* foreign;         // (blocks, BONES, 16): 1 - own
   const float* lamp;            // (groups, 6, 16): direction, rgb; those that fill up the last group are black
-  const float* capsule;         // (BONES, 8): start, axis, 1 / squared length, radius; root-relative, meters
-  const float* capsule_lamp;    // (BONES, groups, 2, 16): axis . direction, 1 / (squared length sine^2)
+  const float* capsule;         // (capsules, 8): start, axis, 1 / squared length, radius; root-relative, meters
+  const float* capsule_lamp;    // (capsules, groups, 2, 16): axis . direction, 1 / (squared length sine^2)
+  const float* other;           // (capsules - BONES, 5): those of other hands, behind the hand's own: how much each
+                                // counts, and the middle and radius of a ball around it
   float* fallen;                // (16 blocks, 4): exponent per channel; the fourth is not used
   float bounced[3];             // light that reaches skin which sees no lamp
   float softness, lamp_width, width_min, distance2_min;
   float to_display;             // exponent per logarithm of light
-  int32_t blocks, groups;
+  int32_t blocks, groups, capsules;
 };
 
 enum Correctives { NO_CORRECTION = 0, GIVEN = 1, LINEAR = 2, NETWORK = 3 };
@@ -64,7 +66,7 @@ struct LearnedTask {
 };
 
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
-constexpr int BONES = 20, ANCHORS_AROUND = 3;
+constexpr int BONES = 20, ANCHORS_AROUND = 3, OTHER = 5;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
 constexpr int HIDDEN_MAX = 256;   // wider networks are left to NumPy: two layers of two blocks lie on the stack
 

@@ -1,6 +1,8 @@
-// Shadows that the fingers cast on the hand (learn/cast_shadow.py): anchors times lamps times capsules, sixteen lamps
-// at a time. Lamps that an anchor turns away from, flesh of its own and capsules that all sixteen rays pass by well
+// Shadows that fingers, and other hands, cast on a hand (learn/cast_shadow.py): anchors times lamps times capsules,
+// sixteen lamps at a time. Lamps that an anchor turns away from, flesh of its own and capsules that all sixteen rays pass by well
 // are left out, which changes no bit.
+#include <math.h>
+
 #include "constants.h"
 #include "learned.h"
 
@@ -9,8 +11,9 @@ namespace {
 
 JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
 
-// What sixteen lamps shine past a capsule to a point `from_start` of its start; see past_capsule in cast_shadow.py.
-// False: all of all of them.
+// What sixteen lamps shine past a capsule to a point; see past_capsule in cast_shadow.py, also for `far`. False: all of
+// all of them.
+template <bool far>
 JG_INLINE bool past_capsule(const CastTask& t, const float* capsule, const float* capsule_lamp, const float point[3],
                             const vf direction[3], vf& part) {
   const float from_start[3] = {point[0] - capsule[0], point[1] - capsule[1], point[2] - capsule[2]};
@@ -31,7 +34,19 @@ JG_INLINE bool past_capsule(const CastTask& t, const float* capsule, const float
   if (!bit_mask(distance2 < clear * clear)) return false;
   const vf edge = clamped(0.5f + 0.5f * (sqrt(max(distance2, all(t.distance2_min))) - radius) / width);
   part = edge * edge * (3.f - 2.f * edge);
+  if (far) part = 1.f - (1.f - part) * min(radius / max(t.lamp_width * way, all(t.width_min)), all(1.f));
   return true;
+}
+
+// Whether the ball around a capsule may hide any of sixteen lamps that a point faces.
+JG_INLINE bool stands_before(const CastTask& t, float radius, const float ball[4], const float point[3],
+                             const float normal[3], const vf direction[3]) {
+  float to[3], height = 0, square = 0;
+  for (int i = 0; i < 3; i++) to[i] = ball[i] - point[i], height += to[i] * normal[i], square += to[i] * to[i];
+  const float clear = ball[3] + t.softness * radius + t.lamp_width * (sqrtf(square) + ball[3]);
+  if (height < -clear) return false;
+  const vf along = max(direction[0] * to[0] + direction[1] * to[1] + direction[2] * to[2], vf{});
+  return bit_mask(square - along * along < clear * clear);
 }
 
 JG_INLINE float sum_of(vf v) {
@@ -58,10 +73,18 @@ Reaching reaching(const CastTask& t, const float* foreign, const float point[3],
     for (int bone = 0; bone < BONES; bone++) {
       const float hides = foreign[LANES * bone];
       vf part;
-      if (hides == 0 || !past_capsule(t, t.capsule + CAPSULE * bone, t.capsule_lamp + 2 * LANES * (t.groups * bone + g),
-                                      point, direction, part))
+      if (hides == 0 || !past_capsule<false>(t, t.capsule + CAPSULE * bone,
+                                             t.capsule_lamp + 2 * LANES * (t.groups * bone + g), point, direction, part))
         continue;
       visible *= 1.f - hides * (1.f - part);
+    }
+    for (int k = BONES; k < t.capsules; k++) {
+      const float* other = t.other + OTHER * (k - BONES);
+      vf part;
+      if (stands_before(t, t.capsule[CAPSULE * k + 7], other + 1, point, normal, direction) &&
+          past_capsule<true>(t, t.capsule + CAPSULE * k, t.capsule_lamp + 2 * LANES * (t.groups * k + g), point, direction,
+                             part))
+        visible *= 1.f - other[0] * (1.f - part);
     }
     for (int i = 0; i < 3; i++) {
       const vf light = cosine * load(lamp + LANES * (3 + i));

@@ -13,6 +13,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import padded_rows
+from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
@@ -37,11 +38,13 @@ class Pose:
     bones:            its bone transforms
     shift_m:          (3,) its root relative to the image's origin, meters
     keep_correctives: whether those of the last pose are used again
+    others:           flesh of the hands that cast a shadow on it; None where none is near
     """
 
     bones: Bones
     shift_m: np.ndarray
     keep_correctives: bool = False
+    others: Capsules | None = None
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,8 @@ class Backend:
         """
         if poses is not None:
             for hand, pose in zip(self._hands, poses, strict=True):
-                hand.prepare(pose.bones, pose.shift_m, keep_correctives=pose.keep_correctives)
+                keeps = pose.keep_correctives
+                hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others)
         camera, settings = canvas.camera, self._settings
         if not keep_image:
             self._planes = self._rasterizer.prepare(

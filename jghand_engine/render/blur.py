@@ -30,6 +30,11 @@ FOCUS_ERROR_MAX = 1 / 20
 # 0.81; layers of Gaussians over each other are steeper. With these the bounds held on the built-in hand
 EDGE_SLOPE = 1.2
 EDGE_CURVATURE = 2.4
+# edges that pass over one pixel leave stairs each: those of up to five fingers, both sides; they add up the more, the
+# longer the steps are (built-in and painted hand, 49 to 400 px: 0.5 / n up to steps of 2 px, 0.62 of 3, 1.2 of 5)
+EDGES, STAIR_PX = 10.0, 2.0
+# images of a moving hand at most
+MOTION_COUNT_MAX = 128
 # what a disc of n sunflower samples misjudges of a half plane: at most 1.4 / n^0.75 (worst of n = 4 to 256)
 DISC_DISCREPANCY = 1.4
 
@@ -40,13 +45,14 @@ def motion_error(length_px: float, count: int) -> float:
     """What `count` evenly spread images miss of an edge that moves by `length_px`, as a part of its contrast.
 
     Steps of up to a pixel: the midpoint rule on an edge as steep as splats make it. Longer ones leave stairs of
-    1 / count, which are off by half of that.
+    1 / count, which are off by half of that, at every edge that passes.
     """
     step = length_px / count
+    stairs = 0.5 / count * min(max(1.0, step / STAIR_PX), EDGES)
     if step > 1.0:
-        return 0.5 / count
+        return stairs
     smooth = step * step / 24 * min(EDGE_CURVATURE, 2 * EDGE_SLOPE / max(length_px, 1e-9))
-    return min(smooth, 0.5 / count) if count > 1 else smooth
+    return min(smooth, stairs) if count > 1 else smooth
 
 
 def focus_error(disc_px: float, count: int) -> float:
@@ -57,9 +63,9 @@ def focus_error(disc_px: float, count: int) -> float:
 
 
 def motion_count(length_px: float) -> int:
-    """The least number of images within MOTION_ERROR_MAX."""
-    most = math.ceil(0.5 / MOTION_ERROR_MAX)
-    return next((n for n in range(1, most) if motion_error(length_px, n) <= MOTION_ERROR_MAX), most)
+    """The least number of images within MOTION_ERROR_MAX, but no more than MOTION_COUNT_MAX."""
+    numbers = range(1, MOTION_COUNT_MAX)
+    return next((n for n in numbers if motion_error(length_px, n) <= MOTION_ERROR_MAX), MOTION_COUNT_MAX)
 
 
 def focus_count(disc_px: float) -> int:

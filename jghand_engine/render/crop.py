@@ -1,4 +1,4 @@
-"""Which part of an image hands can touch: outside of it nothing has to be drawn."""
+"""Which part of an image hands can touch, and how far their skin moves: from bones and boxes alone, before any skin."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import LinearCorrectives
+from jghand_engine.avatar.correctives import LinearCorrectives, OffsetChange
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skin_task import SIGMA_STRETCH_MAX
 from jghand_engine.hand.skeleton import Bones
@@ -22,6 +22,7 @@ from jghand_engine.render.image import Box
 OFFSET_STRETCH = 1.5
 # the box stands at multiples of this, px: tiles stay where they were, and buffers are seldom made anew
 CROP_STEP_PX = 64
+NOWHERE = Box(0, 0, 0, 0)
 
 
 class HandFacts:
@@ -32,7 +33,7 @@ class HandFacts:
     look:              of its shadow; None where it was learned without one
     keeps_correctives: whether it is worth while to use those of the last pose again
     sigma_m:           of its median Gaussian
-    offset_m:          the longest offset of its correctives along an axis
+    offset_change:     bounds how far its correctives' offsets differ between two poses
     """
 
     def __init__(self, avatar: HandAvatar) -> None:
@@ -42,8 +43,10 @@ class HandFacts:
         net = None if self.learned is None else self.learned.correctives
         # a linear tier is found as fast as it is read
         self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)
+        self.offset_change = OffsetChange(net)
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
-        self.offset_m = 0.0 if net is None else net.longest_offset_m()
+        # the longest offset of the correctives
+        self._offset_m = 0.0 if net is None else OFFSET_STRETCH * math.sqrt(3) * net.longest_offset_m()
         self._moving, self._corners_m = _corners(avatar)
         # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
         # like the corners; twice is more than it does to the skin of a hand
@@ -55,17 +58,26 @@ class HandFacts:
     def reach_m(self, bones: Bones, alpha_min: float) -> float:
         """How far from its skinned place a Gaussian of that pose may touch an image with this cut-off."""
         seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
-        return (seen + OFFSET_STRETCH * math.sqrt(3) * self.offset_m) * max(bones.scale, 1.0)
+        return (seen + self._offset_m) * max(bones.scale, 1.0)
 
-    def corners_m(self, bones: Bones) -> np.ndarray:
-        """(K, 3) points relative to the hand's root whose hull holds every skinned place."""
-        maps = bones.linear_offset[self._moving]
-        moved = np.einsum("ijk,ick->icj", maps[:, :, :3], self._corners_m)
-        return (moved + maps[:, None, :, 3]).reshape(-1, 3)
+    def corners_m(self, linear_offset: np.ndarray) -> np.ndarray:
+        """(K, 3) points relative to the hand's root whose hull holds every skinned place. linear_offset: (21, 3, 4)"""
+        return (linear_offset[self._moving] @ self._corners_m).transpose(0, 2, 1).reshape(-1, 3)
+
+    def skin_change_m(self, new: Bones, old: Bones) -> float:
+        """How far a point of the skin is from where another pose has it, at most, correctives that change apart: a
+        skinned point is a mean of what its bones make of it, so that it moves less than some corner of a bone's box."""
+        change = new.linear_offset.astype(np.float64) - old.linear_offset
+        corners_m = self.corners_m(change)
+        moved_m = math.sqrt(np.square(corners_m).sum(1).max(initial=0.0))
+        # offsets turn with the hand, by no more than twice what their bones' maps change
+        turned = 2 * math.sqrt(np.square(change[:, :, :3]).sum((1, 2)).max())
+        return moved_m + turned * self._offset_m + float(np.linalg.norm(new.root_m - old.root_m))
 
 
 def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
-    """(21,) bool which bones move anything; (bones, 8, 3) corners of the boxes around it, canonical, root-relative.
+    """(21,) bool which bones move anything; (bones, 4, 8) corners of the boxes around it, canonical, root-relative, and
+    ones.
 
     A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
     in the hull of the boxes.
@@ -73,47 +85,49 @@ def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
     moves = (avatar.bone_weights != 0).T
     moving = np.asarray(moves.any(1))
-    ends = [(relative[rows].min(0), relative[rows].max(0)) for rows in moves[moving]]
-    corners = [np.stack(np.meshgrid(*np.stack(pair, 1), indexing="ij"), -1).reshape(8, 3) for pair in ends]
-    return moving, np.array(corners).reshape(-1, 8, 3)
+    ends = [np.stack([relative[rows].min(0), relative[rows].max(0)], 1) for rows in moves[moving]]
+    corners = [np.stack(np.meshgrid(*pair, [1.0], indexing="ij")).reshape(4, 8) for pair in ends]
+    return moving, np.array(corners).reshape(-1, 4, 8)
 
 
 def hand_box(
-    joints_m: Sequence[np.ndarray],
-    bones: Sequence[Bones],
-    hands: Sequence[HandFacts],
-    camera: Camera,
-    alpha_min: float,
-) -> Box | None:
-    """The part of the image outside of which nothing of the hands is seen; None when that is not known, as for a
-    camera between the fingers. Its edges stand at multiples of CROP_STEP_PX."""
-    origin = camera.camera_from_world
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    joints_m: Sequence[np.ndarray], bones: Sequence[Bones], hands: Sequence[HandFacts], camera: Camera, alpha_min: float
+) -> Box:
+    """The rectangle that may be touched: NOWHERE for hands behind the camera or beside the image, all of it where that
+    is not known."""
+    # from, to: of columns and rows
+    found = [math.inf, -math.inf, math.inf, -math.inf]
+    rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     for joints, own, hand in zip(joints_m, bones, hands, strict=True):
-        if own.flags:
-            return None  # such hands stretch their skin beyond what is known
-        corners, reach_m = hand.corners_m(own), hand.reach_m(own, alpha_min)
+        corners = hand.corners_m(own.linear_offset)
         if not len(corners):
             continue
-        points = (corners + joints[0]) @ origin[:3, :3].T + origin[:3, 3]
-        nearest_m = float(points[:, 2].min()) - reach_m
-        if not (np.isfinite(points).all() and contract.Z_NEAR_M < nearest_m < math.inf):
-            return None
-        slope = points[:, :2] if camera.orthographic else points[:, :2] / points[:, 2:]
-        focal = np.array([camera.fx, camera.fy])
-        pixels = slope * focal + np.array([camera.cx, camera.cy])
-        # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes on
-        # top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)
-        margin = focal * reach_m * (1.0 if camera.orthographic else (1 + np.abs(slope).max(0)) / nearest_m)
-        margin += math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2) + 1
-        low, high = np.minimum(low, pixels.min(0) - margin), np.maximum(high, pixels.max(0) + margin)
-    return _on_grid(low, high, camera)
+        points = corners @ rotation.T + (rotation @ joints[0] + offset_m)
+        reach_m, depth_m = hand.reach_m(own, alpha_min), points[:, 2]
+        nearest_m, farthest_m = float(depth_m.min()) - reach_m, float(depth_m.max()) + reach_m
+        # nothing behind the near plane is drawn
+        if farthest_m <= contract.Z_NEAR_M and not own.flags:
+            continue
+        # near it splats grow without bound, and a flagged hand stretches its skin beyond what is known
+        if own.flags or not (nearest_m > contract.Z_NEAR_M and farthest_m < math.inf):
+            return Box(0, 0, camera.width, camera.height)
+        slope = points[:, :2] if camera.orthographic else points[:, :2] / depth_m[:, None]
+        for axis, low, high in zip((0, 2), slope.min(0).tolist(), slope.max(0).tolist(), strict=True):
+            focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
+            # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes
+            # on top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)
+            wide = 1.0 if camera.orthographic else (1 + max(abs(low), abs(high))) / nearest_m
+            margin = focal * reach_m * wide + math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2) + 1
+            found[axis] = min(found[axis], focal * low + center - margin)
+            found[axis + 1] = max(found[axis + 1], focal * high + center + margin)
+    left, right = _on_grid(found[0], found[1], camera.width)
+    top, bottom = _on_grid(found[2], found[3], camera.height)
+    return Box(left, top, right - left, bottom - top) if left < right and top < bottom else NOWHERE
 
 
-def _on_grid(low: np.ndarray, high: np.ndarray, camera: Camera) -> Box:
-    """The rectangle from `low` to `high`, pixels, widened to the grid and cut to the image; at least a step wide."""
-    size, step = np.array([camera.width, camera.height]), CROP_STEP_PX
-    last = (size - 1) // step * step
-    first = np.clip(np.floor(np.clip(low, 0, size) / step) * step, 0, last).astype(int)
-    end = np.minimum(np.maximum(np.ceil(np.clip(high, 0, size) / step) * step, first + step), size).astype(int)
-    return Box(int(first[0]), int(first[1]), int(end[0] - first[0]), int(end[1] - first[1]))
+def _on_grid(low: float, high: float, size: int) -> tuple[int, int]:
+    """From `low` to `high`, pixels, widened to the grid and cut to the image; empty outside of it."""
+    if not (high > 0 and low < size):
+        return 0, 0
+    first = math.floor(max(low, 0.0) / CROP_STEP_PX) * CROP_STEP_PX
+    return first, min(math.ceil(min(high, size) / CROP_STEP_PX) * CROP_STEP_PX, size)

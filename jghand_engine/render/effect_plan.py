@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from jghand_engine.errors import InputError
+from jghand_engine.render.image import Box
 
 
 class Effect(StrEnum):
@@ -43,12 +44,9 @@ class Choice:
         """auto (what a scene calls for), all (everything, always), none, or names of effects with commas, which run
         when they are called for. InputError names an unknown one."""
         words = [word.strip() for word in text.split(",") if word.strip()]
-        if words == ["auto"]:
-            return cls()
-        if words == ["all"]:
-            return cls(forced=frozenset(Effect))
-        if words == ["none"]:
-            return cls(frozenset())
+        special = {"auto": cls(), "all": cls(forced=frozenset(Effect)), "none": cls(frozenset())}
+        if len(words) == 1 and words[0] in special:
+            return special[words[0]]
         unknown = [word for word in words if word not in CHOOSABLE]
         if unknown or not words:
             wanted = f"auto | all | none | names of {', '.join(CHOOSABLE)}"
@@ -59,9 +57,7 @@ class Choice:
         """The words that `parse` takes."""
         if self.forced:
             return "all"
-        if self.named is None:
-            return "auto"
-        return ",".join(sorted(self.named)) or "none"
+        return "auto" if self.named is None else ",".join(sorted(self.named)) or "none"
 
     def allows(self, effect: Effect) -> bool:
         """Whether the effect may run at all."""
@@ -75,8 +71,7 @@ class Choice:
 AUTO = Choice()
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """About one effect. Its words are put together when somebody reads them, which few frames meet.
 
     why:          template of the reason
@@ -89,8 +84,8 @@ class Decision:
     effect: Effect
     runs: bool
     why: str
-    lost: str = ""
-    worst: float | None = None
+    lost: str = "0"
+    worst: float | None = 0.0
     estimated_ms: float = 0.0
     figures: tuple[float, ...] = ()
 
@@ -108,8 +103,7 @@ class Decision:
             cost = f"{measured_ms:.2f} ms" if measured_ms is not None else f"about {self.estimated_ms:.2g} ms"
         else:
             cost = f"saved about {self.estimated_ms:.2g} ms" if self.estimated_ms else ""
-        bound = f"{'without' if self.runs else 'off by'}: {self.bound}" if self.lost else ""
-        words = "; ".join(part for part in (self.reason, bound, cost) if part)
+        words = "; ".join(filter(None, (self.reason, f"{'without' if self.runs else 'off by'}: {self.bound}", cost)))
         return f"{self.effect:<15}{'ran' if self.runs else 'skipped':<9}{words}"
 
     def as_dict(self) -> dict[str, Any]:
@@ -123,6 +117,7 @@ class EffectPlan:
     """How one image is made.
 
     decisions: one per effect
+    box:       what is drawn of the image, empty where no hand can be seen; each of several exposures has its own
     strength:  of the shadow pass, 0..1
     enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not
     plain:     share, 0..1, of the image that is not
@@ -130,10 +125,11 @@ class EffectPlan:
     """
 
     decisions: tuple[Decision, ...]
-    strength: float
-    enlarged: int
-    plain: float
-    exposures: int
+    box: Box
+    strength: float = 0.0
+    enlarged: int = 1
+    plain: float = 1.0
+    exposures: int = 1
 
     def __getitem__(self, effect: Effect) -> Decision:
         return next(decision for decision in self.decisions if decision.effect is effect)

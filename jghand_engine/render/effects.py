@@ -2,9 +2,9 @@
 
     plan = plan_effects(scene, hands, settings)
 
-What pays is to reuse the skin, to draw the hand's box alone, to leave out a shadow that nobody sees, and to average no
-more images than blur needs. Each has a cheap test, a bound on what is lost, and an estimate of its cost. What does not
-run is neither computed nor allocated.
+What pays is to draw nothing of a hand that is not in the image, to reuse the skin, to draw the hand's box alone, to
+leave out a shadow that nobody sees, and to average no more images than blur needs. Each has a cheap test, a bound on
+what is lost, and an estimate of its cost. What does not run is neither computed nor allocated.
 """
 
 from __future__ import annotations
@@ -29,19 +29,9 @@ from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, extent_px,
 from jghand_engine.render.image import Box
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
-# matrices are reused when no joint moved more than this, meters
-REUSE_JOINTS_M = 5e-5
-# ... and the skin then lacks at most this, meters. Joints that move against each other turn bones: the skin of the
-# trained hand moves by up to 5 times their movement in usual poses (0.25 mm), and by up to 11 times where bones are
-# half and one and a half times as long in turn
-REUSE_SKIN_M = 6e-4
-# ... but where a finger is bent further than any hand can, radians, by up to 14 times: such hands are reused only when
-# nothing moved at all
-REUSE_BENT_MAX = 2.4
-# the correctives are reused when no angle changed more than this, radians: a hand that moves as a whole keeps them
-REUSE_ANGLE_RAD = 2e-4
-# ... and the skin then lacks at most this, meters (the built-in hand's named poses: 0.06 mm, every angle at its limit)
-REUSE_CORRECTION_M = 1e-4
+# a skin is reused when no point of it can have moved farther, and the correctives of a hand that moved as a whole when
+# no offset can differ by more, meters: a tenth of a pixel of a hand that fills 512 x 334
+REUSE_SKIN_M = 5e-5
 # a hand whose median Gaussian is smaller than this on the image is drawn larger and averaged, px: the low pass of
 # 0.55 px would swell it. It fades in down to the second size, and is never switched
 FILTER_SIGMA_PX = 0.5
@@ -54,14 +44,12 @@ CROP_PART_MAX = 0.5
 # ... and the shadow of single pixels then differs by at most this, where a sample falls on another pixel (worst seen:
 # 0.014)
 CROP_SHADOW = 0.015
+# what a shadow would darken at most where its gate is closed or the hand too small for it (painted hand, worst seen
+# 0.27, 3 cm from the skin)
+SHADOW_MISSED = 0.35
 # estimated cost on one core, milliseconds per Gaussian, per pixel, and per pixel and sample of the shadow
-SKIN_MS = 5e-6
-NETWORK_MS = 2.7e-4
-LINEAR_MS = 2e-5
-CAST_MS = 2e-5
-RASTER_MS = 1.3e-4
-MAP_MS = 1e-6
-SHADOW_MS = 3e-7
+SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1.3e-4
+MAP_MS, SHADOW_MS = 1e-6, 3e-7
 
 NOT_CHOSEN = "not among the chosen effects"
 
@@ -69,15 +57,10 @@ NOT_CHOSEN = "not among the chosen effects"
 def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     """The avatar without what may not be drawn of it: no memory is taken for that, and no time."""
     learned, allows = avatar.learned, settings.effects.allows
-    if learned is None:
-        return avatar
-    without = {
-        Effect.CORRECTIVES: {"correctives": None, "distilled": None},
-        Effect.CAST: {"cast": None},
-    }
-    for effect, change in without.items():
-        if not allows(effect):
-            learned = replace(learned, **change)
+    if learned is not None and not allows(Effect.CORRECTIVES):
+        learned = replace(learned, correctives=None, distilled=None)
+    if learned is not None and not allows(Effect.CAST):
+        learned = replace(learned, cast=None)
     return replace(avatar, learned=learned)
 
 
@@ -88,31 +71,37 @@ class Kept(NamedTuple):
     """What the last image leaves.
 
     joints_m:      per hand (21, 3) as they were posed
-    flagged:       whether a hand was odd
+    bones:         per hand
     corrected_rad: per hand the angles (37,) of its correctives
     """
 
     joints_m: list[np.ndarray]
-    flagged: bool
+    bones: list[Bones]
     corrected_rad: list[np.ndarray]
 
 
-def reusable(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: RenderSettings) -> float | None:
-    """How far the joints moved along an axis since they were posed, meters; None when they have to be posed again."""
+def reusable(
+    bones: Sequence[Bones], kept: Kept | None, hands: Sequence[HandFacts], settings: RenderSettings
+) -> float | None:
+    """How far any point of the skin can be from where it was posed, meters; None when it has to be posed again."""
     if kept is None or not settings.reuse or settings.effects.forces(Effect.SKIN):
         return None
-    distance_m = max(float(np.abs(new - old).max()) for new, old in zip(joints_m, kept.joints_m, strict=True))
-    # per axis, so that no joint moves farther than the limit; the skin of a flagged hand may turn without bound
-    most_m = 0.0 if kept.flagged or settings.repeatable else REUSE_JOINTS_M
-    return distance_m if distance_m * math.sqrt(3.0) <= most_m else None
+    most_m, moved_m = 0.0 if settings.repeatable else REUSE_SKIN_M, 0.0
+    for hand, new, old, corrected_rad in zip(hands, bones, kept.bones, kept.corrected_rad, strict=True):
+        skin_m = hand.skin_change_m(new, old)
+        # what a flagged hand's blended maps do to normals and offsets is not known
+        if not skin_m <= (0.0 if new.flags or old.flags else most_m):
+            return None
+        moved_m = max(moved_m, skin_m + hand.offset_change(corrected_rad, new.angles_rad))
+    return moved_m if moved_m <= most_m else None
 
 
-def same_shape(bones: Bones, corrected_rad: np.ndarray | None, settings: RenderSettings) -> bool:
+def same_shape(hand: HandFacts, bones: Bones, corrected_rad: np.ndarray | None, settings: RenderSettings) -> bool:
     """Whether a hand moved as a whole: its correctives stay."""
     if corrected_rad is None or not settings.reuse or settings.effects.forces(Effect.CORRECTIVES):
         return False
-    most_rad = 0.0 if settings.repeatable else REUSE_ANGLE_RAD
-    return bool(np.abs(bones.angles_rad - corrected_rad).max() <= most_rad)
+    change_m = hand.offset_change(corrected_rad, bones.angles_rad)
+    return change_m <= (0.0 if settings.repeatable else REUSE_SKIN_M)
 
 
 # ---- the plan -------------------------------------------------------------------------------------------------------
@@ -126,7 +115,7 @@ class Scene:
     bones:    their transforms
     camera:   with its lens
     shutter:  None for a moment
-    moved_m:  of a pose that is reused, how far its joints moved; None for a new one
+    moved_m:  of a pose that is reused, how far its skin can have moved; None for a new one
     reshaped: whether the correctives of any hand have to be computed
     """
 
@@ -144,18 +133,22 @@ class Scene:
 
     def box(self, hands: Sequence[HandFacts], alpha_min: float) -> Box:
         """The part of the image that the hands may touch; all of it where that is not known."""
-        whole = Box(0, 0, self.camera.width, self.camera.height)
-        return hand_box(self.joints_m, self.bones, hands, self.camera, alpha_min) or whole
+        return hand_box(self.joints_m, self.bones, hands, self.camera, alpha_min)
 
 
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
     """Decides about every effect of one image."""
     box = scene.box(hands, settings.alpha_min)
+    exposures, blur = _blur(scene, hands, settings)
+    if not box.width and exposures == 1 and not settings.effects.forced:
+        return EffectPlan(tuple(Decision(effect, False, "no hand is in the image") for effect in Effect), box)
     strength, shadow = plan_shadow(scene, hands, settings)
     enlarged, plain, smooth = _filter(scene, hands, settings, box)
-    exposures, blur = _blur(scene, hands, settings)
-    decisions = (*_reuse(scene, hands, settings), smooth, shadow, *blur, _crop(scene, settings, box, strength > 0))
-    return EffectPlan(decisions, strength, enlarged, plain, exposures)
+    crop = _crop(scene, settings, box, strength > 0)
+    if crop.runs and enlarged == 1:
+        box = Box(0, 0, scene.camera.width, scene.camera.height)
+    decisions = (*_reuse(scene, hands, settings), smooth, shadow, *blur, crop)
+    return EffectPlan(decisions, box, strength, enlarged, plain, exposures)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:
@@ -164,13 +157,13 @@ def _count(hands: Sequence[HandFacts]) -> int:
 
 def _reuse(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> list[Decision]:
     """The skin, and what training added to it: not computed when nothing moved."""
-    cost, worst = _count(hands) * SKIN_MS, None
-    if scene.moved_m is None:
+    cost, moved_m = _count(hands) * SKIN_MS, scene.moved_m
+    worst = None if moved_m else 0.0
+    if moved_m is None:
         decisions = [Decision(Effect.SKIN, True, "new pose", "no image", None, cost)]
     else:
-        figures = (1e3 * scene.moved_m, 1e3 * REUSE_SKIN_M)
-        lost, worst = ("0", 0.0) if scene.moved_m == 0 else ("{1:g} mm of skin", None)
-        decisions = [Decision(Effect.SKIN, False, "joints moved {0:.3f} mm", lost, worst, cost, figures)]
+        lost = "{0:.2g} mm of skin" if moved_m else "0"
+        decisions = [Decision(Effect.SKIN, False, "nearly the same pose", lost, worst, cost, (1e3 * moved_m,))]
     learned = [(hand, hand.learned) for hand in hands if hand.learned is not None]
     network_ms = sum(len(hand.avatar) * (NETWORK_MS if hand.keeps_correctives else LINEAR_MS) for hand, _ in learned)
     cast_ms = CAST_MS * sum(len(hand.avatar) for hand, _ in learned)
@@ -179,13 +172,13 @@ def _reuse(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -
         (Effect.CAST, any(one.cast for _, one in learned), "shadows of the fingers on the hand", cast_ms),
     ):
         if not settings.effects.allows(effect):
-            decisions.append(Decision(effect, False, NOT_CHOSEN, lost))
+            decisions.append(Decision(effect, False, NOT_CHOSEN, lost, None))
         elif not has_any:
-            decisions.append(Decision(effect, False, "no avatar has learned any", "0", 0.0))
-        elif scene.moved_m is not None:
+            decisions.append(Decision(effect, False, "no avatar has learned any"))
+        elif moved_m is not None:
             decisions.append(Decision(effect, False, "the skin is kept", "as of skin", worst, cost))
         elif effect is Effect.CORRECTIVES and not scene.reshaped:
-            why, figures = "the hand moved as a whole", (1e3 * REUSE_CORRECTION_M,)
+            why, figures = "the hand moved as a whole", (1e3 * REUSE_SKIN_M,)
             decisions.append(Decision(effect, False, why, "{:g} mm of skin", None, cost, figures))
         else:
             decisions.append(Decision(effect, True, "new pose", lost, 1.0, cost))
@@ -202,20 +195,18 @@ def _filter(
         hand.sigma_m * bones.scale * scene.camera.px_per_meter(depth_m) if depth_m > contract.Z_NEAR_M else math.inf
         for hand, depth_m, bones in zip(hands, nearest, scene.bones, strict=True)
     )
-    wanted = math.ceil(FILTER_SIGMA_PX / max(sigma_px, 1e-9)) if sigma_px < FILTER_SIGMA_PX else 1
+    cost, figures = _count(hands) * RASTER_MS, (sigma_px,)
+    if sigma_px >= FILTER_SIGMA_PX:
+        return 1, 1.0, Decision(Effect.FILTER, False, "Gaussians of {0:.2g} px", "0", 0.0, cost, figures)
     most = math.isqrt(max(FILTER_PIXELS_MAX // max(box.width * box.height, 1), 1))
-    enlarged, why = min(wanted, FILTER_FACTOR_MAX, most), "Gaussians of {0:.2g} px"
-    if wanted > 1 and not settings.antialias:
-        enlarged, why = 1, "images as they were learned"
-    elif wanted > 1 and not settings.effects.allows(Effect.FILTER):
-        enlarged, why = 1, NOT_CHOSEN
-    elif wanted > 1:
-        why += ", drawn {1:.0f} times larger" if enlarged > 1 else ", but the image is too large"
-    lost, worst = ("0", 0.0) if wanted == 1 else ("hands swell by up to 2 px", 1.0 if enlarged > 1 else None)
+    enlarged = min(math.ceil(FILTER_SIGMA_PX / max(sigma_px, 1e-9)), FILTER_FACTOR_MAX, most)
+    why = "Gaussians of {0:.2g} px, " + ("drawn {1} times larger" if enlarged > 1 else "but the image is too large")
+    if not settings.antialias or not settings.effects.allows(Effect.FILTER):
+        enlarged, why = 1, "images as they were learned" if not settings.antialias else NOT_CHOSEN
     part = (sigma_px - FILTER_SIGMA_FULL_PX) / (FILTER_SIGMA_PX - FILTER_SIGMA_FULL_PX)
-    plain = 1.0 if enlarged == 1 else min(max(part, 0.0), 1.0)
-    cost, figures = _count(hands) * RASTER_MS, (sigma_px, enlarged)
-    return enlarged, plain, Decision(Effect.FILTER, enlarged > 1, why, lost, worst, cost, figures)
+    plain, worst = (max(part, 0.0), 1.0) if enlarged > 1 else (1.0, None)
+    lost = "hands swell by up to 2 px"
+    return enlarged, plain, Decision(Effect.FILTER, enlarged > 1, why, lost, worst, cost, (*figures, enlarged))
 
 
 def _crop(scene: Scene, settings: RenderSettings, box: Box, shaded: bool) -> Decision:
@@ -230,9 +221,8 @@ def _crop(scene: Scene, settings: RenderSettings, box: Box, shaded: bool) -> Dec
     why, figures = "the hand's box is {0:.0f} % of it", (100 * part, 255 * worst)
     if part > CROP_PART_MAX:
         return Decision(Effect.WHOLE, True, why, "0", 0.0, cost, figures)
-    return Decision(
-        Effect.WHOLE, False, why, "{1:.1f} 8-bit steps, on single pixels", worst, (1 - part) * cost, figures
-    )
+    lost = "{1:.1f} 8-bit steps, on single pixels"
+    return Decision(Effect.WHOLE, False, why, lost, worst, (1 - part) * cost, figures)
 
 
 def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[float, Decision]:
@@ -244,51 +234,54 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     looks = [hand.look for hand in hands if hand.look is not None]
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     extents_px = [extent_px(pixels, depth, scene.camera) for pixels, depth in scene.seen_joints]
-    size_px, near = max(extents_px), gap_between(scene.joints_m) < GATE_RADIUS_M
     darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
-    # the most that the shadow of a hand alone changes a pixel; it was measured at the usual reach
-    measured = settings.shadow_radius_m == contract.SHADOW_RADIUS_M and not near
-    seen = max((math.inf if look.seen is None or not measured else look.seen for look in looks), default=0.0)
-    seen *= settings.shadow_strength
-    large = 1.0 if always else fade_with_size(size_px)
-    strength, worst = 0.0, darkest
+    near = len(hands) > 1 and gap_between(scene.joints_m) < GATE_RADIUS_M
+    seen = settings.shadow_strength * max((_seen(hand, settings, near=near) for hand in hands), default=0.0)
+    large = 1.0 if always else fade_with_size(max(extents_px))
+    learned = [hand.learned is not None for hand in hands]
+    strength, worst, figure = 0.0, darkest, 0.0
     if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
-        why, figure = "switched off", 0.0
+        why = "switched off"
     elif not looks:
-        why, figure = "the avatar was learned without one", 0.0
+        why = "the avatar was learned without one"
     elif not settings.effects.allows(Effect.SHADOW):
-        why, figure = NOT_CHOSEN, 0.0
+        why = NOT_CHOSEN
     elif seen <= SHADOW_UNSEEN and not always:
         why, figure, worst = "seen by {0:.1f} of 255 steps", 255 * seen, seen
     elif large == 0:
-        why, figure = "hand {0:.0f} px", size_px
-    elif always and not any(hand.learned is not None for hand in hands):
-        why, figure, strength = "on every frame", 0.0, settings.shadow_strength
+        why, figure, worst = "hand {0:.0f} px", max(extents_px), min(darkest, SHADOW_MISSED)
+    elif always and not any(learned):
+        why, strength = "on every frame", settings.shadow_strength
     else:
         triples = zip(hands, scene.joints_m, scene.bones, strict=True)
         figure = max(hand.gate.score(joints, bones.scale) for hand, joints, bones in triples)
         figure += contact_between(scene.joints_m) if near else 0.0
         why, strength = "gate {0:.2f}", large * fade(figure) * settings.shadow_strength
-        # colors that were learned under a shadow that fades with the pose have in them what it leaves out
-        if strength == 0 and all(hand.learned is not None for hand in hands):
-            worst = 0.0
-    cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * SHADOW_MS
-    figures = (figure, 100 * worst)
-    return strength, Decision(Effect.SHADOW, strength > 0, why, "darker by up to {1:.0f} %", worst, cost, figures)
+        if strength == 0:
+            # colors that were learned under a shadow that fades with the pose have in them what it leaves out
+            worst = 0.0 if all(learned) else min(darkest, SHADOW_MISSED)
+    sides = [min(extent, max(scene.camera.width, scene.camera.height)) for extent in extents_px]
+    # the boxes of the joints, half filled
+    cost = 0.5 * sum(side * min(side, scene.camera.height) for side in sides) * settings.shadow_samples * SHADOW_MS
+    lost = "darker by up to {1:.0f} %"
+    return strength, Decision(Effect.SHADOW, strength > 0, why, lost, worst, cost, (figure, 100 * worst))
 
 
-def _hand_pixels(extents_px: Sequence[float], camera: Camera) -> float:
-    """Pixels that hands of these extents cover, roughly: the boxes of their joints, half filled."""
-    sides = [min(extent, max(camera.width, camera.height)) for extent in extents_px]
-    return sum(0.5 * side * min(side, camera.height) for side in sides)
+def _seen(hand: HandFacts, settings: RenderSettings, *, near: bool) -> float:
+    """The most that the shadow changes a pixel of a hand, as it was measured at the usual reach, of one hand alone: two
+    near each other do without it where each casts its shadow on the other. Infinite where that is not known."""
+    if hand.look is None:
+        return 0.0
+    casts = hand.learned is not None and hand.learned.cast is not None
+    usual = settings.shadow_radius_m == contract.SHADOW_RADIUS_M and (casts or not near)
+    return math.inf if hand.look.seen is None or not usual else hand.look.seen
 
 
 def _blur(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[int, tuple[Decision, Decision]]:
     """How many images are averaged, and what for."""
     allows, once_ms = settings.effects.allows, _count(hands) * (RASTER_MS + SKIN_MS)
     times, pinholes, lens = 1, 1, scene.camera.lens
-    motion = Decision(Effect.MOTION, False, "no shutter", "0", 0.0)
-    focus = Decision(Effect.FOCUS, False, "a pinhole", "0", 0.0)
+    motion, focus = Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, False, "a pinhole")
     if scene.shutter is not None and not allows(Effect.MOTION):
         motion = Decision(Effect.MOTION, False, NOT_CHOSEN, "moving edges are sharp", 1.0)
     elif scene.shutter is not None:

@@ -12,8 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jghand_engine.avatar.learned import CAPSULE_RADII_MM
+from jghand_engine.avatar.cast_task import Capsules
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM, capsules
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.render.camera import Camera
 
@@ -24,6 +26,10 @@ GATE_HIGH = 1.0
 # hands smaller than this on the image get no shadow pass, px; it fades in up to the second size
 SHADOW_HAND_MIN_PX = 64.0
 SHADOW_HAND_FULL_PX = 96.0
+# hands whose boxes are nearer cast all of their shadow on each other, and those farther apart none, meters: from there
+# a hand takes 1 % of what a point of the skin sees
+CAST_NEAR_M = 0.10
+CAST_FAR_M = 0.30
 # samples along each capsule's axis: 5 x 5 distances per pair of bones; penetration is capped (a deep overlap of two
 # bones must not hide the others)
 GATE_SAMPLES = 5
@@ -76,6 +82,20 @@ def contact_between(hands_m: Sequence[np.ndarray]) -> float:
             gap = np.sqrt(np.maximum(_nearest2(a, b), 0.0)) - (_RADII_M[:, None] + _RADII_M)
             total += float(_closeness(gap).sum())
     return total
+
+
+def capsules_beside(hands_m: Sequence[np.ndarray], bones: Sequence[Bones]) -> list[Capsules | None]:
+    """Per hand (21, 3) the flesh of the others, which casts its shadow on it; None where they are too far away."""
+    found: list[Capsules | None] = []
+    for mine, joints in enumerate(hands_m):
+        near = []
+        for place, (other, own) in enumerate(zip(hands_m, bones, strict=True)):
+            part = 0.0 if place == mine else 1 - smoothstep(gap_between([joints, other]), CAST_NEAR_M, CAST_FAR_M)
+            if part > 0:
+                start_m, end_m, radius_m = capsules(other - joints[0], own.scale)
+                near.append((start_m, end_m, radius_m, np.full(len(radius_m), part)))
+        found.append(Capsules(*map(np.concatenate, zip(*near, strict=True))) if near else None)
+    return found
 
 
 def gap_between(hands_m: Sequence[np.ndarray]) -> float:

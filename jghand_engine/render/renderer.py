@@ -42,7 +42,6 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.crop import HandFacts
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 from jghand_engine.render.effects import (
-    REUSE_BENT_MAX,
     Kept,
     Scene,
     averaged,
@@ -51,6 +50,7 @@ from jghand_engine.render.effects import (
     same_shape,
     strip_disabled,
 )
+from jghand_engine.render.gate import capsules_beside
 from jghand_engine.render.image import Box, Image
 from jghand_engine.render.passes import surface_normals
 from jghand_engine.render.report import FrameReport, summed
@@ -109,6 +109,7 @@ class SceneRenderer:
         self._looks = [facts.look for facts in self._facts if facts.look is not None]
         self._backend = Backend(self._avatars, self.settings)
         self._posed: _Posed | None = None
+        self._empty = False  # whether the last image shows no hand, and the backend still has the pose before it
         self._drawn: Canvas | None = None  # what the backend's image shows
         self._bones: list[np.ndarray] | None = None  # per hand the bone of each Gaussian, once somebody asks
 
@@ -223,10 +224,13 @@ class SceneRenderer:
         InputError when nothing was drawn yet.
         """
         check_image_size(camera.width, camera.height)
-        if self._posed is None:
+        if self._posed is None and not self._empty:
             raise InputError("bones of an image", wanted="an image drawn before", came="none")
+        if self._empty:
+            return np.zeros((camera.height, camera.width), np.uint8)
         if self._bones is None:
             self._bones = [bone_numbers(avatar) for avatar in self._avatars]
+        assert self._posed is not None
         canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, contract.ALPHA_MIN)
         return self._backend.part_map(canvas, self._bones)
 
@@ -240,15 +244,17 @@ class SceneRenderer:
     def _pose(self, hands: list[np.ndarray], report: FrameReport) -> _Shot:
         """The bone transforms, and whether they are new. Nothing is kept of it before it is painted."""
         started, last, settings = time.perf_counter(), self._posed, self.settings
-        moved_m = reusable(hands, None if last is None else last.kept, settings)
+        bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
+        moved_m = reusable(bones, None if last is None else last.kept, self._facts, settings)
         if last is not None and moved_m is not None:
             return _Shot(last, moved_m)
         origin_m = hands[0][0]
-        bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
         corrected = self._corrected_rad(last)
         poses = [
-            Pose(one, one.root_m - origin_m, keep_correctives=same_shape(one, angles_rad, settings))
-            for one, angles_rad in zip(bones, corrected, strict=True)
+            Pose(one, one.root_m - origin_m, same_shape(facts, one, angles_rad, settings), others)
+            for facts, one, angles_rad, others in zip(
+                self._facts, bones, corrected, capsules_beside(hands, bones), strict=True
+            )
         ]
         unseen = _by_hand([_unseen(trained, pose) for trained, pose in zip(self._ranges, poses, strict=True)])
         notes = _by_hand([describe_flags(one.flags) for one in bones])
@@ -256,8 +262,7 @@ class SceneRenderer:
             old if pose.keep_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)
         ]
-        odd = bool(notes) or any(float(np.abs(one.angles_rad[:30]).max()) > REUSE_BENT_MAX for one in bones)
-        kept = Kept([joints.copy() for joints in hands], odd, angles)
+        kept = Kept([joints.copy() for joints in hands], bones, angles)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
         return _Shot(_Posed(kept, poses, notes, unseen), None)
 
@@ -280,9 +285,12 @@ class SceneRenderer:
         self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, check_canceled: Callable[[], None]
     ) -> Image:
         """One moment through one pinhole: of the whole image or of the hands' box in it."""
-        posed, box = shot.posed, Box(0, 0, camera.width, camera.height)
-        if plan.enlarged > 1 or not plan.runs(Effect.WHOLE):
+        posed, box = shot.posed, plan.box
+        if plan.exposures > 1 and (plan.enlarged > 1 or not plan.runs(Effect.WHOLE)):
             box = posed.scene(camera).box(self._facts, self.settings.alpha_min)
+        self._empty = not box.width
+        if self._empty:
+            return self._nothing(camera)
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
             check_canceled()
@@ -300,6 +308,13 @@ class SceneRenderer:
         for one, weight in drawn:
             mean.add(one, weight)
         return mean.image()
+
+    def _nothing(self, camera: Camera) -> Image:
+        """No hand in the image: nothing is posed for it."""
+        size, settings = (camera.height, camera.width), self.settings
+        depth_m = np.zeros(size, np.float32) if settings.depth or settings.normals else None
+        weights = np.zeros((*size, len(self._avatars)), np.float32) if settings.ids else None
+        return Image(Box(0, 0, camera.width, camera.height), np.zeros((*size, 4), np.float32), depth_m, weights)
 
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Image:
         settings = self.settings

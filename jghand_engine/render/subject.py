@@ -9,8 +9,9 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.effects import REUSE_JOINTS_M
 
+# joints move farther from frame to frame, meters: no pose is near enough to the last one to be reused
+STEP_MIN_M = 1e-4
 POSES = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")
 
 
@@ -31,7 +32,7 @@ def moving_subject(name: str, hand: HandAvatar, width: int, height: int) -> Subj
     options = MotionOptions(hold_s=0.0, variation_deg=2.0)
     poses = pose_sequence_of_names(POSES, canonical, handedness=hand.handedness, options=options).joints_m
     step_m = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2))
-    poses = poses[1:][step_m > 2 * REUSE_JOINTS_M]
+    poses = poses[1:][step_m > STEP_MIN_M]
     middle = poses.mean(axis=(0, 1))
     camera = Camera.looking_at(
         middle + np.array([0.15, 0.0, 0.6]),

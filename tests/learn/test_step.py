@@ -15,6 +15,8 @@ from small_trainings import SMALL, parameters_of, small_training
 from jghand_engine.avatar.avatar import SIGMA_MAX_M
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.ablation import LiveHand
 from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.model import SHADOW_GAIN_RANGE
@@ -357,6 +359,15 @@ def test_the_papers_preset_has_its_own_shadow_in_every_pose_and_no_cast_one(buil
     drawn = LiveHand(training.avatar(), RenderSettings(shadow_samples=8))
     rgba = drawn(samples[0].joints_m, samples[0].handedness, view.camera)
     np.testing.assert_allclose(rgba[..., :3], ours.numpy(), atol=2e-5)
+
+
+def test_the_shadow_of_a_small_hand_comes_with_the_same_poses_as_that_of_a_large_one(build):
+    training = build()
+    canonical_m = training._points.joints_m.numpy()
+    for name, strength in (("open", 0.0), ("fist", 1.0)):
+        joints_m = named_pose(name, canonical_m, handedness=Handedness.RIGHT)
+        for scale in (0.5, 1.0, 2.0):
+            assert training._new_posed_bones(scale * joints_m).shadow == pytest.approx(strength, abs=1e-6)
 
 
 def test_the_shadow_darkens_by_strength_and_tint(build, samples):

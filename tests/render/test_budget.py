@@ -202,6 +202,17 @@ def test_two_seconds_tell_times_and_accuracies():
     assert coarse.settings is offered["coarse"]
 
 
+@pytest.mark.parametrize("away", [slice(0, 1), slice(-1, None)], ids=["first", "last"])
+def test_accuracy_is_that_of_poses_all_over_the_motion(away: slice):
+    """Where the hand is out of the picture at one end of the motion, nothing is exact for that."""
+    subject = moving_subject("small", trained_avatar(60), *SIZE)
+    poses = subject.poses.copy()
+    poses[away] += 10.0
+    coarse = {"coarse": RenderSettings(alpha_min=0.2, shadow=ShadowMode.OFF)}
+    (row,) = measure_quickly(replace(subject, poses=poses), coarse, threads=1, seconds=0.0).rows
+    assert 10 < row.psnr_db < 60
+
+
 def test_a_profile_is_measured_once_and_again_while_it_was_disturbed(cache, monkeypatch):
     calls, disturbed = [], [True, False]
 

@@ -10,7 +10,9 @@ import torch
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.avatar.posing import Poser
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
@@ -21,9 +23,10 @@ from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native import library as native_library
+from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Choice, Effect
-from jghand_engine.render.gate import ShadowGate, fade
+from jghand_engine.render.gate import ShadowGate, capsules_beside, fade
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
@@ -63,11 +66,14 @@ def covariance_of(gaussians: Gaussians) -> torch.Tensor:
 
 def exact(avatars: list[HandAvatar], joints: list[np.ndarray], view: Camera) -> np.ndarray:
     """(H, W, 4) by the functions that training uses, in float64 throughout, and the exact rasterizer."""
-    parts = []
-    for avatar, joints_m in zip(avatars, joints, strict=True):
+    parts, eye_m = [], torch.from_numpy(view.eye_m)
+    beside_each = capsules_beside(
+        joints, [avatar.skeleton().bones(each) for avatar, each in zip(avatars, joints, strict=True)]
+    )
+    for avatar, joints_m, others in zip(avatars, joints, beside_each, strict=True):
         transform = JointTransform(avatar.canonical_joints_m, handedness=avatar.handedness)
         bones = transform.bones(torch.from_numpy(joints_m))
-        parts.append(pose_gaussians(avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(view.eye_m)))
+        parts.append(pose_gaussians(avatar, bones, frames=bones.frames, eye_m=eye_m, others=others))
     fields = ("position_m", "sigma_m", "opacity", "rgb")
     both = replace(
         parts[0],
@@ -250,8 +256,64 @@ def test_a_shadow_is_drawn_where_it_may_be_seen(seen, settings):
     assert "shadow + compose" in frame.report.stages
 
 
-def test_hands_that_touch_are_shaded_however_faint_each_shadow_is_alone():
+@pytest.mark.parametrize(("casts", "runs"), [(True, False), (False, True)])
+def test_hands_that_touch_take_the_screen_pass_only_where_no_shadow_is_cast(casts: bool, runs: bool):
     faint, joints = with_seen(0.0), joints_of("fist")
-    for away_m, runs in ((0.09, True), (0.5, False)):
+    if not casts:
+        faint = replace(faint, learned=replace(faint.learned, cast=None))
+    for away_m in (0.09, 0.5):
         frame = SceneRenderer([faint, faint], RenderSettings()).render([joints, beside(joints, away_m)], NEAR)
-        assert ("shadow + compose" in frame.report.stages) is runs
+        assert ("shadow + compose" in frame.report.stages) is (runs and away_m < 0.1)
+
+
+# ---- the shadow of one hand on the other -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("handedness", Handedness)
+def test_a_hand_over_another_one_casts_its_shadow_on_it(settings: RenderSettings, handedness: Handedness):
+    """The less, the farther away it is; the mean color of all Gaussians of the hand below is compared."""
+    avatar = load_builtin(handedness=handedness).prefix(6000)
+    # without gloss, which only a camera sees
+    avatar = replace(avatar, learned=replace(avatar.learned, shine=np.zeros(len(avatar), np.float32)))
+    joints = joints_of("flat", avatar)
+    palm = np.cross(joints[2] - joints[0], joints[4] - joints[0])
+    palm *= {Handedness.RIGHT: -1, Handedness.LEFT: 1}[handedness] / np.linalg.norm(palm)
+    darkness = []
+    for gap_m in (0.05, 0.10, 0.20, 0.45):
+        other = joints + gap_m * palm
+        lone, both = (
+            capsules_beside(hands, [avatar.skeleton().bones(one) for one in hands])
+            for hands in ([joints], [joints, other])
+        )
+        colors = []
+        for others in (lone[0], both[0]):
+            poser = Poser(native_library.load(settings.backend), avatar)
+            poser.prepare(avatar.skeleton().bones(joints), np.zeros(3), others=others)
+            shared_pool(1).run(lambda _thread, poser=poser: poser.run())
+            colors.append(poser.into.rgb.astype(np.float64).mean())
+        darkness.append(1 - colors[1] / colors[0])
+    assert darkness[0] > 0.05
+    assert darkness == sorted(darkness, reverse=True)
+    # far apart nothing is computed, and nothing differs
+    assert darkness[-1] == 0
+    assert both[0] is None
+
+
+def test_the_shadow_of_another_hand_fades_with_its_distance():
+    joints = joints_of("fist")
+    bones = AVATAR.skeleton().bones(joints)
+    parts = []
+    for away_m in np.linspace(0.1, 0.6, 101):
+        found = capsules_beside([joints, joints + np.array([away_m, 0.0, 0.0])], [bones, bones])[0]
+        parts.append(0.0 if found is None else float(found.part[0]))
+    assert (parts[0], parts[-1]) == (1, 0)
+    assert np.abs(np.diff(parts)).max() < 0.05
+
+
+def test_every_hand_near_enough_casts_a_shadow_on_every_other():
+    joints = [joints_of("fist") + np.array([0.12 * place, 0.0, 0.0]) for place in range(3)]
+    found = capsules_beside(joints, [AVATAR.skeleton().bones(one) for one in joints])
+    assert [None if one is None else len(one.part) for one in found] == [40, 40, 40]
+    # as they stand around the middle one
+    assert found[1] is not None
+    np.testing.assert_allclose(found[1].start_m[0], joints[0][0] - joints[1][0])
