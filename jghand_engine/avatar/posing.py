@@ -184,7 +184,6 @@ class _Light:
     ) -> None:
         task = self.task
         task.rgb = address(rgb, np.float32, "rgb", (self._rows, 3), writable=True)
-        task.palm = tuple((bones.linear_offset[0, :, :3].astype(np.float64) * inverse_scale).ravel())
         if not keep_correctives:
             self._correctives.prepare(task, bones.angles_rad)
         elif task.given is not None:

@@ -17,8 +17,9 @@ SIGMA_STRETCH_MIN = 0.7
 SIGMA_STRETCH_MAX = 1.4
 # length of a quaternion at or below which it is no rotation, and counts as none
 QUATERNION_MIN = 1e-6
-# |det L| / s_g^3 below which the blended rotation is replaced by the palm's
-BLEND_DET_MIN = 1e-3
+# |det L| / s_g^3 that a blend counts as having at least, where what is attached to the skin is turned with it: at a
+# joint folded by 180 degrees it has none, and what is divided by that is neither bounded nor steady
+BLEND_DET_MIN = 0.1
 # squared length below which a normal counts as none
 NORMAL_LENGTH2_MIN = 1e-12
 

@@ -324,11 +324,11 @@ def euler_swing(u: np.ndarray) -> np.ndarray:
 def swing_pole() -> tuple[float, float]:
     """Where the minimal swing has its poles, as (|y|, z) in the canonical bone's frame: there z the twist that leads
     back to flexion, SWING_TURN h(z)^2, is as large as the square of the stereographic radius, (1 + z) / (1 - z)."""
-    low, high = -1.0, SWING_TURN_COSINE
+    low, z, high = -1.0, SWING_TURN_COSINE, SWING_TURN_COSINE
     for _ in range(60):
-        z = (low + high) / 2
         turn = SWING_TURN * ((SWING_TURN_COSINE - z) / (SWING_TURN_COSINE + 1)) ** 2
         low, high = (low, z) if turn * (1 - z) < 1 + z else (z, high)
+        z = (low + high) / 2
     return math.sqrt(1 - z * z), z
 
 

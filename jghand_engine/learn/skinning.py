@@ -56,32 +56,28 @@ def apply(linear: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
     return (linear * vector.unsqueeze(-2)).sum(-1)
 
 
-def volume_scale(linear: torch.Tensor, hand_scale: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """|det L|^(1/3) of linear (N, 3, 3), and where the guard |det L| >= BLEND_DET_MIN * s_g^3 holds (N,) bool.
+def volume_scale(linear: torch.Tensor, hand_scale: torch.Tensor) -> torch.Tensor:
+    """|det L|^(1/3) of linear (N, 3, 3), where |det L| counts as BLEND_DET_MIN * s_g^3 at least.
 
-    Below the guard the value is that of the guard and the gradient zero, never infinite.
+    There the gradient is zero, never infinite.
     """
     det = (linear[..., 0] * torch.linalg.cross(linear[..., 1], linear[..., 2])).sum(-1).abs()
-    floor = BLEND_DET_MIN * hand_scale.abs() ** 3
-    sound = det > floor
-    return torch.where(sound, det, floor) ** (1.0 / 3.0), sound
+    return torch.maximum(det, BLEND_DET_MIN * hand_scale.abs() ** 3) ** (1.0 / 3.0)
 
 
 def posed_radius_scale(linear: torch.Tensor, hand_scale: torch.Tensor) -> torch.Tensor:
     """(N,) posed radius / canonical radius: |det L|^(1/3), clamped to SIGMA_STRETCH_MIN..MAX times s_g (METHOD 2.8)."""
-    size, _ = volume_scale(linear, hand_scale)
-    return torch.clamp(size, SIGMA_STRETCH_MIN * hand_scale, SIGMA_STRETCH_MAX * hand_scale)
+    return torch.clamp(volume_scale(linear, hand_scale), SIGMA_STRETCH_MIN * hand_scale, SIGMA_STRETCH_MAX * hand_scale)
 
 
 def turning(linear: torch.Tensor, bones: PoseTransforms) -> torch.Tensor:
-    """The blended rotation (up to shear) L / |det L|^(1/3), (N, 3, 3); the palm's where the blend has collapsed.
+    """The blended rotation (up to shear) L / |det L|^(1/3), (N, 3, 3); of a blend that has collapsed, less of it.
 
     It turns what is attached to the skin in canonical axes, such as a learned offset, with the hand (METHOD 2.9).
-    0, which loses what is attached, of a hand without any size, whose palm has no rotation either.
+    0, which loses what is attached, of a hand without any size.
     """
-    size, sound = volume_scale(linear, bones.scale)
-    palm = bones.linear[0] / bones.scale.clamp_min(torch.finfo(linear.dtype).tiny)
-    return torch.where(sound[:, None, None], linear / torch.where(sound, size, 1.0)[:, None, None], palm)
+    size = volume_scale(linear, bones.scale)
+    return linear / torch.where(size > 0, size, 1.0)[:, None, None]
 
 
 @dataclass(frozen=True)

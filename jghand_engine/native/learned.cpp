@@ -53,7 +53,7 @@ void pose_block(const LearnedTask& t, int32_t block, const vf correction[CORRECT
   blend(s, block, m);
   posed_center(s, block, m, p);
   const vf size = volume(s, m);
-  turning(s, t.palm, t.volume_min, m, size, turn);
+  turning(s, t.volume_min, m, size, turn);
   turn_by(turn, correction, moved);
   for (int i = 0; i < 3; i++) {
     const float side = i == 0 ? (float)t.world_offsets : 1.f;
@@ -131,7 +131,7 @@ JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   jg::share(*team, 0, jg::items_of(anchor_blocks, jg::ANCHOR_BLOCKS_PER_ITEM), [&](int32_t item) {
     const int32_t end = (item + 1) * jg::ANCHOR_BLOCKS_PER_ITEM;
     for (int32_t b = item * jg::ANCHOR_BLOCKS_PER_ITEM; b < end && b < anchor_blocks; b++)
-      jg::cast_block(t.cast, t.skin, t.palm, t.volume_min, t.length2_min, b);
+      jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b);
   });
   jg::share(*team, 1, jg::items_of(t.skin.blocks, jg::BLOCKS_PER_ITEM), [&](int32_t item) {
     const int32_t begin = item * jg::BLOCKS_PER_ITEM, end = begin + jg::BLOCKS_PER_ITEM;

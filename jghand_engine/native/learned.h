@@ -55,10 +55,9 @@ struct LearnedTask {
   float* rgb;                   // (16 blocks, 3)
   float out_bias[6];
   float reach[2];               // of offset and shade
-  float palm[9];                // the palm's rotation, row by row
   float eye[3];
   float rim;
-  float volume_min;             // where the palm's rotation takes over, |det L| / s_g^3
+  float volume_min;             // least |det L| / s_g^3 by which attached vectors are scaled
   float exponent_max, length2_min;
   int32_t correctives;
   int32_t world_offsets;        // 0: offsets turn with the hand; 1: in world axes; -1: those of a left hand, mirrored
@@ -81,8 +80,7 @@ constexpr int NETWORK_BLOCKS = 1;
 void network_correction(const LearnedTask& t, int32_t block, int count, vf out[][CORRECTION]);
 
 // The shadow at the anchors of one block.
-void cast_block(const CastTask& t, const SkinTask& skin, const float palm[9], float volume_min, float length2_min,
-                int32_t block);
+void cast_block(const CastTask& t, const SkinTask& skin, float volume_min, float length2_min, int32_t block);
 
 // v / |v|; a zero vector stays zero.
 JG_INLINE void make_unit(vf v[3], float length2_min) {
@@ -90,13 +88,11 @@ JG_INLINE void make_unit(vf v[3], float length2_min) {
   for (int i = 0; i < 3; i++) v[i] *= inverse;
 }
 
-// The blended rotation up to shear, L / |det L|^(1/3), row by row; the palm's where the blend has collapsed.
-JG_INLINE void turning(const SkinTask& s, const float palm[9], float volume_min, const vf m[MAP_ENTRIES], vf volume,
-                       vf turn[9]) {
-  const vi sound = volume > volume_min;
+// The blended rotation up to shear, L / |det L|^(1/3), row by row; what has collapsed counts as having some volume.
+JG_INLINE void turning(const SkinTask& s, float volume_min, const vf m[MAP_ENTRIES], vf volume, vf turn[9]) {
   const vf inverse = exp2(log2(max(volume, all(volume_min))) * (-1.f / 3.f)) * s.inverse_scale;
   for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) turn[3 * i + j] = select(sound, m[4 * i + j] * inverse, all(palm[3 * i + j]));
+    for (int j = 0; j < 3; j++) turn[3 * i + j] = m[4 * i + j] * inverse;
 }
 
 JG_INLINE void turn_by(const vf turn[9], const vf v[3], vf out[3]) {

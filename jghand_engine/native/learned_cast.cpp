@@ -98,8 +98,7 @@ Reaching reaching(const CastTask& t, const float* foreign, const float point[3],
 
 }  // namespace
 
-void cast_block(const CastTask& t, const SkinTask& skin, const float palm[9], float volume_min, float length2_min,
-                int32_t block) {
+void cast_block(const CastTask& t, const SkinTask& skin, float volume_min, float length2_min, int32_t block) {
   SkinTask s = skin;  // the same bones move anchors
   s.block_start = t.block_start, s.bone = t.bone, s.weight = t.weight;
   const float* rest = t.rest + 6 * LANES * (int64_t)block;
@@ -107,7 +106,7 @@ void cast_block(const CastTask& t, const SkinTask& skin, const float palm[9], fl
   blend(s, block, m);
   for (int i = 0; i < 3; i++) x[i] = load(rest + LANES * i), n[i] = load(rest + LANES * (3 + i));
   for (int i = 0; i < 3; i++) p[i] = m[4 * i] * x[0] + (m[4 * i + 1] * x[1] + (m[4 * i + 2] * x[2] + m[4 * i + 3]));
-  turning(s, palm, volume_min, m, volume(s, m), turn);
+  turning(s, volume_min, m, volume(s, m), turn);
   turn_by(turn, n, normal);
   make_unit(normal, length2_min);
   float points[3][LANES], normals[3][LANES];

@@ -46,7 +46,6 @@ class LearnedTask(ctypes.Structure):
         *((name, _P) for name in ("matt", "rgb")),
         ("out_bias", _F32 * 6),
         ("reach", _F32 * 2),
-        ("palm", _F32 * 9),
         ("eye", _F32 * 3),
         *((name, _F32) for name in ("rim", "volume_min", "exponent_max", "length2_min")),
         *((name, _I32) for name in ("correctives", "world_offsets", "basis", "hidden", "lobes")),

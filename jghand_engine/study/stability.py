@@ -45,17 +45,23 @@ class Stability:
 
     @property
     def headline(self) -> str:
-        """How many cases are finite and meet every bound, and what the formulas buy on a straight finger."""
+        """How many cases are finite and meet every bound, how steady the hand is that ships, and what the formulas buy
+        on a straight finger."""
         hands = [*self.hands, *self.correctives]
         finite = sum(row.ours.finite for row in hands)
         finite += sum(row.error.finite and row.gradient_finite for row in self.pictures)
         missed = sum(bool(row.missed) for row in [*hands, *self.pictures])
         total = len(hands) + len(self.pictures)
+        bare, shipped = (
+            max(row.ours.axes_mm for row in rows if "ordinary" in row.name) for rows in (self.hands, self.correctives)
+        )
         twist = next(curve for curve in self.curves if curve.name == "straight_twist")
         return (
             f"{finite} of {total} hard cases have finite values and gradients; "
-            f"{total - missed} meet every bound, {missed} miss one. A straightened finger whose joints are 0.5 mm off "
-            f"twists by {twist.ours[-1]:.1f} degrees, by the usual cross products {twist.usual[-1]:.0f}."
+            f"{total - missed} meet every bound, {missed} miss one. On ordinary poses joints that are "
+            f"{1e3 * NUDGE_M:g} mm off along every axis move the skin of the built-in hand by up to {shipped:.1f} mm, "
+            f"and by {bare:.1f} mm where nothing but the bones moves it. A straightened finger whose joints are 0.5 mm "
+            f"off twists by {twist.ours[-1]:.1f} degrees, by the usual cross products {twist.usual[-1]:.0f}."
         )
 
 
@@ -89,7 +95,8 @@ def _hand_table(rows: list[HandRow]) -> Table:
         f"(trained: {FEW}), where no column says otherwise.",
         f"Gradient: the largest, times the size of the hand; bound {GRADIENT_MAX:.0e}. "
         "float32: how far the skin is from where float64 has it.",
-        f"Nudge: how far the skin moves when every joint is off by {nudge}; bound "
+        f"Nudge: how far the skin moves when every joint is off by {nudge} (trained: all Gaussians, in the tier that "
+        "is shown); bound "
         f"{1e3 * SKIN_MAX_M:g} mm, except where the transform itself says that the hand has no "
         "certain frame (last column).",
         "usual: angles by acos, frames by normalized cross products, |b| + 1e-8, absolute coordinates; written for "

@@ -23,6 +23,7 @@ from jghand_engine.study.stability_hands import (
     NUDGE_M,
     HandCase,
     abducted,
+    backwards_sideways,
     bent_finger,
     flattened_palm,
     posed,
@@ -39,7 +40,7 @@ from jghand_engine.study.stability_measures import (
     usual,
 )
 from jghand_engine.study.stability_pictures import against_reference
-from jghand_engine.study.stability_usual import UsualTransform, usual_ink, usual_rotation, usual_unit
+from jghand_engine.study.stability_usual import UsualTransform, usual_ink, usual_unit
 
 RIGHT = Handedness.RIGHT
 _INDEX, _MIDDLE = 1, 2
@@ -169,28 +170,19 @@ def flat_palm() -> Curve:
 
 
 def folded() -> Curve:
-    """A bone is turned back onto itself: how much does the rotation swell or squash what it turns?"""
-    beside_deg = np.geomspace(90, 1e-4, 26)
-    start = torch.tensor([[0.0, 0.0, 1.0]], dtype=F64)
+    """A finger turns backwards and sideways, which no joint can do: ours has to lose its twist somewhere."""
+    beside_deg = np.geomspace(60, 0.01, 20)
+    base = posed("relaxed")
 
-    def swelling(degrees: float) -> tuple[float, float]:
-        angle = math.pi - math.radians(degrees)
-        directions = torch.linspace(0, 2 * math.pi, 33, dtype=F64)[:-1]
-        end = torch.stack([math.sin(angle) * directions.cos(), math.sin(angle) * directions.sin(),
-                           torch.full_like(directions, math.cos(angle))], -1).float()  # fmt: skip
-        a = start.float().expand_as(end)
-        opposite = rot.half_turn(torch.tensor([[0.0], [1.0], [0.0]]))
-        mine = rot.minimal_rotation(a.T, end.T, opposite).permute(2, 0, 1)
-        return tuple(
-            100 * float((R.double() @ R.double().transpose(-1, -2) - torch.eye(3, dtype=F64)).abs().max())
-            for R in (mine, usual_rotation(a, end))
-        )  # type: ignore[return-value]
+    def jump_mm(way: Formulation, degrees: float) -> float:
+        hand = backwards_sideways(base, _INDEX, math.radians(degrees))
+        return moved_mm(way, HandCase("folded", hand), random_nudges())
 
-    both = np.array([swelling(degrees) for degrees in beside_deg])
+    mine, theirs = _both(beside_deg.tolist(), jump_mm)
     return Curve(
-        "folded", "A bone folds back on itself", "How much it swells or squashes, float32",
-        "degrees short of 180", "distortion, %",
-        "rotation with 1 / (1 + cosine)", beside_deg, both[:, 0], both[:, 1], visible=1.0,
+        "folded", "A finger folds back, sideways", "The price: how far its skin jumps",
+        "degrees beside the worst direction", "jump of the skin, mm",
+        "flexion, then abduction (Euler angles)", beside_deg, mine, theirs, visible=2.0,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.skeleton import swing_pole
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.template.builtin import load_template
 
@@ -93,14 +94,19 @@ def abducted(joints_m: Tensor, finger: int, beside_rad: float = 0.0, side: int =
     return along_finger(joints_m, finger, along.expand(3, 3))
 
 
-def folded_back(joints_m: Tensor, finger: int, beside_rad: float = 0.0) -> Tensor:
-    """A finger whose first phalanx points `beside_rad` short of opposite to where the canonical hand has it."""
-    frames = JointTransform(template_joints_m().numpy(), handedness=Handedness.RIGHT)
-    S, u = frames.frames(joints_m).S[finger], frames.frames(template_joints_m()).u[finger]
-    across = torch.linalg.cross(u, torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
-    across = across / across.norm()
-    local = -math.cos(beside_rad) * u + math.sin(beside_rad) * across
-    return along_finger(joints_m, finger, (S @ local).expand(3, 3))
+def turned_back(joints_m: Tensor, finger: int, local: Tensor) -> Tensor:
+    """A finger along `local` (3,) of the frame that its first phalanx has in the canonical hand's pose."""
+    transform = JointTransform(template_joints_m().numpy(), handedness=Handedness.RIGHT)
+    rest, bent = transform.frames(template_joints_m()).S, transform.frames(joints_m).S
+    return along_finger(joints_m, finger, (bent[finger] @ rest[finger].T @ rest[5 + finger] @ local).expand(3, 3))
+
+
+def backwards_sideways(joints_m: Tensor, finger: int, beside_rad: float = 0.0) -> Tensor:
+    """A finger turned to where the swing has no answer (METHOD 2.5), or `beside_rad` beside it."""
+    y, z = swing_pole()
+    pole = torch.tensor([0.0, y * math.cos(beside_rad), z * math.cos(beside_rad)], dtype=torch.float64)
+    pole[0] = math.sin(beside_rad)
+    return turned_back(joints_m, finger, pole)
 
 
 def flattened_palm(joints_m: Tensor, part: float) -> Tensor:
@@ -145,7 +151,8 @@ def _fingers() -> dict[str, Tensor]:
         "index folded back at its tip joint": straight_finger(base, _INDEX, (1, 1, -1)),
         "index folded back at its middle joint": straight_finger(base, _INDEX, (1, -1, -1)),
         "index folded back at its knuckle": straight_finger(base, _INDEX, (-1, -1, -1)),
-        "index folded back exactly through itself": folded_back(base, _INDEX),
+        "index folded back exactly through itself": turned_back(base, _INDEX, torch.tensor([0, 0, -1]).double()),
+        "index turned backwards and sideways": backwards_sideways(base, _INDEX),
         "middle finger sideways, +90 degrees": abducted(base, _MIDDLE),
         "middle finger sideways, -90 degrees": abducted(base, _MIDDLE, side=-1),
         "middle finger sideways, 90 degrees less 1e-6": abducted(base, _MIDDLE, 1e-6),

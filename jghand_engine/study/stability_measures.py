@@ -17,6 +17,8 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.learned import own_flesh
+from jghand_engine.avatar.posing import Posing
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import describe_flags
 from jghand_engine.learn.baselines import transform_of
@@ -44,7 +46,7 @@ from jghand_engine.template.builtin import load_template
 BESIDE = 20
 # nudges tried for every hand, in random directions
 NUDGES = 64
-# hands and nudges where a network has to be asked for each of them
+# hands beside where a network has to be asked for each of them
 FEW = 15
 # points of the skin that are watched, of the template's 1610
 SKIN_POINTS = 400
@@ -159,14 +161,14 @@ def measure(
     case: HandCase,
     *,
     hands_beside: int = BESIDE,
-    nudges: int = NUDGES,
+    shown: Formulation | None = None,
 ) -> Measured:
-    """All numbers of a formulation on a case. hands_beside: at each of the distances · nudges: how many of each kind"""
+    """All numbers of a formulation on a case. hands_beside: at each of the distances · shown: whose skin is nudged"""
     to_mm = 1e3 * template_size_m() / case.size_m
     single, double = (
         _differentiated(formulation, beside(case, hands_beside), dtype) for dtype in (torch.float32, torch.float64)
     )
-    nudged, axes = (moved_mm(formulation, case, nudge) for nudge in (random_nudges(nudges), axis_nudges(nudges)))
+    nudged, axes = (moved_mm(shown or formulation, case, nudge) for nudge in (random_nudges(), axis_nudges()))
     exact = formulation(case.joints_m[None], torch.float64).skin
     rounded = formulation(case.joints_m[None], torch.float32).skin
     return Measured(
@@ -226,9 +228,10 @@ def hand_row(case: HandCase) -> HandRow:
 
 
 def correctives_row(case: HandCase) -> HandRow:
-    """The row of a hand far outside what the trained avatar has learned from: skin and picture with its correctives."""
-    shipped = load_builtin(handedness=case.handedness).prefix(GAUSSIANS)
-    avatar = _with_fewer_anchors(HandTensors.of(shipped))
+    """The row of a hand far outside what the trained avatar has learned from: what is finite and exact of a part of it,
+    with gradients, and how far nudges move all of its Gaussians in the tier that is shown."""
+    shipped = load_builtin(handedness=case.handedness)
+    avatar = _with_fewer_anchors(HandTensors.of(shipped.prefix(GAUSSIANS)))
     transform = transform_of(avatar)
     flags = describe_flags(int(transform.frames(case.joints_m - case.joints_m[:1]).flags))
 
@@ -238,11 +241,22 @@ def correctives_row(case: HandCase) -> HandRow:
         return Skin(torch.stack([one.position_m for one in posed]), rgb)
 
     # the network is evaluated hand by hand: fewer of them
-    few = FEW
-    measured = measure(learned, case, hands_beside=few // len(JITTERS), nudges=few)
+    measured = measure(learned, case, hands_beside=FEW // len(JITTERS), shown=as_shown(shipped))
     picture = hand_picture(avatar, case)
     name = f"trained hand, {case.name}"
     return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))
+
+
+def as_shown(avatar: HandAvatar) -> Formulation:
+    """An avatar as the renderer shows it, by the kernels: all Gaussians, all anchors, the tier that `auto` takes."""
+    learned = avatar.learned
+    posing = Posing(avatar if learned is None else replace(avatar, learned=learned.with_tier(Tier.AUTO)[0]))
+
+    def formulation(joints_m: Tensor, dtype: torch.dtype) -> Skin:
+        posed = [torch.from_numpy(posing(one.numpy()).position_m) for one in joints_m - joints_m[:, :1]]
+        return Skin(torch.stack(posed).to(dtype), torch.zeros((), dtype=dtype))
+
+    return formulation
 
 
 def _with_fewer_anchors(avatar: HandTensors) -> HandTensors:

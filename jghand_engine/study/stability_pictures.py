@@ -100,7 +100,8 @@ def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:
 
 def picture_gradient(gaussians: Gaussians, camera: Camera, size_m: float) -> tuple[bool, float]:
     """Whether the gradients of a sum of the mean pixel with random signs are finite, and the largest of them times the
-    natural size of what it is for."""
+    natural size of what it is for: the hand's, its own, or 1. A length beyond the hand's counts as the hand's: of a
+    needle that leaves the picture at both ends nobody sees how long it is."""
     leaves = converted(gaussians, torch.float32, grad=True)
     planes = planes_of(rasterize(leaves, camera))
     signs = torch.sign(torch.randn(planes.shape, generator=torch.Generator().manual_seed(3)))
@@ -112,7 +113,9 @@ def picture_gradient(gaussians: Gaussians, camera: Camera, size_m: float) -> tup
         if leaf is None or leaf.grad is None:
             continue
         finite &= bool(torch.isfinite(leaf.grad).all())
-        natural = leaf.grad * (leaf.detach().nan_to_num(0, 0, 0) if size is None else size)
+        longest = size_m if name == "sigma_m" else size_m**2
+        own = leaf.detach().nan_to_num(0, 0, 0).clamp(-longest, longest)
+        natural = leaf.grad * (own if size is None else size)
         largest = max(largest, float(natural.abs().max()) if natural.numel() else 0.0)
     return finite, largest
 

@@ -43,15 +43,6 @@ def usual_angle(a: Tensor, b: Tensor) -> Tensor:
     return torch.acos(((a * b).sum(-1)).clamp(-1 + CLIP, 1 - CLIP))
 
 
-def usual_rotation(a: Tensor, b: Tensor) -> Tensor:
-    """The smallest rotation from unit a to unit b, I + [v]x + [v]x^2 / (1 + c), (..., 3, 3)."""
-    v, c = torch.linalg.cross(a, b), (a * b).sum(-1)[..., None, None]
-    x, y, z = v.unbind(-1)
-    o = torch.zeros_like(x)
-    K = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(*v.shape, 3)
-    return torch.eye(3, dtype=a.dtype) + K + K @ K / (1 + c)
-
-
 def crossed_frames(parent: Tensor, child: Tensor) -> Tensor:
     """Frames (..., 3, 3) of bones from their directions and their parents': the axis is their cross product."""
     y = usual_unit(torch.linalg.cross(parent, child))

@@ -44,6 +44,19 @@ def test_root_relative_form_is_more_exact_far_from_the_origin():
     assert ((placed - joints).norm(dim=-1).max() * 1e3) < 1.5e-4
 
 
+@pytest.mark.parametrize("handedness", list(Handedness))
+def test_offsets_are_the_matrices_own_rounded_once(handedness):
+    """In single precision: what a matrix has lost its offset makes good, so that joints lose nothing twice."""
+    joints = hands.sample(500, shift_m=0.0).float()
+    joints = joints - joints[:, :1]
+    bones = JointTransform(CANONICAL_M, handedness=handedness).bones(joints)
+    starts = hands.STARTS
+    carried = (bones.linear.double() * (CANONICAL - CANONICAL[0])[starts].float().double().unsqueeze(-2)).sum(-1)
+    wanted = joints[:, starts].double() - carried
+    # half a unit in the last place of a float32
+    assert ((bones.offset_m - wanted).abs() <= 2.0**-24 * wanted.abs() * (1 + 1e-6)).all()
+
+
 def test_canonical_hand_maps_to_itself():
     matrices = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT).bones(CANONICAL).matrices()
     identity = torch.eye(3, 4, dtype=torch.float64)

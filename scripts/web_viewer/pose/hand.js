@@ -51,7 +51,6 @@ export class Hand {
     this.set('skin.shift', joints.slice(0, 3));
     this.set('skin.scale', [whole]);
     this.set('skin.inverse_scale', [inverse]);
-    this.set('palm', [0, 1, 2, 4, 5, 6, 8, 9, 10].map((place) => views.matrices[place] * inverse));
     this.correctives?.prepare(views.angles);
     this.capsules?.prepare(views.matrices, whole);
     views.team.fill(0);

@@ -3,8 +3,8 @@
 import wasm from './kernels.wasm';
 import { Hand } from './hand.js';
 
-// threads that wait for others may give up the processor: here there is one thread, which never waits
-const SYSTEM = { wasi_snapshot_preview1: { sched_yield: () => 0 } };
+// threads that wait for others may sleep: here there is one thread, which never waits
+const SYSTEM = { wasi_snapshot_preview1: { poll_oneoff: () => 0 } };
 
 export { Articulated } from './articulated.js';
 
