@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's own USD export gets the baked splats of the scene's hands.
+"""Blender's own USD export gets the baked splats of the scene's hands; its import of our stages gets their colors.
 
 Blender calls the hook with its stage when everything else is written. The splats come from the bake of each hand, made
 by the engine before: its layers are put into a folder beside the exported file and referenced. A hand without a bake,
 or with one of another pose or avatar, is left out and that is said. Nothing here may ever throw: Blender would end the
-process.
+process. Blender's importer gives points no material, whatever is bound to them, so they would be gray.
 
 Only registered where Blender's `pxr` can be imported, for the same reason. No reference to a stage outlives a call: USD
 refuses to write a file whose layer somebody holds. Source: BLENDER 9.
@@ -13,6 +13,7 @@ refuses to write a file whose layer somebody holds. Source: BLENDER 9.
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ class JGHandUsdHook(_Hook):
 
     bl_idname = "jghand_usd_hook"
     bl_label = "JGHand Splats"
-    bl_description = "Add the baked splats of JGHand hands to Blender's USD exports"
+    bl_description = "Add the baked splats of JGHand hands to Blender's USD exports, and colors to its imports of them"
 
     @staticmethod
     def on_export(export_context: Any) -> bool:
@@ -54,6 +55,24 @@ class JGHandUsdHook(_Hook):
         if left_out():  # Blender's export runs on a thread of its own
             ui.show_later(f"{iface_('Not all hands are in the USD file.')} {' '.join(left_out())}", icon="ERROR")
         return True
+
+    @staticmethod
+    def on_import(import_context: Any) -> bool:
+        """Blender's entry, at the end of an import."""
+        try:
+            layers = import_context.get_stage().GetUsedLayers()
+            if any("jghand" in layer.customLayerData for layer in layers):
+                color_points(thing for things in import_context.get_prim_map().values() for thing in things)
+        except Exception:  # as above
+            traceback.print_exc()
+        return True
+
+
+def color_points(things: Iterable[bpy.types.ID]) -> None:
+    """Gives point clouds without a material that of a bake's points."""
+    for cloud in things:
+        if isinstance(cloud, bpy.types.PointCloud) and not cloud.materials and "displayColor" in cloud.attributes:
+            cloud.materials.append(bakes.points_material())
 
 
 def left_out() -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
+mathutils = pytest.importorskip("mathutils")
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -122,6 +123,47 @@ def test_mesh_follows_the_armature_as_the_engine_skins_it(exported, handedness):
         now = evaluated(mesh)
         position = world_from(now.matrix_world, read(now.to_mesh().vertices, "co", 3))
         assert np.abs(position - vertices).max() <= MESH_ERROR_M
+
+
+def drawn_by_cycles() -> np.ndarray:
+    """(H, W, 4) linear, of what was imported, lit evenly from everywhere, seen from where all of it is in sight."""
+    scene = bpy.context.scene
+    scene.frame_set(0)
+    thing = next(each for each in bpy.data.objects if each.type in ("MESH", "POINTCLOUD"))
+    corners = np.array([evaluated(thing).matrix_world @ mathutils.Vector(corner) for corner in thing.bound_box])
+    data = bpy.data.cameras.new("Camera")
+    data.type, data.ortho_scale, data.clip_start = "ORTHO", float(np.ptp(corners, axis=0).max()) * 1.5, 0.001
+    scene.camera = bpy.data.objects.new("Camera", data)
+    scene.camera.location = mathutils.Vector(corners.mean(0)) + mathutils.Vector((0, 0, 1))
+    scene.collection.objects.link(scene.camera)
+    world = scene.world = bpy.data.worlds.new("World")
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 4, False
+    scene.render.resolution_x = scene.render.resolution_y = 64
+    scene.render.resolution_percentage, scene.render.film_transparent = 100, True
+    scene.view_settings.view_transform = "Raw"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
+    scene.render.filepath = bpy.app.tempdir + "imported.png"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    return np.array(image.pixels[:], np.float32).reshape(64, 64, 4)
+
+
+@pytest.mark.parametrize("variant", ["points", "mesh"])
+def test_an_imported_hand_has_its_colors(exported, extension, variant):
+    """File > Import > USD: the mesh by the material in the stage, points by the extension's hook."""
+    stage, _ = exported(variant, "right")
+    imported(stage)
+    thing = only("POINTCLOUD" if variant == "points" else "MESH")
+    (material,) = thing.data.materials
+    (node,) = [each for each in material.node_tree.nodes if each.bl_idname == "ShaderNodeAttribute"]
+    assert node.attribute_name == "displayColor"
+    assert node.outputs["Color"].links
+    picture = drawn_by_cycles()
+    seen = picture[picture[..., 3] > 0.99][:, :3]
+    assert len(seen) > 10
+    assert np.median(np.ptp(seen, axis=1)) > 0.05, "gray"
 
 
 def test_frame_range_comes_with_the_stage(exported):

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from jghand_engine.export.motion import BonePoses
 from jghand_engine.export.usd.splats import Cloud
@@ -206,8 +206,8 @@ def write_rig(
     rgb: np.ndarray,
     time: TimeRange,
 ) -> None:
-    """Writes /Rig with Skeleton, Skeleton/Anim and Mesh. One prim at the root, so that one reference brings everything:
-    separate references would drop skel:skeleton with a mere warning.
+    """Writes /Rig with Skeleton, Skeleton/Anim, Mesh and its material Look. One prim at the root, so that one
+    reference brings everything: separate references would drop skel:skeleton with a mere warning.
 
     motion: of the skeleton, in parts that are saved one by one
     skin:   the surface of the hand itself, mirrored for a left one
@@ -253,6 +253,7 @@ def _add_mesh(stage: Usd.Stage, template: HandTemplate, rgb: np.ndarray, skeleto
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
     set_display(mesh.GetPrim(), rgb)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_add_look(stage, f"{RIG_PATH}/Look"))
     corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     coordinates.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(corners, np.float32)))
@@ -263,6 +264,20 @@ def _add_mesh(stage: Usd.Stage, template: HandTemplate, rgb: np.ndarray, skeleto
     binding.CreateJointWeightsPrimvar(False, weights.shape[1]).Set(floats(weights))
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+
+
+def _add_look(stage: Usd.Stage, path: str) -> UsdShade.Material:
+    """A surface in the mesh's displayColor, which importers (Blender's) show of materials alone."""
+    look = UsdShade.Material.Define(stage, path)
+    reader = UsdShade.Shader.Define(stage, f"{path}/Color")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", TYPES.String).Set("displayColor")
+    surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    color = reader.CreateOutput("result", TYPES.Float3)
+    surface.CreateInput("diffuseColor", TYPES.Color3f).ConnectToSource(color)
+    look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
+    return look
 
 
 def vertex_colors(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
