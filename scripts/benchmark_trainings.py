@@ -190,10 +190,11 @@ def draw_figure(cells: Sequence[Cell]) -> Figure:
                 )  # fmt: skip
             axes.set_xscale("log")
             axes.xaxis.set_major_formatter(lambda value, _position: f"{value:g}")
+            axes.xaxis.set_minor_formatter(lambda value, _position: f"{value:g}" if f"{value:g}"[0] in "235" else "")
             axes.set_xlabel(text, fontsize=10)
+            axes.set_ylabel("PSNR, dB", fontsize=10)
             title(axes, f"Held-out pictures against {text}")
         axes.legend(fontsize=9, frameon=False, labelcolor=INK)
-        axes.set_ylabel("PSNR, dB", fontsize=10)
     return figure
 
 

@@ -35,7 +35,10 @@ class Schedule:
     rate:            learning rate of Adam for networks
     plane_rate:      the same for planes, radii and light
     last_part:       of both rates at the end, to which they fall exponentially
+    settle_steps:    planned steps from which on they fall so far; the fewer are planned, the less they fall: what is
+                     still far from its goal has nothing to settle
     warm_up_steps:   over which the rates rise
+    warm_up_part:    of the planned steps, which that takes at most
     gradient_norm:   above which gradients are shortened; None: never
     levels:          (from part, part of the Gaussians) in rising order
     strides:         (from part, pixels averaged into one along each axis)
@@ -47,7 +50,9 @@ class Schedule:
     rate: float = 2e-3
     plane_rate: float = 1e-2
     last_part: float = 0.05
+    settle_steps: int = 2000
     warm_up_steps: int = 50
+    warm_up_part: float = 0.05
     gradient_norm: float | None = 1.0
     levels: tuple[tuple[float, float], ...] = ((0.0, 0.4), (0.5, 1.0))
     strides: tuple[tuple[float, int], ...] = ((0.0, 2), (0.08, 1))

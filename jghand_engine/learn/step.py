@@ -265,7 +265,9 @@ class HandTraining:
 
     def _set_rates(self, number: int, part: float) -> None:
         schedule = self.options.schedule
-        factor = schedule.last_part**part * min(1.0, (number + 1) / schedule.warm_up_steps)
+        warm_up = max(1.0, min(schedule.warm_up_steps, schedule.warm_up_part * self._steps))
+        fall = schedule.last_part ** min(1.0, self._steps / schedule.settle_steps)
+        factor = fall**part * min(1.0, (number + 1) / warm_up)
         for group, rate in zip(self._optimizer.param_groups, (schedule.rate, schedule.plane_rate), strict=True):
             group["lr"] = rate * factor
 

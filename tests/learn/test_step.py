@@ -177,10 +177,20 @@ def rates(training: HandTraining, number: int) -> tuple[float, float]:
 
 
 def test_rates_rise_at_first_and_fall_exponentially(build):
-    training = build(scheduled(rate=2e-3, plane_rate=1e-2, last_part=0.04, warm_up_steps=5))
+    training = build(scheduled(rate=2e-3, plane_rate=1e-2, last_part=0.04, warm_up_steps=5, settle_steps=100))
     training.plan(100)
     for number, factor in ((0, 1 / 5), (3, 4 / 5 * 0.04**0.03), (4, 0.04**0.04), (50, 0.2), (100, 0.04), (130, 0.04)):
         assert rates(training, number) == pytest.approx((2e-3 * factor, 1e-2 * factor))
+
+
+def test_the_rates_of_a_short_plan_rise_within_a_twentieth_of_it_and_fall_the_less_the_shorter_it_is(build):
+    """A tenth of the steps from which on they settle falls to the tenth root of what those fall to."""
+    training = build(scheduled(rate=2e-3, last_part=0.05, settle_steps=1000, warm_up_steps=50, warm_up_part=0.05))
+    for planned, number, factor in ((100, 0, 1 / 5), (100, 100, 0.05**0.1), (500, 500, 0.05**0.5), (3000, 3000, 0.05)):
+        training.plan(planned)
+        assert rates(training, number)[0] == pytest.approx(2e-3 * factor)
+    training.plan(3000)
+    assert rates(training, 24)[0] == pytest.approx(2e-3 * 0.5, rel=0.05)
 
 
 def test_planes_radii_and_light_learn_at_the_faster_rate(build):
