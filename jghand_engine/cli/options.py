@@ -131,9 +131,9 @@ class PictureOptions:
     """Side that is seen: quarter, front (the palm), back, side (the thumb), outside (the little finger), top (the
     finger tips) or quarter-back. Or a pinhole camera as JSON (width, height, fx, fy, cx, cy, camera_from_world), as
     --out holds one."""
-    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
-    """Pixels."""
-    preset: PresetName = "final"
+    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT", help_behavior_hint="(default: 512x334)")] = None
+    """Pixels. A camera file has its own."""
+    preset: Annotated[PresetName | None, tyro.conf.arg(help_behavior_hint="(default: final)")] = None
     """Accuracy against time."""
     background: Annotated[str, tyro.conf.arg(metavar="COLOR")] = "transparent"
     """transparent, or a color such as #e8e6e3. A video has no transparency: there it is a light gray."""
@@ -149,6 +149,13 @@ class PictureOptions:
             wanted = f"{', '.join(get_args(CameraName))} or a file that ends in .json"
             raise InputError("--camera", wanted=wanted, came=repr(self.camera))
         return Path(self.camera)
+
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of what a side shows. InputError for a size beside a camera file, which has its own."""
+        if self.size is not None and self.camera_file is not None:
+            raise InputError("--size", wanted="a camera without a size of its own", came=f"--camera {self.camera}",
+                             remedy="Leave --size out, or change width, height, fx and fy in the file.")  # fmt: skip
+        return pixels(self.size or "512x334")
 
     def background_rgb(self) -> tuple[float, float, float] | None:
         """sRGB 0..1, None for transparent. Raises InputError."""

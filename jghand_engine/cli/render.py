@@ -18,7 +18,6 @@ from jghand_engine.cli.options import (
     MotionOptions,
     PictureOptions,
     parse_shard,
-    pixels,
 )
 from jghand_engine.errors import InputError
 
@@ -88,7 +87,7 @@ class Render:
         from jghand_engine.render.renderer import HandRenderer
 
         # what can be refused is refused before anything is written
-        size, background = pixels(self.picture.size), self.picture.background_rgb()
+        size, background = self.picture.size_px(), self.picture.background_rgb()
         effects = self._effects()
         passes = self._passes()
         shard = self._shard()
@@ -160,6 +159,9 @@ class Render:
                 "--video", wanted="all pictures", came=f"--shard {self.shard}",
                 remedy="When all shards are done, the same command with --skip-existing, without --shard, makes it.",
             )  # fmt: skip
+        if self.budget_ms is not None and self.picture.preset is not None:
+            raise InputError("--budget-ms", wanted="no preset beside it: it finds the settings itself",
+                             came=f"--preset {self.picture.preset}", remedy="Leave one of them out.")  # fmt: skip
         if self.budget_ms is not None and shard.is_shared:
             raise InputError(
                 "--budget-ms", wanted="the same settings for every part of the pictures",
@@ -177,6 +179,7 @@ class Render:
         picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
         # how fast, and what is told
         del picture["threads"], effect["explain"]
+        picture |= {"size": self.picture.size_px(), "preset": self.picture.preset or "final"}
         # of a file what it holds, not what it is called
         camera = self.picture.camera if file is None else file_digest(file)
         look = {**picture, **effect, "passes": self.passes, "camera": camera}
@@ -222,7 +225,8 @@ class Render:
         from jghand_engine.render.settings import preset
 
         if self.budget_ms is None:
-            return replace(preset(self.picture.preset), threads=self.picture.threads), self.picture.preset
+            name = self.picture.preset or "final"
+            return replace(preset(name), threads=self.picture.threads), name
         from jghand_engine.render.budget import best_for
 
         chosen = best_for(self.budget_ms, avatar, (camera.width, camera.height), self.picture.threads)

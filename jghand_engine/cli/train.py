@@ -48,7 +48,7 @@ class StartOptions:
     """Checkpoints, log and previews. Left out: beside --out, id3.training for id3.jghand."""
     resume: bool = False
     """Go on where the training in that folder stands. Give the options that it began with: others are refused, but
-    for --steps and --minutes, which may change and are not remembered."""
+    for --steps and --minutes, which may change; left out, it lasts as long as it was to."""
     fresh: bool = False
     """Forget the training that the folder holds, and begin anew."""
     overwrite: bool = False
@@ -149,7 +149,7 @@ class Train:
 
         return RunOptions(
             out=self.out,
-            work=self.start.work or self.out.with_suffix(".training"),
+            work=self._work,
             stamp={},
             budget=self._budget(),
             start=Start.RESUME if self.start.resume else Start.FRESH if self.start.fresh else Start.NEW,
@@ -157,11 +157,18 @@ class Train:
             tensorboard=self.tensorboard,
         )
 
+    @property
+    def _work(self) -> Path:
+        return self.start.work or self.out.with_suffix(".training")
+
     def _budget(self, pictures: int = 1) -> Budget:
         """How long to train on so many pictures."""
         from jghand_engine.learn.schedule import Budget
+        from jghand_engine.learn.work_folder import remembered_budget
 
         if self.steps is None and self.minutes is None:
+            if self.start.resume and (begun := remembered_budget(self._work)) is not None:
+                return begun
             if self.preset == "paper-faithful":
                 return Budget(steps=PAPER_ROUNDS * pictures)
             return Budget(seconds=60.0 * TRAINING_MINUTES)

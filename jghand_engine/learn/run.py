@@ -89,7 +89,7 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
     """
     display = display or Silent()
     check_places(options)
-    work = WorkFolder(options.work, options.stamp)
+    work = WorkFolder(options.work, options.stamp, options.budget)
     board = Board(work.board) if options.tensorboard else None
     with work.opened(options.start), closing(Log(work.log, board)) as log:
         trainable = build()

@@ -1,6 +1,6 @@
 """The folder in which a training keeps what it needs to go on, and what it shows.
 
-training.json   says that the folder is a training's, and with which options it began
+training.json   says that the folder is a training's, with which options it began, and how long it is to last
 lock            held while a training runs here
 checkpoints/    step_00000500.safetensors: the last two and the best
 log.jsonl       figures, a line per interval (see log.py); tensorboard/ the same for TensorBoard
@@ -27,6 +27,7 @@ from jghand_engine.captures.sample import Sample, image_names
 from jghand_engine.errors import InputError
 from jghand_engine.files import check_place, file_error, make_folder, writing
 from jghand_engine.learn.checkpoint import CheckpointFolder, Stamp
+from jghand_engine.learn.schedule import Budget
 from jghand_engine.lock import locked
 
 if TYPE_CHECKING:
@@ -65,11 +66,26 @@ def check_folder(path: Path, start: Start) -> None:
         )  # fmt: skip
 
 
-class WorkFolder:
-    """The folder `path` of the training whose options are `stamp`."""
+def remembered_budget(path: Path) -> Budget | None:
+    """How long the training in the folder `path` was to last; None where that is not known."""
+    told = _begun(path / MARK).get("budget")
+    return Budget(told.get("steps"), told.get("seconds")) if isinstance(told, dict) else None
 
-    def __init__(self, path: Path, stamp: Stamp) -> None:
-        self.path, self._stamp = path, stamp
+
+def _begun(mark: Path) -> dict[str, Any]:
+    """What `mark` says of a training; nothing where it is missing or damaged."""
+    try:
+        content = json.loads(mark.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+class WorkFolder:
+    """The folder `path` of the training whose options are `stamp`, and which lasts for `budget`."""
+
+    def __init__(self, path: Path, stamp: Stamp, budget: Budget) -> None:
+        self.path, self._stamp, self._budget = path, stamp, budget
         self.checkpoints = CheckpointFolder(path / "checkpoints", stamp)
         self.log, self.board = path / "log.jsonl", path / "tensorboard"
         self.pictures, self.preview = path / "pictures", path / "preview.jghand"
@@ -89,10 +105,13 @@ class WorkFolder:
             self._remove_leftovers()
             if start is Start.FRESH:
                 self._clear()
-            if start is not Start.RESUME:
-                content = {"jghand_training": __version__, "stamp": dict(self._stamp)}
-                with writing(self.path / MARK) as temporary:
-                    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+            about = {"jghand_training": __version__, "stamp": dict(self._stamp)}
+            if start is Start.RESUME:
+                # whether these options are those that it began with is found by its checkpoints
+                about = _begun(self.path / MARK)
+            with writing(self.path / MARK) as temporary:
+                content = json.dumps({**about, "budget": asdict(self._budget)}, indent=2)
+                temporary.write_text(content + "\n", encoding="utf-8")
             yield
 
     def _remove_leftovers(self) -> None:

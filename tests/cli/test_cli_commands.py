@@ -172,8 +172,24 @@ def test_the_camera_that_render_wrote_makes_the_same_picture_again(tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     assert run("render", "--poses", "point", "--frames", "0", "--out", first, *SMALL) == 0
     camera = first / "camera.json"
-    assert run("render", "--poses", "point", "--frames", "0", "--out", again, *SMALL, "--camera", camera) == 0
+    assert (
+        run("render", "--poses", "point", "--frames", "0", "--out", again, "--preset", "draft", "--camera", camera) == 0
+    )
     assert (read_png(first / "frame_00000.png") == read_png(again / "frame_00000.png")).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--camera", "camera.json", "--size", "512x334"), "Leave --size out"),
+        (("--budget-ms", "10", "--preset", "final"), "Leave one of them out"),
+    ],
+)
+def test_an_option_that_another_overrules_is_refused_and_not_ignored(words, said, tmp_path, capsys, monkeypatch):
+    """Also where it says what would be taken without it."""
+    monkeypatch.setattr(builtin, "load_avatar_called", lambda _: pytest.fail("loaded"))
+    assert run("render", "--poses", "open", "--out", tmp_path, *words) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_a_background_makes_opaque_pictures(tmp_path):

@@ -92,9 +92,11 @@ def test_ctrl_c_is_answered_by_how_to_go_on_and_resume_does(train, tmp_path, mon
     assert "4 steps" in out
     assert "--resume" in out
     assert not (tmp_path / "tiny.jghand").exists()
-    code, _, err = train("--steps", 6, "--resume")
+    # it lasts as long as it was to
+    code, _, err = train("--resume")
     assert code == 0
     assert "Resuming at step 4" in err
+    assert json.loads((tmp_path / "tiny.training" / "training.json").read_text())["budget"]["steps"] == 6
     assert (tmp_path / "tiny.jghand").exists()
 
 
