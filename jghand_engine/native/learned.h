@@ -67,7 +67,7 @@ struct LearnedTask {
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
 constexpr int BONES = 20, ANCHORS_AROUND = 3, OTHER = 5;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
-constexpr int HIDDEN_MAX = 256;   // wider networks are left to NumPy: two layers of two blocks lie on the stack
+constexpr int HIDDEN_MAX = 256;   // wider networks are refused: two layers of two blocks lie on the stack
 
 // One block's offset (canonical axes, meters) and shade by the linear tier.
 void linear_correction(const LearnedTask& t, int32_t block, vf out[CORRECTION]);

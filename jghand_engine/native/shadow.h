@@ -79,15 +79,12 @@ JG_INLINE vf log2_of_one_plus(vf y) {
 }
 
 JG_INLINE float lowest(vf a) {
-  float r = a[0];
-  for (int i = 1; i < LANES; i++) r = a[i] < r ? a[i] : r;
-  return r;
+  a = min(a, JG_SHUFFLE(a, a, 8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7));
+  a = min(a, JG_SHUFFLE(a, a, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11));
+  a = min(a, JG_SHUFFLE(a, a, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13));
+  return a[0] < a[1] ? a[0] : a[1];
 }
-JG_INLINE float highest(vf a) {
-  float r = a[0];
-  for (int i = 1; i < LANES; i++) r = a[i] > r ? a[i] : r;
-  return r;
-}
+JG_INLINE float highest(vf a) { return -lowest(-a); }
 
 // Constants of the occlusion curve: softplus argument in powers of two is slope * cosine + shift.
 struct Curve {
@@ -220,43 +217,48 @@ JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTas
   return true;
 }
 
-// One tap of a block: the vector to the sample, and its part of the sum. Lanes outside the radius are 0 even when the
-// arithmetic overflowed: a comparison with NaN is false.
+// One tap of a block: the vector to the sample, and its part of the sum. Lanes outside the radius or without a depth are
+// not inside, even when the arithmetic overflowed: a comparison with NaN is false.
 struct Tap {
-  vf vx, vy, vz, inverse, cosine, power, soft, fall;
+  vf vx, vy, vz, d2, inverse, cosine, power, soft, fall;
   vi inside;
 };
 // shift: change of the ray from the pixel to the sample; base: shift times the origin of depth.
 struct Shift {
   vf x, y, base_x, base_y;
 };
-JG_INLINE Tap tap_of(const Block& b, const Curve& c, vf z, const Shift& shift) {
-  Tap t;
+// False when no lane is inside: a fifth to a quarter of the taps of a hand go beside it or to another depth.
+JG_INLINE bool aim(Tap& t, const Block& b, const Curve& c, vf z, const Shift& shift) {
   // (ray + shift) z_sample - ray z, without cancellation
   t.vz = z - b.z;
   t.vx = z * shift.x + shift.base_x + b.ray_x * t.vz;
   t.vy = z * shift.y + shift.base_y + b.ray_y * t.vz;
-  const vf d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
-  t.inverse = inverse_sqrt(d2);
+  t.d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
+  t.inside = (t.d2 < c.radius2) & b.valid;
+  return bit_mask(t.inside);
+}
+JG_INLINE void occlude(Tap& t, const Block& b, const Curve& c) {
+  t.inverse = inverse_sqrt(t.d2);
   t.cosine = (t.vx * b.nx + (t.vy * b.ny + (t.vz * b.nz - c.height_min))) * t.inverse;
   const vf e = t.cosine * c.slope + c.shift;
   t.power = exp2_of_minus_abs(e);
   t.soft = log2_of_one_plus(t.power) + max(e, vf{});
-  t.fall = 1.f - d2 * t.inverse * c.inverse_radius;
-  t.inside = d2 < c.radius2;
-  return t;
+  t.fall = 1.f - t.d2 * t.inverse * c.inverse_radius;
 }
 
-// Calls same(offset, shift, tap) or mixed(indices, shift, tap) for every tap of a block.
+// Calls same(offset, shift, tap) or mixed(indices, shift, tap) for every tap of a block with a lane inside.
 template <class Same, class Mixed>
 JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Same same, Mixed mixed) {
   const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
   const Reach reach = reach_of(s);
+  Tap t;
   for (int i = 0; i < b.same_count; i++) {
     const int k = b.same[i];
     const Shift shift = {all(b.shift_x[k]), all(b.shift_y[k]), all(b.base_x[k]), all(b.base_y[k])};
-    same(b.offset[k], shift, tap_of(b, curve, load(c + b.offset[k]), shift));
+    if (!aim(t, b, curve, load(c + b.offset[k]), shift)) continue;
+    occlude(t, b, curve);
+    same(b.offset[k], shift, t);
   }
   for (int i = 0; i < b.mixed_count; i++) {
     const int k = b.mixed[i];
@@ -264,7 +266,9 @@ JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, cons
     const vi index = to_int(y) * s.stride + to_int(x) + lane;
     const vf sx = x * step_x, sy = y * step_y;
     const Shift shift = {sx * reach.turn, sy * reach.turn, sx * reach.base, sy * reach.base};
-    mixed(index, shift, tap_of(b, curve, gather(c, index), shift));
+    if (!aim(t, b, curve, gather(c, index), shift)) continue;
+    occlude(t, b, curve);
+    mixed(index, shift, t);
   }
 }
 
