@@ -1,4 +1,4 @@
-"""sRGB and linear light: the one transfer function of the project (IEC 61966-2-1); and how alike two images are.
+"""sRGB and linear light: the one transfer function of the project (IEC 61966-2-1); its bytes; how alike two images are.
 
 Avatars keep display-referred sRGB and blend in it; formats that want light (USD's displayColor, glTF's COLOR_0) get it
 through here. Arrays of any shape; values outside 0..1 follow the same curve, negative ones its straight part.
@@ -32,6 +32,11 @@ def linear_to_srgb(rgb: np.ndarray) -> np.ndarray:
     rgb = np.asarray(rgb)
     power = (1 + SRGB_OFFSET) * np.maximum(rgb, 0) ** (1 / SRGB_EXPONENT) - SRGB_OFFSET
     return np.where(rgb <= SRGB_TOE / SRGB_SLOPE, rgb * SRGB_SLOPE, power).astype(rgb.dtype, copy=False)
+
+
+def to_bytes(values: np.ndarray) -> np.ndarray:
+    """Values 0..1 -> uint8, rounded to the nearest step; what lies outside is clipped. Any shape."""
+    return np.floor(np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def decibels(mean_square: float) -> float:

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+import bundled_engine
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -37,11 +40,15 @@ def only_base(tmp_path_factory) -> Path:
     """A folder that holds the base packages and nothing else."""
     folder = tmp_path_factory.mktemp("base_packages")
     for name in base_packages():
-        distribution = importlib.metadata.distribution(name)
-        for top in {Path(file).parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
-            if not (folder / top).exists():
-                (folder / top).symlink_to(Path(str(distribution.locate_file(top))).resolve())
+        link_package(name, folder)
     return folder
+
+
+def link_package(name: str, folder: Path) -> None:
+    distribution = importlib.metadata.distribution(name)
+    for top in {Path(file).parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
+        if not (folder / top).exists():
+            (folder / top).symlink_to(Path(str(distribution.locate_file(top))).resolve())
 
 
 def run(only_base: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -62,6 +69,19 @@ def test_splat_files_are_written_with_the_base_packages_alone(only_base, tmp_pat
     done = run(only_base, "export", "ply", "--poses", "open", "--out", out)
     assert done.returncode == 0, done.stderr
     assert list((tmp_path / "splats").rglob("*.ply"))
+
+
+@pytest.mark.parametrize(
+    "words", [("export", "ply", "--poses", "open"), ("export", "usd", "--poses", "open")], ids=["splats", "usd"]
+)
+def test_what_blender_exports_needs_no_more_than_the_zip_carries(words, tmp_path):
+    """Beside numpy, and the USD that Blender has of its own."""
+    folder = tmp_path / "packages"
+    folder.mkdir()
+    for name in (*bundled_engine.PURE, *bundled_engine.COMPILED, "numpy", "usd-core"):
+        link_package(name, folder)
+    done = run(folder, *words, "--out", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
 
 
 def test_what_learns_says_which_extra_it_wants(only_base, tmp_path):

@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from PIL.PngImagePlugin import PngInfo
 
 from jghand_engine.captures.image_files import read_image
+from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
@@ -26,11 +27,6 @@ RGB = tuple[float, float, float]
 
 # what a transparent picture lies on in a video
 VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
-
-
-def to_bytes(values: np.ndarray) -> np.ndarray:
-    """Values 0..1 -> uint8, rounded to the nearest step; what lies outside is clipped. Any shape."""
-    return np.floor(np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def straight_rgba8(rgba_premultiplied: np.ndarray) -> np.ndarray:

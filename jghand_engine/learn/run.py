@@ -19,8 +19,9 @@ from pathlib import Path
 from threading import Event
 
 from jghand_engine.avatar.file import save_avatar
+from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
-from jghand_engine.export.pictures import to_bytes, write_png
+from jghand_engine.export.pictures import write_png
 from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fits
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, Guard, find_non_finite
 from jghand_engine.learn.log import Board, Log, add_figures, take_means

@@ -14,8 +14,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from jghand_engine.captures.sample import Sample, load_image
+from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
-from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, to_bytes, write_png
+from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, write_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import palm_frames, poses_between
 from jghand_engine.learn.evaluate import Evaluation, Picturer, PictureScore, spread

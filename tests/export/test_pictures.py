@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import (
     Cell,
@@ -17,7 +18,6 @@ from jghand_engine.export.pictures import (
     premultiplied,
     read_png,
     straight_rgba8,
-    to_bytes,
     write_png,
 )
 

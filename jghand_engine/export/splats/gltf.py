@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import __version__
-from jghand_engine.color import srgb_to_linear
-from jghand_engine.export.pictures import to_bytes
+from jghand_engine.color import srgb_to_linear, to_bytes
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 EXTENSION = "KHR_gaussian_splatting"

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError, install_extra
-from jghand_engine.export.pictures import to_bytes
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 PROPERTIES = (

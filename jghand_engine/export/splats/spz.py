@@ -16,7 +16,7 @@ import struct
 
 import numpy as np
 
-from jghand_engine.export.pictures import to_bytes
+from jghand_engine.color import to_bytes
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 MAGIC, VERSION = 0x5053474E, 3
