@@ -11,10 +11,10 @@ Points are balls, so edges are harder than those of splats; builds that know Gau
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -85,8 +85,8 @@ def folder_of(thing: bpy.types.Object) -> Path:
 def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> None:
     """Finishes a bake: what the engine made of the recordings replaces the bake that lies in the folder.
 
-    Other files there stay. JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than
-    it was given.
+    Other files there stay. The earlier bake is moved aside and goes at the end: who is killed half-way loses neither.
+    JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than it was given.
     """
     hands = []
     for recording in recordings:
@@ -104,24 +104,46 @@ def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> N
             )
         )
     content = {"format": _FORMAT, "version": _VERSION, "hands": [asdict(hand) for hand in hands]}
+    write_whole(made / STAMP, json.dumps(content, indent=1).encode())
+    before = _set_aside(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _remove_files(folder)
-        for path in made.iterdir():
+        before.mkdir()
+        for path in _files_of(folder):
+            os.replace(path, before / path.name)
+        for path in sorted(made.iterdir(), key=lambda path: path.name == STAMP):
             os.replace(path, folder / path.name)
     except OSError as error:
+        bring_back(folder)
         raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
-    write_whole(folder / STAMP, json.dumps(content, indent=1).encode())
+    bring_back(folder)
 
 
-def _remove_files(folder: Path) -> None:
-    """Removes the files of the bake in a folder, the stamp first: half a bake is none."""
-    with contextlib.suppress(JGHandFailure):  # there is none
+def _set_aside(folder: Path) -> Path:
+    """Where the bake of a folder lies while another takes its place."""
+    return folder.with_name(f".{folder.name}.before")
+
+
+def bring_back(folder: Path) -> None:
+    """Puts back the bake that was moved aside for one that did not come; one whose successor is there goes."""
+    before = _set_aside(folder)
+    try:
+        if before.is_dir() and not (folder / STAMP).is_file():
+            for path in sorted(before.iterdir(), key=lambda path: path.name == STAMP):
+                os.replace(path, folder / path.name)
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
+    shutil.rmtree(before, ignore_errors=True)
+
+
+def _files_of(folder: Path) -> list[Path]:
+    """The files of the bake in a folder, the stamp first: half a bake is none."""
+    try:
         names = [hand.name for hand in read_bake(folder)]
-        (folder / STAMP).unlink()
-        for path in (path for name in names for path in folder.glob(f"{name}.*")):
-            if path.suffix in _SUFFIXES:
-                path.unlink()
+    except JGHandFailure:  # there is none
+        return []
+    found = [path for name in names for path in folder.glob(f"{name}.*") if path.suffix in _SUFFIXES]
+    return [folder / STAMP, *found]
 
 
 def read_bake(folder: Path) -> list[BakedHand]:

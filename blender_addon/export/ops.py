@@ -223,9 +223,13 @@ def _bake_folders(context: bpy.types.Context, things: Sequence[bpy.types.Object]
 
 
 def _folder_beside(folder: Path) -> Path:
-    """A new folder in which a bake is made: what lies in `folder` stays until it is finished."""
+    """A new folder in which a bake is made: what lies in `folder` stays until it is finished. What bakes of it left
+    there that were killed goes, for this Blender makes one at a time."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        bakes.bring_back(folder)
+        for left in folder.parent.glob(f".{folder.name}.*"):
+            shutil.rmtree(left, ignore_errors=True)
         return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     except OSError as error:
         raise JGHandFailure("cannot_write", f"{folder}: {error.strerror or error}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.errors import JGHandFailure
-from blender_addon.export import bakes
+from blender_addon.export import bakes, ops
 from blender_addon.export.recording import Recording
 
 
@@ -69,6 +70,47 @@ def test_the_next_bake_takes_the_place_of_this_one_and_of_no_other_file(tmp_path
         *("Hand.txt", "Renamed.json", "Renamed.npz", "Renamed.splats.usdc", "Renamed.usda"),
         *("bake.json", "notes.txt", "other.usda"),
     ]
+
+
+class KilledError(BaseException):
+    """As SIGKILL: nothing of the extension's runs after it."""
+
+
+def test_a_bake_that_is_killed_at_any_move_leaves_the_old_or_the_new_one_whole(tmp_path, monkeypatch):
+    replace_file, died, left = os.replace, 0, 0
+
+    def counted(source, target):
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise KilledError
+        replace_file(source, target)
+
+    for moves in range(14):
+        folder = tmp_path / str(moves) / "bake"
+        folder.parent.mkdir()
+        a_bake(folder, a_recording("Old"))
+        left = moves
+        monkeypatch.setattr(os, "replace", counted)
+        try:
+            a_bake(folder, a_recording("New"))
+        except KilledError:
+            died += 1
+        monkeypatch.setattr(os, "replace", replace_file)
+        bakes.bring_back(folder)
+        (hand,) = bakes.read_bake(folder)
+        for suffix in (".usda", ".npz", ".json", ".splats.usdc"):
+            assert (folder / f"{hand.name}{suffix}").is_file(), (moves, hand.name, suffix)
+        assert not [path for path in folder.parent.iterdir() if path.name.endswith(".before")]
+    assert 8 < died < 14
+
+
+def test_the_next_bake_sweeps_what_a_killed_one_left(tmp_path):
+    for name in (".Hand.abcd1234", ".Other.abcd1234"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "Hand.splats.usdc").touch()
+    made = ops._folder_beside(tmp_path / "Hand")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([made.name, ".Other.abcd1234"])
 
 
 def test_an_engine_that_wrote_another_motion_makes_no_bake(tmp_path):
