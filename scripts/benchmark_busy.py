@@ -24,6 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from jghand_engine.captures.sample import Sample
 from jghand_engine.cli.console import progress, say, say_table
 from jghand_engine.files import writing
 from jghand_engine.native import threads
@@ -89,10 +90,9 @@ def steps() -> Callable[[], object]:
     return lambda: training.step(next(numbers))
 
 
-def pictures(folder: Path) -> Iterator[object]:
+def pictures(folder: Path) -> Iterator[Sample]:
     """Three pictures of each pose, by cameras side by side."""
     from jghand_engine.avatar.builtin import load_painted
-    from jghand_engine.captures.sample import Sample
     from jghand_engine.export.pictures import write_png
     from jghand_engine.hand.joints import Handedness
     from jghand_engine.render.camera import Camera
