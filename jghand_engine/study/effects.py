@@ -17,7 +17,7 @@ from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.learn.tables import NONE, Table, number
 from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Lens
-from jghand_engine.render.effect_plan import Choice, Effect
+from jghand_engine.render.effect_plan import Choice, Decision, Effect
 from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.subject import Subject
@@ -44,18 +44,24 @@ class EffectRow:
     errors: list[float] = field(default_factory=list)
     # how much longer the frame took with it
     saved_ms: list[float] = field(default_factory=list)
-    # as the frames' reports state them
-    bounds: list[str] = field(default_factory=list)
+    # as the frames' reports state them: the largest numbers of each kind, by its template
+    stated: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def saved_median_ms(self) -> float | None:
         """Of the frames that skipped it; None without any."""
         return float(np.median(self.saved_ms)) if self.saved_ms else None
 
-    def skip(self, bound: str) -> None:
+    @property
+    def bounds(self) -> list[str]:
+        """In words."""
+        return sorted(template.format(*figures) for template, figures in self.stated.items())
+
+    def skip(self, decision: Decision) -> None:
+        """Adds a frame without the effect."""
         self.skipped += 1
-        if bound not in self.bounds:
-            self.bounds.append(bound)
+        before = self.stated.get(decision.lost, decision.figures)
+        self.stated[decision.lost] = tuple(map(max, before, decision.figures))
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ class EffectsStudy:
             (
                 str(row.effect), f"{row.skipped} of {row.frames}",
                 NONE if not row.errors else f"{255 * max(row.errors):.2g}", number(row.saved_median_ms, 2),
-                "; ".join(sorted(row.bounds)) or NONE,
+                "; ".join(row.bounds) or NONE,
             )
             for row in self.effects
         ]  # fmt: skip
@@ -139,7 +145,7 @@ def _compare(row: EffectRow, frame: Frame, other: Frame) -> None:
     forced = other.report.plan[row.effect] if other.report.plan else None
     if decision is None or decision.runs:
         return
-    row.skip(decision.bound)
+    row.skip(decision)
     if forced is not None and forced.runs:
         row.errors.append(float(np.abs(frame.rgba - other.rgba).max()))
         row.saved_ms.append(other.report.total_ms - frame.report.total_ms)
@@ -158,6 +164,7 @@ def opened(effect: Effect, subject: Subject, settings: RenderSettings) -> Effect
             depth_m = float(camera.project(joints[0])[1])
             blurred = renderer.render(joints, replace(camera, lens=Lens(APERTURE_M, depth_m)))
         row.frames += 1
-        row.skip(still.report.plan[effect].bound if still.report.plan else "")
+        if still.report.plan:
+            row.skip(still.report.plan[effect])
         row.saved_ms.append(blurred.report.total_ms - still.report.total_ms)
     return row

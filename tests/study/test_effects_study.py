@@ -39,8 +39,10 @@ def test_the_motion_rests_bends_and_moves_as_a_whole():
     by_effect = {row.effect: row for row in rows}
     assert by_effect[Effect.SKIN].frames == 24
     assert 0 < by_effect[Effect.SKIN].skipped < 24
-    # frames that rest are the same to a bit, others within the limit of the joints
+    # frames that rest are the same to a bit, others within the limit of the skin
     assert max(by_effect[Effect.SKIN].errors) < 0.1
+    # the largest of each kind of bound is told, and not that of every frame
+    assert len(by_effect[Effect.SKIN].bounds) <= 2
 
 
 def test_tables_and_figures_say_the_same():
