@@ -55,10 +55,11 @@ class HandFacts:
             longest_m = avatar.sigma_m * np.exp(self.learned.ellipsoid.log_stretch.max(1, initial=-np.inf))
             self._sigma_max_m = 2 * float(longest_m.max(initial=0.0))
 
-    def reach_m(self, bones: Bones, alpha_min: float) -> float:
-        """How far from its skinned place a Gaussian of that pose may touch an image with this cut-off."""
-        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
-        return (seen + self._offset_m) * max(bones.scale, 1.0)
+    def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
+        """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
+        may be from its skinned place."""
+        seen, scale = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m, max(bones.scale, 1.0)
+        return seen * scale, self._offset_m * scale
 
     def corners_m(self, linear_offset: np.ndarray) -> np.ndarray:
         """(K, 3) points relative to the hand's root whose hull holds every skinned place. linear_offset: (21, 3, 4)"""
@@ -103,26 +104,45 @@ def hand_box(
         if not len(corners):
             continue
         points = corners @ rotation.T + (rotation @ joints[0] + offset_m)
-        reach_m, depth_m = hand.reach_m(own, alpha_min), points[:, 2]
+        (splat_m, offset_by_m), depth_m = hand.reach_m(own, alpha_min), points[:, 2]
+        reach_m = splat_m + offset_by_m
         nearest_m, farthest_m = float(depth_m.min()) - reach_m, float(depth_m.max()) + reach_m
         # nothing behind the near plane is drawn
         if farthest_m <= contract.Z_NEAR_M and not own.flags:
             continue
-        # near it splats grow without bound, and a flagged hand stretches its skin beyond what is known
-        if own.flags or not (nearest_m > contract.Z_NEAR_M and farthest_m < math.inf):
+        # a flagged hand stretches its skin beyond what is known
+        if own.flags or not (nearest_m > -math.inf and farthest_m < math.inf):
             return Box(0, 0, camera.width, camera.height)
+        low_pass_px = math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2) + 1
+        if nearest_m <= contract.Z_NEAR_M:
+            if camera.orthographic:
+                return Box(0, 0, camera.width, camera.height)
+            lows, highs = points[:, :2].min(0) - offset_by_m, points[:, :2].max(0) + offset_by_m
+            for axis, low, high in zip((0, 2), lows.tolist(), highs.tolist(), strict=True):
+                focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
+                start, end = _beyond(low, splat_m, farthest_m), _beyond(-high, splat_m, farthest_m)
+                found[axis] = min(found[axis], focal * start + center - low_pass_px)
+                found[axis + 1] = max(found[axis + 1], center - focal * end + low_pass_px)
+            continue
         slope = points[:, :2] if camera.orthographic else points[:, :2] / depth_m[:, None]
         for axis, low, high in zip((0, 2), slope.min(0).tolist(), slope.max(0).tolist(), strict=True):
             focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
             # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes
             # on top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)
             wide = 1.0 if camera.orthographic else (1 + max(abs(low), abs(high))) / nearest_m
-            margin = focal * reach_m * wide + math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2) + 1
+            margin = focal * reach_m * wide + low_pass_px
             found[axis] = min(found[axis], focal * low + center - margin)
             found[axis + 1] = max(found[axis + 1], focal * high + center + margin)
     left, right = _on_grid(found[0], found[1], camera.width)
     top, bottom = _on_grid(found[2], found[3], camera.height)
     return Box(left, top, right - left, bottom - top) if left < right and top < bottom else NOWHERE
+
+
+def _beyond(aside_m: float, splat_m: float, farthest_m: float) -> float:
+    """From where on the plane at depth 1 splats can be seen whose centers are at least `aside_m` beside the axis, from
+    the near plane to the farthest depth: one at x, z begins at (x - r (1 + x / z)) / z or farther out."""
+    clear_m = aside_m * (1 - splat_m / contract.Z_NEAR_M) - splat_m
+    return clear_m / farthest_m if aside_m > 0 and splat_m < contract.Z_NEAR_M and clear_m > 0 else -math.inf
 
 
 def _on_grid(low: float, high: float, size: int) -> tuple[int, int]:

@@ -285,7 +285,12 @@ def test_one_finger_joint_that_bends_makes_the_correctives_new():
 
 
 # where no hand can be seen: behind the camera, beside it, and above it
-ELSEWHERE = {"behind": [0.0, 0.0, 1.5], "beside": [1.0, 0.0, -0.5], "above": [0.0, -1.5, 0.0]}
+ELSEWHERE = {
+    "behind": [0.0, 0.0, 1.5],
+    "beside": [1.0, 0.0, -0.5],
+    "above": [0.0, -1.5, 0.0],
+    "beside the camera itself": [2.0, 0.0, 0.0],
+}
 
 
 @pytest.mark.parametrize("where", ELSEWHERE)
@@ -395,6 +400,25 @@ def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
         outside = frame.rgba[..., 3].copy()
         outside[box.top : box.top + box.height, box.left : box.left + box.width] = 0
         assert float(outside.max()) == 0
+
+
+@pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
+def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avatar):
+    joints, rng, smaller = pose("relaxed", avatar), np.random.default_rng(3), 0
+    scene = SceneRenderer([avatar], replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
+    for _ in range(40):
+        eye_m, way = joints[rng.integers(21)] + rng.normal(0, 0.04, 3), rng.normal(size=3)
+        view = Camera.looking_at(eye_m, eye_m + way, (0.3, 1.0, 0.2), width=160, height=160, focal_px=120.0)
+        if not (view.project(joints)[1] < contract.Z_NEAR_M).any():
+            continue
+        frame = scene.render([joints], view)
+        bones = [avatar.skeleton().bones(joints)]
+        box = effects.Scene([joints], bones, view).box([HandFacts(avatar)], contract.ALPHA_MIN)
+        outside = frame.rgba[..., 3].copy()
+        outside[box.slices] = 0
+        assert float(outside.max()) == 0
+        smaller += box.width * box.height < 160 * 160
+    assert smaller > 0 or avatar is not RIGHT  # the others are small avatars whose bones move everything a little
 
 
 # ---- single effects -------------------------------------------------------------------------------------------------
