@@ -14,6 +14,7 @@ from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.learn import canonical_points
 from jghand_engine.learn.canonical_points import CanonicalPoints, bone_areas, place_points, points_file
+from jghand_engine.learn.options import PAPER_FAITHFUL
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface
@@ -61,6 +62,25 @@ def place(count: int = COUNT, *, area_power: float = 0.78, seed: int = 0, depth_
 @pytest.fixture(scope="module")
 def points(one_weight_field) -> CanonicalPoints:
     return place()
+
+
+def test_the_papers_points_lie_in_the_whole_hand_as_many_for_every_bone(one_weight_field):
+    """Not in a shell under the skin: METHOD 4.2."""
+    model = PAPER_FAITHFUL.model
+    points = place_points(
+        load_template(),
+        400,
+        depth_m=model.shell_depth_m,
+        area_power=model.area_power,
+        depth_of_points=model.depth_of_points,
+        seed=0,
+    )
+    assert np.bincount(nearest_bone(points.position_m), minlength=20).tolist() == [20] * 20
+    template = load_template()
+    inside_m = -Surface(template.vertices_m, template.faces).closest(points.position_m.double().numpy()).signed_m
+    assert np.median(inside_m) > 0.002
+    assert inside_m.max() > 0.010
+    assert (float(points.uvd[:, 2].min()), float(points.uvd[:, 2].max())) == (0, 1)
 
 
 @pytest.fixture(scope="module")
