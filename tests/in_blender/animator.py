@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 
 import bpy
@@ -93,8 +94,7 @@ def step_a_pose_is_applied_and_keyed(window):
     scene.frame_start, scene.frame_end = 1, 24
     for frame, pose in ((1, "open"), (12, "fist"), (24, "point")):
         scene.frame_set(frame)
-        window.call("jghand.apply_pose", pose=pose)
-        key_pose(hand())
+        window.call("jghand.apply_pose", pose=pose, use_keys=True)
         yield 0.3
     scene.frame_set(1)
     yield from window.settle()
@@ -105,10 +105,16 @@ def step_a_pose_is_applied_and_keyed(window):
     assert changed(kept["open"], kept["fist"]).mean() > 0.03
 
 
-def key_pose(thing: bpy.types.Object) -> None:
-    for bone in thing.pose.bones:
-        path = "rotation_quaternion" if bone.rotation_mode == "QUATERNION" else "rotation_euler"
-        bone.keyframe_insert(path)
+def step_the_timeline_has_the_keys_of_the_poses(window):
+    """Blender jumps from key to key that its timeline shows: those of selected bones."""
+    bpy.context.scene.frame_set(1)
+    frames = []
+    for _ in range(2):
+        with window.override():
+            bpy.ops.screen.keyframe_jump(next=True)
+        yield 0.3
+        frames.append(bpy.context.scene.frame_current)
+    assert frames == [12, 24], f"the timeline shows no keys: {frames}"
 
 
 def step_scrubbing_follows_the_pointer(window):
@@ -249,3 +255,94 @@ def step_a_saved_file_shows_its_hand_again(window):
     after = view_picture(window, "opened_again")
     assert skin(after).mean() > 0.02
     assert changed(before, after, 24).mean() < 0.01, "the opened file looks different"
+
+
+def step_an_imported_motion_stands_upright_on_the_hand(window):
+    """The hand that Add Hand made stands by its object's rotation; a motion has z up."""
+    motion_m = upright_m(window) + 0.03 * np.sin(np.arange(FILM_FRAMES) / 3)[:, None, None] * (1, 0, 0)
+    kept["wave"] = motion_m
+    np.savez(window.out / "wave.npz", joints_m=motion_m, order="standard", unit="m", fps=24.0, handedness="right")
+    yield from window.choose_file("jghand.import_motion", window.out / "wave.npz")
+    yield lambda: hand().animation_data.action.name.startswith("wave")
+    check_joints(3, motion_m[2] + np.array(hand().location))
+    yield from window.look_at((0.02, 0.0, 0.075), 0.36, (1.35, 0.0, 0.3))
+    yield from window.settle()
+    assert skin(view_picture(window, "imported")).mean() > 0.05
+
+
+def step_a_selected_ring_poses_its_finger_alone(window):
+    bones = hand().pose.bones
+    with window.override():
+        bpy.ops.object.mode_set(mode="POSE")
+        bpy.ops.pose.select_all(action="DESELECT")
+    bones["control_index"].select = True
+    before = {bone.name: bone.matrix_basis.copy() for bone in bones}
+    window.call("jghand.apply_pose", pose="fist")
+    yield from window.settle()
+    window.picture("one_finger")
+    changed_bones = {name for name, matrix in before.items() if bones[name].matrix_basis != matrix}
+    assert changed_bones == {"index1", "index2", "index3"}
+    with window.override():
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def step_a_tracked_hand_is_where_the_hand_stands_or_before_its_film(window):
+    """The tracker is a stand-in: its packages are not in the zip."""
+    film, files = window.out / "film.mp4", window.module("hand.motion_files")
+    write_film(film)
+    seen = kept["wave"] + (0.0, 0.65, -0.1)
+    files.write_motion(window.out / "tracked.npz", files.MotionFile(seen, 30.0, "right"))
+    (window.out / "tracker.py").write_text(_TRACKER)
+    window.runtime().program = lambda **_: (sys.executable, str(window.out / "tracker.py"))
+    start = np.array(hand().location)
+    for placement, wanted in (("IN_PLACE", seen - seen[:, :1] + start), ("FILM", seen)):
+        window.call("jghand.track_video", filepath=str(film), placement=placement)
+        yield lambda: window.modal("JGHAND_OT_track_video") is None
+        scene = bpy.context.scene
+        rate = scene.render.fps / scene.render.fps_base / 30.0
+        check_joints(1 + 4 * rate, wanted[4])
+        assert scene.frame_end == 1 + round((FILM_FRAMES - 1) * rate)
+        yield from window.settle()
+        assert skin(view_picture(window, f"tracked_{placement}")).mean() > 0.005
+    assert window.space().region_3d.view_perspective == "CAMERA"
+    assert scene.camera.data.background_images[0].clip.frame_duration == FILM_FRAMES
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (320, 180)
+
+
+FILM_FRAMES = 12
+_TRACKER = """
+import json, pathlib, shutil, sys
+out, figures = (pathlib.Path(sys.argv[sys.argv.index(name) + 1]) for name in ("--out", "--json"))
+shutil.copy(pathlib.Path(__file__).with_name("tracked.npz"), out)
+hands = [{"hand": "right", "file": str(out), "frames_seen": 12, "frames_filled": 0}]
+figures.write_text(json.dumps({"notes": [], "hands": hands, "size_px": [320, 180]}))
+"""
+
+
+def upright_m(window) -> np.ndarray:
+    """(F, 21, 3) a resting hand with its fingers up, z up, meters."""
+    x, y, z = np.moveaxis(window.module("core.posing").rest_joints_m("right"), -1, 0)
+    return np.tile(np.stack([x, -z, y], -1), (FILM_FRAMES, 1, 1))
+
+
+def check_joints(frame: float, wanted_m: np.ndarray) -> None:
+    """wanted_m: (21, 3) where the joints are in the world at a frame."""
+    whole = int(frame)
+    bpy.context.scene.frame_set(whole, subframe=frame - whole)
+    thing = hand().evaluated_get(bpy.context.evaluated_depsgraph_get())
+    for name, place in (("wrist", 0), ("index1", 5), ("middle4", 12), ("pinky4", 20)):
+        np.testing.assert_allclose(thing.matrix_world @ thing.pose.bones[name].head, wanted_m[place], atol=1e-5)
+
+
+def write_film(path) -> None:
+    """A film of nothing, 30 frames a second."""
+    scene = bpy.data.scenes.new("film")
+    scene.camera = bpy.data.objects.new("film", bpy.data.cameras.new("film"))
+    scene.collection.objects.link(scene.camera)
+    render = scene.render
+    render.engine, render.resolution_x, render.resolution_y, render.fps = "BLENDER_WORKBENCH", 320, 180, 30
+    scene.frame_start, scene.frame_end, render.filepath = 1, FILM_FRAMES, str(path)
+    render.image_settings.media_type, render.image_settings.file_format = "VIDEO", "FFMPEG"
+    render.ffmpeg.format = "MPEG4"
+    bpy.ops.render.render(animation=True, scene=scene.name)
+    bpy.data.scenes.remove(scene)
