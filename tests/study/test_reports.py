@@ -65,14 +65,15 @@ def hard_cases() -> Stability:
     broken = replace(GOOD, gradient=float("inf"), finite=False)
     bad = replace(GOOD, nudged_mm=6.1)
     hands = [
-        HandRow("good hand", [], GOOD, broken, PICTURE),
+        HandRow("ordinary: good hand", [], GOOD, broken, PICTURE),
         HandRow("bad hand", ["a bone has no length"], bad, GOOD, PICTURE, ["a nudge of 0.5 mm moves skin over 2 mm"]),
     ]
     distance = np.geomspace(10, 1e-3, 5)
     usual = np.array([1.0, 10, 100, np.nan, 107])
     curve = Curve("straight_twist", "title", "below", "x", "y", "way", distance, np.full(5, 0.5), usual, visible=2.0)
     pictures = [PictureRow("picture", PICTURE, 1.0, True, 0.5)]
-    return Stability(hands, [], pictures, [curve])
+    trained = HandRow("trained hand, ordinary: good hand", [], replace(GOOD, axes_mm=3.1), None, PICTURE)
+    return Stability(hands, [trained], pictures, [curve])
 
 
 def views() -> list[stability_views.ViewPair]:
@@ -134,10 +135,12 @@ def test_the_study_of_accuracy_writes_its_folder_and_keeps_what_budgets_choose_f
 
 
 def test_every_hard_case_is_in_a_table_that_says_what_it_misses(hard_cases):
-    good, bad = hard_cases.tables()[0].rows
-    assert good[:3] == ("good hand", "42", "not finite")
+    good, bad, _ = hard_cases.tables()[0].rows
+    assert good[:3] == ("ordinary: good hand", "42", "not finite")
     assert bad[-2:] == ("a nudge of 0.5 mm moves skin over 2 mm", "a bone has no length")
-    assert hard_cases.headline.startswith("3 of 3 hard cases have finite values and gradients; 2 meet every bound")
+    assert hard_cases.headline.startswith("4 of 4 hard cases have finite values and gradients; 3 meet every bound")
+    # of what ships, not of its bones alone
+    assert "skin of the built-in hand by up to 3.1 mm, and by 1.8 mm where nothing but the bones" in hard_cases.headline
     assert "twists by 0.5 degrees, by the usual cross products 107" in hard_cases.headline
 
 
@@ -153,7 +156,7 @@ def test_the_study_of_stability_writes_its_folder(hard_cases, tmp_path, monkeypa
     monkeypatch.setattr(stability, "measure_stability", lambda tick: hard_cases)
     monkeypatch.setattr(stability_views, "view_pairs", views)
     assert main(["study", "stability", "--out", str(tmp_path / "study")]) == 0
-    assert "2 meet every bound" in capsys.readouterr().out
+    assert "3 meet every bound" in capsys.readouterr().out
     hands = json.loads((tmp_path / "study" / "stability.json").read_text())["hands"]
     assert hands[0]["usual"]["gradient"] is None
     assert (tmp_path / "study" / "stability.png").stat().st_size < 300_000
@@ -198,7 +201,7 @@ def test_pages_quote_a_study_between_their_marks_alone(hard_cases, tmp_path, mon
     assert page.startswith("before\n")
     assert page.endswith("after\n")
     assert "old" not in page
-    assert "| good hand | 42 | not finite |" in page
+    assert "| ordinary: good hand | 42 | not finite |" in page
     overview = (checkout / "docs" / "FIGURES.md").read_text(encoding="utf-8")
     assert "old" not in overview
     assert "[STABILITY.md](STABILITY.md)" in overview
