@@ -79,6 +79,7 @@ class PreviewMovie(Reporting, bpy.types.Operator):
         global _now
         _now = _begin(context)
         copy = _scene(_now.scene_uid)
+        assert copy is not None  # `_begin` made it
         try:
             if getattr(self, "_is_aside", False):
                 _render_aside(context, copy)
