@@ -226,17 +226,25 @@ def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
 # ---- the object that plays -------------------------------------------------------------------------------------------
 
 
-def play(context: bpy.types.Context, folder: Path) -> None:
+def play(context: bpy.types.Context, folder: Path, released: Sequence[tuple[str, bpy.types.Object]] = ()) -> None:
     """Brings all hands of a bake into the scene, as objects that play; what was active and selected stays so.
 
-    JGHandFailure: no_usd, no_bake.
+    released: what `release` returned, which plays them again. JGHandFailure: no_usd, no_bake.
     """
     if not versions.has_usd():
         raise JGHandFailure("no_usd")
     layer = context.view_layer.objects
     active, selected = layer.active, list(layer.selected)
-    for hand in read_bake(folder):
-        _play_hand(context, hand, folder).select_set(False)
+    hands = read_bake(folder)
+    for hand in hands:
+        cloud = _play_hand(context, hand, folder)
+        cloud.select_set(False)
+        # the one hand of a bake may have another name now
+        again = [thing for name, thing in released if name == hand.name or len(hands) == 1]
+        for thing in again:
+            _take_over(thing, cloud)
+        if again:
+            bpy.data.objects.remove(cloud)
     for thing in selected:
         thing.select_set(True)
     layer.active = active
@@ -264,6 +272,41 @@ def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy
     if not cloud.data.materials:
         cloud.data.materials.append(points_material())
     return cloud
+
+
+def release(context: bpy.types.Context, folder: Path) -> list[tuple[str, bpy.types.Object]]:
+    """Lets what plays a bake go of its files, and returns it with the name of its hand: USD keeps a file that is open
+    as it was read, and a new bake would not be seen. `play` has these objects play again, with all that an artist did
+    to them."""
+    released = []
+    for thing in playing(context.scene, folder):
+        name = ""
+        for modifier in _caches(thing):
+            name = Path(modifier.cache_file.filepath).stem if modifier.cache_file is not None else name
+            modifier.cache_file = None
+        released.append((name, thing))
+    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
+    return released
+
+
+def _caches(thing: bpy.types.Object) -> list[bpy.types.Modifier]:
+    return [modifier for modifier in thing.modifiers if modifier.type == "MESH_SEQUENCE_CACHE"]
+
+
+def _take_over(thing: bpy.types.Object, cloud: bpy.types.Object) -> None:
+    """Has a released object play what a new one does."""
+    before, thing[BAKE_PROPERTY] = thing.data, cloud[BAKE_PROPERTY]
+    for mine, new in zip(_caches(thing), _caches(cloud), strict=False):
+        mine.cache_file, mine.object_path = new.cache_file, new.object_path
+    if before == cloud.data:
+        return
+    cloud.data.materials.clear()
+    for material in before.materials:
+        cloud.data.materials.append(material)
+    thing.data, name = cloud.data, before.name
+    if not before.users:
+        bpy.data.batch_remove([before])
+        thing.data.name = name
 
 
 def stop(context: bpy.types.Context, folder: Path) -> bool:
