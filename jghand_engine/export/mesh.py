@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import HandTemplate, mirrored, posed_vertices
 from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv
-
-if TYPE_CHECKING:
-    import trimesh
 
 # format of `jghand export` -> suffix of its files
 MESH_FORMATS = {"mesh": "glb", "mesh-obj": "obj", "mesh-ply": "ply"}
@@ -130,14 +127,15 @@ class _Surface:
         else:
             self.vertex, self.faces = np.arange(len(template.vertices_m)), template.faces
             colored_m = template.vertices_m
-        self._nearest = KDTree(rest_m).query(colored_m, k=min(COLOR_NEIGHBORS, len(rest_m)))[1]
+        nearest_of_each: Any = KDTree(rest_m).query(colored_m, k=min(COLOR_NEIGHBORS, len(rest_m)))[1]
+        self._nearest = nearest_of_each.reshape(len(colored_m), -1)
 
-    def mesh(self, index: int, axes: np.ndarray) -> trimesh.Trimesh:
-        """The skin in one frame. axes: (3, 3) a turn of everything."""
+    def mesh(self, index: int, axes: np.ndarray) -> Any:
+        """The skin in one frame, a trimesh.Trimesh. axes: (3, 3) a turn of everything."""
         trimesh, motion = self._trimesh, self._motion
         rgb = motion.frame(index).rgb
         rgb = np.asarray(motion.avatar.rgb if rgb is None else rgb, np.float64).clip(0, 1)
-        mean = rgb[self._nearest].reshape(len(self._nearest), -1, 3).mean(axis=1)
+        mean = rgb[self._nearest].mean(axis=1)
         colors = np.rint(255 * mean).astype(np.uint8)
         vertices_m = posed_vertices(self._right, self._skeleton, motion.sequence.joints_m[index]) @ axes.T
         if self._textured:
@@ -156,8 +154,8 @@ class _Surface:
         )
 
 
-def _encoded(mesh: trimesh.Trimesh, path: Path) -> dict[str, bytes]:
-    """The files of a mesh by name, that of `path` last."""
+def _encoded(mesh: Any, path: Path) -> dict[str, bytes]:
+    """The files of a trimesh.Trimesh by name, that of `path` last."""
     if path.suffix == ".obj":
         material = mesh.visual.material.to_simple()
         material.name = path.stem

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -147,11 +148,12 @@ class LearnedHand(nn.Module):
         self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(contract.SHADOW_TINT)))
         for plane in (self.planes.uv.texels, self.planes.ud.texels, self.planes.vd.texels, self.pose_net.angles.planes):
             nn.init.normal_(plane, std=PLANE_START_STD)
-        for last in (*(decoder[-1] for decoder in self.decoders), self.pose_net.out):
+        heads: list[Any] = [decoder[-1] for decoder in self.decoders]  # pyright: ignore[reportIndexIssue]
+        for last in (*heads, self.pose_net.out):
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
         with torch.no_grad():
-            self.decoders[-1][-1].bias[6 if options.one_decoder else 0] = options.opacity_bias
+            heads[-1].bias[6 if options.one_decoder else 0] = options.opacity_bias
         self.keep_in_range()
 
     def _decoded(self, count: int) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch.nn import functional
 
+from jghand_engine.cli.learning import train_options
 from jghand_engine.errors import InputError
 from jghand_engine.learn import perceptual
 
@@ -73,6 +74,19 @@ def test_without_its_package_there_is_no_st_lpips_and_a_sentence_says_so(monkeyp
     monkeypatch.setattr(perceptual.metadata, "files", missing)
     assert perceptual.st_lpips() is None
     assert "pip install" in perceptual.ST_LPIPS_MISSING
+
+
+def test_a_training_takes_the_users_trunk_instead_of_the_stand_in(alex, tmp_path, monkeypatch):
+    trunk, heads = alex
+    for name, tensors in (("alexnet.pth", trunk), ("heads.pth", heads)):
+        torch.save(dict(tensors), tmp_path / name)
+    monkeypatch.setattr(perceptual, "_installed_file", lambda *_: tmp_path / "heads.pth")
+    options, metric = train_options("paper-faithful", 0, lpips_trunk=tmp_path / "alexnet.pth")
+    assert (metric.name, metric.note, options.loss.perceptual) == ("LPIPS", "version 0.1, alex", 0.2)
+    a, b = picture(), blurred(picture(), 1)
+    assert float(metric.distance(a, b)) == float(perceptual.lpips_of(trunk, heads, "alex").distance(a, b))
+    with pytest.raises(InputError, match="--lpips-trunk: wanted a preset that learns by LPIPS"):
+        train_options("default", 0, lpips_trunk=tmp_path / "alexnet.pth")
 
 
 def test_lpips_refuses_a_trunk_that_is_not_there(tmp_path):
