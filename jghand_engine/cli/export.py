@@ -266,7 +266,8 @@ class Export:
         }  # fmt: skip
 
     def _say_files(self, files: tuple[Path, ...], size: int, about: str, kept: int) -> None:
-        which = f"{files[0]} to {files[-1].name}" if len(files) > 1 else str(files[0])
+        first, last = files[0], files[-1]
+        which = str(first) if first == last else f"{first} to {last.name}"
         say(f"Wrote {which}: {len(files)} frames, {size / 1e6:.1f} MB, {about}")
         if kept:
             say(f"{kept} other frames of {self.name} stay there. Nothing tells whether they show this motion.")
