@@ -26,7 +26,8 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 
-SHAPE = PoseNetShape(octaves=(3, 3, 2), angle_channels=6, angle_texels=5, hidden=24)
+# with features of the palm, too: then every bone says something of the pose
+SHAPE = PoseNetShape(octaves=(3, 3, 2), angle_channels=6, angle_texels=5, hidden=24, level1=True)
 AVATAR = trained_avatar(400, shape=SHAPE)
 # ripples of a few degrees would be no hand: planes as smooth as learned ones
 AVATAR.learned.correctives.weights["angles.planes"] *= 0.15

@@ -13,11 +13,12 @@ from jghand_engine.export.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import STANDARD_NAMES
 
-SHORT = ("--poses", "point", "--frames", "0:2:2", "--avatar", "painted", "--size", "160x120", "--threads", "1")
+SHORT = ("--poses", "point", "--frames", "0:2:2", "--avatar", "painted", "--threads", "1")
 
 
 def render(folder, *words: str) -> int:
-    return main(["render", *SHORT, "--out", str(folder), *words])
+    size = () if words[-1:] and words[-1].endswith(".json") else ("--size", "160x120")
+    return main(["render", *SHORT, *size, "--out", str(folder), *words])
 
 
 def test_joints_and_cameras_come_beside_the_pictures(tmp_path):
