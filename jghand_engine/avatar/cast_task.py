@@ -79,7 +79,6 @@ class CastStep:
         shadow.softness, shadow.lamp_width = FLESH_SOFTNESS, LAMP_HALF_WIDTH
         shadow.width_min, shadow.distance2_min = CAPSULE_WIDTH_MIN_M, CAPSULE_LENGTH2_MIN
         shadow.to_display = LIGHT_TO_DISPLAY
-        set_pointers(shadow, self.arrays)
         set_pointers(task, self.around)
         self._shadow, self._groups = shadow, groups
         self._set_capsules(BONE_COUNT)
@@ -90,8 +89,8 @@ class CastStep:
         self._capsule_lamp = aligned_zeros((count, self._groups, 2, LANES))
         self._other = aligned_zeros((max(count - BONE_COUNT, 1), 5))
         self._shadow.capsules = count
-        arrays = {"capsule": self._capsule, "capsule_lamp": self._capsule_lamp, "other": self._other}
-        set_pointers(self._shadow, arrays)
+        self.arrays |= {"capsule": self._capsule, "capsule_lamp": self._capsule_lamp, "other": self._other}
+        set_pointers(self._shadow, self.arrays)
 
     def prepare(self, bones: Bones, others: Capsules | None = None) -> None:
         """Sets the capsules of the next pose. others: of hands beside this one."""

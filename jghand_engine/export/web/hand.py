@@ -23,7 +23,7 @@ from jghand_engine.native.learned_tasks import LearnedTask
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
 _ROUNDED = {"skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places"}
 # those that the kernels or the page write
-_WRITTEN = {"matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.fallen"}
+_WRITTEN = {"matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other", "cast.fallen"}
 
 
 def with_cheap_correctives(avatar: HandAvatar) -> tuple[HandAvatar, str]:
