@@ -60,7 +60,10 @@ CONTROLS = {
     **{"--size": '"Resolution"', "--samples": '"Samples"', "--seed": '"Seed"', "--cameras": '"Cameras"'},
     **{"--poses": '"Poses"', "--identity": '"Hand Model"', "--default-variant": '"Default Variant"'},
 }
-_OPTION, _SENTENCES = re.compile(r"--[a-z][a-z-]+"), re.compile(r"(?<=[.!?])\s+(?=\S)")
+# an option as the engine writes one: two hyphens within a word are of somebody's path
+_OPTION, _SENTENCES = re.compile(r'(?<![^\s("])--[a-z][a-z-]+'), re.compile(r"(?<=[.!?])\s+(?=\S)")
+# what stands before the part of a sentence that says what to do
+_REASON = re.compile(r"(.+)[:;] ")
 # the names of a picture's hands, in their order, which its report gets on this side
 HANDS = "hands"
 
@@ -118,10 +121,18 @@ def duration(seconds: float) -> str:
 
 
 def in_blenders_words(text: str) -> str:
-    """The engine's sentences without options of its command line: by the label of their control; a sentence that names
-    another one is left out."""
-    said = [_OPTION.sub(lambda found: CONTROLS.get(found[0], found[0]), one) for one in _SENTENCES.split(text)]
-    return " ".join(one for one in said if not _OPTION.search(one))
+    """The engine's sentences without options of its command line: by the label of their control; of a sentence that
+    names another one its reason is left, where it has one."""
+    said = (_OPTION.sub(lambda found: CONTROLS.get(found[0], found[0]), one) for one in _SENTENCES.split(text))
+    return " ".join(kept for one in said if (kept := _without_options(one)))
+
+
+def _without_options(sentence: str) -> str:
+    option = _OPTION.search(sentence)
+    if option is None:
+        return sentence
+    reason = _REASON.match(sentence, 0, option.start())
+    return f"{reason[1]}." if reason is not None else ""
 
 
 def milliseconds(value: float) -> str:

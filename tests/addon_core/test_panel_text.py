@@ -222,7 +222,14 @@ def test_sentences_of_the_engine_name_controls_and_no_options():
     assert told("The checkpoint is of other options. Continue with --resume or --fresh.") == (
         'The checkpoint is of other options. Continue with "Resume" or "Restart…".'
     )
-    assert told("/a/b.jghand is not there.") == "/a/b.jghand is not there."
+    assert told("No hands in it: run it with --hand") == "No hands in it."
+    assert told("The training is safe: --resume --work a with another --out writes it.") == "The training is safe."
+
+
+@pytest.mark.parametrize("path", ["/a/b.jghand", "/shots/hand--final.jghand", "/shots/hand--size/x", "/--size/x"])
+def test_a_path_with_hyphens_is_said_as_it_is(path):
+    for text in (path, f"{path}: not there.", f'Not there: "{path}".'):
+        assert panel_text.in_blenders_words(text) == text
 
 
 def test_durations_and_paragraphs_are_short():

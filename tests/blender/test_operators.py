@@ -23,7 +23,7 @@ from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, motion, motion_files, sources
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import properties as hand_properties
-from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE
+from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE, sentence_of
 from blender_addon.render import ENGINE, pages
 from blender_addon.render import ops as picture
 from blender_addon.render import properties as scene_properties
@@ -780,3 +780,8 @@ def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
     assert (settings.render_preset, settings.shadow_strength, settings.viewport_density) == ("draft", 0.25, 0.5)
     bpy.ops.jghand.add_picture_preset(name="Quick Look", remove_name=True)
     assert not path.exists()
+
+
+@pytest.mark.parametrize("path", ["/shots/hand--final.jghand", "/shots/hand--size/x"])
+def test_a_report_names_the_file_it_is_about(path):
+    assert sentence_of(JGHandFailure("no_avatar", path)).endswith(f" ({path})")
