@@ -43,6 +43,9 @@ ADVICE = {
     "no_python": Advice(
         "The chosen Python does not exist", 'Correct the path of "Renderer\'s Python", or leave it empty', BAD_INPUT
     ),
+    "no_named_python": Advice(
+        "The Python that JGHAND_ENGINE_PYTHON names does not exist", "Correct or unset this variable", BAD_INPUT
+    ),
     "no_tools": Advice(
         "Training and video tracking need PyTorch, which is not installed",
         'Press "Install Training Tools" in the extension\'s preferences',
@@ -128,7 +131,9 @@ ADVICE = {
     ),
     "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),
     "mirrored": Advice(
-        "This hand is mirrored on some of the frames only", "Export the frames before and after it apart", BAD_INPUT
+        "This hand is mirrored on some of the frames only",
+        "Export the frames before the flip and those after it separately",
+        BAD_INPUT,
     ),
     "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale", BAD_INPUT),
     "constrained": Advice(

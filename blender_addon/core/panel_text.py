@@ -49,6 +49,7 @@ _OUTSIDE = re.compile(
 _MENDS = {
     "no_interpreter": ("jghand.open_preferences", "Choose Python"),
     "no_python": ("jghand.open_preferences", "Choose Python"),
+    "no_named_python": ("jghand.open_preferences", "Choose Python"),
     "no_engine": ("jghand.open_preferences", "Choose Python"),
     "no_tools": ("jghand.open_preferences", "Preferences"),
     "protocol": ("jghand.open_preferences", "Preferences"),

@@ -49,13 +49,14 @@ def engine_program(
     python: path of an interpreter that has jghand installed; then the variable JGHAND_ENGINE_PYTHON; then the engine
     that the extension carries; then `checkout`/.envs/engine.
     learns: for what needs PyTorch: `tools`, the interpreter of the training tools, stands in place of what is carried.
-    Raises JGHandFailure: no_python for a given one, no_interpreter, or no_tools where only those are missing.
+    Raises JGHandFailure: no_python or no_named_python for a given one, no_interpreter, or no_tools where only those are
+    missing.
     """
-    for origin, path in (("", python), (f"{VARIABLE}: ", environment.get(VARIABLE))):
+    for missing, path in (("no_python", python), ("no_named_python", environment.get(VARIABLE))):
         if path:
             chosen = _interpreter_at(path)
             if not os.path.isfile(chosen):
-                raise JGHandFailure("no_python", f"{origin}{path}")
+                raise JGHandFailure(missing, path)
             return _by_python(chosen)
     if learns and tools is not None:
         return _by_python(tools)

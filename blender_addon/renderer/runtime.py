@@ -89,7 +89,10 @@ def look_again() -> None:
 
 
 def command() -> Sequence[str]:
-    """How to start the engine, as preferences and environment say now. JGHandFailure: no_python, no_interpreter."""
+    """How to start the engine, as preferences and environment say now.
+
+    JGHandFailure: no_python, no_named_python, no_interpreter.
+    """
     return engine_command(_chosen_python(), checkout=_CHECKOUT)
 
 
@@ -97,7 +100,7 @@ def program(*, learns: bool = False, usd: bool = False) -> Sequence[str]:
     """The words before a verb of the engine's command line, for jobs. learns: one that has PyTorch; usd: one that
     writes stages, for which Blender's Python has Blender's USD.
 
-    JGHandFailure: no_python, no_interpreter, no_tools, no_usd.
+    JGHandFailure: no_python, no_named_python, no_interpreter, no_tools, no_usd.
     """
     tools = None
     if learns and tools_state() == "ready":

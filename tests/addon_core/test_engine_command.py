@@ -37,9 +37,14 @@ def test_the_engine_is_found_in_the_order_that_is_promised(tmp_path, monkeypatch
     assert engine_program(None, checkout=checkout, environment=named) == (str(chosen), *module)
     assert engine_program(None, checkout=checkout, environment={}) == (str(in_checkout), *module)
     assert engine_program(tools=tools, learns=True, environment={}) == (str(tools), *module)
-    for wrong, kind in (({"python": str(tmp_path / "nothing")}, "no_python"), ({}, "no_interpreter")):
+    nothing = str(tmp_path / "nothing")
+    for python, variables, kind in (
+        (nothing, named, "no_python"),
+        (None, {VARIABLE: nothing}, "no_named_python"),
+        (None, {}, "no_interpreter"),
+    ):
         with pytest.raises(JGHandFailure) as caught:
-            engine_program(environment={}, **wrong)
+            engine_program(python, environment=variables)
         assert caught.value.kind == kind
 
 
