@@ -240,6 +240,9 @@ def test_whatever_may_run_runs_or_says_in_a_sentence_why_not(stand_in, context, 
     for name in our_operators():
         bpy.ops.wm.read_factory_settings(use_empty=True)
         prepare(content)
+        # a movie of two small frames
+        bpy.context.scene.frame_end, bpy.context.scene.render.resolution_percentage = 2, 5
+        bpy.context.scene.render.filepath = f"{tmp_path}/"
         operator = getattr(bpy.ops.jghand, name.partition(".")[2])
         if name in NOT_PRESSED or not operator.poll():
             continue
