@@ -95,6 +95,8 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
     with work.opened(options.start), closing(Log(work.log, board)) as log:
         trainable = build()
         loop = Loop(trainable, options, work, log, display)
+        if options.start is Start.RESUME:
+            work.remember_budget()
         with stop_requests() as stop:
             finished = loop.run(stop)
         if finished:

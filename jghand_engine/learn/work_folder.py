@@ -105,14 +105,19 @@ class WorkFolder:
             self._remove_leftovers()
             if start is Start.FRESH:
                 self._clear()
-            about = {"jghand_training": __version__, "stamp": dict(self._stamp)}
-            if start is Start.RESUME:
-                # whether these options are those that it began with is found by its checkpoints
-                about = _begun(self.path / MARK)
-            with writing(self.path / MARK) as temporary:
-                content = json.dumps({**about, "budget": asdict(self._budget)}, indent=2)
-                temporary.write_text(content + "\n", encoding="utf-8")
+            if start is not Start.RESUME:
+                self._write_mark({"jghand_training": __version__, "stamp": dict(self._stamp)})
             yield
+
+    def remember_budget(self) -> None:
+        """Lets a training that goes on last for this budget: to be called when its checkpoint was accepted, or options
+        that are refused would change how long it lasts."""
+        self._write_mark(_begun(self.path / MARK))
+
+    def _write_mark(self, about: dict[str, Any]) -> None:
+        with writing(self.path / MARK) as temporary:
+            content = json.dumps({**about, "budget": asdict(self._budget)}, indent=2)
+            temporary.write_text(content + "\n", encoding="utf-8")
 
     def _remove_leftovers(self) -> None:
         self.checkpoints.remove_leftovers()

@@ -92,7 +92,8 @@ def test_ctrl_c_is_answered_by_how_to_go_on_and_resume_does(train, tmp_path, mon
     assert "4 steps" in out
     assert "--resume" in out
     assert not (tmp_path / "tiny.jghand").exists()
-    # it lasts as long as it was to
+    # it lasts as long as it was to, whatever was refused meanwhile
+    assert train("--resume", "--steps", 5, "--seed", 3)[0] == 2
     code, _, err = train("--resume")
     assert code == 0
     assert "Resuming at step 4" in err
