@@ -93,8 +93,11 @@ def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, e
     assert "jghand.restart_engine" in layout.operators
     runtime.use_link(None)
     monkeypatch.setenv(VARIABLE, "/nowhere/python")
-    assert "The chosen Python does not exist" in refuses(bpy.ops.jghand.restart_engine)
-    assert "The chosen Python does not exist" in " ".join(draw_preferences(extension).texts)
+    sentence = "The Python that JGHAND_ENGINE_PYTHON names does not exist"
+    assert sentence in refuses(bpy.ops.jghand.restart_engine)
+    texts = draw_preferences(extension).texts
+    assert sentence in " ".join(texts)
+    assert "/nowhere/python" in texts
 
 
 def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension, tmp_path, monkeypatch):
