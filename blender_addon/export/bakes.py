@@ -229,25 +229,30 @@ def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
 def play(context: bpy.types.Context, folder: Path, released: Sequence[tuple[str, bpy.types.Object]] = ()) -> None:
     """Brings all hands of a bake into the scene, as objects that play; what was active and selected stays so.
 
-    released: what `release` returned, which plays them again. JGHandFailure: no_usd, no_bake.
+    released: what `release` returned: it plays the hand of its name again, or the one hand where it was the one, else
+    it goes. JGHandFailure: no_usd, no_bake.
     """
     if not versions.has_usd():
         raise JGHandFailure("no_usd")
     layer = context.view_layer.objects
     active, selected = layer.active, list(layer.selected)
-    hands = read_bake(folder)
+    hands, names = read_bake(folder), {name for name, _ in released}
+    # the one hand of a bake may have another name now
+    renamed = len(hands) == len(names) == 1
     for hand in hands:
         cloud = _play_hand(context, hand, folder)
         cloud.select_set(False)
-        # the one hand of a bake may have another name now
-        again = [thing for name, thing in released if name == hand.name or len(hands) == 1]
+        again = [thing for name, thing in released if name == hand.name or renamed]
         for thing in again:
             _take_over(thing, cloud)
         if again:
             bpy.data.objects.remove(cloud)
-    for thing in selected:
+    known = {hand.name for hand in hands}
+    gone = [] if renamed else [thing for name, thing in released if name not in known]
+    for thing in (each for each in selected if each not in gone):
         thing.select_set(True)
-    layer.active = active
+    layer.active = None if active in gone else active
+    _remove(gone)
 
 
 def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types.Object:
@@ -315,15 +320,20 @@ def stop(context: bpy.types.Context, folder: Path) -> bool:
     Their cache goes with them: USD keeps a file that is open as it was read, and a new bake would not be seen.
     """
     old = playing(context.scene, folder)
-    for thing in old:
-        cloud = thing.data
-        bpy.data.objects.remove(thing)
-        if not cloud.users:
-            bpy.data.batch_remove([cloud])
+    _remove(old)
     bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
     if old:
         context.view_layer.update()
     return bool(old)
+
+
+def _remove(things: Sequence[bpy.types.Object]) -> None:
+    """Takes objects that play away, and their points."""
+    for thing in things:
+        cloud = thing.data
+        bpy.data.objects.remove(thing)
+        if not cloud.users:
+            bpy.data.batch_remove([cloud])
 
 
 def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:

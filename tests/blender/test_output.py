@@ -545,6 +545,34 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
     assert sorted(map(str, found)) == ["/root/Body_left/Splats", "/root/Body_right/Splats"]
 
 
+def test_a_bake_of_more_or_fewer_hands_than_before_leaves_no_ghost_of_an_earlier_one(extension, engine, tmp_path):
+    rig, joints = mixamo_rig(extension)
+    rig.jghand.avatar = "painted"
+    extension.scene.frame_end = 4
+    settings = extension.scene.jghand.output
+    settings.bake_folder, settings.hands = str(tmp_path / "bakes"), "all"
+    maps = {side: sources.recognize(rig, side).bone_map for side in joints}
+    played = {}
+    for sides in (("right",), ("right", "left"), ("right",)):
+        for side, bone_map in maps.items():
+            if side in sides:
+                sources.store_map(rig, bone_map)
+            else:
+                sources.forget_map(rig, side)
+        assert bpy.ops.jghand.bake() == {"FINISHED"}
+        extension.view_layer.objects.active = rig
+        folder = Path(rig.jghand.bake)
+        if not played:
+            assert bpy.ops.jghand.play_bake() == {"FINISHED"}
+            extension.view_layer.objects.active = rig
+        clouds = bakes.playing(extension.scene, folder)
+        assert len(clouds) == len(bpy.data.pointclouds) == len(bpy.data.cache_files) == len(sides)
+        for cloud, side in zip(clouds, sides, strict=True):
+            assert np.linalg.norm(cloud_positions(extension, cloud) - joints[side][9], axis=1).min() < 0.03
+            assert list(cloud.data.materials) == [bakes.points_material()]
+        played = clouds
+
+
 def test_a_hand_that_is_not_exported_brings_no_splats(baked, tmp_path):
     from pxr import Usd
 
