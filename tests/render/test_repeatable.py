@@ -18,12 +18,14 @@ from jghand_engine.render.settings import PRESETS
 CAMERA = Camera.looking_at([0.1, 0.1, 0.6], [0, 0.08, 0], [0, 1, 0], width=128, height=96, focal_px=250)
 BUILTIN = load_builtin(handedness=Handedness.RIGHT)
 POSES_M = pose_sequence_of_names(["open", "fist"], BUILTIN.canonical_joints_m, handedness=Handedness.RIGHT).joints_m
-CREEP_M = 0.003 * (POSES_M[13] - POSES_M[12])
+# little enough that the exact network's skin and shade may be kept
+CREEP_M = 3e-4 * (POSES_M[13] - POSES_M[12])
+TREMBLE_M = 2e-8
 STEPS = {
     "the whole hand drifts by less than counts": lambda pose_m: pose_m + np.array([2e-5, 0, 0]),
     "the whole hand moves, its correctives stay": lambda pose_m: pose_m + np.array([1e-3, 0, 0]) + CREEP_M,
     "fingers creep": lambda pose_m: pose_m + CREEP_M,
-    "joints tremble": lambda pose_m: pose_m + 2e-6 * np.random.default_rng(0).standard_normal((21, 3)),
+    "joints tremble": lambda pose_m: pose_m + TREMBLE_M * np.random.default_rng(0).standard_normal((21, 3)),
 }
 
 
