@@ -218,28 +218,33 @@ class PoseFeatures:
         return above * (1 - y) + below * y
 
 
-class OffsetChange:
-    """A bound on how far the offsets of correctives differ between two poses, from their own weights. Lipschitz:
-    rectifiers and tanh change no more than what goes in, matrices by their largest singular value, and a Gaussian reads
-    a mean of what its bones say."""
+class CorrectiveChange:
+    """A bound on how far correctives differ between two poses, from their own weights. Lipschitz: rectifiers and tanh
+    change no more than what goes in, matrices by their largest singular value or row, and a Gaussian reads a mean of
+    what its bones say."""
 
     def __init__(self, net: Correctives | None) -> None:
         self._net, self._features = net, None if net is None else PoseFeatures(net.angles)
         if isinstance(net, PoseNetwork):
             into, middle, out = (net.weights[f"{name}.weight"] for name in ("angles_in", "middle", "out"))
             self._into = into.T.astype(np.float64)
-            self._slope_m = net.shape.reach_m * float(np.linalg.norm(middle, 2) * np.linalg.norm(out[:3], 2))
+            hidden = float(np.linalg.norm(middle, 2))
+            self._slope_m = net.shape.reach_m * hidden * float(np.linalg.norm(out[:3], 2))
+            self._shade_slope = SHADE_MAX * hidden * float(np.linalg.norm(out[3:], axis=1).max(initial=0.0))
         elif net is not None:
             self._into = net.projection.astype(np.float64)
-            directions = net.direction[..., :3].astype(np.float32) * net.scale[:, :1, None]
-            self._slope_m = float(np.sqrt(np.square(directions).sum((1, 2)).max(initial=0.0)))
+            # (N, 6) of a step of one along every direction
+            steps = np.sqrt(np.square(net.direction.astype(np.float32)).sum(1)) * net.scale.repeat(3, 1)
+            self._slope_m = float(np.linalg.norm(steps[:, :3], axis=1).max(initial=0.0))
+            self._shade_slope = float(steps[:, 3:].max(initial=0.0))
 
-    def __call__(self, before_rad: np.ndarray, after_rad: np.ndarray) -> float:
-        """Meters, between two poses of angles (37,)."""
+    def __call__(self, before_rad: np.ndarray, after_rad: np.ndarray) -> tuple[float, float]:
+        """Of offsets, meters, and of any channel of the shade, between two poses of angles (37,)."""
         if self._features is None or np.array_equal(before_rad, after_rad):
-            return 0.0
+            return 0.0, 0.0
         change = self._numbers(after_rad) - self._numbers(before_rad)
-        return self._slope_m * float(np.linalg.norm(change, axis=1).max())
+        most = float(np.linalg.norm(change, axis=1).max())
+        return self._slope_m * most, self._shade_slope * most
 
     def _numbers(self, angles_rad: np.ndarray) -> np.ndarray:
         """(21, K) what the bones say to the Gaussians."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import LinearCorrectives, OffsetChange
+from jghand_engine.avatar.correctives import CorrectiveChange, LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skin_task import SIGMA_STRETCH_MAX
 from jghand_engine.hand.skeleton import Bones
@@ -33,7 +33,7 @@ class HandFacts:
     look:              of its shadow; None where it was learned without one
     keeps_correctives: whether it is worth while to use those of the last pose again
     sigma_m:           of its median Gaussian
-    offset_change:     bounds how far its correctives' offsets differ between two poses
+    corrective_change: bounds how far its correctives differ between two poses
     """
 
     def __init__(self, avatar: HandAvatar) -> None:
@@ -43,7 +43,7 @@ class HandFacts:
         net = None if self.learned is None else self.learned.correctives
         # a linear tier is found as fast as it is read
         self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)
-        self.offset_change = OffsetChange(net)
+        self.corrective_change = CorrectiveChange(net)
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         # the longest offset of the correctives
         self._offset_m = 0.0 if net is None else OFFSET_STRETCH * math.sqrt(3) * net.longest_offset_m()

@@ -32,6 +32,8 @@ from jghand_engine.render.settings import RenderSettings, ShadowMode
 # a skin is reused when no point of it can have moved farther, and the correctives of a hand that moved as a whole when
 # no offset can differ by more, meters: a tenth of a pixel of a hand that fills 512 x 334
 REUSE_SKIN_M = 5e-5
+# ... and when no shade, the logarithm of a color of 1 at most, can differ by more: half an 8-bit step
+REUSE_SHADE = 0.5 / 255
 # a hand whose median Gaussian is smaller than this on the image is drawn larger and averaged, px: the low pass of
 # 0.55 px would swell it. It fades in down to the second size, and is never switched
 FILTER_SIGMA_PX = 0.5
@@ -92,7 +94,7 @@ def reusable(
         # what a flagged hand's blended maps do to normals and offsets is not known
         if not skin_m <= (0.0 if new.flags or old.flags else most_m):
             return None
-        moved_m = max(moved_m, skin_m + hand.offset_change(corrected_rad, new.angles_rad))
+        moved_m = max(moved_m, skin_m + _kept_offset_m(hand, corrected_rad, new.angles_rad, settings))
     return moved_m if moved_m <= most_m else None
 
 
@@ -100,8 +102,16 @@ def same_shape(hand: HandFacts, bones: Bones, corrected_rad: np.ndarray | None, 
     """Whether a hand moved as a whole: its correctives stay."""
     if corrected_rad is None or not settings.reuse or settings.effects.forces(Effect.CORRECTIVES):
         return False
-    change_m = hand.offset_change(corrected_rad, bones.angles_rad)
-    return change_m <= (0.0 if settings.repeatable else REUSE_SKIN_M)
+    return _kept_offset_m(hand, corrected_rad, bones.angles_rad, settings) <= REUSE_SKIN_M
+
+
+def _kept_offset_m(hand: HandFacts, before_rad: np.ndarray, after_rad: np.ndarray, settings: RenderSettings) -> float:
+    """How far offsets can be from where they should be when correctives of other angles are kept, meters; infinite
+    where those may not be kept."""
+    if np.array_equal(before_rad, after_rad):
+        return 0.0
+    offset_m, shade = hand.corrective_change(before_rad, after_rad)
+    return math.inf if settings.repeatable or not shade <= REUSE_SHADE else offset_m
 
 
 # ---- the plan -------------------------------------------------------------------------------------------------------

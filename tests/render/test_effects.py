@@ -12,7 +12,7 @@ from small_avatars import ellipsoid_avatar, trained_avatar
 
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.corrective_task import NetworkStep
-from jghand_engine.avatar.correctives import OffsetChange
+from jghand_engine.avatar.correctives import CorrectiveChange, PoseNetShape
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import srgb_to_linear
@@ -252,12 +252,12 @@ def test_a_hand_that_moves_as_a_whole_keeps_its_correctives(monkeypatch):
 
 
 @pytest.mark.parametrize("tier", [Tier.EXACT, Tier.LINEAR])
-def test_offsets_change_by_no_more_than_the_weights_allow(tier: Tier):
+def test_correctives_change_by_no_more_than_the_weights_allow(tier: Tier):
     avatar = load_builtin(handedness=Handedness.RIGHT).prefix(2000)
     assert avatar.learned is not None
     learned = avatar.learned.with_tier(tier)[0]
     assert learned.correctives is not None
-    change, generator = OffsetChange(learned.correctives), torch.Generator().manual_seed(0)
+    change, generator = CorrectiveChange(learned.correctives), torch.Generator().manual_seed(0)
     net, transform = HandTensors.of(replace(avatar, learned=learned)).learned.correctives, transform_of(avatar)
     for name in ("open", "relaxed", "fist"):
         frames = transform.frames(torch.from_numpy(pose(name, avatar)))
@@ -265,9 +265,10 @@ def test_offsets_change_by_no_more_than_the_weights_allow(tier: Tier):
         for size_rad in (2e-4, 0.01, 0.3):
             step = size_rad * torch.randn(37, generator=generator, dtype=torch.float64).sign()
             with torch.no_grad():
-                before, after = (net(Angles.of(a.float())).offset_m for a in (angles, angles + step))
-            moved_m = float((after - before).norm(dim=-1).max())
-            assert moved_m <= change(angles.numpy(), (angles + step).numpy())
+                before, after = (net(Angles.of(a.float())) for a in (angles, angles + step))
+            most_m, most_shade = change(angles.numpy(), (angles + step).numpy())
+            assert float((after.offset_m - before.offset_m).norm(dim=-1).max()) <= most_m
+            assert float((after.shade - before.shade).abs().max()) <= most_shade
 
 
 def test_one_finger_joint_that_bends_makes_the_correctives_new():
@@ -278,10 +279,22 @@ def test_one_finger_joint_that_bends_makes_the_correctives_new():
     for angle in range(30):
         bent = bones.angles_rad.copy()
         bent[angle] += 2e-3
-        assert facts.offset_change(bones.angles_rad, bent) > 0
+        assert min(facts.corrective_change(bones.angles_rad, bent)) > 0
     bent = bones.angles_rad.copy()
     bent[0] += 2e-3
     assert not effects.same_shape(facts, replace(bones, angles_rad=bent), bones.angles_rad, SMALL)
+
+
+@pytest.mark.parametrize("repeatable", [False, True])
+def test_creases_are_shaded_anew_where_correctives_move_nothing(repeatable: bool, monkeypatch):
+    corrected = counted(monkeypatch, NetworkStep, "prepare")
+    shape = PoseNetShape(octaves=(4, 4, 2), angle_channels=8, angle_texels=6, hidden=32, reach_m=0.0)
+    avatar, settings = trained_avatar(500, shape=shape), replace(SMALL, repeatable=repeatable)
+    renderer = HandRenderer(avatar, settings)
+    renderer.render(pose("relaxed", avatar), camera())
+    bent = renderer.render(pose("fist", avatar), camera())
+    assert corrected == [2]
+    assert np.array_equal(bent.rgba, HandRenderer(avatar, settings).render(pose("fist", avatar), camera()).rgba)
 
 
 # where no hand can be seen: behind the camera, beside it, and above it
