@@ -32,15 +32,16 @@ class _Posing(Reporting):
         return poll_hands(cls, context)
 
     def hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
-        """Which are posed."""
-        return common.chosen_hands(context)
+        """Which are posed: where bones of some are selected in pose mode, those hands alone."""
+        chosen = common.chosen_hands(context)
+        return [hand for hand in chosen if hand.mode == "POSE" and versions.selected_bones(hand)] or chosen
 
     def pose_one(self, context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
         """Poses one of them. Returns what it changed."""
         raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> None:
-        posed = False
+        posed, bent = False, []
         for hand in self.hands(context):
             touched = self.pose_one(context, hand)
             if touched and (self.use_keys or common.keys_itself(context)):
@@ -49,8 +50,12 @@ class _Posing(Reporting):
                     versions.select_bones(hand)
             hand.update_tag()
             posed = posed or bool(touched)
+            bent += hand_poses.still_acting(hand, touched)
         if not posed:
             self.warn(rpt_("No finger bone is selected: nothing was posed."))
+        if bent:
+            template = rpt_("Finger controls still bend what was posed: reset or mute {names}.")
+            self.warn(template.format(names=", ".join(dict.fromkeys(bent))))
 
 
 class ApplyPose(_Posing, bpy.types.Operator):
@@ -60,7 +65,7 @@ class ApplyPose(_Posing, bpy.types.Operator):
     bl_label = "Apply Pose"
     bl_description = (
         "Give this pose to the fingers of the selected hands, in pose mode to the selected bones alone, where any is. "
-        "Controls go to neutral, pinned tips are released, the wrist stays"
+        "Controls that move these bones alone go to neutral, pinned tips of whole fingers are released, the wrist stays"
     )
     bl_options = UNDOABLE
 

@@ -119,6 +119,24 @@ def copy_pose(source: bpy.types.Object, target: bpy.types.Object) -> list[Touche
     return touched + _copy_controls(source, target, mirrored)
 
 
+def still_acting(hand: bpy.types.Object, touched: Iterable[Touched]) -> list[str]:
+    """Names of the controls that were not touched, yet are turned, or pin a tip, of fingers that were: what is seen is
+    not the pose that was set."""
+    if not controls.has_controls(hand) or controls.controls_are_muted(hand):
+        return []
+    names = {owner.name for owner, _ in touched}
+    acting = [HAND_CONTROL] if names & set(MOVING_BONES) else []
+    for finger in range(len(FINGERS)):
+        if names & set(control_numbers.moving_bones(finger)):
+            acting.append(control_numbers.FINGER_CONTROLS[finger])
+            if controls.tip_rule(hand, finger).influence > 0:
+                acting.append(control_numbers.TIP_CONTROLS[finger])
+    tips = set(control_numbers.TIP_CONTROLS)
+    return [
+        name for name in acting if name not in names and (name in tips or any(hand.pose.bones[name].rotation_euler))
+    ]
+
+
 def key(touched: Iterable[Touched], frame: float) -> None:
     """Keys what was changed, and nothing else, at a frame; in the group of its bone, as Blender does."""
     for owner, path in touched:

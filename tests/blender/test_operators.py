@@ -337,6 +337,42 @@ def test_in_pose_mode_selected_bones_alone_are_posed(extension, what, selected, 
     assert versions.selected_bones(thing) == set(selected), "the selection stays"
 
 
+@pytest.mark.parametrize("what", ["apply_pose", "reset_pose"])
+def test_a_bone_selected_on_one_hand_leaves_the_other_hand(extension, what):
+    pair = [add("left"), add("right")]
+    for thing in pair:
+        thing.select_set(True)
+        thing.pose.bones["index2"].rotation_quaternion = (math.cos(0.1), 0.0, math.sin(0.1), 0.0)
+    bpy.ops.object.mode_set(mode="POSE")
+    assert {thing.mode for thing in pair} == {"POSE"}
+    hands.select_bones(pair[0])
+    hands.select_bones(pair[1], "index2")
+    before = [{bone.name: bone.matrix_basis.copy() for bone in thing.pose.bones} for thing in pair]
+    call = bpy.ops.jghand.reset_pose if what == "reset_pose" else partial(bpy.ops.jghand.apply_pose, pose="fist")
+    assert call() == {"FINISHED"}
+    changed = [
+        {name for name, matrix in was.items() if thing.pose.bones[name].matrix_basis != matrix}
+        for thing, was in zip(pair, before, strict=True)
+    ]
+    assert changed == [set(), {"index2"}]
+
+
+def test_controls_that_still_bend_a_finger_posed_alone_are_told(extension, capfd):
+    thing = add()
+    bpy.ops.object.mode_set(mode="POSE")
+    hands.select_bones(thing, "index1", "index2", "index3")
+    bpy.ops.jghand.apply_pose(pose="fist")
+    assert "still bend" not in capfd.readouterr().out
+    thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.3
+    controls.hold_tip(thing, "index")
+    hands.select_bones(thing, "index1")
+    bpy.ops.jghand.apply_pose(pose="fist")
+    assert f"reset or mute {HAND_CONTROL}, tip_index." in capfd.readouterr().out
+    hands.select_bones(thing)
+    bpy.ops.jghand.apply_pose(pose="fist")
+    assert "still bend" not in capfd.readouterr().out
+
+
 def test_a_selection_without_a_finger_is_told(extension, capfd):
     thing = add()
     bpy.ops.object.mode_set(mode="POSE")
