@@ -75,8 +75,9 @@ def focus_count(disc_px: float) -> int:
 
 
 def disc_px(camera: Camera, joints_m: Sequence[np.ndarray], scale: float = 1.0) -> float:
-    """Diameter of the largest disc that a point of the hands (21, 3), meters, becomes. scale: of the largest hand."""
-    if camera.lens is None:
+    """Diameter of the largest disc that a point of the hands (21, 3), meters, becomes; 0 without hands. scale: of the
+    largest hand."""
+    if camera.lens is None or not joints_m:
         return 0.0
     depth_m = camera.project(np.concatenate(joints_m))[1]
     flesh_m = 1e-3 * max(CAPSULE_RADII_MM) * scale
@@ -105,10 +106,14 @@ class Shutter:
         pairs = zip(middle_m, self.closes_m, strict=True)
         return [pose_between(first, second, 2 * part - 1) for first, second in pairs]
 
-    def travel_px(self, middle_m: Sequence[np.ndarray], camera: Camera) -> float:
+    def moments(self, middle_m: Sequence[np.ndarray], camera: Camera) -> list[Moment]:
+        """Its first one, its middle and its last one."""
+        return [Moment(joints_m, camera) for joints_m in (self.opens_m, middle_m, self.closes_m)]
+
+    def travel_px(self, middle_m: Sequence[np.ndarray], camera: Camera, seen: Sequence[int]) -> float:
         """The longest way of a joint on the image, as if it went all the time as fast as in its faster half: exposures
-        are evenly spread in time. Infinite when it passes the near plane."""
-        return 2 * float(_steps_px([Moment(m, camera) for m in (self.opens_m, middle_m, self.closes_m)]).max())
+        are evenly spread in time. Infinite when it passes the near plane. seen: as of `way_px`."""
+        return 2 * float(_steps_px(self.moments(middle_m, camera), seen).max(initial=0.0))
 
 
 def shutter_at(joints_m: np.ndarray, index: int, open_for: float) -> Shutter | None:
@@ -169,35 +174,41 @@ def check_moments(moments: Sequence[Moment], weights: Sequence[float]) -> None:
         raise InputError("weights of moments", wanted=f"{len(moments)} of 0 or more, not all 0", came=str(weights)[:80])
 
 
-def filled(moments: Sequence[Moment], weights: Sequence[float]) -> tuple[list[Moment], list[float]]:
+def filled(
+    moments: Sequence[Moment], weights: Sequence[float], seen: Sequence[int]
+) -> tuple[list[Moment], list[float]]:
     """As many moments as the movement needs on the image (`motion_count`), evenly spread over the same time, and their
     shares, which sum to 1. Between two that are given bones turn, and cameras too; before the first and after the last
-    one, by half a step, they go on so."""
+    one, by half a step, they go on so. seen: as of `way_px`."""
     count = len(moments)
-    steps = -(-motion_count(way_px(moments)) // count) if count > 1 else 1
+    steps = -(-motion_count(way_px(moments, seen)) // count) if count > 1 else 1
     if steps == 1:
         return list(moments), [weight / sum(weights) for weight in weights]
-    seen, shares = [], []
+    between, shares = [], []
     for place in range(count * steps):
         at = (place + 0.5) / steps - 0.5
         first = min(max(math.floor(at), 0), count - 2)
         part = at - first
-        seen.append(_moment_between(moments[first], moments[first + 1], part))
+        between.append(_moment_between(moments[first], moments[first + 1], part))
         shares.append(max(0.0, (1 - part) * weights[first] + part * weights[first + 1]))
-    return seen, [share / sum(shares) for share in shares]
+    return between, [share / sum(shares) for share in shares]
 
 
-def way_px(moments: Sequence[Moment]) -> float:
-    """The longest way of a joint on the image; infinite when it passes the near plane."""
-    return float(_steps_px(moments).sum(0).max()) if len(moments) > 1 else 0.0
+def way_px(moments: Sequence[Moment], seen: Sequence[int]) -> float:
+    """The longest way of a joint on the image; infinite when it passes the near plane. seen: the numbers of the hands
+    that are in the image at some moment; where the others go makes no difference."""
+    return float(_steps_px(moments, seen).sum(0).max(initial=0.0)) if len(moments) > 1 else 0.0
 
 
-def _steps_px(moments: Sequence[Moment]) -> np.ndarray:
-    """(moments - 1, joints) pixels from one moment to the next; infinite when a joint passes the near plane."""
-    seen = [moment.camera.project(np.concatenate(moment.joints_m)) for moment in moments]
-    if not all((depth_m > contract.Z_NEAR_M).all() for _, depth_m in seen):
+def _steps_px(moments: Sequence[Moment], seen: Sequence[int]) -> np.ndarray:
+    """(moments - 1, joints of the hands seen) pixels from one moment to the next; infinite when a joint passes the near
+    plane."""
+    if not seen:
+        return np.zeros((1, 0))
+    places = [one.camera.project(np.concatenate([one.joints_m[hand] for hand in seen])) for one in moments]
+    if not all((depth_m > contract.Z_NEAR_M).all() for _, depth_m in places):
         return np.full((1, 1), np.inf)
-    return np.linalg.norm(np.diff(np.stack([pixels for pixels, _ in seen]), axis=0), axis=-1)
+    return np.linalg.norm(np.diff(np.stack([pixels for pixels, _ in places]), axis=0), axis=-1)
 
 
 def _moment_between(first: Moment, second: Moment, part: float) -> Moment:
@@ -234,8 +245,9 @@ class LinearMean:
         self._weights: np.ndarray | None = None
 
     def add(self, image: Image, weight: float) -> None:
-        """Adds an image."""
-        self._mean.add(image.rgba, image.depth_m, image.box.left, image.box.top, weight)
+        """Adds an image; an empty one is black."""
+        if image.box.width:
+            self._mean.add(image.rgba, image.depth_m, image.box.left, image.box.top, weight)
         if image.weights is not None:
             if self._weights is None:
                 self._weights = np.zeros((self._box.height, self._box.width, image.weights.shape[2]), np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -96,10 +96,17 @@ def hand_box(
 ) -> Box:
     """The rectangle that may be touched: NOWHERE for hands behind the camera or beside the image, all of it where that
     is not known."""
+    return views_box(((*one, camera) for one in zip(joints_m, bones, hands, strict=True)), alpha_min)
+
+
+def views_box(views: Iterable[tuple[np.ndarray, Bones, HandFacts, Camera]], alpha_min: float) -> Box:
+    """As `hand_box`, around hands each of which has a camera of its own: those of one size of image. What passes the
+    image between two views is in it."""
     # from, to: of columns and rows
-    found = [math.inf, -math.inf, math.inf, -math.inf]
-    rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-    for joints, own, hand in zip(joints_m, bones, hands, strict=True):
+    found, width, height = [math.inf, -math.inf, math.inf, -math.inf], 0, 0
+    for joints, own, hand, camera in views:
+        rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+        width, height = camera.width, camera.height
         corners = hand.corners_m(own.linear_offset)
         if not len(corners):
             continue
@@ -112,11 +119,11 @@ def hand_box(
             continue
         # a flagged hand stretches its skin beyond what is known
         if own.flags or not (nearest_m > -math.inf and farthest_m < math.inf):
-            return Box(0, 0, camera.width, camera.height)
+            return Box(0, 0, width, height)
         low_pass_px = math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2) + 1
         if nearest_m <= contract.Z_NEAR_M:
             if camera.orthographic:
-                return Box(0, 0, camera.width, camera.height)
+                return Box(0, 0, width, height)
             lows, highs = points[:, :2].min(0) - offset_by_m, points[:, :2].max(0) + offset_by_m
             for axis, low, high in zip((0, 2), lows.tolist(), highs.tolist(), strict=True):
                 focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
@@ -133,8 +140,8 @@ def hand_box(
             margin = focal * reach_m * wide + low_pass_px
             found[axis] = min(found[axis], focal * low + center - margin)
             found[axis + 1] = max(found[axis + 1], focal * high + center + margin)
-    left, right = _on_grid(found[0], found[1], camera.width)
-    top, bottom = _on_grid(found[2], found[3], camera.height)
+    left, right = _on_grid(found[0], found[1], width)
+    top, bottom = _on_grid(found[2], found[3], height)
     return Box(left, top, right - left, bottom - top) if left < right and top < bottom else NOWHERE
 
 

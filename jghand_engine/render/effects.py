@@ -127,6 +127,7 @@ class Scene:
     shutter:  None for a moment
     moved_m:  of a pose that is reused, how far its skin can have moved; None for a new one
     reshaped: whether the correctives of any hand have to be computed
+    seen:     numbers of the hands that are in the image at some moment, through some part of the lens; None for all
     """
 
     joints_m: Sequence[np.ndarray]
@@ -135,6 +136,7 @@ class Scene:
     shutter: Shutter | None = None
     moved_m: float | None = None
     reshaped: bool = True
+    seen: Sequence[int] | None = None
 
     @cached_property
     def seen_joints(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -291,17 +293,20 @@ def _blur(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) ->
     """How many images are averaged, and what for."""
     allows, once_ms = settings.effects.allows, _count(hands) * (RASTER_MS + SKIN_MS)
     times, pinholes, lens = 1, 1, scene.camera.lens
+    seen = range(len(hands)) if scene.seen is None else scene.seen
     motion, focus = Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, False, "a pinhole")
     if scene.shutter is not None and not allows(Effect.MOTION):
         motion = Decision(Effect.MOTION, False, NOT_CHOSEN, "moving edges are sharp", 1.0)
     elif scene.shutter is not None:
-        length_px = scene.shutter.travel_px(scene.joints_m, scene.camera)
+        length_px = scene.shutter.travel_px(scene.joints_m, scene.camera, seen)
         times = motion_count(length_px)
         motion = averaged(Effect.MOTION, times, length_px, once_ms)
     if lens is not None and lens.aperture_m > 0 and not allows(Effect.FOCUS):
         focus = Decision(Effect.FOCUS, False, NOT_CHOSEN, "everything is sharp", 1.0)
     elif lens is not None and lens.aperture_m > 0:
-        wide_px = disc_px(scene.camera, scene.joints_m, max(bones.scale for bones in scene.bones))
+        wide_px = disc_px(
+            scene.camera, [scene.joints_m[hand] for hand in seen], max(bones.scale for bones in scene.bones)
+        )
         pinholes = focus_count(wide_px)
         focus = averaged(Effect.FOCUS, pinholes, wide_px, once_ms)
     return max(times, pinholes), (motion, focus)

@@ -10,7 +10,7 @@ root is added in double precision: a hand 1 km away loses nothing.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
-from jghand_engine.hand.skeleton import Skeleton, describe_flags
+from jghand_engine.hand.skeleton import Bones, Skeleton, describe_flags
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.native.enlarge import native_enlarged
@@ -39,7 +39,7 @@ from jghand_engine.render.blur import (
     way_px,
 )
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import HandFacts
+from jghand_engine.render.crop import NOWHERE, HandFacts, views_box
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 from jghand_engine.render.effects import (
     Kept,
@@ -188,10 +188,11 @@ class SceneRenderer:
         InputError for moments of different sizes, or weights that are none.
         """
         check_moments(moments, weights)
-        seen, shares = filled(moments, weights)
         center = moments[middle]
-        wide_px = disc_px(center.camera, center.joints_m)
         blurred = any(moment.camera.lens is not None and moment.camera.lens.aperture_m > 0 for moment in moments)
+        hands = self._seen_hands(moments) if blurred or len(moments) > 1 else []
+        seen, shares = filled(moments, weights, hands)
+        wide_px = disc_px(center.camera, [center.joints_m[hand] for hand in hands])
         each = -(-focus_count(wide_px) // len(seen)) if blurred else 1
         sharp = replace(center.camera, lens=None)
         if len(seen) == 1 and each == 1:
@@ -203,14 +204,16 @@ class SceneRenderer:
             for pinhole in pinholes(moment.camera, index, each, len(seen)):
                 check_canceled()
                 frame = self.render(moment.joints_m, pinhole, check_canceled=check_canceled)
-                mean.add(Image(whole, frame.rgba, frame.depth_m), share / each)
+                if not self._empty:
+                    mean.add(Image(whole, frame.rgba, frame.depth_m), share / each)
                 reports.append(frame.report)
         check_canceled()
         last = self.render(center.joints_m, sharp, check_canceled=check_canceled)
         reports.append(last.report)
-        plan, count = last.report.plan, len(seen) * each
-        if plan is not None:
-            motion = [averaged(Effect.MOTION, len(seen), way_px(seen))] if len(seen) > 1 else []
+        plans, count = [report.plan for report in reports if report.plan is not None], len(seen) * each
+        # the middle one shows no hand where it has left the image by then, or comes later
+        if plan := next((one for one in reversed(plans) if one.box.width), last.report.plan):
+            motion = [averaged(Effect.MOTION, len(seen), way_px(seen, hands))] if len(seen) > 1 else []
             focus = [averaged(Effect.FOCUS, count, wide_px)] if blurred else []
             plan = plan.with_averages(motion + focus, count)
         image = mean.image()
@@ -275,9 +278,25 @@ class SceneRenderer:
 
     def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
         started = time.perf_counter()
-        plan = plan_effects(shot.posed.scene(camera, shutter, shot.moved_m), self._facts, self.settings)
+        scene = shot.posed.scene(camera, shutter, shot.moved_m)
+        if shutter is not None or camera.lens is not None:
+            hands_m = scene.joints_m
+            moments = [Moment(hands_m, camera)] if shutter is None else shutter.moments(hands_m, camera)
+            scene = replace(scene, seen=self._seen_hands(moments))
+        plan = plan_effects(scene, self._facts, self.settings)
         report.ran(PLAN, 1e3 * (time.perf_counter() - started))
         return plan
+
+    def _seen_hands(self, moments: Sequence[Moment]) -> list[int]:
+        """Numbers of the hands that are in the image at some of the moments, or pass it between them."""
+        at = [(self._checked(moment.joints_m), _rays(moment.camera)) for moment in moments]
+
+        def views(hand: int) -> Iterator[tuple[np.ndarray, Bones, HandFacts, Camera]]:
+            for joints_m, cameras in at:
+                bones = self._transforms[hand].bones(joints_m[hand])
+                yield from ((joints_m[hand], bones, self._facts[hand], camera) for camera in cameras)
+
+        return [hand for hand in range(len(self._facts)) if views_box(views(hand), self.settings.alpha_min).width]
 
     # ---- the image -------------------------------------------------------------------------------------------------
 
@@ -290,7 +309,7 @@ class SceneRenderer:
             box = posed.scene(camera).box(self._facts, self.settings.alpha_min)
         self._empty = not box.width
         if self._empty:
-            return self._nothing(camera)
+            return self._nothing()
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
             check_canceled()
@@ -309,12 +328,11 @@ class SceneRenderer:
             mean.add(one, weight)
         return mean.image()
 
-    def _nothing(self, camera: Camera) -> Image:
+    def _nothing(self) -> Image:
         """No hand in the image: nothing is posed for it."""
-        size, settings = (camera.height, camera.width), self.settings
-        depth_m = np.zeros(size, np.float32) if settings.depth or settings.normals else None
-        weights = np.zeros((*size, len(self._avatars)), np.float32) if settings.ids else None
-        return Image(Box(0, 0, camera.width, camera.height), np.zeros((*size, 4), np.float32), depth_m, weights)
+        depth_m = np.zeros((0, 0), np.float32) if self.settings.depth or self.settings.normals else None
+        weights = np.zeros((0, 0, len(self._avatars)), np.float32) if self.settings.ids else None
+        return Image(NOWHERE, np.zeros((0, 0, 4), np.float32), depth_m, weights)
 
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Image:
         settings = self.settings
@@ -388,6 +406,14 @@ class HandRenderer:
     def bone_ids(self, camera: Camera) -> np.ndarray:
         """As SceneRenderer's."""
         return self._scene.bone_ids(camera)
+
+
+def _rays(camera: Camera) -> list[Camera]:
+    """The pinholes at the corners around its lens: what none of them sees is not seen through the lens either."""
+    if camera.lens is None:
+        return [camera]
+    half_m = camera.lens.aperture_m / 2
+    return [camera.through(x_m, y_m) for x_m in (-half_m, half_m) for y_m in (-half_m, half_m)]
 
 
 def _enlarged(frame: Frame, camera: Camera) -> Frame:

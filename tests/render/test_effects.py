@@ -25,7 +25,7 @@ from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, blur, effects
-from jghand_engine.render.blur import Shutter
+from jghand_engine.render.blur import Moment, Shutter
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.crop import HandFacts
 from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
@@ -527,7 +527,7 @@ def test_the_stated_error_of_few_pictures_is_neither_less_nor_ten_times_more_tha
     """Below a pixel a single picture is off by what is stated, to a factor of ten."""
     view = camera()
     joints, shutter = moving(travel_px * 0.53 / 300.0)
-    assert shutter.travel_px([joints], view) == pytest.approx(travel_px, rel=0.2)
+    assert shutter.travel_px([joints], view, [0]) == pytest.approx(travel_px, rel=0.2)
     plain = replace(SMALL, shadow=ShadowMode.OFF, reuse=False, depth=False, antialias=False)
     renderer = HandRenderer(RIGHT, plain)
 
@@ -535,7 +535,7 @@ def test_the_stated_error_of_few_pictures_is_neither_less_nor_ten_times_more_tha
         parts = (shutter.at((k + 0.5) / count, [joints])[0] for k in range(count))
         return sum(linear(renderer.render(part, view)).astype(np.float64) / count for part in parts)
 
-    stated = blur.motion_error(shutter.travel_px([joints], view), 1)
+    stated = blur.motion_error(shutter.travel_px([joints], view, [0]), 1)
     assert 0.12 * stated < float(np.abs(mean_of(1) - mean_of(64)).max()) <= stated
 
 
@@ -569,6 +569,56 @@ def test_a_shutter_over_a_hand_at_rest_and_a_pinhole_cost_one_picture():
     assert plan.exposures == 1
     assert not plan.runs(Effect.MOTION)
     assert not plan.runs(Effect.FOCUS)
+
+
+BEHIND_M = np.array([0.3, 0.2, 1.2])
+
+
+def test_a_hand_behind_the_camera_takes_one_picture_and_nothing_is_drawn(monkeypatch):
+    monkeypatch.setattr(backend.Backend, "draw", lambda *_args, **_named: pytest.fail("something was drawn"))
+    joints, shutter = moving(0.04)
+    away = Shutter([shutter.opens_m[0] + BEHIND_M], [shutter.closes_m[0] + BEHIND_M])
+    view = replace(camera(), lens=Lens(0.01, 0.45))
+    frame = HandRenderer(RIGHT, SMALL).render(joints + BEHIND_M, view, away)
+    assert plan_of(frame).exposures == 1
+    assert plan_of(frame)[Effect.MOTION].reason == "no hand is in the image"
+    moments = [Moment([hands[0] + BEHIND_M], view) for hands in (shutter.opens_m, shutter.closes_m)]
+    mean, depth_m = SceneRenderer([RIGHT], replace(SMALL, ids=True)).render_moments(moments, (1.0, 1.0))
+    assert not mean.rgba.any()
+    assert not depth_m.any()
+
+
+@pytest.mark.parametrize("lens", [None, Lens(0.01, 0.45)], ids=["a pinhole", "a lens"])
+def test_a_hand_behind_the_camera_asks_for_no_more_pictures_of_another(lens: Lens | None):
+    joints, shutter = moving(0.004)
+    ends, view = (shutter.opens_m[0], shutter.closes_m[0]), replace(camera(), lens=lens)
+    alone = HandRenderer(RIGHT, SMALL).render(joints, view, shutter)
+    both = SceneRenderer([RIGHT, RIGHT], SMALL)
+    beside = both.render([joints, joints + BEHIND_M], view, Shutter(*([end, 2 * end + BEHIND_M] for end in ends)))
+    assert 1 < plan_of(beside).exposures == plan_of(alone).exposures < 40
+    one, _ = SceneRenderer([RIGHT], SMALL).render_moments([Moment([end], view) for end in ends], (1.0, 1.0))
+    moments = [Moment([end, end + BEHIND_M], view) for end in ends]
+    two, _ = both.render_moments(moments, (1.0, 1.0))
+    assert 1 < plan_of(two).exposures == plan_of(one).exposures < 40
+
+
+def test_a_hand_that_crosses_the_picture_between_two_moments_is_seen():
+    joints, _ = moving(0.0)
+    sides = [joints + np.array([x_m, 0.0, 0.0]) for x_m in (-0.6, 0.6)]
+    moments = [Moment([side], camera()) for side in sides]
+    crossing, _ = SceneRenderer([RIGHT], replace(SMALL, gaussians=500)).render_moments(moments, (1.0, 1.0))
+    assert plan_of(crossing).exposures > 40
+    assert crossing.rgba.any()
+    assert "travel" in plan_of(crossing)[Effect.MOTION].reason
+
+
+def test_the_receipt_of_a_mean_is_of_a_moment_that_shows_a_hand():
+    joints, _ = moving(0.0)
+    moments = [Moment([joints + np.array([x_m, 0.0, 0.0])], camera()) for x_m in (0.0, 0.6)]
+    frame, _ = SceneRenderer([RIGHT], replace(SMALL, gaussians=500)).render_moments(moments, (1.0, 1.0), middle=1)
+    assert frame.rgba.any()
+    assert not frame.depth_m.any()
+    assert "no hand is in the image" not in " ".join(frame.report.lines())
 
 
 def test_faster_hands_get_more_pictures():
