@@ -113,7 +113,7 @@ class FrameFlag(IntFlag):
 _FLAG_SENTENCES = {
     FrameFlag.ZERO_BONE: "a bone has no length",
     FrameFlag.PALM_CLAMPED: "palm bones are collinear or crossed",
-    FrameFlag.SWING_POLE: "a joint is bent to the pole of its frame",
+    FrameFlag.SWING_POLE: "a finger is bent so far back or sideways that its twist is uncertain",
     FrameFlag.NO_PALM: "the palm has no plane",
     FrameFlag.NOT_FINITE: "a joint is not a finite number",
 }
