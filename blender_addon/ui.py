@@ -65,13 +65,13 @@ def active(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def hands_of(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """All hands of the view layer, by name."""
+    """All hands of the view layer, by name, without those that instances show."""
     return [thing for thing in seen_hands.hands_of(context.scene, context.view_layer) if armature.is_any_hand(thing)]
 
 
 def any_hand(context: bpy.types.Context) -> bool:
-    """Whether there is a hand: without one, the tab shows nothing but how to add one."""
-    return active(context) is not None or bool(hands_of(context))
+    """Whether there is a hand, or an instance of one: else the tab shows nothing but how to add one."""
+    return active(context) is not None or bool(seen_hands.hands_of(context.scene, context.view_layer))
 
 
 def settings(layout: bpy.types.UILayout) -> bpy.types.UILayout:

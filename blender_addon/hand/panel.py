@@ -34,14 +34,14 @@ class HandPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        hands = ui.hands_of(context)
+        there = ui.any_hand(context)
         status = runtime.link().status
-        if status.state == "failed" or (hands and status.state != "ready"):
+        if status.state == "failed" or (there and status.state != "ready"):
             draw_status(layout, context)
-        if not hands:
+        if not there:
             _draw_empty(layout, context)
             return
-        _draw_hands(layout, context, hands)
+        _draw_hands(layout, context, ui.hands_of(context))
         _draw_problems(layout, context, status.failure)
         hint = _shading_hint(context)
         if hint:

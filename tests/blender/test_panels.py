@@ -11,7 +11,7 @@ from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls
+from blender_addon.hand import armature, controls, seen_hands
 from blender_addon.hand import panel as hand_panel
 from blender_addon.hand import poses as pose_library
 from blender_addon.render import pages
@@ -85,6 +85,30 @@ def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
         pages.QualityPage,
     ):
         assert draw(panel, extension) is None
+
+
+def test_a_scene_whose_hands_are_instanced_alone_shows_its_problems_and_the_other_panels(
+    extension, engine, monkeypatch
+):
+    thing = add(use_camera=False)
+    collection = bpy.data.collections.new("asset")
+    collection.objects.link(thing)
+    for owner in thing.users_collection:
+        if owner != collection:
+            owner.objects.unlink(thing)
+    placed = bpy.data.objects.new("placed", None)
+    placed.instance_type, placed.instance_collection = "COLLECTION", collection
+    extension.scene.collection.objects.link(placed)
+    extension.view_layer.update()
+    seen_hands.forget()
+    monkeypatch.setattr(views, "problems", lambda: [("placed", JGHandFailure("no_avatar"))])
+    engine.status = Status("starting", 0.0)
+    seen = drawn(extension)
+    text = text_of(seen[hand_panel.HandPanel.bl_idname])
+    assert "placed" in text
+    assert "Add a hand" not in text
+    assert "jghand.select_hand" not in seen[hand_panel.HandPanel.bl_idname].operators
+    assert {hand_panel.MotionPanel.bl_idname, picture.RenderPanel.bl_idname} <= set(seen)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
