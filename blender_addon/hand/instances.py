@@ -16,29 +16,33 @@ from mathutils import Matrix
 
 from . import armature
 
+# session_uid of a collection -> whether hands are in it, or what instances some
+Known = dict[int, bool]
 # how deep Blender looks into instances of instances
 DEPTH_MAX = 8
 
 
-def shows_hands(thing: bpy.types.Object, known: dict[bpy.types.Collection, bool]) -> bool:
+def shows_hands(thing: bpy.types.Object, known: Known) -> bool:
     """Whether an object is a hand or instances some. known: what was found of collections, for the next object."""
     if armature.is_any_hand(thing):
         return True
     collection = thing.instance_collection if thing.instance_type == "COLLECTION" else None
     if collection is None:
         return False
-    if collection not in known:
-        known[collection] = False  # Blender lets no collection instance itself; should one, this ends
-        known[collection] = any(shows_hands(part, known) for part in collection.all_objects)
-    return known[collection]
+    uid = collection.session_uid
+    if uid not in known:
+        known[uid] = False  # Blender lets no collection instance itself; should one, this ends
+        known[uid] = any(shows_hands(part, known) for part in collection.all_objects)
+    return known[uid]
 
 
 def hands_shown(
-    thing: bpy.types.Object, *, for_render: bool, placed: Matrix | None = None, depth: int = 0
+    thing: bpy.types.Object, known: Known, *, for_render: bool, placed: Matrix | None = None, depth: int = 0
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
     """The hands of an *evaluated* object, as Blender evaluated them: itself, and those of the collection that it
-    instances; and (4, 4) what the place of each in the world is multiplied with. for_render: those that are rendered,
-    not those that views show."""
+    instances; and (4, 4) what the place of each in the world is multiplied with. known: of `shows_hands`, of
+    evaluated objects for renders and of the file's for views. for_render: those that are rendered, not those that views
+    show."""
     if armature.is_any_hand(thing):
         yield thing, armature.UNPLACED if placed is None else np.array(placed)
     collection = thing.instance_collection if thing.instance_type == "COLLECTION" else None
@@ -46,8 +50,8 @@ def hands_shown(
         return
     here = (placed or Matrix()) @ thing.matrix_world @ Matrix.Translation(-collection.instance_offset)
     for part in dict.fromkeys(_visible(collection, for_render)):
-        if part != thing:
-            yield from hands_shown(part, for_render=for_render, placed=here, depth=depth + 1)
+        if part != thing and shows_hands(part if for_render else part.original, known):
+            yield from hands_shown(part, known, for_render=for_render, placed=here, depth=depth + 1)
 
 
 def _visible(collection: bpy.types.Collection, for_render: bool) -> Iterator[bpy.types.Object]:
@@ -66,12 +70,12 @@ def evaluated_sources(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
     A render has a thread of its own and data of its own, in which what is not rendered is not there; of the file's data
     nothing is read here, for meanwhile the artist may delete objects.
     """
-    known: dict[bpy.types.Collection, bool] = {}
+    known: Known = {}
     things = [thing for thing in depsgraph.view_layer_eval.objects if thing is not None and shows_hands(thing, known)]
     return sorted(things, key=armature.name_in_files)
 
 
 def sources_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """The hands of a view layer and what instances some, that take part in renders now or at another frame, by name."""
-    known: dict[bpy.types.Collection, bool] = {}
+    known: Known = {}
     return armature.rendered_at_any_frame(view_layer, lambda thing: shows_hands(thing, known))

@@ -21,24 +21,26 @@ from . import instances, sources
 
 # (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand and what instances some
 _found: dict[tuple[int, str], list[tuple[str, int]]] = {}
+# what was found of collections that are instanced
+_collections: instances.Known = {}
 
 
 def forget() -> None:
     """Makes the next look a fresh one."""
     _found.clear()
+    _collections.clear()
 
 
 def notice(depsgraph: bpy.types.Depsgraph) -> None:
     """Something was changed in Blender: where that can have made or removed a hand, look anew."""
     known = {uid for found in _found.values() for _, uid in found}
-    collections: dict[bpy.types.Collection, bool] = {}
     for update in depsgraph.updates:
         thing = update.id
         if isinstance(thing, bpy.types.Scene | bpy.types.Collection):
             break
         if isinstance(thing, bpy.types.Object):
             original = thing.original
-            if instances.shows_hands(original, collections) != (original.session_uid in known):
+            if instances.shows_hands(original, _collections) != (original.session_uid in known):
                 break
     else:
         return
@@ -63,7 +65,7 @@ def read(
     """The hands of these objects, with their avatars, and for those that cannot be read their name and why."""
     hands, failures = [], []
     for thing in things:
-        for hand, placed in instances.hands_shown(thing.evaluated_get(depsgraph), for_render=False):
+        for hand, placed in instances.hands_shown(thing.evaluated_get(depsgraph), _collections, for_render=False):
             if switched_on_only and not hand.jghand.show_in_viewport:
                 continue
             try:
@@ -95,8 +97,7 @@ def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.typ
         ):
             return [thing for thing in things if thing is not None]
     # an object that was deleted a moment ago is None here
-    known: dict[bpy.types.Collection, bool] = {}
-    things = [thing for thing in layer.objects if thing is not None and instances.shows_hands(thing, known)]
+    things = [thing for thing in layer.objects if thing is not None and instances.shows_hands(thing, _collections)]
     things.sort(key=lambda thing: thing.name)
     _found[key] = [(thing.name, thing.session_uid) for thing in things]
     if things and threading.current_thread() is threading.main_thread():

@@ -45,7 +45,8 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     if not (there or _hands_elsewhere(depsgraph)):
         raise JGHandFailure("no_hand")
     things = [thing for thing in there if not thing.hide_render]
-    hands = [hand for thing in things for hand, _ in instances.hands_shown(thing, for_render=True)]
+    known: instances.Known = {}
+    hands = [hand for thing in things for hand, _ in instances.hands_shown(thing, known, for_render=True)]
     check_drivers((*things, *hands, frame.eye()), depsgraph)
     times = shutter_times(depsgraph.scene_eval)
     names = [armature.name_in_files(thing) for thing in things]
@@ -99,8 +100,9 @@ def _moment(names: list[tuple[str, str]], frame: Frame, depsgraph: bpy.types.Dep
     if gone:
         raise JGHandFailure("hidden", ", ".join(gone))
     hands: list[HandInSpace] = []
+    known: instances.Known = {}
     for thing in map(found.__getitem__, names):
-        for hand, placed in instances.hands_shown(thing, for_render=True):
+        for hand, placed in instances.hands_shown(thing, known, for_render=True):
             hands += seen_hands.read_shown(hand, depsgraph, placed)
     whole = camera.pinhole(frame.eye(), depsgraph, frame.size)
     return Moment(picture_of(whole, frame.part, frame.part.pixels), hands)

@@ -3,6 +3,8 @@ one."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import hands
 import numpy as np
@@ -128,6 +130,52 @@ def test_scenes_without_instances_are_read_without_looking_for_them(extension, m
     assert len(shown(extension)) == 1
     monkeypatch.setattr(instances, "shows_hands", None)
     monkeypatch.setattr(instances, "_visible", None)
+    assert len(shown(extension)) == 1
+
+
+def beside_a_meadow(context: bpy.types.Context) -> tuple[bpy.types.Collection, bpy.types.Collection]:
+    """An instanced collection with a hand and with instances of another one, which has none."""
+    inner, meadow = asset(context), bpy.data.collections.new("meadow")
+    for place in range(20):
+        meadow.objects.link(bpy.data.objects.new(f"grass {place}", None))
+    for place in range(3):
+        instance_of(meadow, f"patch {place}", inner)
+    instance_of(inner, "placed", context.scene.collection)
+    context.view_layer.update()
+    return inner, meadow
+
+
+def test_nested_instances_without_hands_are_not_entered(extension, monkeypatch):
+    beside_a_meadow(extension)
+    entered, visible = [], instances._visible
+    monkeypatch.setattr(
+        instances, "_visible", lambda collection, how: entered.append(collection.name) or visible(collection, how)
+    )
+    assert len(shown(extension)) == 1
+    assert entered == ["asset"]
+
+
+def test_an_edit_beside_instances_looks_into_none_of_them_again(extension, monkeypatch):
+    inner, meadow = beside_a_meadow(extension)
+    other = bpy.data.objects.new("other", None)
+    extension.scene.collection.objects.link(other)
+    extension.view_layer.update()
+    seen_hands.forget()
+    assert len(shown(extension)) == 1
+    asked, is_any_hand = [], armature.is_any_hand
+    monkeypatch.setattr(armature, "is_any_hand", lambda thing: asked.append(thing.name) or is_any_hand(thing))
+    update = SimpleNamespace(
+        updates=[SimpleNamespace(id=thing) for thing in (other, extension.scene.objects["placed"])]
+    )
+    seen_hands.notice(update)
+    assert asked == ["other", "placed"]
+    monkeypatch.undo()
+    bpy.app.handlers.depsgraph_update_post.append(lambda _, depsgraph: seen_hands.notice(depsgraph))
+    meadow.objects.link(inner.objects[0])
+    extension.view_layer.update()
+    assert len(shown(extension)) == 4
+    meadow.objects.unlink(inner.objects[0])
+    extension.view_layer.update()
     assert len(shown(extension)) == 1
 
 
