@@ -8,6 +8,7 @@ depth. What is set for the movie is set in the copy, so whatever ends it, the sc
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ from .. import clock, ui, versions
 from ..errors import JGHandFailure
 from ..hand import instances
 from ..ops import REGISTERED, Reporting, missing, seen_frames
-from . import camera, composite
+from . import camera, composite, rendering
 from .ops import has_standard, use_standard
 
 # what draws all but the hands: Blender's Solid shading
@@ -28,6 +29,8 @@ REST_ENGINE = "BLENDER_WORKBENCH"
 _VIEW_SENSOR_MM = 72.0
 # how often it is looked whether the render is over
 _LOOK_S = 0.2
+# Blender's errors of a render whose output cannot be written
+_WRITING = re.compile(r"cannot save|cannot create|cannot open|could not open|writ(e|ing)\b|directory", re.IGNORECASE)
 
 
 @dataclass
@@ -66,7 +69,7 @@ class PreviewMovie(Reporting, bpy.types.Operator):
             return missing(cls, "Blender is rendering already")
         if not instances.sources_at_any_frame(context.view_layer):
             return missing(cls, "There is no hand in this scene that is rendered")
-        if context.scene.camera is None and _view_of(context) is None:
+        if context.scene.camera is None and _view_of(context) is None and _local_camera(context) is None:
             return missing(cls, "The scene has no camera")
         return True
 
@@ -78,18 +81,24 @@ class PreviewMovie(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         global _now
         _now = _begin(context)
-        copy = _scene(_now.scene_uid)
-        assert copy is not None  # `_begin` made it
         try:
+            copy = _scene(_now.scene_uid)
+            assert copy is not None  # `_begin` made it
             if getattr(self, "_is_aside", False):
                 _render_aside(context, copy)
                 bpy.app.timers.register(_look, first_interval=_LOOK_S, persistent=True)
                 return
             bpy.ops.render.render(animation=True, scene=copy.name)
-        except RuntimeError as error:
+        except BaseException as error:
             _end()
-            raise JGHandFailure("cannot_write", str(error).strip()) from error
-        self.tell(rpt_("Wrote {path}.").format(path=_end()))
+            if isinstance(error, RuntimeError) and _WRITING.search(str(error)):
+                raise JGHandFailure("cannot_write", str(error).strip()) from error
+            raise
+        told, failed = rpt_("Wrote {path}.").format(path=_end()), rendering.said_of_failed_hands()
+        if failed:
+            self.warn(told, failed)
+        else:
+            self.tell(told)
 
 
 def _render_aside(context: bpy.types.Context, copy: bpy.types.Scene) -> None:
@@ -109,10 +118,11 @@ def _look() -> float | None:
     if bpy.app.is_job_running("RENDER"):
         return _LOOK_S
     ended = _now.ended if _now is not None else ""
-    path = _end()
+    path, failed = _end(), rendering.said_of_failed_hands()
     if ended == "complete":
         text = rpt_("The preview was written to {path}.").format(path=path)
-        ui.show_later(text, operators=(("render.play_rendered_anim", "PLAY"),))
+        ways = (("render.play_rendered_anim", "PLAY"),)
+        ui.show_later(f"{text} {failed}".strip(), icon="ERROR" if failed else "INFO", operators=ways)
     return None
 
 
@@ -127,9 +137,11 @@ def _begin(context: bpy.types.Context) -> _Movie:
     movie = _Movie(copy.session_uid, 0, "")
     try:
         composite.forget(copy)
-        view = _view_of(context)
+        view, own = _view_of(context), _local_camera(context)
         if view is not None:
             movie.camera = _add_camera(copy, view).name
+        elif own is not None:
+            _see_through(copy, own)
         _set_up(copy, scene, context)
         for each in copy.view_layers:
             each.use = each.name == layer.name
@@ -182,8 +194,22 @@ def _view_of(context: bpy.types.Context) -> bpy.types.SpaceView3D | None:
     return None if space.region_3d.view_perspective == "CAMERA" else space
 
 
+def _local_camera(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The camera that a 3D view has for itself, where it is seen through."""
+    space = context.space_data
+    if not isinstance(space, bpy.types.SpaceView3D) or _view_of(context) is not None or not space.use_local_camera:
+        return None
+    return space.camera
+
+
+def _see_through(copy: bpy.types.Scene, seen_from: bpy.types.Object) -> None:
+    """Has the copy seen from a camera; markers choose no other."""
+    copy.timeline_markers.clear()
+    copy.camera = seen_from
+
+
 def _add_camera(copy: bpy.types.Scene, space: bpy.types.SpaceView3D) -> bpy.types.Object:
-    """A camera of the copy that sees as a 3D view does; markers choose no other."""
+    """A camera of the copy that sees as a 3D view does."""
     view = space.region_3d
     data = bpy.data.cameras.new("JGHand Preview")
     data.sensor_width = data.sensor_height = _VIEW_SENSOR_MM
@@ -194,8 +220,7 @@ def _add_camera(copy: bpy.types.Scene, space: bpy.types.SpaceView3D) -> bpy.type
         data.type, data.ortho_scale = "ORTHO", view.view_distance * _VIEW_SENSOR_MM / space.lens
         made.matrix_world.translation += made.matrix_world.col[2].to_3d() * space.clip_end / 2
     copy.collection.objects.link(made)
-    copy.timeline_markers.clear()
-    copy.camera = made
+    _see_through(copy, made)
     return made
 
 

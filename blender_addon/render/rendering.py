@@ -34,7 +34,8 @@ from . import ENGINE, composite
 
 # what was said: of which scene, and the sentence
 _said: set[tuple[int, str]] = set()
-_failed = False
+# what was said of the hands of this render that failed; "" while none did
+_failed = ""
 # when the render of hands began that goes on, on the clock of time.monotonic()
 _began_s = math.inf
 
@@ -92,7 +93,7 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     global _failed
     if scene is None or composite.is_hands_scene(scene):
         return
-    _failed = False
+    _failed = ""
     runtime.note_render(None)
     text = sentence_of(scene)
     if not text or (scene.session_uid, text) in _said:
@@ -107,10 +108,15 @@ def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
     global _failed
     if _failed:
         return
-    _failed = True
     reason = f"{rpt_(failure.advice.sentence)}. {rpt_(failure.advice.remedy)}."
     text = iface_("The hands of frame {frame} failed and are magenta: {reason}")
-    ui.show_later(text.format(frame=scene.frame_current, reason=reason), icon="ERROR")
+    _failed = text.format(frame=scene.frame_current, reason=reason)
+    ui.show_later(_failed, icon="ERROR")
+
+
+def said_of_failed_hands() -> str:
+    """What was said of the first hands that failed in the newest combined render; "" where none did."""
+    return _failed
 
 
 def sentence_of(scene: bpy.types.Scene) -> str:
@@ -148,4 +154,4 @@ def unregister() -> None:
     if on_render in bpy.app.handlers.render_init:
         bpy.app.handlers.render_init.remove(on_render)
     _said.clear()
-    _failed = False
+    _failed = ""

@@ -3,13 +3,17 @@ window; here Cycles draws what is no hand."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import hands
 import numpy as np
 import pytest
-from test_combine import is_magenta, pixels
+from test_combine import fails_from, is_magenta, pixels
 
 from blender_addon import registration, versions
 from blender_addon.render import composite, preview
@@ -121,16 +125,75 @@ def test_a_preview_that_fails_leaves_nothing_either(scene, tmp_path):
     assert state(scene) == before
 
 
-def test_a_hand_that_fails_is_magenta_in_the_preview(scene, tmp_path):
-    bpy.data.objects["right"].scale.x = 0
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("Error: No camera found in scene"), ValueError()])
+def test_a_preview_that_is_broken_off_is_over_and_says_why(scene, context, monkeypatch, error):
+    def broken(*_):
+        raise error
+
+    monkeypatch.setattr(preview, "_render_aside", broken)
+    before = state(scene)
+    with pytest.raises(type(error)) as caught:
+        preview.PreviewMovie.run(SimpleNamespace(_is_aside=True), context)
+    assert caught.value is error
+    assert state(scene) == before
+    assert bpy.ops.jghand.preview_movie.poll(), "another one may begin"
+
+
+def test_a_hand_that_fails_is_magenta_in_the_preview_which_says_so(scene, tmp_path, capfd):
+    fails_from(bpy.data.objects["right"], 3)
     bpy.ops.jghand.preview_movie()
-    assert all(is_magenta(picture) for picture in written(tmp_path).values())
+    assert [is_magenta(picture) for picture in written(tmp_path).values()] == [False, True]
+    reason = "The hands of frame 3 failed and are magenta: A scale of zero is not supported"
+    assert re.search(f"Warning: Wrote .*f_0002.png. {reason}", capfd.readouterr().out)
+
+
+def view_of(context) -> bpy.types.Area:
+    return next(area for area in context.screen.areas if area.type == "VIEW_3D")
+
+
+@contextmanager
+def begun_in(area: bpy.types.Area) -> Iterator[bpy.types.Scene]:
+    """The copy that a preview renders which is begun in a view."""
+    with bpy.context.temp_override(area=area):
+        assert bpy.ops.jghand.preview_movie.poll()
+        movie = preview._begin(bpy.context)
+    copy = preview._scene(movie.scene_uid)
+    assert copy is not None
+    yield copy
+    preview._remove(movie)
+
+
+def test_a_view_with_a_camera_of_its_own_is_seen_through_that(scene, context):
+    scene.timeline_markers.new("cut", frame=1).camera = scene.camera
+    own, scene.camera = scene.camera.copy(), None
+    scene.collection.objects.link(own)
+    space = view_of(context).spaces.active
+    space.region_3d.view_perspective, space.use_local_camera, space.camera = "CAMERA", True, own
+    with begun_in(view_of(context)) as copy:
+        assert copy.camera == own
+        assert not copy.timeline_markers
+    assert len(scene.timeline_markers) == 1
+    space.use_local_camera = False
+
+
+def test_a_preview_of_a_view_looks_as_the_view_and_is_no_larger(scene, context):
+    area = view_of(context)
+    shading, region = area.spaces.active.shading, next(each for each in area.regions if each.type == "WINDOW")
+    shading.type, shading.light = "SOLID", "FLAT"
+    scene.jghand.viewport_preset, scene.jghand.render_preset = "draft", "reference"
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 16000, 9000, 100
+    with begun_in(area) as copy:
+        assert copy.jghand.render_preset == "draft"
+        assert copy.view_settings.view_transform == "Standard"
+        assert copy.display.shading.light == "FLAT"
+        assert 1 < copy.render.resolution_x <= region.width
+        assert 1 < copy.render.resolution_y <= region.height
 
 
 def test_a_view_becomes_a_camera_of_the_copy_alone(scene, context):
     """As Blender projects it in the view: perspective and orthographic, with markers that would choose a camera."""
     scene.timeline_markers.new("cut", frame=1).camera = scene.camera
-    space = next(area.spaces.active for area in context.screen.areas if area.type == "VIEW_3D")
+    space = view_of(context).spaces.active
     space.lens, space.clip_start, space.clip_end = 50, 0.02, 80
     for perspective in ("PERSP", "ORTHO"):
         space.region_3d.view_perspective = perspective
