@@ -104,7 +104,8 @@ def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy
         what = "What plays here is not what the scene has" if seen.plays else "The bake is not what the scene has"
         said = f"{iface_(what)}: {', '.join(map(iface_, seen.reasons))}."
         ui.paragraph(layout, context, said, icon="ERROR")
-    if seen.plays and context.space_data.shading.type == "SOLID":
+    space = context.space_data
+    if seen.plays and isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "SOLID":
         ui.paragraph(layout, context, "The colors of a bake show in Material Preview and Rendered", icon="INFO")
     return bool(seen.reasons)
 
