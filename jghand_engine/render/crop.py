@@ -10,16 +10,16 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import CorrectiveChange, LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.avatar.skin_task import SIGMA_STRETCH_MAX
+from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.gate import ShadowGate
 from jghand_engine.render.image import Box
 
-# offsets of the correctives are stretched by at most this: where two bones at 112 degrees share the skin, their mean
-# map keeps its volume by stretching along the axis by cos(56 degrees)^(-2/3) = 1.47
-OFFSET_STRETCH = 1.5
+# offsets of the correctives are stretched by at most this beyond their bones' maps: where bones that are folded share
+# the skin, their mean map keeps its length along the axis of the fold, and is divided by the third root of its volume
+OFFSET_STRETCH = BLEND_DET_MIN ** (-1 / 3)
 # the box stands at multiples of this, px: tiles stay where they were, and buffers are seldom made anew
 CROP_STEP_PX = 64
 NOWHERE = Box(0, 0, 0, 0)
@@ -47,6 +47,8 @@ class HandFacts:
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         # the longest offset of the correctives
         self._offset_m = 0.0 if net is None else OFFSET_STRETCH * math.sqrt(3) * net.longest_offset_m()
+        # along these a bone is stretched
+        self._frames = avatar.skeleton().canonical.frames
         self._moving, self._corners_m = _corners(avatar)
         # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
         # like the corners; twice is more than it does to the skin of a hand
@@ -58,8 +60,10 @@ class HandFacts:
     def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
         """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
         may be from its skinned place."""
-        seen, scale = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m, max(bones.scale, 1.0)
-        return seen * scale, self._offset_m * scale
+        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
+        # a bone that is longer than the hand's scale says stretches the offsets along it
+        longest = float(np.linalg.norm(bones.linear_offset[:, :, :3] @ self._frames, axis=1).max())
+        return seen * max(bones.scale, 1.0), self._offset_m * max(longest, 1.0)
 
     def corners_m(self, linear_offset: np.ndarray) -> np.ndarray:
         """(K, 3) points relative to the hand's root whose hull holds every skinned place. linear_offset: (21, 3, 4)"""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar, trained_avatar
 
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.corrective_task import NetworkStep
 from jghand_engine.avatar.correctives import CorrectiveChange, PoseNetShape
@@ -21,6 +24,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose, pose_names
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.pose_features import Angles
+from jghand_engine.learn.skinning import skin_maps
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
@@ -400,13 +404,45 @@ def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     assert np.abs(frame.depth_m - whole.depth_m).max() < 1e-4
 
 
-@pytest.mark.parametrize("name", ["open", "fist", "point"])
+def folded(degrees: float, avatar: HandAvatar, longer: float = 1.0) -> np.ndarray:
+    """An open hand whose fingers are folded at their knuckles, onto the palm or (below 0) onto its back."""
+    joints = pose("open", avatar).copy()
+    across = joints[5] - joints[2]
+    turn = Rotation.from_rotvec(np.radians(degrees) * across / np.linalg.norm(across))
+    for knuckle in range(2, 6):
+        finger = [knuckle + 5, knuckle + 10, knuckle + 15]
+        joints[finger] = joints[knuckle] + longer * turn.apply(joints[finger] - joints[knuckle])
+    return joints
+
+
+POSED = {name: partial(pose, name) for name in ("open", "fist", "point")} | {
+    "folded": partial(folded, 150),
+    "folded back": partial(folded, -130),
+}
+
+
+@pytest.mark.parametrize("longer", [1.0, 3.0])
+@pytest.mark.parametrize("degrees", [150, -130])
+def test_no_offset_is_stretched_farther_than_the_box_knows(degrees: float, longer: float):
+    joints, facts = folded(degrees, TRAINED, longer), HandFacts(TRAINED)
+    assert TRAINED.learned is not None
+    assert TRAINED.learned.correctives is not None
+    longest_m = np.sqrt(3) * TRAINED.learned.correctives.longest_offset_m()
+    bones, weights = TRAINED.skeleton().bones(joints), torch.from_numpy(TRAINED.bone_weights).double()
+    maps = skin_maps(weights, transform_of(TRAINED).bones(torch.from_numpy(joints)))
+    stretched_m = bones.scale * float(torch.linalg.matrix_norm(maps.turning, 2).max()) * longest_m
+    assert not bones.flags
+    assert stretched_m > 1.5 * longest_m  # otherwise this would say nothing
+    assert stretched_m <= facts.reach_m(bones, contract.ALPHA_MIN)[1] * (1 + 1e-6)  # maps are in 32 bits
+
+
+@pytest.mark.parametrize("joints_of", POSED.values(), ids=POSED)
 @pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
-def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
+def test_nothing_is_seen_outside_of_the_hands_box(joints_of, avatar):
     for focal_px in (60.0, 300.0, 1500.0):
         view = camera(640, 480, focal_px=focal_px)
         scene = SceneRenderer([avatar], replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
-        frame = scene.render([pose(name, avatar)], view)
+        frame = scene.render([joints_of(avatar)], view)
         posed = scene._posed
         assert posed is not None
         box = posed.scene(view).box(scene._facts, contract.ALPHA_MIN)
