@@ -23,6 +23,7 @@ OFFSET_STRETCH = BLEND_DET_MIN ** (-1 / 3)
 # the box stands at multiples of this, px: tiles stay where they were, and buffers are seldom made anew
 CROP_STEP_PX = 64
 NOWHERE = Box(0, 0, 0, 0)
+PRINTED_NOTE = "the avatar was trained with the shadow of the paper, which is not drawn: JGHand's own is another one"
 
 
 class HandFacts:
@@ -31,6 +32,8 @@ class HandFacts:
     avatar:            as it is drawn, see `strip_disabled`
     gate:              of its shadow
     look:              of its shadow; None where it was learned without one
+    gated:             whether its colors were learned under that gate
+    notes:             what is said of it beside every image
     keeps_correctives: whether it is worth while to use those of the last pose again
     sigma_m:           of its median Gaussian
     corrective_change: bounds how far its correctives differ between two poses
@@ -40,6 +43,8 @@ class HandFacts:
         self.avatar, self.learned = avatar, avatar.learned
         self.gate = ShadowGate(avatar.canonical_joints_m)
         self.look = ShadowLook() if self.learned is None else self.learned.shadow
+        printed = self.look is not None and self.look.printed
+        self.gated, self.notes = self.learned is not None and not printed, [PRINTED_NOTE] if printed else []
         net = None if self.learned is None else self.learned.correctives
         # a linear tier is found as fast as it is read
         self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)

@@ -250,7 +250,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     near = len(hands) > 1 and gap_between(scene.joints_m) < GATE_RADIUS_M
     seen = settings.shadow_strength * max((_seen(hand, settings, near=near) for hand in hands), default=0.0)
     large = 1.0 if always else fade_with_size(max(extents_px))
-    learned = [hand.learned is not None for hand in hands]
+    gated = [hand.gated for hand in hands]
     strength, worst, figure = 0.0, darkest, 0.0
     if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
         why = "switched off"
@@ -262,7 +262,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
         why, figure, worst = "seen by {0:.1f} of 255 steps", 255 * seen, seen
     elif large == 0:
         why, figure, worst = "hand {0:.0f} px", max(extents_px), min(darkest, SHADOW_MISSED)
-    elif always and not any(learned):
+    elif always and not any(gated):
         why, strength = "on every frame", settings.shadow_strength
     else:
         triples = zip(hands, scene.joints_m, scene.bones, strict=True)
@@ -271,7 +271,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
         why, strength = "gate {0:.2f}", large * fade(figure) * settings.shadow_strength
         if strength == 0:
             # colors that were learned under a shadow that fades with the pose have in them what it leaves out
-            worst = 0.0 if all(learned) else min(darkest, SHADOW_MISSED)
+            worst = 0.0 if all(gated) else min(darkest, SHADOW_MISSED)
     sides = [min(extent, max(scene.camera.width, scene.camera.height)) for extent in extents_px]
     # the boxes of the joints, half filled
     cost = 0.5 * sum(side * min(side, scene.camera.height) for side in sides) * settings.shadow_samples * SHADOW_MS

@@ -260,7 +260,9 @@ class SceneRenderer:
             )
         ]
         unseen = _by_hand([_unseen(trained, pose) for trained, pose in zip(self._ranges, poses, strict=True)])
-        notes = _by_hand([describe_flags(one.flags) for one in bones])
+        notes = _by_hand(
+            [describe_flags(one.flags) + facts.notes for one, facts in zip(bones, self._facts, strict=True)]
+        )
         angles = [
             old if pose.keep_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)

@@ -375,6 +375,25 @@ def test_a_learned_shadow_that_may_not_be_drawn_is_no_loss_of_nothing():
     assert decision.worst >= 0.5  # the tint of the small avatar's shadow is 0.7
 
 
+def test_a_hand_that_learned_the_papers_shadow_was_not_learned_under_the_gate():
+    assert TRAINED.learned is not None
+    assert TRAINED.learned.shadow is not None
+    look = replace(TRAINED.learned.shadow, printed=True)
+    printed = replace(TRAINED, learned=replace(TRAINED.learned, shadow=look))
+    missed = {}
+    for avatar in (TRAINED, printed):
+        frame = HandRenderer(avatar, SMALL).render(pose("open", avatar), camera())
+        decision = plan_of(frame)[Effect.SHADOW]
+        assert not decision.runs
+        assert "gate" in decision.reason
+        missed[avatar is printed] = decision.worst
+        assert any("shadow of the paper" in note for note in frame.report.notes) == (avatar is printed)
+    assert missed == {False: 0.0, True: SHADOW_MISSED}
+    # its colors have in them what a shadow in every pose leaves out
+    always = replace(SMALL, shadow=ShadowMode.ALWAYS)
+    assert plan_of(HandRenderer(printed, always).render(pose("open", printed), camera())).strength == 1
+
+
 def test_a_tiny_hand_without_the_filter_is_not_said_to_be_right():
     frame = HandRenderer(RIGHT, replace(SMALL, antialias=False)).render(pose("open"), camera(focal_px=20.0))
     decision = plan_of(frame)[Effect.FILTER]
