@@ -180,6 +180,8 @@ class Bake(StartsJob, bpy.types.Operator):
 
     def overwritten(self, context: bpy.types.Context) -> str:
         folders_ = _bake_folders(context, ops_common.hands_to_write(context))
+        for folder in folders_:
+            bakes.bring_back(folder)
         there = [str(folder) for folder in folders_ if (folder / bakes.STAMP).is_file()]
         return rpt_("There is a bake in {folders}").format(folders=", ".join(there)) if there else ""
 
@@ -295,6 +297,7 @@ class PlayBake(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
         folder = bakes.folder_of(thing)
+        bakes.bring_back(folder)
         hands = bakes.read_bake(folder)
         reasons = bakes.stale_now(thing, context.evaluated_depsgraph_get(), hands)
         if reasons and not self.accept_stale:
@@ -329,6 +332,7 @@ class CheckBake(StartsJob, bpy.types.Operator):
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> None:
         folder = bakes.folder_of(context.object)
+        bakes.bring_back(folder)
         found = {hand.handedness: hand for hand in bakes.read_bake(folder)}
         reasons = []
         for recording in recordings:

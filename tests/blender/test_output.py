@@ -545,6 +545,21 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
     assert sorted(map(str, found)) == ["/root/Body_left/Splats", "/root/Body_right/Splats"]
 
 
+@pytest.mark.parametrize("operator", ["play_bake", "check_bake", "bake"])
+def test_a_bake_that_a_killed_blender_moved_aside_is_there_again(baked, operator):
+    context, hand, _ = baked
+    folder = bakes.folder_of(hand)
+    aside = bakes._set_aside(folder)
+    folder.rename(aside)
+    folder.mkdir()
+    if operator == "bake":
+        assert overwritten(Bake, context) == f"There is a bake in {folder}"
+    else:
+        assert getattr(bpy.ops.jghand, operator)() == {"FINISHED"}
+    assert bakes.read_bake(folder)
+    assert not aside.exists()
+
+
 def test_a_bake_of_more_or_fewer_hands_than_before_leaves_no_ghost_of_an_earlier_one(extension, engine, tmp_path):
     rig, joints = mixamo_rig(extension)
     rig.jghand.avatar = "painted"
