@@ -102,12 +102,9 @@ def near_hand(motions: Sequence[MotionFile], anchor: int | None, *, in_place: bo
 
 def in_fields(text: str, fields: Mapping[str, str]) -> str:
     """The renderer's sentences with the names of Blender's fields instead of its own options; what names an option that
-    has no field is left out. Sentences about OpenPose's own options stay."""
+    has no field is left out."""
     pieces = []
     for sentence in re.split(r"(?<=[.;]) ", text):
-        if "OpenPose with" in sentence:
-            pieces.append(sentence)
-            continue
         named = _OPTION.sub(lambda found: f'"{fields[found[1]]}"' if found[1] in fields else found[0], sentence)
         clauses = [clause for clause in named.split(", ") if not _COMMAND.search(clause)]
         if clauses:

@@ -22,6 +22,7 @@ from bpy_extras.io_utils import ImportHelper
 from .. import folders, ui, versions
 from .. import ops as common
 from ..core.joints import LEFT, RIGHT
+from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
 from ..ops import CANCELLED, UNDOABLE_IMPORT, Elsewhere, InTurns, missing
 from ..renderer import runtime
@@ -432,6 +433,14 @@ class TrackVideo(KeysFile, bpy.types.Operator):
     placement: bpy.props.EnumProperty(
         name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS, default="IN_PLACE"
     )
+    # what presets and scripts of the time before `placement` set; `draw` does not show it
+    in_place: bpy.props.BoolProperty(
+        name="In Place",
+        description='The same as the placement "In Place"',
+        get=lambda self: self.placement == "IN_PLACE",
+        set=lambda self, wanted: setattr(self, "placement", "IN_PLACE" if wanted else self.placement),
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True
     )
@@ -463,16 +472,18 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         global _last_film
         active = common.active_hand(context)
         wanted = ("auto", "both", armature.shown_handedness(active)) if active is not None else ()
+        avatar = avatar_of(active) if active is not None and self.hand in wanted else ""
         options = {
             "--hand": self.hand,
             "--smoothing": f"{self.smoothing:g}",
             "--camera-angle": f"{math.degrees(self.camera_angle):g}",
             "--hand-length": f"{self.hand_length:g}" if self.hand_length else "",
-            "--avatar": avatar_of(active) if active is not None and self.hand in wanted else "",
+            "--avatar": avatar,
             FETCH: bpy.app.online_access,
         }
         state = path.stat() if path.is_file() else None
-        asked = (path, state and (state.st_mtime_ns, state.st_size), tuple(options.items()))
+        stamp = avatar and avatar_stamp(avatar)
+        asked = (path, state and (state.st_mtime_ns, state.st_size), stamp, tuple(options.items()))
         if _last_film is not None and _last_film[0] == asked:
             return _last_film[1]
         try:

@@ -66,9 +66,9 @@ def _content(documents: Iterable[Any]) -> MotionContent:
         collected.add(hands)
     tracks = collected.tracks(labeled=True)
     if not tracks and flat_only:
-        raise NoMotionError("its keypoints have no depth: run OpenPose with several cameras and --3d --hand")
+        raise NoMotionError("its keypoints have no depth: let OpenPose find hands in 3D, with several cameras")
     if not tracks:
-        raise NoMotionError("no keypoints of hands in it: run OpenPose with --hand")
+        raise NoMotionError("no keypoints of hands in it: let OpenPose find hands too")
     notes = [f"{crowded} frames show several people: the surest hand of each side was taken."] if crowded else []
     return MotionContent("OpenPose keypoints", tracks, notes=tuple(notes))
 

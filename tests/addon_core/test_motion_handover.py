@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender_addon.core import panel_text
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import motion_files, motion_jobs
@@ -119,7 +120,21 @@ def test_what_the_renderer_says_names_blenders_fields_and_no_option(folder, fiel
     shown = [motion_jobs.in_fields(text, fields) for text in sentences]
     assert len(sentences) > 3
     assert said in shown
-    assert not [text for text in shown if re.search(r"(^|\W)--[a-z]|jghand [a-z]+ ", text) and "OpenPose" not in text]
+    assert not [text for text in shown if re.search(r"(^|\W)--[a-z]|jghand [a-z]+ ", text)]
+
+
+@pytest.mark.parametrize(
+    ("person", "advice"),
+    [({"hand_right_keypoints_2d": [1.0] * 63}, "let OpenPose find hands in 3D"), ({}, "let OpenPose find hands too")],
+)
+def test_what_openpose_has_to_do_is_read_in_blender(tmp_path, person, advice):
+    reading = pytest.importorskip("jghand_engine.motion.read", reason="needs the engine's packages")
+    path = tmp_path / "x_000000000001_keypoints.json"
+    path.write_text(json.dumps({"version": 1.3, "people": [person]}))
+    with pytest.raises(reading.InputError) as caught:
+        reading.read_motion_file(path)
+    detail = motion_jobs.in_fields(str(caught.value), motion_jobs.MOTION_FIELDS)
+    assert advice in panel_text.in_blenders_words(detail)
 
 
 def test_fields_are_named_in_quotes_and_paths_stay_as_they_are():

@@ -210,6 +210,25 @@ def test_another_placement_is_no_reason_to_look_for_hands_again(extension, engin
         bpy.ops.jghand.track_video(filepath=str(video))
 
 
+def test_an_avatar_that_was_trained_anew_is_a_reason_to_look_again(extension, engine, video, tmp_path):
+    bpy.ops.jghand.add_hand(handedness="right")
+    avatar = tmp_path / "mine.jghand"
+    extension.object.jghand.avatar = str(avatar)
+    leave(engine, "right")
+    for content in (b"one", b"another"):
+        avatar.write_bytes(content)
+        (engine / "asked.json").unlink(missing_ok=True)
+        assert bpy.ops.jghand.track_video(filepath=str(video)) == {"FINISHED"}
+        assert (engine / "asked.json").exists()
+
+
+def test_in_place_of_older_scripts_and_presets_is_the_placement(extension, engine, video):
+    joints = leave(engine, "right")
+    chosen = {"placement": "FROM_HAND", "in_place": True}
+    assert bpy.ops.jghand.track_video(filepath=str(video), **chosen) == {"FINISHED"}
+    check_keys(extension.scene, hands_of(extension.scene)["right"], joints - joints[:, :1])
+
+
 @pytest.mark.parametrize("online", [False, True])
 def test_networks_are_downloaded_only_where_blender_may_go_online(extension, engine, video, monkeypatch, online):
     app = SimpleNamespace(online_access=online)

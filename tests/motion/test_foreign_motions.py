@@ -247,7 +247,7 @@ def test_openpose_is_a_folder_of_frames(tmp_path, motion):
 
 def test_flat_keypoints_of_openpose_are_refused(tmp_path):
     person = {"hand_right_keypoints_2d": [1.0] * 63, "hand_left_keypoints_2d": []}
-    with pytest.raises(InputError, match="--3d"):
+    with pytest.raises(InputError, match="hands in 3D"):
         read_motion_file(dumped(tmp_path / "x_000000000001_keypoints.json", {"version": 1.3, "people": [person]}))
 
 
