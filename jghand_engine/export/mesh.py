@@ -29,6 +29,8 @@ from jghand_engine.template.texture import rasterize_uv
 
 # format of `jghand export` -> suffix of its files
 MESH_FORMATS = {"mesh": "glb", "mesh-obj": "obj", "mesh-ply": "ply"}
+# suffixes of what an OBJ needs beside it: its material and its texture
+COMPANIONS = (".mtl", ".png")
 # a texel of the built-in hand is then 0.7 mm wide, as its Gaussians are
 TEXTURE_PX = 512
 # Gaussians around a texel or a vertex whose mean color it gets
@@ -72,7 +74,7 @@ def export_meshes(
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(names.path(target, index) for index in frames)
-    kept = names.refuse_others(target, files, len(sequence))
+    kept = names.refuse_others(target, files, len(sequence), COMPANIONS if names.suffix == "obj" else ())
     each = BYTES_PER_VERTEX * len(surface.vertex) + BYTES_PER_TEXEL * TEXTURE_PX**2
     check_room(target, len(files) * each, "the meshes")
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
@@ -96,7 +98,7 @@ def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: H
             "template",
             wanted=f"{avatar.info.template!r}, on which the avatar was made",
             came=repr(template.identifier),
-            remedy="Give the avatar's own template (UsdOptions.template).",
+            remedy="Give the avatar's own template.",
         )
     return mirrored(template) if handedness is Handedness.LEFT else template
 

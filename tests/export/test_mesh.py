@@ -84,6 +84,17 @@ def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(
         export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="glb"))
 
 
+@pytest.mark.parametrize("name", ["hand.0000.png", "hand.0000.mtl"])
+def test_a_picture_of_the_name_of_a_texture_is_not_replaced(tmp_path, name):
+    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 1)
+    (tmp_path / name).write_text("somebody's")
+    with pytest.raises(InputError, match=f"{name}.*--overwrite"):
+        export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="obj"))
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "somebody's")]
+    export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="obj", overwrite=True))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["hand.0000.mtl", "hand.0000.obj", "hand.0000.png"]
+
+
 def test_one_pose_of_a_motion_can_be_had_from_the_command_line(tmp_path, capsys):
     words = ["export", "mesh-ply", "--poses", "open,fist", "--avatar", "painted", "--frames", "3"]
     assert main([*words, "--out", str(tmp_path)]) == 0

@@ -72,9 +72,11 @@ class FrameFiles:
         """The file of a frame, counted from 0."""
         return folder / f"{self.name}.{self.first_frame + index:04d}.{self.suffix}"
 
-    def refuse_others(self, folder: Path, files: tuple[Path, ...], frames: int) -> int:
+    def refuse_others(
+        self, folder: Path, files: tuple[Path, ...], frames: int, companions: tuple[str, ...] = ()
+    ) -> int:
         """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost.
-        Gives how many other frames of that name it holds."""
+        Gives how many other frames of that name it holds. companions: suffixes of what is written beside each file"""
         pattern = re.compile(re.escape(self.name) + r"\.(-?\d+)\." + self.suffix)
         there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
         known = range(self.first_frame, self.first_frame + frames)
@@ -85,15 +87,17 @@ class FrameFiles:
                 came=f"{len(others)} others ({others[0]} to {others[-1]})",
                 remedy="Remove them, or choose another folder or name.",
             )
-        lost = [path.name for path in files if path.name in there]
+        again = [path.name for path in files if path.name in there]
+        beside = (path.with_suffix(suffix) for suffix in companions for path in files)
+        lost = again + [path.name for path in beside if path.exists()]
         if lost and not self.overwrite:
             raise InputError(
                 f"folder {folder}",
-                wanted=f"none of the frames of {self.name} that are to be written",
+                wanted=f"none of the files of {self.name} that are to be written",
                 came=f"{len(lost)} ({lost[0]} to {lost[-1]})",
                 remedy="Replace them with --overwrite, or choose another folder or name.",
             )
-        return len(there) - len(lost)
+        return len(there) - len(again)
 
 
 @dataclass(frozen=True)
