@@ -97,7 +97,13 @@ class Evaluate:
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
         avatar, other = load_avatar_called(self.avatar), load_avatar_called(str(self.beside)) if self.beside else None
-        capture = self.pictures.open(self.folder, None if self.template is None else hand_template(self.template))
+        template = hand_template(self.template)
+        capture = self.pictures.open(self.folder, template)
+        projected = sum(sample.mask_source.is_projected for sample in capture.samples)
+        if projected and template.identifier != avatar.info.template:
+            say(f"Warning: {projected} pictures have no mask, and {template.identifier} stands in for it, while the "
+                f"avatar was made on {avatar.info.template}: give that one's file with --template, or none where it "
+                "is JGHand's own.")  # fmt: skip
         told = held_out(avatar, capture, split_capture(capture, to_learn=False))
         if told.warning:
             say(f"Warning: {told.warning}")

@@ -67,7 +67,7 @@ def train_options(
         say(f"{perceptual.ST_LPIPS_MISSING} The training goes without the perceptual term.")
         options = replace(options, loss=replace(options.loss, perceptual=0.0))
     else:
-        say("The perceptual term is ST-LPIPS: the paper's LPIPS needs its trunk (--lpips-trunk).")
+        say("The perceptual term is ST-LPIPS, which stands in for the paper's LPIPS.")
     return options, metric
 
 

@@ -102,6 +102,8 @@ class Train:
         run = self._run_options()
         device = device_called(self.device)
         options, perceptual = train_options(self.preset, self.seed, device, self.lpips_trunk)
+        if perceptual is not None and self.lpips_trunk is None:
+            say("LPIPS itself needs its trunk (--lpips-trunk).")
         template = hand_template(self.template)
         check_places(run)
         capture = self.pictures.open(self.folder, template)
@@ -184,7 +186,8 @@ class Train:
         if outcome.finished:
             say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed views, cut to the hand, after {done}.")
             say(f"Log and pictures: {run.work}")
-            say(f"How good it is: jghand evaluate {run.out} {self.folder}")
+            template = "" if self.template is None else f" --template {self.template}"
+            say(f"How good it is: jghand evaluate {run.out} {self.folder}{template}")
         else:
             say(f"Stopped after {done}. Nothing is lost: the same command with --resume goes on.")
         if state.skipped:

@@ -11,10 +11,12 @@ from mano_samples import mano_fields, mano_objects, python2_pickle
 from picture_sets import RIGHT, edited, recorded, write_set
 from PIL import Image
 
+from jghand_engine.captures import capture_folder, check_data
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.masks import template_mask
 from jghand_engine.captures.sample import load_image
 from jghand_engine.cli import main
+from jghand_engine.errors import InputError
 from jghand_engine.template.mano import load_mano
 
 
@@ -49,23 +51,37 @@ def test_a_broken_set_ends_with_the_exit_code_of_bad_input_and_still_shows_pictu
     assert out.exists()
 
 
-def test_masks_that_are_not_there_are_the_silhouette_of_the_users_own_mano(tmp_path, capsys):
+def test_masks_that_are_not_there_are_the_silhouette_of_the_users_own_mano(tmp_path, capsys, monkeypatch):
     """In check-data, evaluate and train alike: each hands its template to the loader."""
     folder = write_set(tmp_path / "set", recorded(suffix=".jpg"))
     mano, hostile = tmp_path / "MANO_RIGHT.pkl", tmp_path / "other.pkl"
     mano.write_bytes(python2_pickle(mano_objects(mano_fields())))
     hostile.write_bytes(pickle.dumps(print))
-    for words in (["check-data", "--out"], ["evaluate", "builtin", "--out"], ["train", "--out"]):
+    commands = ["check-data", "--out"], ["evaluate", "builtin", "--out"], ["train", "--out"]
+    for words in commands:
         verb, out = words[0], str(tmp_path / "out.jghand")
         assert main([*words, out, str(folder), "--template", str(hostile)]) == 2, verb
         assert "Nothing in it was executed" in capsys.readouterr().err
+    handed = []
+
+    def opened(*_, template, **__):
+        handed.append(template.identifier)
+        raise InputError("pictures", wanted="no more", came="some")
+
+    with monkeypatch.context() as patched:
+        for module in (capture_folder, check_data):
+            patched.setattr(module, "open_capture", opened)
+        for words in commands:
+            assert main([*words, out, str(folder), "--template", str(mano)]) == 2
+    assert handed == [load_mano(mano).identifier] * 3
     plain, capture = open_capture(folder), open_capture(folder, template=load_mano(mano))
     ours, theirs = (load_image(one.samples[0]).mask for one in (plain, capture))
     mitten = template_mask(capture.samples[0].camera, capture.samples[0].joints_m, RIGHT, load_mano(mano))
     np.testing.assert_array_equal(theirs, mitten)
     assert theirs.sum() > 1.3 * ours.sum(), "a mitten covers what is between the fingers"
     assert run(folder, "--out", tmp_path / "o.png", "--template", mano) == 0
-    figures = []
+    capsys.readouterr()
+    figures, said = [], []
     for words in ([], ["--template", str(mano)]):
         out = tmp_path / f"evaluation{len(words)}"
         plain = [
@@ -81,8 +97,10 @@ def test_masks_that_are_not_there_are_the_silhouette_of_the_users_own_mano(tmp_p
             "--figures-only",
         ]
         assert main([*plain, "--preset", "draft", *words]) == 0
+        said.append(capsys.readouterr().out)
         figures.append(json.loads((out / "evaluation.json").read_text())["means"]["all"]["psnr_mask"])
     assert figures[0] != figures[1]
+    assert [f"4 pictures have no mask, and {load_mano(mano).identifier}" in text for text in said] == [False, True]
 
 
 def test_a_wrong_folder_ends_with_the_exit_code_of_bad_input(tmp_path, capsys):

@@ -89,6 +89,15 @@ def test_a_training_takes_the_users_trunk_instead_of_the_stand_in(alex, tmp_path
         train_options("default", 0, lpips_trunk=tmp_path / "alexnet.pth")
 
 
+def test_a_trunk_is_asked_for_only_by_the_command_that_takes_one(monkeypatch, capsys):
+    """`ablate` has no --lpips-trunk."""
+    monkeypatch.setattr(perceptual, "st_lpips", lambda _device=None: object())
+    train_options("paper-faithful", 0)
+    said = capsys.readouterr().out
+    assert "ST-LPIPS" in said
+    assert "--lpips-trunk" not in said
+
+
 def test_lpips_refuses_a_trunk_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         perceptual.lpips(tmp_path / "vgg16.pth")

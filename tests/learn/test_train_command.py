@@ -69,6 +69,7 @@ def test_a_hand_is_learned_and_exported_on_the_users_own_mano(small_capture, tin
     mano.write_bytes(python2_pickle(mano_objects(mano_fields())))
     words = ["train", str(small_capture), "--out", str(avatar), "--steps", "2"]
     assert main([*words, "--template", str(mano)]) == 0
+    assert f"jghand evaluate {avatar} {small_capture} --template {mano}\n" in capsys.readouterr().out
     learned, template = load_avatar(avatar), load_mano(mano)
     assert learned.info.template == template.identifier == "mano-right-mean-manopth-projected"
     np.testing.assert_allclose(np.asarray(learned.canonical_joints_m), template.joints_m, atol=1e-7)
