@@ -68,7 +68,11 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     """Measures everything. say: called with what is being done."""
     subject = moving_subject(plan.name, plan.avatar, *plan.size_px)
     say("Fitting linear correctives")
-    compared = variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar))
+    # the exact pictures are not filtered either: errors and times are both of pictures without it
+    compared = [
+        replace(variant, settings=replace(variant.settings, antialias=False))
+        for variant in variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar))
+    ]
     poses = plan.poses or pose_count(plan.size_px)
     say(f"Drawing {poses} poses in double precision")
     exact = ExactPictures64(subject, spread_poses(subject, poses))
@@ -103,8 +107,7 @@ def profile_of(study: Accuracy, plan: Plan) -> Profile:
 
 
 def _drawer(variant: Variant, subject: Subject) -> Callable[[np.ndarray], np.ndarray]:
-    # the exact pictures are not filtered either
-    renderer = HandRenderer(variant.avatar or subject.avatar, replace(variant.settings, antialias=False))
+    renderer = HandRenderer(variant.avatar or subject.avatar, variant.settings)
     return lambda pose_m: renderer.render(pose_m, subject.camera).rgba
 
 

@@ -17,7 +17,7 @@ from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
-from jghand_engine.render.timing import Measurement, measure
+from jghand_engine.render.timing import Measurement, frame_case, measure
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants
 from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than
 from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Growth, Reach, growth_cases
@@ -280,7 +280,13 @@ def test_a_row_has_the_times_of_its_own_variant(monkeypatch):
             yield Measurement(case.section, "  raster", 5.0 + number, 6.0 + number, None, 7, 1, False)
 
     monkeypatch.setattr(accuracy_measures, "measure", lambda cases, **options: [*timed(cases, **options)])
+    filtered = []
+    monkeypatch.setattr(
+        accuracy_measures, "frame_case",
+        lambda subject, settings, name: filtered.append(settings.antialias) or frame_case(subject, settings, name),
+    )  # fmt: skip
     found = measure_accuracy(Plan(avatar, "small", SMALL, None, 2, SHORT))
+    assert not any(filtered), "nor are the pictures whose errors stand beside"
     for number, one in enumerate(found.rows):
         assert (one.median_ms, one.p95_ms, one.stages_ms) == (10.0 + number, 20.0 + number, {"raster": 5.0 + number})
     assert [one.median_ms for one in found.growth] == [10.0 + len(found.rows) + n for n in range(len(found.growth))]
