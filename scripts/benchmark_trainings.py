@@ -29,6 +29,7 @@ from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli.console import err, say, say_whole_table
 from jghand_engine.cli.learning import material
+from jghand_engine.files import writing
 from jghand_engine.learn.evaluate import avatar_picturer
 from jghand_engine.learn.options import TrainOptions
 from jghand_engine.learn.progress import display
@@ -36,7 +37,7 @@ from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.learn.tables import Table, number
-from jghand_engine.learn.work_folder import Start, stamp_of
+from jghand_engine.learn.work_folder import MARK, Start, stamp_of
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import moving_subject
 from jghand_engine.render.timing import frame_case, measure
@@ -69,6 +70,10 @@ class Cell:
         """Its avatar."""
         return folder / f"{self.gaussians}_gaussians_{self.minutes:g}_minutes.jghand"
 
+    def steps_file(self, folder: Path) -> Path:
+        """How many steps its training made: written last, so that a cell with it is finished."""
+        return self.file(folder).with_suffix(".training") / "steps.json"
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -98,27 +103,30 @@ def run(cell: Cell, capture: Capture, folder: Path) -> bool:
     """Trains a cell, goes on with it, or leaves it as it is finished; False when somebody stopped it."""
     out = cell.file(folder)
     work = out.with_suffix(".training")
-    if out.is_file():
+    if cell.steps_file(folder).is_file():
         return True
     split, options = split_capture(capture), TrainOptions()
     options = replace(options, model=replace(options.model, gaussians=cell.gaussians))
-    start = Start.RESUME if work.exists() else Start.NEW
+    start = Start.RESUME if (work / MARK).is_file() else Start.NEW
     budget = Budget(seconds=60 * cell.minutes)
     say(f"{cell.minutes:g} minutes, {cell.gaussians:,} Gaussians")
 
     def build() -> HandTraining:
         return HandTraining(material(out.stem, capture.name, split, None), options)
 
+    # a kill right behind the avatar leaves one that its training does not know as its own
+    how = RunOptions(out, work, stamp_of(options, split.train), budget, start, overwrite=True)
     with display(err()) as shown:
-        outcome = train(build, RunOptions(out, work, stamp_of(options, split.train), budget, start), shown)
+        outcome = train(build, how, shown)
     if outcome.finished:
-        (work / "steps.json").write_text(json.dumps(outcome.state.step), encoding="utf-8")
+        with writing(cell.steps_file(folder)) as temporary:
+            temporary.write_text(json.dumps(outcome.state.step), encoding="utf-8")
     return outcome.finished
 
 
 def measured(cells: Sequence[Cell], capture: Path, folder: Path) -> list[Cell]:
     """The cells, with what those that are finished are worth: drawn in turn, on the same held-out pictures."""
-    finished = [cell for cell in cells if cell.file(folder).is_file()]
+    finished = [cell for cell in cells if cell.steps_file(folder).is_file()]
     if not finished:
         return list(cells)
     avatars = [load_avatar(cell.file(folder)) for cell in finished]
@@ -130,7 +138,7 @@ def measured(cells: Sequence[Cell], capture: Path, folder: Path) -> list[Cell]:
     times = {one.section: one for one in measure(cases, rounds=ROUNDS, warm_up=WARM_UP) if not one.name.startswith(" ")}
     known = {}
     for place, cell in enumerate(finished):
-        steps = json.loads((cell.file(folder).with_suffix(".training") / "steps.json").read_text(encoding="utf-8"))
+        steps = json.loads(cell.steps_file(folder).read_text(encoding="utf-8"))
         score, time = TruthScore.of(psnr_db[place], psnr_db[place]), times[str(place)]
         known[cell] = replace(cell, steps=steps, truth=score, draw_ms=time.median_ms, disturbed=time.disturbed)
     return [known.get(cell, cell) for cell in cells]
