@@ -120,7 +120,10 @@ def _say(story: Path, out: Path, code: int | None, seconds: float) -> bool:
     results = json.loads(results_file.read_text(encoding="utf-8")) if results_file.exists() else []
     print(f"\n{story.stem}: {seconds:.0f} s, {out}")
     for result in results:
-        print(f"  {'ok    ' if result['ok'] else 'FAILED'} {result.get('seconds', 0):6.1f} s  {result['name']}")
+        word = "FAILED" if not result["ok"] else "skip" if "skipped" in result else "ok"
+        print(f"  {word:<6} {result.get('seconds', 0):6.1f} s  {result['name']}")
+        if "skipped" in result:
+            print("         " + result["skipped"])
         if not result["ok"]:
             print("         " + result.get("problem", "").replace("\n", "\n         "))
     left = engine_that_is_left(out)

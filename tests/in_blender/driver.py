@@ -16,6 +16,7 @@ import traceback
 from collections.abc import Callable, Generator
 from pathlib import Path
 from types import ModuleType
+from unittest import SkipTest
 
 import bpy
 
@@ -29,7 +30,8 @@ Steps = Generator[float | Callable[[], object] | None, None, None]
 
 
 class Walk:
-    """Goes through steps, a piece at every call of `tick`. results: one entry per step, in OUT/results.json too."""
+    """Goes through steps, a piece at every call of `tick`; one that raises SkipTest is not tried, and does not fail.
+    results: one entry per step, in OUT/results.json too."""
 
     def __init__(self, steps: list[Callable], window: Window) -> None:
         self._left, self._window = list(steps), window
@@ -42,6 +44,10 @@ class Walk:
         """For Blender's timer: seconds until the next call, None when everything is done."""
         try:
             return self._go_on()
+        except SkipTest as reason:
+            self.results[-1]["skipped"] = str(reason)
+            self._end()
+            return POLL_S
         except BaseException as error:
             self._end(f"{type(error).__name__}: {error}", traceback.format_exc())
             self._left.clear()  # a story goes no further than it holds

@@ -11,6 +11,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
+from unittest import SkipTest
 
 import bpy
 import numpy as np
@@ -149,7 +150,14 @@ def step_a_bake_is_made_beside_blenders_own_work(window):
         window.picture("bake_refused")
         assert jobs.get("output") is before
         assert not list(window.out.glob("jghand_bake/**/bake.json"))
-        return
+        problem = ""
+        try:
+            with window.override():
+                bpy.ops.jghand.bake()
+        except RuntimeError as error:
+            problem = str(error)
+        assert "cannot read or write USD" in problem, problem
+        raise SkipTest("this Blender has no USD: the bake was refused")
     yield lambda: jobs.get("output") is not before and _phase(jobs) == "done"
     print(f"JGHAND baked {FRAMES} frames in {time.monotonic() - started:.1f} s", flush=True)
     (stamp,) = window.out.glob("jghand_bake/**/bake.json")
@@ -160,13 +168,17 @@ def step_a_bake_is_made_beside_blenders_own_work(window):
 
 
 def step_a_bake_is_one_step_of_undo(window):
-    if not _has_usd(window):
-        return
+    _needs_usd(window)
     for change, end in ((bpy.ops.ed.undo, ""), (bpy.ops.ed.redo, "Right_Hand")):
         with window.override():
             change()
         yield 1.0
         assert Path(bpy.context.view_layer.objects.active.jghand.bake).name == end
+
+
+def _needs_usd(window):
+    if not _has_usd(window):
+        raise SkipTest("this Blender has no USD")
 
 
 def _has_usd(window):
@@ -189,8 +201,7 @@ def _places(thing):
 
 
 def step_the_bake_plays_as_an_object(window):
-    if not _has_usd(window):
-        return
+    _needs_usd(window)
     hand = bpy.context.view_layer.objects.active
     window.call("jghand.play_bake")
     yield 1.0
@@ -216,8 +227,7 @@ def step_the_bake_plays_as_an_object(window):
 
 
 def step_a_bake_of_another_pose_is_not_played_silently(window):
-    if not _has_usd(window):
-        return
+    _needs_usd(window)
     hand = bpy.context.view_layer.objects.active
     hand.location.x += 0.1
     yield 0.3
