@@ -14,7 +14,7 @@ import time
 
 import bpy
 
-from in_blender.animator import ADD_BUTTON, FIRST_ITEM, close_other_windows, key_pose, read
+from in_blender.animator import ADD_BUTTON, FIRST_ITEM, close_other_windows, read
 from in_blender.pictures import skin
 
 INSTALLS = True  # the zip's way into the profile is a step of this story
@@ -98,8 +98,7 @@ def step_a_renderer_killed_while_playing_comes_back_and_the_scene_is_unhurt(wind
     scene.frame_start, scene.frame_end = 1, 24
     for frame, pose in ((1, "open"), (24, "fist")):
         scene.frame_set(frame)
-        assert window.call("jghand.apply_pose", pose=pose) == {"FINISHED"}
-        key_pose(hand())
+        assert window.call("jghand.apply_pose", pose=pose, use_keys=True) == {"FINISHED"}
         yield 0.2
     yield from window.settle()
     before = _scene()
