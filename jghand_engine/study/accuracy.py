@@ -184,7 +184,10 @@ class Accuracy:
             (point.panel, f"{point.x:,}", _ms(point.median_ms, point.disturbed), _ms(point.p95_ms, point.disturbed))
             for point in self.growth
         )
-        notes = ("Preset viewport, nothing reused. Poses in a batch: the bones of all of them in one call of torch.",)
+        notes = (
+            "Preset viewport, nothing reused, no filter of small hands. Poses in a batch: the bones of all of them in "
+            "one call of torch.",
+        )
         return Table("How time grows", ("With", "How many", "ms", "95 %"), cells, notes)
 
 

@@ -72,6 +72,8 @@ def growth_cases(
     avatar: HandAvatar, size_px: tuple[int, int], settings: RenderSettings, reach: Reach
 ) -> Iterator[Case]:
     """Cases whose names are the x of their curves."""
+    # small and distant hands would be drawn larger: as all times of this study these are without that filter
+    settings = replace(settings, antialias=False)
     subject = moving_subject(avatar.info.name, avatar, *size_px)
     for count in reach.gaussians:
         yield _grown(frame_case(replace(subject, avatar=resampled(avatar, count)), settings, ""), GAUSSIANS, count)
