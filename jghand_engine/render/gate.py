@@ -7,6 +7,7 @@ in with it and is never switched, so nothing pops.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -86,11 +87,16 @@ def contact_between(hands_m: Sequence[np.ndarray]) -> float:
 
 def capsules_beside(hands_m: Sequence[np.ndarray], bones: Sequence[Bones]) -> list[Capsules | None]:
     """Per hand (21, 3) the flesh of the others, which casts its shadow on it; None where they are too far away."""
+    # a gap is that of both
+    parts: dict[tuple[int, int], float] = {}
+    for first, second in itertools.combinations(range(len(hands_m)), 2):
+        gap_m = gap_between([hands_m[first], hands_m[second]])
+        parts[first, second] = parts[second, first] = 1 - smoothstep(gap_m, CAST_NEAR_M, CAST_FAR_M)
     found: list[Capsules | None] = []
     for mine, joints in enumerate(hands_m):
         near = []
         for place, (other, own) in enumerate(zip(hands_m, bones, strict=True)):
-            part = 0.0 if place == mine else 1 - smoothstep(gap_between([joints, other]), CAST_NEAR_M, CAST_FAR_M)
+            part = parts.get((mine, place), 0.0)
             if part > 0:
                 start_m, end_m, radius_m = capsules(other - joints[0], own.scale)
                 near.append((start_m, end_m, radius_m, np.full(len(radius_m), part)))
