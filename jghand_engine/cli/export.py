@@ -19,6 +19,8 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.cli.inputs import Motion
+    from jghand_engine.export.mesh import MeshReport
+    from jghand_engine.export.splats.files import SplatReport
     from jghand_engine.export.usd.package import UsdOptions, UsdReport
     from jghand_engine.hand.sequence import PoseSequence
     from jghand_engine.render.camera import Camera
@@ -238,12 +240,8 @@ class Export:
                 self.out, avatar, motion.whole, options, frames=motion.frames,
                 progress=lambda done, _: bar.update(task, completed=done),
             )  # fmt: skip
-        self._say_files(report.files, report.bytes, f"axes {report.axes}", report.kept)
-        return {
-            "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
-            "gaussians": report.gaussians, "bytes": report.bytes, "kept": report.kept,
-            "made_from": made_from(avatar, motion.sequence),
-        }  # fmt: skip
+        figures = {"axes": report.axes, "gaussians": report.gaussians}
+        return self._told(report, f"axes {report.axes}", figures, made_from(avatar, motion.sequence))
 
     def _write_meshes(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.export.made_from import made_from
@@ -258,19 +256,23 @@ class Export:
                 self.out, avatar, motion.whole, names, up=self.up, template=template, frames=motion.frames,
                 progress=lambda done, _: bar.update(task, completed=done),
             )  # fmt: skip
-        self._say_files(report.files, report.bytes, f"{report.vertices} vertices, {report.faces} faces", report.kept)
-        return {
-            "files": [str(path) for path in report.files], "frames": len(report.files), "vertices": report.vertices,
-            "faces": report.faces, "bytes": report.bytes, "kept": report.kept,
-            "made_from": made_from(avatar, motion.sequence),
-        }  # fmt: skip
+        figures = {"vertices": report.vertices, "faces": report.faces}
+        about = f"{report.vertices} vertices, {report.faces} faces"
+        return self._told(report, about, figures, made_from(avatar, motion.sequence))
 
-    def _say_files(self, files: tuple[Path, ...], size: int, about: str, kept: int) -> None:
-        first, last = files[0], files[-1]
+    def _told(
+        self, report: SplatReport | MeshReport, about: str, figures: dict[str, Any], source: dict[str, str]
+    ) -> dict[str, Any]:
+        """Says what files of frames were written; the same as plain data, with `figures` of its format."""
+        first, last = report.files[0], report.files[-1]
         which = str(first) if first == last else f"{first} to {last.name}"
-        say(f"Wrote {which}: {len(files)} frames, {size / 1e6:.1f} MB, {about}")
-        if kept:
-            say(f"{kept} other frames of {self.name} stay there. Nothing tells whether they show this motion.")
+        say(f"Wrote {which}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB, {about}")
+        if report.kept:
+            say(f"{report.kept} other frames of {self.name} stay there. Nothing tells whether they show this motion.")
+        return {
+            "files": [str(path) for path in report.files], "frames": len(report.files), **figures,
+            "bytes": report.bytes, "kept": report.kept, "made_from": source,
+        }  # fmt: skip
 
     def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.export.made_from import made_from
