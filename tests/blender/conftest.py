@@ -50,6 +50,20 @@ def stand_in_command() -> list[str]:
     return [sys.executable, "-I", str(TESTS / "service" / "stand_in_engine.py")]
 
 
+@pytest.fixture(scope="module")
+def linked_extension(stand_in_command):
+    """The extension switched on for all tests of a file, with the stand-in for its engine."""
+    from blender_addon import registration
+    from blender_addon.renderer import runtime
+    from blender_addon.renderer.link import EngineLink
+
+    registration.register()
+    runtime.use_link(EngineLink(lambda: stand_in_command))
+    yield
+    runtime.use_link(None)
+    registration.unregister()
+
+
 @pytest.fixture(scope="session")
 def engine_python() -> str:
     """The Python of the real engine; a test that wants it is skipped where it is not set up.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -10,7 +9,7 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon import registration, versions
+from blender_addon import versions
 from blender_addon.core import film, posing
 from blender_addon.core.view import picture_request
 from blender_addon.hand import armature
@@ -22,13 +21,7 @@ from blender_addon.renderer.link import EngineLink
 SIZE = (216, 144)  # the stand-in's discs are several pixels wide
 
 
-@pytest.fixture(scope="module", autouse=True)
-def extension(stand_in_command) -> Iterator[None]:
-    registration.register()
-    runtime.use_link(EngineLink(lambda: stand_in_command))
-    yield
-    runtime.use_link(None)
-    registration.unregister()
+pytestmark = pytest.mark.usefixtures("linked_extension")
 
 
 @pytest.fixture

@@ -15,19 +15,10 @@ import numpy as np
 import pytest
 from test_combine import fails_from, is_magenta, pixels
 
-from blender_addon import registration, versions
+from blender_addon import versions
 from blender_addon.render import composite, preview
-from blender_addon.renderer import runtime
-from blender_addon.renderer.link import EngineLink
 
-
-@pytest.fixture(scope="module", autouse=True)
-def extension(stand_in_command):
-    registration.register()
-    runtime.use_link(EngineLink(lambda: stand_in_command))
-    yield
-    runtime.use_link(None)
-    registration.unregister()
+pytestmark = pytest.mark.usefixtures("linked_extension")
 
 
 @pytest.fixture

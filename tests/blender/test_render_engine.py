@@ -26,13 +26,7 @@ from blender_addon.renderer.link import EngineLink
 SIZE = (96, 64)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def extension(stand_in_command) -> Iterator[None]:
-    registration.register()
-    runtime.use_link(EngineLink(lambda: stand_in_command))
-    yield
-    runtime.use_link(None)
-    registration.unregister()
+pytestmark = pytest.mark.usefixtures("linked_extension")
 
 
 @pytest.fixture
@@ -606,7 +600,7 @@ def test_registering_again_and_again_leaves_blenders_panels_as_they_were():
 
 
 @pytest.fixture(scope="module")
-def real_engine(engine_python, extension) -> Iterator[EngineLink]:
+def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
     from blender_addon.renderer.engine_command import engine_command
 
     link = EngineLink(lambda: engine_command(engine_python))
