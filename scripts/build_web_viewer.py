@@ -33,7 +33,7 @@ SOURCES = ROOT / "scripts" / "web_viewer"
 TARGET = ROOT / "jghand_engine" / "assets" / "web"
 PACKAGES = Path(os.environ.get("JGHAND_WEB_VIEWER") or ROOT / ".envs" / "web_viewer")
 NATIVE = ROOT / "jghand_engine" / "native"
-KERNELS = ("skeleton", "skin", "learned", "learned_cast", "learned_correction")
+KERNELS = ("skeleton", "skin", "learned", "learned_cast", "learned_correction", "scene_light")
 # of the native library (native/build.py), and what WebAssembly adds; a stack for two layers of a network
 FLAGS = (
     *("-O3", "-std=c++17", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-fno-exceptions"),

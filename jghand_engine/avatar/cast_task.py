@@ -52,6 +52,7 @@ class CastStep:
 
     blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
     joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
+    rows: of the anchors, whole blocks
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
@@ -59,7 +60,8 @@ class CastStep:
         own = Blocks(anchors.position_m)
         rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
         self.joints_m = avatar.canonical_joints_m - root_m
-        self.direction, lamp = _lamps(cast.lamp_rgb)
+        self.rows = own.rows
+        self.direction, lamp = _lamps(lamp_directions(len(cast.lamp_rgb)), cast.lamp_rgb)
         groups = len(lamp)
         self.arrays = {
             "rest": own.blocked(rest),
@@ -92,6 +94,10 @@ class CastStep:
         self.arrays |= {"capsule": self._capsule, "capsule_lamp": self._capsule_lamp, "other": self._other}
         set_pointers(self._shadow, self.arrays)
 
+    def set_lamps(self, direction: np.ndarray, rgb: np.ndarray) -> None:
+        """Other lamps, as many as there were. direction: (K, 3) unit · rgb: (K, 3)"""
+        self.direction, self.arrays["lamp"][...] = _lamps(direction, rgb)
+
     def prepare(self, bones: Bones, others: Capsules | None = None) -> None:
         """Sets the capsules of the next pose. others: of hands beside this one."""
         matrices = bones.linear_offset.astype(np.float64)
@@ -118,10 +124,9 @@ class CastStep:
         self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(count, -1, LANES)
 
 
-def _lamps(rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _lamps(direction: np.ndarray, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions (16 groups, 3) float64, and lamps (groups, 6, 16) as the kernel has them. Those of one group stand
     near each other, so that skin turns away from all of them at once; black ones fill up the last group."""
-    direction = lamp_directions(len(rgb))
     order = np.lexsort((direction[:, 2], direction[:, 1] > 0, direction[:, 0] > 0))
     spare = -len(rgb) % LANES
     direction = np.pad(direction[order], ((0, spare), (0, 0)), mode="edge")

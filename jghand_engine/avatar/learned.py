@@ -135,6 +135,33 @@ class CastShadow:
 
 
 @dataclass(frozen=True)
+class SkinResponse:
+    """How the skin of N Gaussians answers light. The avatar's colors are its albedo then, linear.
+
+    spread:      (N,) of the softness at each Gaussian, 1 on average
+    roughness:   (N,) of GGX, whose alpha is its square
+    reflectance: (N,) at right angles
+    softness:    (3,) half width of the rounded corner of a cosine, per channel
+    bounce:      (3,) albedo of the skin that throws light back
+    ambient:     (3,) part of the world's mean irradiance that no shadow takes
+    shade_gain:  of the pose's shade
+    """
+
+    spread: np.ndarray
+    roughness: np.ndarray
+    reflectance: np.ndarray
+    softness: np.ndarray
+    bounce: np.ndarray
+    ambient: np.ndarray
+    shade_gain: float
+
+    def prefix(self, count: int) -> SkinResponse:
+        """The same for the first `count` Gaussians."""
+        own = {name: getattr(self, name)[:count] for name in ("spread", "roughness", "reflectance")}
+        return replace(self, **own)
+
+
+@dataclass(frozen=True)
 class Learned:
     """What training adds to N Gaussians.
 
@@ -159,11 +186,12 @@ class Learned:
     ellipsoid: Ellipsoid | None = None
     cast: CastShadow | None = None
     distilled: Distilled | None = None
+    response: SkinResponse | None = None
 
     @property
     def reflects(self) -> bool:
         """Whether colors depend on where the camera stands."""
-        return bool(self.shine.any()) and bool(self.light.lobe_rgb.any())
+        return self.response is not None or (bool(self.shine.any()) and bool(self.light.lobe_rgb.any()))
 
     def with_tier(self, wanted: Tier) -> tuple[Learned, Price | None]:
         """The same with the correctives of a tier, and its price where it has one. InputError for a tier without."""
@@ -184,6 +212,7 @@ class Learned:
             ellipsoid=None if self.ellipsoid is None else self.ellipsoid.prefix(count),
             cast=None if self.cast is None else self.cast.prefix(count),
             distilled=None if self.distilled is None else self.distilled.prefix(count),
+            response=None if self.response is None else self.response.prefix(count),
         )
 
 

@@ -18,6 +18,8 @@ from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
 from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.scene_light import SceneLight
+from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import JOINT_COUNT
@@ -115,11 +117,18 @@ class Poser:
         self._keep: tuple[object, ...] = ()
 
     def prepare(
-        self, bones: Bones, shift_m: np.ndarray, *, keep_correctives: bool = False, others: Capsules | None = None
+        self,
+        bones: Bones,
+        shift_m: np.ndarray,
+        *,
+        keep_correctives: bool = False,
+        others: Capsules | None = None,
+        light: SceneLight | None = None,
     ) -> None:
         """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
         keep_correctives: whether those of the last pose that was run are used again. others: the flesh of hands beside
-        this one, which cast their shadow on it.
+        this one, which cast their shadow on it. light: of the scene, in the frame of the joints, for an avatar with a
+        response.
 
         InputError names an array that the kernel cannot read or write.
         """
@@ -137,6 +146,8 @@ class Poser:
         task.scale, task.inverse_scale = bones.scale, inverse_scale
         if self._light is not None:
             self._light.task.skin = task
+            # the shadows of the world are found for its own directions
+            self._light.prepare_scene(light, bones)
             self._light.prepare(bones, inverse_scale, into.rgb, others, keep_correctives=keep_correctives)
         self._keep, self._posed, self._eye_m = (linear_offset,), True, None
         self._team.fill(0)
@@ -178,6 +189,13 @@ class _Light:
         self.task.lobes = len(self._arrays["lobe"])
         self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)
         self._cast = None if learned.cast is None else CastStep(learned.cast, avatar, blocks, self.task)
+        self._scene = None
+        if learned.response is not None and self._cast is not None:
+            self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task)
+
+    def prepare_scene(self, light: SceneLight | None, bones: Bones) -> None:
+        if self._scene is not None:
+            self._scene.prepare(light or SceneLight(), bones)
 
     def prepare(
         self, bones: Bones, inverse_scale: float, rgb: np.ndarray, others: Capsules | None, *, keep_correctives: bool

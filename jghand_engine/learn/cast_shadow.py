@@ -171,7 +171,7 @@ def past_capsule(
     )
     distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
     width = FLESH_SOFTNESS * radius_m + LAMP_HALF_WIDTH * t
-    stands_free = _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(CAPSULE_WIDTH_MIN_M))
+    stands_free = soft_edge(distance, radius_m, width.clamp_min(CAPSULE_WIDTH_MIN_M))
     if not far:
         return stands_free
     return 1 - (1 - stands_free) * (radius_m / (LAMP_HALF_WIDTH * t).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
@@ -185,7 +185,7 @@ def exponent(shadow: CastTensors, seen: LampsSeen) -> Tensor:
     return shadow.anchors.spread(LIGHT_TO_DISPLAY * left.log())
 
 
-def _smooth(part: Tensor) -> Tensor:
-    """Smoothstep of part, clamped to 0..1."""
-    t = part.clamp(0, 1)
+def soft_edge(distance: Tensor, radius_m: Tensor, width: Tensor) -> Tensor:
+    """What passes at a distance from the axis of a capsule: 0 within it, 1 well beside it, smooth over 2 `width`."""
+    t = (0.5 + 0.5 * (distance - radius_m) / width).clamp(0, 1)
     return t * t * (3 - 2 * t)

@@ -125,16 +125,23 @@ def see_lamps(
     """What the skin of one pose sees of the lamps, without the pose's correction: it moves skin by less than an edge
     of a shadow is wide. canonical_joints_m: (21, 3) of the avatar · others: the flesh of hands beside this
     one, relative to its root."""
-    anchors = shadow.anchors
     with torch.autocast(bones.linear.device.type, enabled=False):
-        maps = skin_maps(anchors.bone_weights, bones)
-        dtype = bones.linear.dtype
-        root_m = bones.canonical_root_m.to(dtype)
-        position_m = apply(maps.linear, anchors.position_m.to(dtype) - root_m) + maps.offset_m
-        normal = unit(apply(maps.turning, anchors.normal.to(dtype)))
-        # bone i ends at joint i
-        joints_m = apply(bones.linear, canonical_joints_m.to(dtype) - root_m) + bones.offset_m
+        (position_m, normal), joints_m = posed_anchors(shadow, canonical_joints_m, bones)
         return lamps_seen(shadow, position_m, normal, joints_m, bones.scale, others)
+
+
+def posed_anchors(
+    shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: PoseTransforms
+) -> tuple[tuple[torch.Tensor, torch.Tensor], torch.Tensor]:
+    """Places and normals (A, 3) of the anchors, and the joints (21, 3), of one pose, root-relative."""
+    anchors, dtype = shadow.anchors, bones.linear.dtype
+    maps = skin_maps(anchors.bone_weights, bones)
+    root_m = bones.canonical_root_m.to(dtype)
+    position_m = apply(maps.linear, anchors.position_m.to(dtype) - root_m) + maps.offset_m
+    normal = unit(apply(maps.turning, anchors.normal.to(dtype)))
+    # bone i ends at joint i
+    joints_m = apply(bones.linear, canonical_joints_m.to(dtype) - root_m) + bones.offset_m
+    return (position_m, normal), joints_m
 
 
 def pose_skin(

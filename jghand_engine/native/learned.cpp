@@ -4,35 +4,14 @@
 
 #include "constants.h"
 #include "export.h"
+#include "scene_light.h"
 
 namespace jg {
 namespace {
 
-constexpr int BLOCKS_PER_ITEM = 16, ANCHOR_BLOCKS_PER_ITEM = 2, HARMONICS = 16;
+constexpr int BLOCKS_PER_ITEM = 16, ANCHOR_BLOCKS_PER_ITEM = 2;
 
 int32_t items_of(int32_t blocks, int32_t per_item) { return (blocks + per_item - 1) / per_item; }
-
-// Real spherical harmonics of degrees 0 to 3, without constants; `harmonics` in learn/light.py.
-JG_INLINE void harmonics(const vf n[3], vf out[HARMONICS]) {
-  const vf x = n[0], y = n[1], z = n[2], xx = x * x, yy = y * y, zz = z * z;
-  const vf values[HARMONICS] = {all(1.f),
-                                x,
-                                y,
-                                z,
-                                x * y,
-                                y * z,
-                                z * x,
-                                xx - yy,
-                                3.f * zz - 1.f,
-                                y * (3.f * xx - yy),
-                                x * y * z,
-                                y * (5.f * zz - 1.f),
-                                z * (5.f * zz - 3.f),
-                                x * (5.f * zz - 1.f),
-                                z * (xx - yy),
-                                x * (xx - 3.f * yy)};
-  memcpy(out, values, sizeof values);
-}
 
 // The cast shadow of a block, from the anchors around each Gaussian.
 JG_INLINE void add_fallen(const LearnedTask& t, int32_t block, vf exponent[3]) {
@@ -66,6 +45,7 @@ void pose_block(const LearnedTask& t, int32_t block, const vf correction[CORRECT
   for (int i = 0; i < 3; i++) rest[i] = load(look + LANES * i);
   turn_by(turn, rest, normal);
   make_unit(normal, t.length2_min);
+  if (t.scene) return lit_block(t, block, p, normal, correction);
   harmonics(normal, waves);
   for (int i = 0; i < 3; i++) exponent[i] = correction[3 + i];
   if (t.nearest) add_fallen(t, block, exponent);
@@ -128,12 +108,20 @@ JG_API int32_t jg_learned_task_bytes() { return sizeof(jg::LearnedTask); }
 JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   const jg::LearnedTask t = *task;
   const int32_t anchor_blocks = t.nearest ? t.cast.blocks : 0;
-  jg::share(*team, 0, jg::items_of(anchor_blocks, jg::ANCHOR_BLOCKS_PER_ITEM), [&](int32_t item) {
-    const int32_t end = (item + 1) * jg::ANCHOR_BLOCKS_PER_ITEM;
-    for (int32_t b = item * jg::ANCHOR_BLOCKS_PER_ITEM; b < end && b < anchor_blocks; b++)
-      jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b);
-  });
-  jg::share(*team, 1, jg::items_of(t.skin.blocks, jg::BLOCKS_PER_ITEM), [&](int32_t item) {
+  const auto at_anchors = [&](int step, auto work) {
+    jg::share(*team, step, jg::items_of(anchor_blocks, jg::ANCHOR_BLOCKS_PER_ITEM), [&](int32_t item) {
+      const int32_t end = (item + 1) * jg::ANCHOR_BLOCKS_PER_ITEM;
+      for (int32_t b = item * jg::ANCHOR_BLOCKS_PER_ITEM; b < end && b < anchor_blocks; b++) work(b);
+    });
+  };
+  if (t.scene) {
+    at_anchors(0, [&](int32_t b) { jg::anchor_lamps(t, b); });
+    jg::share(*team, 1, t.cast.groups, [&](int32_t g) { jg::thrown_back(t, g); });
+    at_anchors(2, [&](int32_t b) { jg::anchor_world(t, b); });
+  } else {
+    at_anchors(0, [&](int32_t b) { jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b); });
+  }
+  jg::share(*team, 3, jg::items_of(t.skin.blocks, jg::BLOCKS_PER_ITEM), [&](int32_t item) {
     const int32_t begin = item * jg::BLOCKS_PER_ITEM, end = begin + jg::BLOCKS_PER_ITEM;
     jg::pose_blocks(t, begin, end < t.skin.blocks ? end : t.skin.blocks);
   });
@@ -144,6 +132,7 @@ JG_API void jg_learned_gloss(jg::Team* team, const jg::LearnedTask* task) {
   const jg::LearnedTask t = *task;
   constexpr int PER_ITEM = 4 * jg::BLOCKS_PER_ITEM;
   jg::share(*team, 0, jg::items_of(t.skin.blocks, PER_ITEM), [&](int32_t item) {
-    for (int32_t b = item * PER_ITEM; b < (item + 1) * PER_ITEM && b < t.skin.blocks; b++) jg::gloss_block(t, b);
+    for (int32_t b = item * PER_ITEM; b < (item + 1) * PER_ITEM && b < t.skin.blocks; b++)
+      t.scene ? jg::seen_block(t, b) : jg::gloss_block(t, b);
   });
 }

@@ -29,10 +29,13 @@ struct CastTask {
 
 enum Correctives { NO_CORRECTION = 0, GIVEN = 1, LINEAR = 2, NETWORK = 3 };
 
+struct SceneLightTask;
+
 // Mirrored field by field in native/learned_tasks.py.
 struct LearnedTask {
   SkinTask skin;
   CastTask cast;
+  const SceneLightTask* scene;  // null: in the light that it was learned in
   const float* look;            // (blocks, 7, 16): unit normal, albedo, shine
   // correctives
   float* given;                 // (blocks, 6, 16): offset, meters, and shade; the network leaves its own there, if not null
@@ -65,7 +68,7 @@ struct LearnedTask {
 };
 
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
-constexpr int BONES = 20, ANCHORS_AROUND = 3, OTHER = 5;
+constexpr int BONES = 20, ANCHORS_AROUND = 3, OTHER = 5, HARMONICS = 16;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
 constexpr int HIDDEN_MAX = 256;   // wider networks are refused: two layers of two blocks lie on the stack
 
@@ -78,6 +81,10 @@ constexpr int NETWORK_BLOCKS = 2;  // 16 sums of 16 floats in 32 registers
 constexpr int NETWORK_BLOCKS = 1;
 #endif
 void network_correction(const LearnedTask& t, int32_t block, int count, vf out[][CORRECTION]);
+
+// Places and unit normals of the anchors of one block.
+void posed_anchors(const CastTask& t, const SkinTask& skin, float volume_min, float length2_min, int32_t block, vf p[3],
+                   vf normal[3]);
 
 // The shadow at the anchors of one block.
 void cast_block(const CastTask& t, const SkinTask& skin, float volume_min, float length2_min, int32_t block);
@@ -100,5 +107,27 @@ JG_INLINE void turn_by(const vf turn[9], const vf v[3], vf out[3]) {
 }
 
 JG_INLINE vf dot(const vf a[3], const vf b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+// Real spherical harmonics of degrees 0 to 3, without constants; `harmonics` in learn/light.py.
+JG_INLINE void harmonics(const vf n[3], vf out[HARMONICS]) {
+  const vf x = n[0], y = n[1], z = n[2], xx = x * x, yy = y * y, zz = z * z;
+  const vf values[HARMONICS] = {all(1.f),
+                                x,
+                                y,
+                                z,
+                                x * y,
+                                y * z,
+                                z * x,
+                                xx - yy,
+                                3.f * zz - 1.f,
+                                y * (3.f * xx - yy),
+                                x * y * z,
+                                y * (5.f * zz - 1.f),
+                                z * (5.f * zz - 3.f),
+                                x * (5.f * zz - 1.f),
+                                z * (xx - yy),
+                                x * (xx - 3.f * yy)};
+  memcpy(out, values, sizeof values);
+}
 
 }  // namespace jg

@@ -41,6 +41,7 @@ class LearnedTask(ctypes.Structure):
     _fields_ = (
         ("skin", SkinTask),
         ("cast", CastTask),
+        ("scene", _P),
         *((name, _P) for name in ("look", "given", "direction", "constant", "numbers", "places", "features")),
         *((name, _P) for name in ("middle", "middle_bias", "out", "nearest", "share", "irradiance", "lobe")),
         *((name, _P) for name in ("matt", "rgb")),

@@ -1,0 +1,214 @@
+"""The light of a scene, scene-linear with Rec.709 primaries: a world all around and lamps in it.
+
+    light = SceneLight(World(radiance, env_from_world), (Lamp(LampKind.SUN, ...), ...))
+
+Units are radiometric, whatever program they came from: what a lamp's `rgb` means depends on its kind. The world is
+reduced to what the skin takes of it (`WorldTerms`): 16 harmonics say how it lights a lone surface, 64 cells, each by
+the centroid of its light, how much of that a hand's own fingers take, 8 lobes what skin mirrors of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from jghand_engine.avatar.learned import lamp_directions
+from jghand_engine.errors import InputError
+from jghand_engine.native.scene_light_task import LampKind
+
+# squares of the constants that make `harmonics` orthonormal, and the degree of each
+HARMONIC_NORM2 = np.square(
+    [
+        *(0.282095, 0.488603, 0.488603, 0.488603),
+        *(1.092548, 1.092548, 1.092548, 0.546274, 0.315392),
+        *(0.590044, 2.890611, 0.457046, 0.373176, 0.457046, 1.445306, 0.590044),
+    ]
+)
+HARMONIC_DEGREE = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
+# cells of the world that shadows are found for
+CELLS = 64
+# what the world mirrors: lobes, evenly all around, near enough to each other for skin's roughness; rounds of their fit
+LOBES, LOBE_ROUNDS = 32, 200
+# rows of the world that lobes are fitted to: lobes are some 30 degrees wide
+LOBE_ROWS = 16
+# nodes of the integral over a rounded cosine
+GAUSS_NODES = 48
+# the world lights no normal with less than this part of its mean: harmonics may swing below zero
+WORLD_FLOOR = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Light from far away. One is equal to itself alone: to compare pictures would cost more than to reduce them.
+
+    radiance:       (H, W, 3) 0 and up, W/(m2 sr), equirectangular as Blender has it: +z above the first row, +x in the
+                    middle, +y a quarter to the left of it
+    env_from_world: (3, 3) rotation from the axes of the joints to those of `radiance`
+    """
+
+    radiance: np.ndarray
+    env_from_world: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        shape = self.radiance.shape
+        if len(shape) != 3 or shape[2] != 3 or 0 in shape:
+            raise InputError("world", wanted="radiance of shape (rows, columns, 3)", came=str(shape))
+        if not np.isfinite(self.radiance).all() or (self.radiance < 0).any():
+            raise InputError("world", wanted="finite radiance, 0 and up", came="something else")
+        turn = np.asarray(self.env_from_world, np.float64)
+        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4):
+            raise InputError("world", wanted="a rotation env_from_world", came=str(turn.tolist()))
+
+    @cached_property
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (H, W, 3), in the axes of the joints, and light (H, W, 3): radiance times solid angle."""
+        rows, columns = self.radiance.shape[:2]
+        up = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)[:, None]
+        around = 2 * np.pi * (0.5 - (np.arange(columns) + 0.5) / columns)[None, :]
+        env = np.stack(np.broadcast_arrays(np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)), -1)
+        # of the band between two latitudes, exactly
+        edges = np.sin(np.pi * (0.5 - np.arange(rows + 1) / rows))
+        solid_angle = (edges[:-1] - edges[1:])[:, None, None] * (2 * np.pi / columns)
+        return env @ np.asarray(self.env_from_world, np.float64), self.radiance * solid_angle
+
+    @cached_property
+    def terms(self) -> WorldTerms:
+        """What skin takes of it."""
+        direction, light = (values.reshape(-1, 3) for values in self.samples)
+        light = light.astype(np.float64)
+        coefficients = (harmonics(direction) * HARMONIC_NORM2).T @ light
+        cell = (direction @ lamp_directions(CELLS).T).argmax(1)
+        of_cell, centroid = np.zeros((CELLS, 3)), lamp_directions(CELLS).astype(np.float64) * 1e-9
+        np.add.at(of_cell, cell, light)
+        np.add.at(centroid, cell, direction * light.sum(1, keepdims=True))
+        return WorldTerms(coefficients, centroid / np.linalg.norm(centroid, axis=1, keepdims=True), of_cell)
+
+
+@dataclass(frozen=True)
+class WorldTerms:
+    """A world, reduced.
+
+    harmonics: (16, 3) coefficients of its radiance for `harmonics`
+    direction: (64, 3) unit, centroids of the cells' light
+    light:     (64, 3) radiance times solid angle of the cells
+    """
+
+    harmonics: np.ndarray
+    direction: np.ndarray
+    light: np.ndarray
+
+    @property
+    def mean_irradiance(self) -> np.ndarray:
+        """(3,) W/m2, mean over all normals."""
+        return self.light.sum(0) / 4
+
+    def irradiance(self, softness: np.ndarray) -> np.ndarray:
+        """(16, 3) coefficients of what a normal gets, W/m2, its cosine rounded by `softness` (3,)."""
+        return self.harmonics * cosine_bands(softness)[HARMONIC_DEGREE]
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp. Places in the frame of the joints, meters.
+
+    kind:        of it
+    rgb:         (3,) 0 and up; of a sun W/m2 on what faces it, of point and spot W/sr, of an area W/(m2 sr)
+    place_m:     (3,) its middle; of a sun the direction towards it, of any length
+    axis:        (3,) where spot and area shine, of any length
+    side:        (3,) first side of an area, at a right angle to the axis
+    radius_m:    of point and spot
+    is_soft:     whether a point or spot within its own radius stays finite (Blender's soft falloff)
+    angle_rad:   of a sun, across
+    cone_rad:    of a spot, across
+    blend:       part of a spot's cone over which it fades
+    size_m:      (2,) of an area, along `side` and across it
+    is_ellipse:  whether an area is one
+    spread_rad:  of an area, across; pi: all of the half space
+    has_shadow:  whether the hand shades itself from it
+    on_matt, on_gloss: which light of it counts
+    """
+
+    kind: LampKind
+    rgb: tuple[float, float, float]
+    place_m: tuple[float, float, float]
+    axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    side: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    radius_m: float = 0.0
+    is_soft: bool = True
+    angle_rad: float = 0.0
+    cone_rad: float = np.pi
+    blend: float = 0.0
+    size_m: tuple[float, float] = (0.0, 0.0)
+    is_ellipse: bool = False
+    spread_rad: float = np.pi
+    has_shadow: bool = True
+    on_matt: bool = True
+    on_gloss: bool = True
+
+    def __post_init__(self) -> None:
+        numbers = np.array([*self.rgb, *self.place_m, *self.axis, *self.side, self.radius_m, *self.size_m], np.float64)
+        angles = np.array([self.angle_rad, self.cone_rad, self.blend, self.spread_rad], np.float64)
+        if not (np.isfinite(numbers).all() and np.isfinite(angles).all()):
+            raise InputError("lamp", wanted="finite numbers", came="others")
+        if min(*self.rgb, self.radius_m, *self.size_m, *angles.tolist()) < 0:
+            raise InputError("lamp", wanted="light, sizes and angles of 0 and up", came="negative ones")
+        # the sun's direction is its place
+        if not np.any(self.place_m if self.kind is LampKind.SUN else self.axis):
+            raise InputError("lamp", wanted="a direction", came="none")
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """All light of a scene. world: None for a black one."""
+
+    world: World | None = None
+    lamps: tuple[Lamp, ...] = ()
+
+
+def harmonics(direction: np.ndarray) -> np.ndarray:
+    """(N, 16) real spherical harmonics, degrees 0 to 3, without constants, of unit vectors (N, 3)."""
+    x, y, z = np.moveaxis(direction.astype(np.float64), -1, 0)
+    xx, yy, zz = x * x, y * y, z * z
+    return np.stack(
+        [
+            np.ones_like(x), x, y, z,
+            x * y, y * z, z * x, xx - yy, 3 * zz - 1,
+            y * (3 * xx - yy), x * y * z, y * (5 * zz - 1), z * (5 * zz - 3), x * (5 * zz - 1), z * (xx - yy),
+            x * (xx - 3 * yy),
+        ],
+        -1,
+    )  # fmt: skip
+
+
+def soft_cosine(cosine: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """max(cosine, 0) with its corner rounded over |cosine| < width; 0 below: light does not leak to the far side."""
+    rounded = np.square(cosine + width) / (4 * width)
+    return np.where(cosine >= width, cosine, np.where(cosine <= -width, 0.0, rounded))
+
+
+def cosine_bands(softness: np.ndarray) -> np.ndarray:
+    """(4, C) what a rounded cosine keeps of each degree of harmonics, so that an even world gives pi. softness: (C,)"""
+    node, weight = np.polynomial.legendre.leggauss(GAUSS_NODES)
+    legendre = np.stack([np.ones_like(node), node, 1.5 * node**2 - 0.5, 2.5 * node**3 - 1.5 * node])
+    bands = 2 * np.pi * legendre @ (weight[:, None] * soft_cosine(node[:, None], np.asarray(softness)[None, :]))
+    return bands * (np.pi / bands[0])
+
+
+def mirrored_lobes(world: World, sharpness: float) -> np.ndarray:
+    """(LOBES, 7) spherical Gaussians, direction, sharpness, radiance, whose sum is the world blurred by one of
+    `sharpness`."""
+    direction, light = (values.reshape(-1, 3).astype(np.float64) for values in world.samples)
+    middle, _ = World(np.ones((LOBE_ROWS, 2 * LOBE_ROWS, 3)), world.env_from_world).samples
+    middle = middle.reshape(-1, 3)
+    kernel = np.exp(sharpness * (middle @ direction.T - 1))
+    evenly = 2 * np.pi / sharpness * -np.expm1(-2 * sharpness)
+    blurred = kernel @ light / evenly
+    towards = lamp_directions(LOBES)
+    shape = np.exp(sharpness * (middle @ towards.T - 1))
+    # non-negative least squares by multiplicative updates: Lee and Seung, 2001
+    rgb = np.full((LOBES, 3), blurred.mean() + 1e-12)
+    for _ in range(LOBE_ROUNDS):
+        rgb *= (shape.T @ blurred) / np.maximum(shape.T @ (shape @ rgb), 1e-12)
+    return np.concatenate([towards, np.full((LOBES, 1), sharpness), rgb], 1)

@@ -1,0 +1,316 @@
+"""Skin in the light of a scene, differentiable: the specification of native/scene_light.cpp (METHOD 6).
+
+Per Gaussian, with albedo rho, normal n, the world's irradiance E(n), lamps i with direction l, irradiance e and seen
+part V, what the anchors say of the world (its part that is seen, what hidden skin throws back), and the pose's shade:
+
+    matt  = rho / pi * exp(shade) * (E(n) * part + bounced + sum_i e_i f(n.l_i) V_i)
+    color = phi(n.v) * (matt + sum_i GGX_i e_i (n.l_i) V_i + world's lobes * (F0 A + B) * open sky)
+
+f is a cosine whose corner is rounded: light that goes through skin reaches a little beyond the terminator, and never
+the far side. phi takes skin that faces away, which is seen through gaps between Gaussians only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from jghand_engine.avatar.cast_task import (
+    CAPSULE_LENGTH2_MIN,
+    CAPSULE_SINE2_MIN,
+    CAPSULE_WIDTH_MIN_M,
+    LAMP_HALF_WIDTH,
+    Capsules,
+)
+from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
+from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
+from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
+from jghand_engine.avatar.scene_light_step import (
+    AMBIENT_MIN,
+    BLACK,
+    FLESH_SOFTNESS,
+    NUMBER,
+    lamp_rows,
+    mirrored,
+    palm_middle_m,
+)
+from jghand_engine.learn.cast_shadow import CastTensors, capsules, soft_edge
+from jghand_engine.learn.light import harmonics, unit
+from jghand_engine.native.scene_light_task import LampKind
+
+# see native/scene_light.cpp
+CORNER_MIN, CORNER_MAX = 0.02, 0.95
+DISTANCE2_MIN = 1e-12
+FACING_MIN = 1e-3
+AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
+GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
+
+
+@dataclass(frozen=True)
+class ResponseTensors:
+    """See learned.SkinResponse."""
+
+    spread: Tensor
+    roughness: Tensor
+    reflectance: Tensor
+    softness: Tensor
+    bounce: Tensor
+    ambient: Tensor
+    shade_gain: float
+
+    @classmethod
+    def of(cls, response: SkinResponse, dtype: torch.dtype = torch.float64) -> ResponseTensors:
+        """A copy, without gradients."""
+        names = ("spread", "roughness", "reflectance", "softness", "bounce", "ambient")
+        arrays = {name: torch.tensor(getattr(response, name), dtype=dtype) for name in names}
+        return cls(**arrays, shade_gain=response.shade_gain)
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Points of posed skin, root-relative. position_m, normal: (N, 3)"""
+
+    position_m: Tensor
+    normal: Tensor
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What the anchors say of the light, at the Gaussians.
+
+    part:    (N, 3) of the world's light that is seen
+    bounced: (N, 3) W/m2 from skin onto skin
+    sky:     (N,) part of the directions that are open
+    seen:    (slots, N) part of each lamp
+    """
+
+    part: Tensor
+    bounced: Tensor
+    sky: Tensor
+    seen: Tensor
+
+
+@dataclass(frozen=True)
+class LampRows:
+    """Lamps as the kernel takes them, see scene_light_step.lamp_rows.
+
+    rows:    (n, LAMP_NUMBERS)
+    casting: (slots, LAMP_NUMBERS) those whose shadows are found
+    """
+
+    rows: np.ndarray
+    casting: np.ndarray
+
+    @classmethod
+    def of(cls, light: SceneLight, root_m: np.ndarray, linear_offset: np.ndarray, joints_m: np.ndarray) -> LampRows:
+        """Those that matter to a pose. joints_m: (21, 3) canonical, root-relative"""
+        return cls(*lamp_rows(light, root_m, palm_middle_m(linear_offset, joints_m)))
+
+
+def lamp_at(row: np.ndarray, position_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Direction to a lamp (N, 3), irradiance of what faces it over its rgb (N,), sine of its half angle (N,)."""
+    numbers = {name: float(row[place]) for name, place in NUMBER.items()}
+    place = position_m.new_tensor(row[:3])
+    ones = torch.ones_like(position_m[:, 0])
+    if numbers["kind"] == LampKind.SUN:
+        return place.expand_as(position_m), ones, ones * numbers["sun_sine"]
+    way = place - position_m
+    distance2 = (way * way).sum(-1).clamp_min(DISTANCE2_MIN)
+    direction = way * distance2.rsqrt()[:, None]
+    strength = 1 / (distance2 + numbers["softening"])
+    sine = (numbers["radius2"] / (distance2 + numbers["radius2"])).sqrt()
+    cosine = -direction @ position_m.new_tensor(row[3:6])
+    if numbers["kind"] == LampKind.SPOT:
+        strength = strength * smooth((cosine - numbers["cone"]) * numbers["cone_scale"])
+    if numbers["kind"] == LampKind.AREA:
+        strength = strength * cosine.clamp_min(0)
+        if numbers["spread_gain"] > 0:
+            tangent = (1 - cosine * cosine).clamp_min(0).sqrt() / cosine.clamp_min(1e-4)
+            strength = strength * (numbers["spread"] - tangent).clamp_min(0) * numbers["spread_gain"]
+    return direction, strength, sine
+
+
+def soft_cosine(cosine: Tensor, width: Tensor) -> Tensor:
+    """max(cosine, 0) with its corner rounded over |cosine| < width; 0 below."""
+    rounded = (cosine + width).square() / (4 * width)
+    return torch.where(cosine >= width, cosine, torch.where(cosine <= -width, torch.zeros_like(rounded), rounded))
+
+
+def smooth(part: Tensor) -> Tensor:
+    """Smoothstep of part, clamped to 0..1."""
+    t = part.clamp(0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def world_irradiance(light: SceneLight, response: ResponseTensors, normal: Tensor) -> Tensor:
+    """(N, 3) W/m2."""
+    if light.world is None:
+        return torch.zeros_like(normal)
+    terms = light.world.terms
+    # the corner of the world is that of the whole hand: no gradient goes there
+    coefficients = normal.new_tensor(terms.irradiance(response.softness.detach().double().cpu().numpy()))
+    least = WORLD_FLOOR * normal.new_tensor(terms.mean_irradiance)
+    return torch.maximum(harmonics(normal) @ coefficients, least)
+
+
+@dataclass(frozen=True)
+class Flesh:
+    """Capsules that stand before lamps, root-relative.
+
+    start_m, end_m: (C, 3)
+    radius_m:       (C,)
+    hides:          (A, C) how much each counts for each anchor
+    far:            (C,) whether it is of another hand, see `cast_shadow.past_capsule`
+    """
+
+    start_m: Tensor
+    end_m: Tensor
+    radius_m: Tensor
+    hides: Tensor
+    far: Tensor
+
+    @classmethod
+    def of(cls, cast: CastTensors, joints_m: Tensor, scale: Tensor, others: Capsules | None = None) -> Flesh:
+        """joints_m: (21, 3) posed · others: of hands beside this one"""
+        start_m, end_m, radius_m = capsules(joints_m, scale)
+        hides, far = 1 - cast.own.to(joints_m), torch.zeros(len(start_m), dtype=torch.bool)
+        if others is not None:
+            start, end, radius, part = (torch.from_numpy(values).to(joints_m) for values in vars(others).values())
+            start_m, end_m, radius_m = (torch.cat(p) for p in ((start_m, start), (end_m, end), (radius_m, radius)))
+            hides = torch.cat([hides, part.expand(len(hides), -1)], 1)
+            far = torch.arange(len(start_m)) >= len(far)
+        return cls(start_m, end_m, radius_m, hides, far)
+
+
+def past_flesh(skin: Skin, flesh: Flesh, towards: Tensor, softness: float, half_width: Tensor) -> Tensor:
+    """(A, K) part that is seen past all flesh. towards: (A or 1, K, 3) unit · half_width: (A or 1, K) of a lamp per
+    distance"""
+    visible = torch.ones(len(skin.position_m), towards.shape[1]).to(towards)
+    each = zip(flesh.start_m, flesh.end_m, flesh.radius_m, flesh.hides.T, flesh.far, strict=True)
+    for start, end, radius_m, hides, far in each:
+        axis, from_start = end - start, skin.position_m - start
+        length2 = (axis * axis).sum().clamp_min(CAPSULE_LENGTH2_MIN)
+        axis_along, point_along_axis = towards @ axis, (from_start @ axis)[:, None]
+        along = (towards * from_start[:, None]).sum(-1)
+        sine2 = (length2 - axis_along * axis_along).clamp_min(CAPSULE_SINE2_MIN * length2)
+        s = ((point_along_axis - axis_along * along) / sine2).clamp(0, 1)
+        way = (s * axis_along - along).clamp_min(0)
+        s = ((point_along_axis + way * axis_along) / length2).clamp(0, 1)
+        between = from_start[:, None] + way[..., None] * towards - s[..., None] * axis
+        distance = (between * between).sum(-1).clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
+        width = (softness * radius_m + half_width * way).clamp_min(CAPSULE_WIDTH_MIN_M)
+        behind = 1 - soft_edge(distance, radius_m, width)
+        if far:
+            behind = behind * (radius_m / (half_width * way).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
+        visible = visible * (1 - hides[:, None] * behind)
+    return visible
+
+
+def reached(
+    cast: CastTensors,
+    anchors: Skin,
+    flesh: Flesh,
+    light: SceneLight,
+    lamps: LampRows,
+    response: ResponseTensors,
+) -> Reached:
+    """What reaches the skin of one pose. anchors: posed, root-relative"""
+    given, seen = torch.zeros_like(anchors.normal), []
+    for row in lamps.casting:
+        direction, _, sine = lamp_at(row, anchors.position_m)
+        towards, half_width = direction[:, None], sine[:, None]
+        seen.append(past_flesh(anchors, flesh, towards, FLESH_SOFTNESS, half_width)[:, 0])
+    for row in lamps.rows:
+        direction, strength, _ = lamp_at(row, anchors.position_m)
+        slot = int(row[NUMBER["slot"]])
+        part = seen[slot] if slot >= 0 else torch.ones_like(strength)
+        got = (anchors.normal * direction).sum(-1).clamp_min(0) * strength * part * float(row[NUMBER["on_matt"]])
+        given = given + got[:, None] * given.new_tensor(row[6:9])
+    spread = cast.anchors.spread
+    of_lamps = spread(torch.stack(seen, 1)).T if seen else given.new_zeros(0, len(cast.anchors.nearest))
+    terms = (BLACK if light.world is None else light.world).terms
+    cells, directions = given.new_tensor(terms.light), given.new_tensor(terms.direction)
+    turned = (-directions @ anchors.normal.T).clamp_min(0).square()
+    thrown = world_irradiance(light, response, -directions)
+    thrown = thrown + turned @ given / (turned.sum(1, keepdim=True) + DISTANCE2_MIN)
+    thrown = thrown * response.bounce * (4 / CELLS)
+    cosine = (anchors.normal @ directions.T).clamp_min(0)
+    half_width = cosine.new_full((1, 1), LAMP_HALF_WIDTH)
+    visible = past_flesh(anchors, flesh, directions[None], DISTANT_FLESH_SOFTNESS, half_width)
+    ambient = (response.ambient * given.new_tensor(terms.mean_irradiance)).clamp_min(AMBIENT_MIN)
+    part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
+    bounced = (cosine * (1 - visible)) @ thrown
+    sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
+    at_skin = spread(torch.cat([part, bounced, sky], 1))
+    return Reached(at_skin[:, :3], at_skin[:, 3:6], at_skin[:, 6], of_lamps)
+
+
+def matt(
+    albedo: Tensor,
+    skin: Skin,
+    got: Reached,
+    light: SceneLight,
+    lamps: LampRows,
+    response: ResponseTensors,
+    shade: Tensor | None,
+) -> Tensor:
+    """(N, 3) radiance that is the same from everywhere."""
+    irradiance = world_irradiance(light, response, skin.normal) * got.part + got.bounced
+    for row in lamps.rows:
+        direction, strength, sine = lamp_at(row, skin.position_m)
+        corner = (response.spread[:, None] * response.softness).square() + sine.square()[:, None]
+        corner = corner.sqrt().clamp(CORNER_MIN, CORNER_MAX)
+        cosine = (skin.normal * direction).sum(-1, keepdim=True)
+        strength = strength * _seen(got, row) * float(row[NUMBER["on_matt"]])
+        irradiance = irradiance + soft_cosine(cosine, corner) * strength[:, None] * albedo.new_tensor(row[6:9])
+    result = albedo / np.pi * irradiance
+    if shade is not None:
+        result = result * (shade * response.shade_gain).clamp(-LIGHT_EXPONENT_MAX, LIGHT_EXPONENT_MAX).exp()
+    return result
+
+
+def towards_eye(
+    matt_rgb: Tensor,
+    skin: Skin,
+    eye_m: Tensor,
+    got: Reached,
+    light: SceneLight,
+    lamps: LampRows,
+    response: ResponseTensors,
+) -> Tensor:
+    """(N, 3) what the eye (3,), root-relative, gets of it."""
+    eye = unit(eye_m - skin.position_m.detach())
+    facing = (skin.normal * eye).sum(-1)
+    cosine_eye, alpha = facing.clamp_min(FACING_MIN), response.roughness.square()
+    k, rgb = alpha / 2, matt_rgb
+    rise = GRAZING_GAIN * (GRAZING_FROM * response.reflectance).clamp_max(1)
+    for row in lamps.rows:
+        direction, strength, sine = lamp_at(row, skin.position_m)
+        half = unit(direction + eye)
+        cosine, middle = ((skin.normal * each).sum(-1).clamp(0, 1) for each in (direction, half))
+        wide2 = (alpha + sine / 2).clamp_max(1).square()
+        bell = middle.square() * (wide2 - 1) + 1
+        grazing = (1 - (direction * half).sum(-1).clamp(0, 1)) ** 5
+        fresnel = response.reflectance + (1 - response.reflectance) * rise * grazing
+        masked = (cosine * (1 - k) + k) * (cosine_eye * (1 - k) + k)
+        shine = wide2 / (np.pi * bell.square()) * fresnel / 4 * cosine / masked * strength * _seen(got, row)
+        rgb = rgb + shine[:, None] * float(row[NUMBER["on_gloss"]]) * rgb.new_tensor(row[6:9])
+    if light.world is not None:
+        lobes = rgb.new_tensor(mirrored(light.world, response.roughness.detach().double().cpu().numpy()))
+        to_mirror = 2 * facing[:, None] * skin.normal - eye
+        sky = torch.exp(lobes[:, 3] * (to_mirror @ lobes[:, :3].T - 1)) @ lobes[:, 4:]
+        rough = response.roughness
+        r0, r1 = 1 - rough, 0.0425 - 0.0275 * rough
+        r2, r3 = 1.04 - 0.572 * rough, 0.022 * rough - 0.04
+        base = torch.minimum(r0 * r0, torch.exp2(-9.28 * cosine_eye)) * r0 + r1
+        gain = response.reflectance * (r2 - 1.04 * base) + rise * (r3 + 1.04 * base)
+        rgb = rgb + sky * (gain * got.sky)[:, None]
+    return rgb * smooth((facing - AWAY_FROM) / AWAY_WIDTH)[:, None]
+
+
+def _seen(got: Reached, row: np.ndarray) -> Tensor:
+    slot = int(row[NUMBER["slot"]])
+    return got.seen[slot] if slot >= 0 else torch.ones_like(got.sky)

@@ -1,0 +1,58 @@
+// Trained skin in the light of a scene (METHOD 6): a world all around and lamps in it, scene-linear.
+// learn/scene_light.py is the specification.
+#pragma once
+#include "learned.h"
+
+namespace jg {
+
+// Where the numbers of a lamp stand, root-relative, meters.
+enum LampNumber {
+  PLACE = 0,           // of a sun the direction towards it
+  AXIS = 3,            // towards what is lit
+  LAMP_RGB = 6,        // W/m2 of a sun, W/sr of others
+  SOFTENING = 9,       // added to the squared distance
+  RADIUS2 = 10,        // squared radius of what shines
+  SUN_SINE = 11,       // of half the angle of a sun
+  CONE = 12,           // of a spot: cosine of half the cone
+  CONE_SCALE = 13,     // of a spot: 1 / (blend (1 - cosine))
+  SPREAD = 14,         // of an area: tangent of half the spread
+  SPREAD_GAIN = 15,    // of an area: 1 / (tangent - angle); 0: all of the half space
+  KIND = 16,
+  SLOT = 17,           // of its shadow; -1: none
+  ON_MATT = 18,        // 0 or 1
+  ON_GLOSS = 19,       // 0 or 1
+  LAMP = 20
+};
+enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
+
+// Mirrored field by field in native/scene_light_task.py.
+struct SceneLightTask {
+  const float* material;     // (blocks, 3, 16): spread, roughness, reflectance
+  const float* lamp;         // (lamps, LAMP)
+  const float* casting;      // (slots, LAMP): those whose shadows are found
+  const float* irradiance;   // (16, 3): of the world, W/m2, for `harmonics`
+  const float* lobe;         // (lobes, 7): what the world mirrors: unit direction, sharpness / ln 2, radiance
+  float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
+  float* seen;               // (slots, 16 anchor blocks): part of a lamp that an anchor sees
+  float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
+  float* reached;            // (16 anchor blocks, 8): part of the world rgb, bounced W/m2 rgb, part of the sky, 0
+  float softness[3];         // half width of the rounded corner of a cosine
+  float bounce[3];           // W/m2 that hidden skin throws back, per W/m2 that it gets, pi and solid angle included
+  float ambient[3];          // W/m2 that no shadow takes
+  float least[3];            // W/m2 of the world, at least
+  float shade_gain;          // of the pose's shade, in logarithms of linear color
+  float flesh_softness;      // edge of a lamp's shadow, as a part of a capsule's radius
+  float sine2_min;           // floor of a squared sine between ray and capsule
+  int32_t lamps, slots, lobes;
+};
+
+// First for all anchors, then for all groups of directions, then for all anchors again, then `lit_block`.
+void anchor_lamps(const LearnedTask& t, int32_t anchor_block);
+void thrown_back(const LearnedTask& t, int32_t group);
+void anchor_world(const LearnedTask& t, int32_t anchor_block);
+// The matt color of a block, p: root-relative.
+void lit_block(const LearnedTask& t, int32_t block, const vf p[3], const vf normal[3], const vf correction[CORRECTION]);
+// What a block sends to the eye.
+void seen_block(const LearnedTask& t, int32_t block);
+
+}  // namespace jg

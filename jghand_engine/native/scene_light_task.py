@@ -1,0 +1,36 @@
+"""What trained skin in the light of a scene takes: mirrors of native/scene_light.h, field by field."""
+
+from __future__ import annotations
+
+import ctypes
+from enum import IntEnum
+
+_I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
+
+
+class LampKind(IntEnum):
+    """Kinds of lamps, as Blender has them."""
+
+    SUN = 0
+    POINT = 1
+    SPOT = 2
+    AREA = 3
+
+
+# numbers of one lamp, in their order: LampNumber of native/scene_light.h, which says what they are
+LAMP_NUMBERS = (
+    *("place_x", "place_y", "place_z", "axis_x", "axis_y", "axis_z", "red", "green", "blue", "softening", "radius2"),
+    *("sun_sine", "cone", "cone_scale", "spread", "spread_gain", "kind", "slot", "on_matt", "on_gloss"),
+)
+
+
+class SceneLightTask(ctypes.Structure):
+    """SceneLightTask of native/scene_light.h."""
+
+    _fields_ = (
+        *((name, _P) for name in ("material", "lamp", "casting", "irradiance", "lobe")),
+        *((name, _P) for name in ("posed", "seen", "thrown", "reached")),
+        *((name, _F32 * 3) for name in ("softness", "bounce", "ambient", "least")),
+        *((name, _F32) for name in ("shade_gain", "flesh_softness", "sine2_min")),
+        *((name, _I32) for name in ("lamps", "slots", "lobes")),
+    )

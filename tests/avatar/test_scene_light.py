@@ -1,0 +1,320 @@
+"""A hand in the light of a scene: the kernel is the torch form in float64, and light behaves as light does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_avatars import trained_avatar
+from small_hands import joints_of
+from test_trained_posing import RootRelative
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.cast_task import Capsules
+from jghand_engine.avatar.learned import SkinResponse
+from jghand_engine.avatar.posing import Poser
+from jghand_engine.avatar.relighting import estimated
+from jghand_engine.avatar.scene_light import (
+    Lamp,
+    SceneLight,
+    World,
+    cosine_bands,
+    harmonics,
+    mirrored_lobes,
+    soft_cosine,
+)
+from jghand_engine.avatar.scene_light_step import irradiance_at, lamp_rows
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Bones
+from jghand_engine.learn import scene_light as torch_light
+from jghand_engine.learn.light import unit
+from jghand_engine.learn.pose_features import Angles
+from jghand_engine.learn.skinning import apply, posed_anchors, skin_maps
+from jghand_engine.learn.tensors import HandTensors
+from jghand_engine.native import library as native_library
+from jghand_engine.native.scene_light_task import LampKind
+
+EYE_M = np.array([0.1, 0.25, 0.5])
+EVEN = World(np.broadcast_to(np.array([0.2, 0.5, 1.0], np.float32), (16, 32, 3)))
+
+
+def varied(avatar: HandAvatar) -> HandAvatar:
+    """With a response that differs from Gaussian to Gaussian."""
+    hand, g = estimated(avatar), np.random.default_rng(5)
+    assert hand.learned is not None
+    assert hand.learned.response is not None
+    count = len(hand)
+    response = replace(
+        hand.learned.response,
+        spread=g.uniform(0.5, 2, count).astype(np.float32),
+        roughness=g.uniform(0.25, 0.65, count).astype(np.float32),
+        reflectance=g.uniform(0.01, 0.08, count).astype(np.float32),
+    )
+    return replace(hand, learned=replace(hand.learned, response=response))
+
+
+AVATAR = varied(trained_avatar(601))
+
+
+def response_of(avatar: HandAvatar) -> SkinResponse:
+    assert avatar.learned is not None
+    assert avatar.learned.response is not None
+    return avatar.learned.response
+
+
+def with_response(avatar: HandAvatar, **changes) -> HandAvatar:
+    assert avatar.learned is not None
+    return replace(avatar, learned=replace(avatar.learned, response=replace(response_of(avatar), **changes)))
+
+
+def world(seed: int = 0) -> World:
+    g = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(g.standard_normal((3, 3)))
+    return World(g.random((16, 32, 3)) ** 4 * [3, 2, 1], turn * np.sign(np.linalg.det(turn)))
+
+
+LAMPS = {
+    "sun": Lamp(LampKind.SUN, (3, 2, 1), (0.2, 0.5, 1), angle_rad=0.1),
+    "point": Lamp(LampKind.POINT, (0.2, 0.3, 0.1), (0.3, 0.2, 0.1), radius_m=0.03),
+    "hard point": Lamp(LampKind.POINT, (0.2, 0.3, 0.1), (-0.3, 0.2, 0.1), radius_m=0.03, is_soft=False),
+    "spot": Lamp(LampKind.SPOT, (0.3, 0.3, 0.3), (0, 0.1, 0.6), (0, 0, -1), radius_m=0.01, cone_rad=0.25, blend=0.4),
+    "area": Lamp(LampKind.AREA, (2, 3, 4), (0, 0.6, 0.4), (0, -1, -0.6), size_m=(0.3, 0.2), spread_rad=2.0),
+    "small disk": Lamp(LampKind.AREA, (90, 80, 70), (0, 0.6, 0.4), (0, -1, -1), size_m=(0.02, 0.02), is_ellipse=True),
+    "without shadow": Lamp(LampKind.SUN, (1, 1, 1), (0, 0, 1), has_shadow=False),
+    "gloss alone": Lamp(LampKind.SUN, (1, 1, 1), (0, 0, 1), on_matt=False),
+    "matt alone": Lamp(LampKind.SUN, (1, 1, 1), (0, 0, 1), on_gloss=False),
+}
+EVEN_LIGHT = SceneLight(EVEN)
+LIGHTS = {name: SceneLight(None, (lamp,)) for name, lamp in LAMPS.items()} | {
+    "world": SceneLight(world()),
+    "all": SceneLight(world(1), tuple(LAMPS.values())),
+    "nothing": SceneLight(),
+}
+
+
+def bones_of(avatar: HandAvatar, pose: str = "fist") -> Bones:
+    return avatar.skeleton().bones(joints_of(pose))
+
+
+def natively(
+    avatar: HandAvatar, bones: Bones, light: SceneLight, variant: str = "auto", others: Capsules | None = None
+) -> np.ndarray:
+    """(N, 3) colors towards the eye, in the avatar's order."""
+    poser = Poser(native_library.load(variant), avatar)
+    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), others=others, light=light)
+    poser.run()
+    poser.prepare_gloss(EYE_M)
+    poser.run_gloss()
+    return poser.into.rgb[: len(avatar)][np.argsort(poser.blocks.order)]
+
+
+def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsules | None = None) -> torch.Tensor:
+    """By the functions of `learn`, in float64."""
+    hand, shift_m = HandTensors.of(avatar), np.array([0.01, 0.02, -0.03])
+    assert hand.learned is not None
+    assert hand.learned.cast is not None
+    assert hand.learned.correctives is not None
+    made = RootRelative.of(avatar, bones, shift_m)
+    wide = RootRelative(*(getattr(made, name).double() for name in vars(made)))
+    correction = hand.learned.correctives(Angles.of(torch.from_numpy(bones.angles_rad)))
+    maps = skin_maps(hand.bone_weights, wide)
+    relative = hand.position_m.double() - wide.canonical_root_m
+    offset = wide.scale * apply(maps.turning, correction.offset_m.double())
+    skin = torch_light.Skin(
+        apply(maps.linear, relative) + maps.offset_m + offset, unit(apply(maps.turning, hand.learned.normal.double()))
+    )
+    anchors, joints_m = posed_anchors(hand.learned.cast, hand.canonical_joints_m, wide)
+    response = torch_light.ResponseTensors.of(response_of(avatar))
+    root = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
+    lamps = torch_light.LampRows.of(light, bones.root_m, bones.linear_offset, root)
+    flesh = torch_light.Flesh.of(hand.learned.cast, joints_m, wide.scale, others)
+    got = torch_light.reached(hand.learned.cast, torch_light.Skin(*anchors), flesh, light, lamps, response)
+    matt = torch_light.matt(hand.rgb.double(), skin, got, light, lamps, response, correction.shade.double())
+    return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - shift_m), got, light, lamps, response)
+
+
+# ---- the kernel ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_the_kernel_lights_skin_as_training_does(name):
+    bones = bones_of(AVATAR)
+    wanted = exactly(AVATAR, bones, LIGHTS[name]).numpy()
+    found = natively(AVATAR, bones, LIGHTS[name])
+    assert np.abs(found - wanted).max() <= 1e-4 * max(wanted.max(), 1e-6)
+
+
+def test_another_hand_casts_its_shadow_in_the_kernel_as_in_training():
+    bones, middle_m = bones_of(AVATAR), np.array([[0.03, 0.09, 0.08], [0.0, 0.05, 0.3]])
+    half_m = np.array([[0.0, 0.04, 0.0], [0.02, 0.0, 0.02]])
+    others = Capsules(middle_m - half_m, middle_m + half_m, np.array([0.012, 0.01]), np.array([1.0, 0.6]))
+    wanted = exactly(AVATAR, bones, LIGHTS["all"], others).numpy()
+    alone = natively(AVATAR, bones, LIGHTS["all"])
+    found = natively(AVATAR, bones, LIGHTS["all"], others=others)
+    assert np.abs(found - wanted).max() <= 1e-4 * wanted.max()
+    assert np.abs(found - alone).max() > 0.05 * alone.max()
+
+
+def test_threads_do_not_change_a_bit():
+    bones = bones_of(AVATAR)
+    first = natively(AVATAR, bones, LIGHTS["all"])
+    assert np.array_equal(first, natively(AVATAR, bones, LIGHTS["all"]))
+
+
+def test_a_world_that_changes_is_seen_in_the_next_pose():
+    bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
+    for light in (LIGHTS["world"], SceneLight(world(3))):
+        poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=light)
+        poser.run()
+        poser.prepare_gloss(EYE_M)
+        poser.run_gloss()
+    rows = np.argsort(poser.blocks.order)
+    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, light))
+
+
+# ---- light -----------------------------------------------------------------------------------------------------------
+
+
+def white(avatar: HandAvatar, bounce: float) -> HandAvatar:
+    """A hand that throws all light back, matt."""
+    none = np.zeros(len(avatar), np.float32)
+    hand = replace(avatar, rgb=np.ones_like(avatar.rgb))
+    return with_response(hand, reflectance=none, shade_gain=0.0, bounce=np.full(3, bounce), ambient=np.zeros(3))
+
+
+@pytest.mark.parametrize("pose", ["open", "fist"])
+def test_a_white_hand_in_an_even_world_is_as_bright_as_the_world(pose):
+    """The furnace: what fingers take of the light they throw back."""
+    hand = white(estimated(load_builtin(handedness=Handedness.RIGHT)), 1.0)
+    bones, poser = bones_of(hand, pose), Poser(native_library.load(), hand)
+    poser.prepare(bones, np.zeros(3), light=EVEN_LIGHT)
+    poser.run()
+    seen = []
+    # every Gaussian faces one of these
+    for eye_m in np.concatenate([np.eye(3), -np.eye(3)]):
+        poser.prepare_gloss(eye_m)
+        poser.run_gloss()
+        seen.append(poser.into.rgb[: len(hand)].copy())
+    ratio = np.max(seen, 0) / [0.2, 0.5, 1.0]
+    assert np.abs(ratio - 1).max() < 0.08
+    assert ratio.mean() == pytest.approx(1, abs=0.005)
+
+
+def test_a_hand_in_two_lights_is_the_sum_of_both_hands():
+    bones = bones_of(AVATAR)
+    sun, point = LAMPS["sun"], replace(LAMPS["point"], rgb=(1, 1, 1))
+    both = natively(AVATAR, bones, SceneLight(None, (sun, point)))
+    each = [natively(AVATAR, bones, SceneLight(None, (lamp,))) for lamp in (sun, point)]
+    assert np.abs(both - sum(each)).max() < 1e-5 * both.max()
+
+
+def test_twice_the_light_is_twice_as_bright():
+    bones, light = bones_of(AVATAR), LIGHTS["all"]
+    lamps = tuple(replace(lamp, rgb=tuple(2 * c for c in lamp.rgb)) for lamp in light.lamps)
+    assert light.world is not None
+    double = SceneLight(replace(light.world, radiance=2 * light.world.radiance), lamps)
+    once, twice = (natively(AVATAR, bones, each) for each in (light, double))
+    assert np.abs(twice - 2 * once).max() < 1e-5 * twice.max()
+
+
+def test_hand_and_lights_that_turn_together_look_the_same():
+    g = np.random.default_rng(2)
+    turn, _ = np.linalg.qr(g.standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    joints_m = joints_of("fist")
+    lamps = (LAMPS["area"], LAMPS["spot"], LAMPS["sun"])
+    turned = tuple(
+        replace(lamp, **{name: tuple(turn @ getattr(lamp, name)) for name in ("place_m", "axis", "side")})
+        for lamp in lamps
+    )
+    # what fingers throw onto each other is found for directions of the world
+    hand = with_response(AVATAR, bounce=np.zeros(3))
+    skeleton, poser = hand.skeleton(), Poser(native_library.load(), hand)
+    seen = []
+    for joints, light, eye in ((joints_m, lamps, EYE_M), (joints_m @ turn.T, turned, turn @ EYE_M)):
+        poser.prepare(skeleton.bones(joints), joints[0], light=SceneLight(None, light))
+        poser.run()
+        poser.prepare_gloss(eye)
+        poser.run_gloss()
+        seen.append(poser.into.rgb.copy())
+    assert np.abs(seen[1] - seen[0]).max() < 1e-4 * seen[0].max()
+
+
+def test_a_lamp_behind_a_lone_surface_gives_it_nothing():
+    cosine = np.linspace(-1, 1, 2001)
+    for width in (0.02, 0.2, 0.9):
+        f = soft_cosine(cosine, np.full_like(cosine, width))
+        assert (f[cosine <= -width] == 0).all()
+        assert np.allclose(f[cosine >= width], cosine[cosine >= width])
+        # C1: no step in the slope
+        assert np.abs(np.diff(f, 2)).max() < 2 * (0.001**2) / (4 * width) * 1.01
+
+
+def test_an_even_world_gives_pi_times_its_radiance_whatever_the_softness():
+    for softness in (0.02, 0.24, 0.6):
+        assert cosine_bands(np.array([softness]))[0, 0] == pytest.approx(np.pi)
+    assert cosine_bands(np.array([0.02]))[:3, 0] == pytest.approx([np.pi, 2 * np.pi / 3, np.pi / 4], rel=2e-3)
+    normal = unit(torch.randn(50, 3, generator=torch.Generator().manual_seed(1)).double()).numpy()
+    irradiance = harmonics(normal) @ EVEN.terms.irradiance(np.array([0.2, 0.2, 0.2]))
+    assert irradiance / np.pi == pytest.approx(np.broadcast_to([0.2, 0.5, 1.0], (50, 3)), rel=2e-3)
+
+
+def test_lobes_together_are_the_blurred_world():
+    shown = world(4)
+    direction, light = (values.reshape(-1, 3) for values in shown.samples)
+    lobes = mirrored_lobes(shown, 12.0)
+    towards = direction[::37]
+    blurred = np.exp(12 * (towards @ direction.T - 1)) @ light / (2 * np.pi / 12)
+    fitted = np.exp(12 * (towards @ lobes[:, :3].T - 1)) @ lobes[:, 4:]
+    assert np.sqrt(np.mean((fitted - blurred) ** 2)) < 0.15 * blurred.mean()
+
+
+# ---- which lamps -----------------------------------------------------------------------------------------------------
+
+
+def test_lamps_that_nobody_sees_are_left_out_and_faint_ones_cast_no_shadow():
+    far = Lamp(LampKind.POINT, (1, 1, 1), (100, 0, 0))
+    faint = replace(LAMPS["sun"], rgb=(0.009, 0.006, 0.003))
+    rows, casting = lamp_rows(SceneLight(None, (far, LAMPS["sun"], faint)), np.zeros(3), np.zeros(3))
+    assert len(rows) == 2
+    assert len(casting) == 1
+
+
+def test_a_large_area_is_four_lamps_of_one_shadow_and_gives_the_same_light():
+    area = LAMPS["area"]
+    rows, casting = lamp_rows(SceneLight(None, (area,)), np.zeros(3), np.array([0.0, 0.05, 0]))
+    assert len(rows) == 4
+    assert len(casting) == 1
+    assert len({float(row[17]) for row in rows}) == 1
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    for point in points:
+        parts, whole = sum(irradiance_at(row, point) for row in rows), irradiance_at(casting[0], point)
+        assert parts == pytest.approx(whole, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Lamp(LampKind.POINT, (np.nan, 1, 1), (0, 0, 0)), "finite"),
+        (lambda: Lamp(LampKind.POINT, (-1, 1, 1), (0, 0, 0)), "0 and up"),
+        (lambda: Lamp(LampKind.SUN, (1, 1, 1), (0, 0, 0)), "a direction"),
+        (lambda: World(np.ones((4, 8))), "rows, columns"),
+        (lambda: World(-np.ones((4, 8, 3))), "0 and up"),
+        (lambda: World(np.ones((4, 8, 3)), 2 * np.eye(3)), "a rotation"),
+    ],
+)
+def test_light_that_is_none_is_refused(make, says):
+    with pytest.raises(InputError, match=says):
+        make()
+
+
+def test_a_hand_without_learned_shadows_cannot_be_relit():
+    assert AVATAR.learned is not None
+    with pytest.raises(InputError, match="shadows of its fingers"):
+        estimated(replace(AVATAR, learned=None))
+    with pytest.raises(InputError, match="shadows of its fingers"):
+        estimated(replace(AVATAR, learned=replace(AVATAR.learned, cast=None)))
