@@ -57,14 +57,18 @@ _MENDS = {
 _START = ("jghand.restart_engine", "Try Again")
 # the engine's options that trainings, training sets and exports are given, and the labels of their controls
 CONTROLS = {
-    **{"--resume": '"Resume"', "--fresh": '"Restart…"', "--preset": '"Preset"', "--minutes": '"Time"'},
-    **{"--size": '"Resolution"', "--samples": '"Samples"', "--seed": '"Seed"', "--cameras": '"Cameras"'},
-    **{"--poses": '"Poses"', "--identity": '"Hand Model"', "--default-variant": '"Default Variant"'},
+    **{"--resume": "Resume", "--fresh": "Restart…", "--preset": "Preset", "--minutes": "Time"},
+    **{"--size": "Resolution", "--samples": "Samples", "--seed": "Seed", "--cameras": "Cameras"},
+    **{"--poses": "Poses", "--identity": "Hand Model", "--default-variant": "Default Variant"},
 }
-# an option as the engine writes one: two hyphens within a word are of somebody's path
-_OPTION, _SENTENCES = re.compile(r'(?<![^\s("])--[a-z][a-z-]+'), re.compile(r"(?<=[.!?])\s+(?=\S)")
+# an option as the engine writes one, with its command and what it is to be given: two hyphens within a word are of
+# somebody's path
+_OPTION = re.compile(r'(?:jghand [a-z]+ )?(?<![^\s("])(--[a-z][a-z-]*)(?: (?:NUMBER|NAME|true|left|right)\b)?')
+# what else an artist cannot type
+_COMMAND = re.compile(r"(?:^|[\s(])(?:--[a-z]|jghand [a-z]+ -|\S*python\S* -m )")
+_SENTENCES = re.compile(r"(?<=[.!?;])\s+(?=\S)")
 # what stands before the part of a sentence that says what to do
-_REASON = re.compile(r"(.+)[:;] ")
+_REASON = re.compile(r"(.+): |(.+), ")
 # the names of a picture's hands, in their order, which its report gets on this side
 HANDS = "hands"
 
@@ -121,19 +125,17 @@ def duration(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
 
 
-def in_blenders_words(text: str) -> str:
-    """The engine's sentences without options of its command line: by the label of their control; of a sentence that
-    names another one its reason is left, where it has one."""
-    said = (_OPTION.sub(lambda found: CONTROLS.get(found[0], found[0]), one) for one in _SENTENCES.split(text))
-    return " ".join(kept for one in said if (kept := _without_options(one)))
-
-
-def _without_options(sentence: str) -> str:
-    option = _OPTION.search(sentence)
-    if option is None:
-        return sentence
-    reason = _REASON.match(sentence, 0, option.start())
-    return f"{reason[1]}." if reason is not None else ""
+def in_blenders_words(text: str, controls: Mapping[str, str] = CONTROLS) -> str:
+    """The engine's sentences without options of its command line: by the label of their control, in quotes. A sentence
+    that names another option, or a command, ends before it: after its reason, where it has one, else it is left out."""
+    told = []
+    for sentence in _SENTENCES.split(text):
+        named = _OPTION.sub(lambda found: f'"{controls[found[1]]}"' if found[1] in controls else found[0], sentence)
+        if command := _COMMAND.search(named):
+            reason = _REASON.match(named, 0, command.start() + 1)
+            named = f"{reason[1] or reason[2]}." if reason else ""
+        told.append(named)
+    return re.sub(";$", ".", " ".join(filter(None, told))).replace('"Hand" or "Hand"', '"Hand"')
 
 
 def milliseconds(value: float) -> str:

@@ -7,7 +7,6 @@ Does not use bpy.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..core.joints import WRIST
+from ..core.panel_text import in_blenders_words
 from ..errors import JGHandFailure
 from .motion_files import MotionFile, read_motion
 
@@ -45,10 +45,6 @@ VIDEO_FIELDS = {
     **{"--hand": "Hands", "--hand-length": "Hand Length"},
     **{"--camera-angle": "Camera Angle", "--smoothing": "Smoothing"},
 }
-# an option as the renderer's sentences have it, with the command and what it is to be given
-_OPTION = re.compile(r"(?:jghand [a-z]+ )?(--[a-z][a-z-]*)(?: (?:NUMBER|NAME|true|left|right)\b)?")
-# what else an artist cannot type
-_COMMAND = re.compile(r"(?:^|[\s(])(?:--[a-z]|jghand [a-z]+ -|\S*python\S* -m )")
 
 
 def words(verb: str, path: Path, folder: Path, options: Mapping[str, str | bool]) -> tuple[str, ...]:
@@ -65,7 +61,7 @@ def words(verb: str, path: Path, folder: Path, options: Mapping[str, str | bool]
 def read_converted(folder: Path) -> MotionFile:
     """The motion that the renderer left, with its sentences as notes. JGHandFailure: bad_motion."""
     figures = _figures(folder)
-    notes = tuple(in_fields(note, MOTION_FIELDS) for note in _notes(folder, figures))
+    notes = tuple(in_blenders_words(note, MOTION_FIELDS) for note in _notes(folder, figures))
     return replace(read_motion(folder / _MOTION), notes=notes)
 
 
@@ -98,18 +94,6 @@ def near_hand(motions: Sequence[MotionFile], anchor: int | None, *, in_place: bo
     center = first.mean(axis=0) if anchor is None else first[anchor]
     moves = [one.joints_m[:, :1] - start if in_place else 0.0 for one, start in zip(motions, first, strict=True)]
     return [replace(one, joints_m=one.joints_m - center - move) for one, move in zip(motions, moves, strict=True)]
-
-
-def in_fields(text: str, fields: Mapping[str, str]) -> str:
-    """The renderer's sentences with the names of Blender's fields instead of its own options; what names an option that
-    has no field is left out."""
-    pieces = []
-    for sentence in re.split(r"(?<=[.;]) ", text):
-        named = _OPTION.sub(lambda found: f'"{fields[found[1]]}"' if found[1] in fields else found[0], sentence)
-        clauses = [clause for clause in named.split(", ") if not _COMMAND.search(clause)]
-        if clauses:
-            pieces.append(", ".join(clauses) + ("." if not named.endswith(clauses[-1]) else ""))
-    return " ".join(pieces).replace('"Hand" or "Hand"', '"Hand"')
 
 
 def _figures(folder: Path) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from bpy_extras.io_utils import ImportHelper
 from .. import folders, ui, versions
 from .. import ops as common
 from ..core.joints import LEFT, RIGHT
+from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
 from ..ops import CANCELLED, UNDOABLE_IMPORT, Elsewhere, InTurns, missing
@@ -39,7 +40,6 @@ from .motion_jobs import (
     VIDEO_SUFFIXES,
     WANTS_HAND,
     TrackedFilm,
-    in_fields,
     near_hand,
     read_converted,
     read_tracked,
@@ -387,7 +387,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         except JGHandFailure as failure:
             if failure.kind != "bad_input":
                 raise
-            detail = in_fields(failure.detail, MOTION_FIELDS)
+            detail = in_blenders_words(failure.detail, MOTION_FIELDS)
             raise JGHandFailure("bad_motion", detail, log=f"{failure.detail}\n{failure.log}") from failure
 
 
@@ -491,7 +491,9 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         except JGHandFailure as failure:
             if FETCH in failure.detail and not options[FETCH]:
                 raise JGHandFailure("offline", log=failure.log) from failure
-            raise JGHandFailure(failure.kind, in_fields(failure.detail, VIDEO_FIELDS), log=failure.log) from failure
+            raise JGHandFailure(
+                failure.kind, in_blenders_words(failure.detail, VIDEO_FIELDS), log=failure.log
+            ) from failure
         _last_film = (asked, film)
         return film
 

@@ -117,7 +117,7 @@ def engine_sentences(folder: str) -> list[str]:
 )
 def test_what_the_renderer_says_names_blenders_fields_and_no_option(folder, fields, said):
     sentences = engine_sentences(folder)
-    shown = [motion_jobs.in_fields(text, fields) for text in sentences]
+    shown = [panel_text.in_blenders_words(text, fields) for text in sentences]
     assert len(sentences) > 3
     assert said in shown
     assert not [text for text in shown if re.search(r"(^|\W)--[a-z]|jghand [a-z]+ ", text)]
@@ -133,14 +133,14 @@ def test_what_openpose_has_to_do_is_read_in_blender(tmp_path, person, advice):
     path.write_text(json.dumps({"version": 1.3, "people": [person]}))
     with pytest.raises(reading.InputError) as caught:
         reading.read_motion_file(path)
-    detail = motion_jobs.in_fields(str(caught.value), motion_jobs.MOTION_FIELDS)
+    detail = panel_text.in_blenders_words(str(caught.value), motion_jobs.MOTION_FIELDS)
     assert advice in panel_text.in_blenders_words(detail)
 
 
 def test_fields_are_named_in_quotes_and_paths_stay_as_they_are():
     text = "motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with --hand right or --hand left."
     wanted = 'motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with "Hand".'
-    assert motion_jobs.in_fields(text, motion_jobs.MOTION_FIELDS) == wanted
+    assert panel_text.in_blenders_words(text, motion_jobs.MOTION_FIELDS) == wanted
 
 
 def test_the_renderers_notes_name_blenders_fields(tmp_path):

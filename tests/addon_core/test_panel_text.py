@@ -217,12 +217,13 @@ def test_everything_that_is_said_goes_through_the_translation():
 def test_sentences_of_the_engine_name_controls_and_no_options():
     told = panel_text.in_blenders_words
     assert told("a.training: wanted no training. Resume it with --resume, or name another folder with --work.") == (
-        "a.training: wanted no training."
+        'a.training: wanted no training. Resume it with "Resume".'
     )
     assert told("The checkpoint is of other options. Continue with --resume or --fresh.") == (
         'The checkpoint is of other options. Continue with "Resume" or "Restart…".'
     )
-    assert told("No hands in it: run it with --hand") == "No hands in it."
+    assert told("No hands in it: run it with --hand, or with another.") == "No hands in it."
+    assert told("No hands in it; run it with --hand.") == "No hands in it."
     assert told("The training is safe: --resume --work a with another --out writes it.") == "The training is safe."
 
 
