@@ -16,8 +16,9 @@ from mathutils import Matrix
 
 from . import armature
 
-# session_uid of a collection -> whether hands are in it, or what instances some
-Known = dict[int, bool]
+# a collection -> whether hands are in it, or what instances some. An evaluated one has no session_uid of its own, and
+# one that was renamed is another
+Known = dict[tuple[int, str], bool]
 # how deep Blender looks into instances of instances
 DEPTH_MAX = 8
 
@@ -29,11 +30,11 @@ def shows_hands(thing: bpy.types.Object, known: Known) -> bool:
     collection = thing.instance_collection if thing.instance_type == "COLLECTION" else None
     if collection is None:
         return False
-    uid = collection.session_uid
-    if uid not in known:
-        known[uid] = False  # Blender lets no collection instance itself; should one, this ends
-        known[uid] = any(shows_hands(part, known) for part in collection.all_objects)
-    return known[uid]
+    key = (collection.session_uid, collection.name_full)
+    if key not in known:
+        known[key] = False  # Blender lets no collection instance itself; should one, this ends
+        known[key] = any(shows_hands(part, known) for part in collection.all_objects)
+    return known[key]
 
 
 def hands_shown(

@@ -111,6 +111,14 @@ def test_a_render_has_every_instance_as_a_hand_of_its_own(extension):
     assert len({hand.joints_world_m.tobytes() for hand in moment.hands}) == 3
 
 
+def test_a_render_finds_the_instanced_hand_beside_instances_without_any(extension):
+    instance_of(bpy.data.collections.new("grass"), "bush", extension.scene.collection)
+    instance_of(asset(extension), "placed", extension.scene.collection)
+    extension.view_layer.update()
+    found = [thing.name for thing in instances.evaluated_sources(extension.evaluated_depsgraph_get())]
+    assert found == ["placed"]
+
+
 def test_an_instance_appears_and_goes_as_blender_tells_of_it(extension):
     collection = asset(extension)
     thing = bpy.data.objects.new("placed", None)
