@@ -121,8 +121,12 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
   float* posed = s.posed + POSED * LANES * (int64_t)block;
   vf p[3], normal[3], given[3] = {};
-  posed_anchors(t.cast, t.skin, t.volume_min, t.length2_min, block, p, normal);
-  for (int i = 0; i < 3; i++) store(posed + LANES * i, p[i]), store(posed + LANES * (3 + i), normal[i]);
+  if (s.keeps_pose) {
+    for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
+  } else {
+    posed_anchors(t.cast, t.skin, t.volume_min, t.length2_min, block, p, normal);
+    for (int i = 0; i < 3; i++) store(posed + LANES * i, p[i]), store(posed + LANES * (3 + i), normal[i]);
+  }
   float* seen = s.seen + LANES * (int64_t)block;
   const int64_t rows = LANES * (int64_t)t.cast.blocks;
   vf direction[3], strength, sine;
@@ -169,8 +173,10 @@ void anchor_world(const LearnedTask& t, int32_t block) {
     const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block + lane;
     vf open[3] = {}, seen[3] = {}, bounced[3] = {}, sky = {}, open_sky = {};
     for (int g = 0; g < t.cast.groups; g++) {
+      float* kept = s.visible + LANES * (t.cast.groups * (LANES * (int64_t)block + lane) + g);
       vf cosine, visible;
-      if (!distant_seen(t.cast, foreign, point, normal, g, cosine, visible)) continue;
+      if (!distant_seen(t.cast, foreign, point, normal, g, s.keeps_visible ? kept : nullptr, cosine, visible)) continue;
+      store(kept, visible);
       const float *cell = t.cast.lamp + 6 * LANES * g, *back = s.thrown + 3 * LANES * g;
       const vf hidden = cosine * (1.f - visible);
       for (int i = 0; i < 3; i++) {
@@ -188,11 +194,25 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   }
 }
 
-void lit_block(const LearnedTask& t, int32_t block, const vf p[3], const vf normal[3],
-               const vf correction[CORRECTION]) {
+void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]) {
   const SceneLightTask& s = *t.scene;
-  const vf spread_of_skin = load(s.material + MATERIAL * LANES * (int64_t)block);
-  vf light[3], reached[6];
+  const float* look = t.look + LOOK * LANES * (int64_t)block;
+  float *matt = t.matt + MATT * LANES * (int64_t)block, *reflecting = s.reflecting + 3 * LANES * (int64_t)block;
+  for (int i = 0; i < 3; i++) {
+    const vf shade = min(max(correction[3 + i] * s.shade_gain, all(-t.exponent_max)), all(t.exponent_max));
+    store(matt + LANES * i, normal[i]);
+    store(reflecting + LANES * i, load(look + LANES * (3 + i)) * (1.f / PI) * exp2(shade * LOG2E));
+  }
+}
+
+void light_block(const LearnedTask& t, int32_t block) {
+  const SceneLightTask& s = *t.scene;
+  const int64_t row = LANES * (int64_t)block;
+  float* matt = t.matt + MATT * row;
+  const vf spread_of_skin = load(s.material + MATERIAL * row);
+  vf p[3], normal[3], light[3], reached[6];
+  load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
+  for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
   world_irradiance(s, normal, light);
   spread<6>(t, block, s.reached, REACHED, reached);
   for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
@@ -208,13 +228,7 @@ void lit_block(const LearnedTask& t, int32_t block, const vf p[3], const vf norm
       light[i] += soft_cosine(cosine, corner) * got * lamp[LAMP_RGB + i];
     }
   }
-  const float* look = t.look + LOOK * LANES * (int64_t)block;
-  float* matt = t.matt + MATT * LANES * (int64_t)block;
-  for (int i = 0; i < 3; i++) {
-    const vf shade = min(max(correction[3 + i] * s.shade_gain, all(-t.exponent_max)), all(t.exponent_max));
-    store(matt + LANES * i, normal[i]);
-    store(matt + LANES * (3 + i), load(look + LANES * (3 + i)) * light[i] * (1.f / PI) * exp2(shade * LOG2E));
-  }
+  for (int i = 0; i < 3; i++) store(matt + LANES * (3 + i), load(s.reflecting + 3 * row + LANES * i) * light[i]);
 }
 
 void seen_block(const LearnedTask& t, int32_t block) {

@@ -176,6 +176,22 @@ def test_a_world_that_changes_is_seen_in_the_next_pose():
     assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, light))
 
 
+@pytest.mark.parametrize("name", ["all", "sun", "nothing"])
+def test_a_new_light_leaves_the_pose_alone(name):
+    bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
+    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=LIGHTS["all"])
+    poser.run()
+    # whoever poses again would find no Gaussians
+    for values in poser._arrays.values():
+        values.fill(0)
+    assert poser.prepare_light(LIGHTS[name])
+    poser.run()
+    poser.prepare_gloss(EYE_M)
+    poser.run_gloss()
+    rows = np.argsort(poser.blocks.order)
+    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, LIGHTS[name]))
+
+
 # ---- light -----------------------------------------------------------------------------------------------------------
 
 
