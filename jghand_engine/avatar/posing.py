@@ -153,8 +153,8 @@ class Poser:
         self._team.fill(0)
 
     def prepare_light(self, light: SceneLight) -> bool:
-        """Sets another light of the scene for the pose that stands: `run` lights it anew, and nothing else. Whether there
-        is anything to be run: not for an avatar without a response."""
+        """Sets another light of the scene for the pose that stands: `run` lights it anew, and nothing else. Whether
+        there is anything to be run: not for an avatar without a response."""
         if self._light is None or not self._light.is_lit or self._stands is None:
             return False
         _, bones, others = self._stands

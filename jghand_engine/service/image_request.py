@@ -29,6 +29,8 @@ BUDGET_MAX_MS = 60_000.0
 SETTING_TEXT_MAX = 200
 # meters of places in a request: beyond any scene, and far from where float64 overflows
 REQUEST_NUMBER_MAX = 1e9
+# pixels of a world's picture: suns are found in it, and more of it lights no skin
+WORLD_ROWS_MAX, WORLD_COLUMNS_MAX = 256, 512
 # focal length and principal point, px: a view a million times narrower than any lens is a mistake
 PINHOLE_MAX_PX = 1e9
 # by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale
@@ -139,6 +141,20 @@ class Exposure:
 
 
 @dataclass(frozen=True)
+class RequestedLight:
+    """The light of a scene, in the request's world.
+
+    record:   lamps, and how the world lies, see `avatar.light_records`
+    world:    key of the world's picture; empty for a black world
+    radiance: (rows, columns, 3) float32, the picture, where it came along: it need not come again
+    """
+
+    record: dict[str, Any]
+    world: str
+    radiance: np.ndarray | None
+
+
+@dataclass(frozen=True)
 class ImageRequest:
     """One image.
 
@@ -146,6 +162,7 @@ class ImageRequest:
     hands:         none for an empty image
     exposures:     at least one, in the order of time; the middle one is the image's moment
     depth, ids:    whether these maps are wanted
+    light:         of the scene, in which colors are scene-linear; None for the light of the captures
     """
 
     width: int
@@ -156,6 +173,7 @@ class ImageRequest:
     orthographic: bool = False
     depth: bool = False
     ids: bool = False
+    light: RequestedLight | None = None
 
     @property
     def middle(self) -> int:
@@ -185,6 +203,7 @@ def read_request(message: Message) -> tuple[ImageRequest, list[str]]:
         orthographic,
         depth="depth" in outputs or "depth_covered" in outputs,
         ids="ids" in outputs,
+        light=_light(message),
     )
     if orthographic and any(exposure.aperture_m > 0 for exposure in request.exposures):
         raise InputError("lenses", wanted="an aperture of 0 for an orthographic camera", came="an open lens")
@@ -291,6 +310,24 @@ def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
         wanted = f"finite numbers up to {REQUEST_NUMBER_MAX:g}"
         raise InputError(f"array {name}", wanted=wanted, came="NaN, infinity or a larger one")
     return values
+
+
+def _light(message: Message) -> RequestedLight | None:
+    """The object `light`: a list of lamps, and a world with its key; the array `world` where its picture is new."""
+    record = message.header.get("light")
+    if record is None:
+        return None
+    world = record.get("world") if isinstance(record, dict) else record
+    if world is not None and not isinstance(world, dict):
+        raise InputError("light", wanted="an object with lamps and world", came=repr(record)[:80])
+    radiance = None
+    if (came := message.arrays.get("world")) is not None:
+        rows, columns = came.shape[0], came.shape[1] if len(came.shape) > 1 else 0
+        if not (rows <= WORLD_ROWS_MAX and columns <= WORLD_COLUMNS_MAX):
+            wanted = f"at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
+            raise InputError("array world", wanted=wanted, came=str(came.shape))
+        radiance = _numbers(message, "world", (rows, columns, 3)).astype(np.float32)
+    return RequestedLight(record, "" if world is None else text_of(world, "key"), radiance)
 
 
 def _whole(header: dict[str, Any], name: str, largest: int) -> int:
