@@ -33,10 +33,6 @@ class AvatarError(InputError):
     missing = False
 
 
-class WorldError(InputError):
-    """A world's picture that did not come along and is not kept: to be sent again."""
-
-
 def never() -> bool:
     """For requests that nobody cancels."""
     return False
@@ -159,8 +155,6 @@ def error_header(error: BaseException) -> dict[str, str]:
         return {"kind": "canceled", "sentence": "The request was canceled.", "detail": ""}
     kinds = ((MemoryLimitError, "out_of_memory"), (RetryError, "retry"), (InputError, "bad_input"))
     kind = next((name for known, name in kinds if isinstance(error, known)), "")
-    if isinstance(error, WorldError):
-        kind = "no_world"
     if isinstance(error, AvatarError):
         kind = "no_avatar" if error.missing else "bad_avatar"
     if kind:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,19 +29,18 @@ from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
-from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, WorldError, never
+from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, never
 from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedLight
 
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
 # avatars that are kept though no renderer shows them: those that were just loaded, before their first image
 IDLE_AVATARS_MAX = 4
-# pictures of worlds, and lights, that are kept: of some views and their last light
-WORLDS_MAX, LIGHTS_MAX = 4, 16
+# lights that are kept: of some views and their last light
+LIGHTS_MAX = 16
 # sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
-Kept = TypeVar("Kept")
 
 
 class _Version(NamedTuple):
@@ -86,7 +85,6 @@ class HandImages:
         self.doing = ""
         self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
-        self._worlds: OrderedDict[str, np.ndarray] = OrderedDict()
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
 
     def load(self, avatar: str) -> LoadedAvatar:
@@ -144,17 +142,14 @@ class HandImages:
     def _light(self, wanted: RequestedLight) -> SceneLight:
         """The light of a request; the very same one as long as it is asked for in the same words, so that what was
         drawn in it is known again."""
-        if wanted.radiance is not None:
-            _keep(self._worlds, wanted.world, wanted.radiance, WORLDS_MAX)
-            self._lights.clear()  # whatever had a world of this key
         words = json.dumps(wanted.record, sort_keys=True)
         if words not in self._lights:
             record, world = JsonObject(wanted.record, _wrong), None
-            if wanted.world:
-                if wanted.world not in self._worlds:
-                    raise WorldError(f"the picture of world {wanted.world[:80]!r}", wanted="array world", came="none")
-                world = World(self._worlds[wanted.world], turn_of(record.needed("world")))
-            _keep(self._lights, words, light_of(record, world), LIGHTS_MAX)
+            if wanted.radiance is not None:
+                world = World(wanted.radiance, turn_of(record.needed("world")))
+            while len(self._lights) >= LIGHTS_MAX:
+                self._lights.popitem(last=False)
+            self._lights[words] = light_of(record, world)
         self._lights.move_to_end(words)
         return self._lights[words]
 
@@ -208,13 +203,6 @@ class HandImages:
         idle = [version for version in self._avatars if version not in shown]
         for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]
-
-
-def _keep(kept: OrderedDict[str, Kept], name: str, value: Kept, most: int) -> None:
-    """Puts a value in; the one that was used longest ago goes."""
-    kept[name] = value
-    while len(kept) > most:
-        kept.popitem(last=False)
 
 
 def _wrong(name: str, wanted: str, came: object) -> InputError:

@@ -144,13 +144,12 @@ class Exposure:
 class RequestedLight:
     """The light of a scene, in the request's world.
 
-    record:   lamps, and how the world lies, see `avatar.light_records`
-    world:    key of the world's picture; empty for a black world
-    radiance: (rows, columns, 3) float32, the picture, where it came along: it need not come again
+    record:   lamps, how the world lies, and a key of its picture, see `avatar.light_records`: what is the same in all
+              of them is the same light
+    radiance: (rows, columns, 3) float32, the world's picture; None for a black world
     """
 
     record: dict[str, Any]
-    world: str
     radiance: np.ndarray | None
 
 
@@ -313,21 +312,22 @@ def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _light(message: Message) -> RequestedLight | None:
-    """The object `light`: a list of lamps, and a world with its key; the array `world` where its picture is new."""
+    """The object `light`: a list of lamps, and a world with the key of its picture, which is the array `world`."""
     record = message.header.get("light")
     if record is None:
         return None
     world = record.get("world") if isinstance(record, dict) else record
     if world is not None and not isinstance(world, dict):
         raise InputError("light", wanted="an object with lamps and world", came=repr(record)[:80])
-    radiance = None
-    if (came := message.arrays.get("world")) is not None:
-        rows, columns = came.shape[0], came.shape[1] if len(came.shape) > 1 else 0
-        if not (rows <= WORLD_ROWS_MAX and columns <= WORLD_COLUMNS_MAX):
-            wanted = f"at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
-            raise InputError("array world", wanted=wanted, came=str(came.shape))
-        radiance = _numbers(message, "world", (rows, columns, 3)).astype(np.float32)
-    return RequestedLight(record, "" if world is None else text_of(world, "key"), radiance)
+    if world is None:
+        return RequestedLight(record, None)
+    text_of(world, "key")
+    came = message.arrays.get("world")
+    shape = (0,) if came is None else came.shape
+    if len(shape) != 3 or shape[0] > WORLD_ROWS_MAX or shape[1] > WORLD_COLUMNS_MAX:
+        wanted = f"rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
+        raise InputError("array world", wanted=wanted, came="nothing" if came is None else str(shape))
+    return RequestedLight(record, _numbers(message, "world", (*shape[:2], 3)).astype(np.float32))
 
 
 def _whole(header: dict[str, Any], name: str, largest: int) -> int:
