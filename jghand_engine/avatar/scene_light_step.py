@@ -63,6 +63,7 @@ class SceneLightStep:
             "visible": aligned_zeros((rows, CELLS)),
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             "seen": aligned_zeros((LAMPS_MAX, rows)),
+            "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
             "reached": aligned_zeros((rows, 8)),
             "irradiance": aligned_zeros((16, 3)),

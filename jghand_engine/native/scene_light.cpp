@@ -17,6 +17,7 @@ constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, 
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
+constexpr float EDGE_GAIN = 10.f;                         // how fast anchors stop counting where they see part of a lamp
 constexpr int POSED = 9, REACHED = 8, MATERIAL = 3;
 
 JG_INLINE vf smooth(vf x) {
@@ -108,11 +109,41 @@ JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* values, 
   }
 }
 
+// What of each lamp sixteen Gaussians see: the mean of the anchors around them, and near the edge of a shadow, which is
+// sharper than anchors are apart, what is found for each.
+JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const vf p[3]) {
+  const CastTask& c = t.cast;
+  const int64_t first = ANCHORS_AROUND * LANES * (int64_t)block;
+  float foreign[BONES * LANES];
+  bool has_foreign = false;
+  for (int j = 0; j < s.slots; j++) {
+    vf part[1];
+    spread<1>(t, block, s.seen + LANES * (int64_t)c.blocks * j, 1, part);
+    const vf edge = min(EDGE_GAIN * part[0] * (1.f - part[0]), all(1.f));
+    if (bit_mask(edge > 0)) {
+      for (int bone = 0; bone < BONES && !has_foreign; bone++) {
+        vf sum = {};
+        for (int k = 0; k < ANCHORS_AROUND; k++) {
+          const int32_t* nearest = t.nearest + first + LANES * k;
+          float of_anchor[LANES];
+          for (int lane = 0; lane < LANES; lane++)
+            of_anchor[lane] = c.foreign[LANES * (BONES * (int64_t)(nearest[lane] / LANES) + bone) + nearest[lane] % LANES];
+          sum += load(t.share + first + LANES * k) * load(of_anchor);
+        }
+        store(foreign + LANES * bone, sum);
+      }
+      has_foreign = true;
+      vf direction[3], strength, sine;
+      lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
+      part[0] += edge * (lamp_seen(c, s, foreign, p, direction, sine) - part[0]);
+    }
+    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), part[0]);
+  }
+}
+
 JG_INLINE vf slot_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const float* lamp) {
   if (lamp[SLOT] < 0) return all(1.f);
-  vf part[1];
-  spread<1>(t, block, s.seen + LANES * (int64_t)t.cast.blocks * (int)lamp[SLOT], 1, part);
-  return part[0];
+  return load(s.skin_seen + LANES * ((int64_t)t.skin.blocks * (int)lamp[SLOT] + block));
 }
 
 }  // namespace
@@ -213,6 +244,7 @@ void light_block(const LearnedTask& t, int32_t block) {
   vf p[3], normal[3], light[3], reached[6];
   load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
   for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
+  lamps_seen(t, s, block, p);
   world_irradiance(s, normal, light);
   spread<6>(t, block, s.reached, REACHED, reached);
   for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];

@@ -35,6 +35,7 @@ struct SceneLightTask {
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (16 anchor blocks, groups, 16): part of each cell of the world that an anchor sees
   float* seen;               // (slots, 16 anchor blocks): part of a lamp that an anchor sees
+  float* skin_seen;          // (slots, 16 blocks): and a Gaussian
   float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* reached;            // (16 anchor blocks, 8): part of the world rgb, bounced W/m2 rgb, part of the sky, 0

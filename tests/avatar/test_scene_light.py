@@ -132,7 +132,7 @@ def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsule
     root = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
     lamps = torch_light.LampRows.of(light, bones.root_m, bones.linear_offset, root)
     flesh = torch_light.Flesh.of(hand.learned.cast, joints_m, wide.scale, others)
-    got = torch_light.reached(hand.learned.cast, torch_light.Skin(*anchors), flesh, light, lamps, response)
+    got = torch_light.reached(hand.learned.cast, torch_light.Skin(*anchors), skin, flesh, light, lamps, response)
     matt = torch_light.matt(hand.rgb.double(), skin, got, light, lamps, response, correction.shade.double())
     return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - shift_m), got, light, lamps, response)
 
