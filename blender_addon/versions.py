@@ -207,6 +207,13 @@ def world_tree(world: bpy.types.World) -> bpy.types.NodeTree | None:
     return world.node_tree if always or world.use_nodes else None
 
 
+def light_tree(light: bpy.types.Light) -> bpy.types.NodeTree | None:
+    """The nodes of a light that are used; None where it has none."""
+    # since 5.2 nodes are used wherever they are; asking `use_nodes` warns there
+    always = getattr(bpy.types.Light.bl_rna.properties["use_nodes"], "is_deprecated", False)
+    return light.node_tree if always or light.use_nodes else None
+
+
 def make_straight(convert: bpy.types.Node) -> None:
     """Makes an Alpha Convert node divide alpha out."""
     if hasattr(convert, "mapping"):  # 4.5

@@ -18,8 +18,8 @@ from bpy.app.handlers import persistent
 from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
-from ..hand import seen_hands, stand_ins
-from ..render import rendering
+from ..hand import seen_hands
+from ..render import lamps, rendering
 from ..renderer import runtime
 from . import drawing, views
 
@@ -47,7 +47,6 @@ def tick() -> float:
     _follow_status()
     _follow_problems()
     _redraw(views.try_again())
-    stand_ins.tend()
     shown = views.all_views()
     if not shown:
         return clock.IDLE_TICK_S
@@ -168,6 +167,7 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
     """Another frame is evaluated: views that stand still ask for it before Blender draws."""
     if rendering.now() or not _on_main_thread() or depsgraph is None or depsgraph.mode != "VIEWPORT":
         return
+    lamps.notice(depsgraph)
     views.begin_step()
     resting = [view for view in views.all_views() if pacing.camera_rests(view.pace)]
     if not resting:
@@ -189,10 +189,10 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
 
 @persistent
 def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Something was edited: whether that made or removed a hand. Blender draws the views itself."""
+    """Something was edited: whether that made or removed a hand, or changed lamps. Blender draws the views itself."""
     if not rendering.now() and _on_main_thread() and depsgraph is not None:
         seen_hands.notice(depsgraph)
-        stand_ins.notice(depsgraph)
+        lamps.notice(depsgraph)
 
 
 @persistent
@@ -200,7 +200,7 @@ def on_undo(*_: Any) -> None:
     """Undo or redo: every object may be another now."""
     if _on_main_thread():
         seen_hands.forget()
-        stand_ins.expect()
+        lamps.forget()
 
 
 @persistent
@@ -223,6 +223,7 @@ def on_render_end(*_: Any) -> None:
     """A render is over; the views ask for what they need when they are drawn. Edits meanwhile were not noticed."""
     rendering.end()
     seen_hands.forget()
+    lamps.forget()
 
 
 # the one table of handlers: list of bpy.app.handlers, function

@@ -26,7 +26,7 @@ from ..core.panel_text import HANDS
 from ..core.view import HandInSpace, Part, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
-from ..render import ENGINE, rendering
+from ..render import ENGINE, lamps, rendering
 from ..render.samples import background
 from ..renderer import runtime
 from ..renderer.link import Answer
@@ -400,6 +400,7 @@ def clear() -> None:
         remove(view)
     _drawing.clear()
     seen_hands.forget()
+    lamps.forget()
 
 
 def forget_failures() -> None:

@@ -60,10 +60,7 @@ class SceneLightStep:
         self._arrays = {
             "material": blocks.blocked(material),
             "posed": aligned_zeros((rows // LANES, 9, LANES)),
-            "visible": aligned_zeros((rows, CELLS)),
-            "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             "seen": aligned_zeros((LAMPS_MAX, rows)),
-            "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
             "reached": aligned_zeros((rows, 8)),
             "irradiance": aligned_zeros((16, 3)),
@@ -79,11 +76,8 @@ class SceneLightStep:
         self._world: World | None = None
         self._set_world(None)
 
-    def prepare(self, light: SceneLight, bones: Bones, *, keep_pose: bool = False) -> None:
-        """Sets the light of the next pose, or of the one that stands; the hand's capsules are the cast shadow's, whose
-        `prepare` comes after this: shadows of the world are found for its own directions."""
-        self._task.keeps_pose = keep_pose
-        self._task.keeps_visible = keep_pose and light.world is self._world
+    def prepare(self, light: SceneLight, bones: Bones) -> None:
+        """Sets the light of the next pose; the hand's capsules are the cast shadow's."""
         if light.world is not self._world:
             self._set_world(light.world)
         middle_m = palm_middle_m(bones.linear_offset, self._cast.joints_m)
@@ -210,10 +204,12 @@ def _parts(lamp: Lamp, row: np.ndarray, middle_m: np.ndarray) -> list[np.ndarray
     side = side - (side @ row[3:6]) * row[3:6]
     side /= max(float(np.linalg.norm(side)), 1e-12)
     across = np.cross(row[3:6], side)
+    # the middle of a quarter, as a part of the size
+    quarter = 2 / (3 * np.pi) if lamp.is_ellipse else 0.25
     parts = []
     for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         part = row.copy()
-        part[:3] += 0.25 * (a * lamp.size_m[0] * side + b * lamp.size_m[1] * across)
+        part[:3] += quarter * (a * lamp.size_m[0] * side + b * lamp.size_m[1] * across)
         for name in ("red", "green", "blue", "softening", "radius2"):
             part[NUMBER[name]] /= 4
         parts.append(part)

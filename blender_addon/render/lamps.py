@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The lamps that light hands, read as Blender evaluated them for a render or a 3D view, those of instances too.
+
+Renders read them each time. Views keep what they read until Blender tells of an edit that can change it: moving a hand
+or the view does not. How Cycles and EEVEE take each setting is measured in tests/blender/test_lamps.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
+from mathutils import Color
+
+from .. import versions
+from ..core import lamps, pacing
+from ..hand import armature
+from . import composite
+
+# settings of views that choose lamps
+_SHADING = ("type", "use_scene_lights", "use_scene_lights_render")
+# (view layer, view, its settings, hands) -> what was read for it
+_kept: dict[tuple[object, ...], SceneLamps] = {}
+
+
+@dataclass(frozen=True)
+class SceneLamps:
+    """lamps: as the engine reads them · warnings: sentences about what of Blender's lights is not honored"""
+
+    lamps: tuple[dict[str, Any], ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @cached_property
+    def key(self) -> str:
+        """Changes with the lamps."""
+        return pacing.digest([repr(self.lamps)])
+
+
+def in_view(
+    depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D, hands: Sequence[bpy.types.Object]
+) -> SceneLamps:
+    """The lamps of `lamps_of` in a 3D view, kept between two draws."""
+    local = space.local_view.as_pointer() if space.local_view is not None else 0
+    view: list[object] = [depsgraph.scene.session_uid, depsgraph.view_layer.name, space.as_pointer(), local]
+    view += [getattr(space.shading, name) for name in _SHADING]
+    view += [space.show_object_viewport_light, space.use_local_collections, depsgraph.scene.render.engine]
+    key = (*view, *map(armature.name_in_files, hands))
+    if key not in _kept:
+        _kept[key] = lamps_of(depsgraph, hands, space)
+    return _kept[key]
+
+
+def notice(depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed in Blender, or another frame is evaluated: where that can have changed lamps, they are read
+    anew."""
+    if _kept and any(_may_light(update.id) for update in depsgraph.updates):
+        forget()
+
+
+def forget() -> None:
+    """Has lamps read anew."""
+    _kept.clear()
+
+
+def _may_light(thing: bpy.types.ID) -> bool:
+    if not isinstance(thing, bpy.types.Object):
+        return isinstance(thing, bpy.types.Scene | bpy.types.Collection | bpy.types.Light)
+    return thing.type == "LIGHT" or thing.is_instancer or any(each.type == "NODES" for each in thing.modifiers)
+
+
+def uses_scene_lights(space: bpy.types.SpaceView3D | None) -> bool:
+    """Whether the lamps of the scene light a 3D view, or a render (None); Solid has a light of its own."""
+    if space is None:
+        return True
+    if space.shading.type == "RENDERED":
+        return space.shading.use_scene_lights_render
+    return space.shading.type == "MATERIAL" and space.shading.use_scene_lights
+
+
+def lamps_of(
+    depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object], space: bpy.types.SpaceView3D | None = None
+) -> SceneLamps:
+    """What lights hands in a render, or in a 3D view."""
+    found: list[dict[str, Any]] = []
+    warnings: dict[str, None] = {}  # each once, in their order
+    if uses_scene_lights(space):
+        scene = depsgraph.scene_eval
+        eevee, unit_m = _is_eevee(scene, space), scene.unit_settings.scale_length
+        for thing, matrix in _placed(depsgraph, space):
+            if not _lights_any(thing.light_linking.receiver_collection, hands):
+                continue
+            found += lamps.lamps_of(_read(thing, matrix, hands, eevee=eevee), unit_m)
+            warnings.update(dict.fromkeys(_warnings(thing, hands, eevee=eevee)))
+    return SceneLamps(tuple(found), tuple(warnings))
+
+
+def _is_eevee(scene: bpy.types.Scene, space: bpy.types.SpaceView3D | None) -> bool:
+    """Whether lamps are to be taken as EEVEE does, and not as Cycles: hands stand in the picture of one of them."""
+    if space is not None and space.shading.type == "MATERIAL":
+        return True
+    return (scene.get(composite.OWNER) or scene).render.engine.startswith("BLENDER_EEVEE")
+
+
+def _placed(
+    depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None
+) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    """Every lamp that is seen, evaluated, and its place: (4, 4). Of an instance nothing is there after its turn."""
+    for each in depsgraph.object_instances:
+        thing = each.object
+        if thing.type != "LIGHT":
+            continue
+        if not thing.hide_render if space is None else thing.visible_in_viewport_get(space):
+            yield thing, np.array(each.matrix_world)
+
+
+def _read(
+    thing: bpy.types.Object, matrix: np.ndarray, hands: Sequence[bpy.types.Object], *, eevee: bool
+) -> lamps.BlenderLight:
+    """A light as numbers."""
+    light: Any = thing.data
+    color = np.array(light.color)
+    if getattr(light, "use_temperature", False):
+        color *= light.temperature_color
+    power = light.energy
+    if not eevee:
+        color *= node_color(light)[0]
+        if light.type == "AREA" and light.cycles.is_portal:  # it only guides the world's light
+            power = 0.0
+    size_x = getattr(light, "size", 0.0)
+    shape = getattr(light, "shape", "SQUARE")
+    has_shadow = light.use_shadow and _lights_any(thing.light_linking.blocker_collection, hands)
+    return lamps.BlenderLight(
+        kind=light.type,
+        matrix=matrix,
+        power=power,
+        color=rec709(color),
+        exposure=getattr(light, "exposure", 0.0),
+        is_normalized=getattr(light, "normalize", True),
+        radius=getattr(light, "shadow_soft_size", 0.0),
+        is_soft=getattr(light, "use_soft_falloff", True),
+        angle=getattr(light, "angle", 0.0),
+        cone=getattr(light, "spot_size", np.pi),
+        blend=getattr(light, "spot_blend", 0.0),
+        size=(size_x, light.size_y if shape in ("RECTANGLE", "ELLIPSE") else size_x),
+        is_ellipse=shape in ("DISK", "ELLIPSE"),
+        spread=np.pi if eevee else getattr(light, "spread", np.pi),
+        has_shadow=has_shadow,
+        matt=thing.visible_diffuse * (light.diffuse_factor if eevee else 1.0),
+        gloss=thing.visible_glossy * (light.specular_factor if eevee else 1.0),
+    )
+
+
+def rec709(color: np.ndarray) -> np.ndarray:
+    """(3,) of the file's working space -> linear Rec.709."""
+    return np.array(Color(color).from_scene_linear_to_rec709_linear())
+
+
+def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eevee: bool) -> Iterator[str]:
+    """Sentences about what of a light is not honored."""
+    light: Any = thing.data
+    name = thing.name
+    if light.energy < 0:
+        yield rpt_("{name}: negative power does not darken hands; hide it from them by light linking").format(name=name)
+    if eevee and light.use_custom_distance and light.type != "SUN":
+        yield rpt_('{name}: "Custom Distance" does not end its light on hands; lower its power').format(name=name)
+    unread = "" if eevee else node_color(light)[1]
+    if unread:
+        text = rpt_('{name}: "{node}" of its nodes is left out on hands; give its Emission plain values')
+        yield text.format(name=name, node=unread)
+    receivers = thing.light_linking.receiver_collection
+    if len({_lights_any(receivers, [hand]) for hand in hands}) > 1:
+        text = rpt_("{name}: light linking leaves out some of the hands, but it lights them all; link all or none")
+        yield text.format(name=name)
+
+
+# ---- light linking ---------------------------------------------------------------------------------------------------
+
+
+def _lights_any(linked: bpy.types.Collection | None, hands: Sequence[bpy.types.Object]) -> bool:
+    """Whether any of the hands is a receiver, or a blocker, of a light's collection of those: an empty one has
+    everything. Objects count before collections; who is excluded is out, and so is whoever is not among those who are
+    included."""
+    if linked is None or not hands:
+        return True
+    states: dict[tuple[str, str], str] = {}
+    for child, how in zip(linked.children, linked.collection_children, strict=True):
+        for thing in child.all_objects:
+            states[armature.name_in_files(thing)] = how.light_linking.link_state
+    for thing, how in zip(linked.objects, linked.collection_objects, strict=True):
+        states[armature.name_in_files(thing)] = how.light_linking.link_state
+    others = "EXCLUDE" if "INCLUDE" in states.values() else "INCLUDE"
+    return any(states.get(armature.name_in_files(hand), others) == "INCLUDE" for hand in hands)
+
+
+# ---- nodes of a light ------------------------------------------------------------------------------------------------
+
+
+def node_color(light: bpy.types.Light) -> tuple[np.ndarray, str]:
+    """(3,) what a light's nodes multiply it with, where that is one color; and the node that could not be read, or
+    "": its part is 1 then."""
+    tree = versions.light_tree(light)
+    if tree is None:
+        return np.ones(3), ""
+    output = tree.get_output_node("CYCLES")
+    node = _source(output.inputs["Surface"]) if output is not None else None
+    if node is None or node.mute:
+        return np.zeros(3), ""
+    if node.type != "EMISSION":
+        return np.ones(3), node.name
+    product, unread = np.ones(3), ""
+    for name in ("Color", "Strength"):
+        socket = node.inputs[name]
+        source = _source(socket)
+        if source is None:
+            product = product * np.ravel(socket.default_value)[:3]
+        elif source.type in ("RGB", "VALUE"):
+            product = product * np.ravel(source.outputs[0].default_value)[:3]
+        else:
+            unread = source.name
+    return product, unread
+
+
+def _source(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
+    """The node whose value a socket takes; None where it has its own."""
+    links = [link for link in socket.links if not link.is_muted]
+    return links[0].from_node if links else None

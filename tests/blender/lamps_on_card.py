@@ -1,0 +1,27 @@
+"""How the engine lights a card with lamps: JSON on standard input and output, in the engine's Python.
+
+In: a list of lists of lamps, as Blender sends them. Out: for each list the irradiance (3,) of a card at the origin that
+faces up, W/m2.
+"""
+
+import json
+import sys
+
+import numpy as np
+
+from jghand_engine.avatar.scene_light import Lamp, LampKind, SceneLight
+from jghand_engine.avatar.scene_light_step import irradiance_at, lamp_rows
+
+UP = (0.0, 1.0, 0.0)
+ORIGIN = np.zeros(3)
+
+
+def irradiance(lamps: list[dict]) -> np.ndarray:
+    light = SceneLight(lamps=tuple(Lamp(**{**lamp, "kind": LampKind[lamp["kind"].upper()]}) for lamp in lamps))
+    rows, _ = lamp_rows(light, ORIGIN, ORIGIN)
+    cosines = [max(float(row[:3] @ UP) / np.linalg.norm(row[:3]), 0.0) for row in rows]
+    parts = [cosine * irradiance_at(row, ORIGIN) for row, cosine in zip(rows, cosines, strict=True)]
+    return np.sum([ORIGIN, *parts], 0)
+
+
+print(json.dumps([irradiance(lamps).tolist() for lamps in json.load(sys.stdin)]))
