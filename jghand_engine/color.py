@@ -1,7 +1,8 @@
 """sRGB and linear light: the one transfer function of the project (IEC 61966-2-1); its bytes; how alike two images are.
 
-Avatars keep display-referred sRGB and blend in it; formats that want light (USD's displayColor, glTF's COLOR_0) get it
-through here. Arrays of any shape; values outside 0..1 follow the same curve, negative ones its straight part.
+Avatars keep display-referred sRGB and blend in it, but in the light of a scene, which is linear. Formats that want
+light (USD's displayColor, glTF's COLOR_0) get it through here. Arrays of any shape; values outside 0..1 follow the same
+curve, negative ones its straight part.
 """
 
 from __future__ import annotations
@@ -32,6 +33,13 @@ def linear_to_srgb(rgb: np.ndarray) -> np.ndarray:
     rgb = np.asarray(rgb)
     power = (1 + SRGB_OFFSET) * np.maximum(rgb, 0) ** (1 / SRGB_EXPONENT) - SRGB_OFFSET
     return np.where(rgb <= SRGB_TOE / SRGB_SLOPE, rgb * SRGB_SLOPE, power).astype(rgb.dtype, copy=False)
+
+
+def displayed(rgba: np.ndarray) -> np.ndarray:
+    """Premultiplied scene-linear (..., 4) as a display shows it: straight colors go through sRGB's curve."""
+    alpha = rgba[..., 3:]
+    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
+    return np.concatenate([linear_to_srgb(np.clip(straight, 0, 1)) * alpha, alpha], -1)
 
 
 def to_bytes(values: np.ndarray) -> np.ndarray:

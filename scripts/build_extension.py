@@ -7,7 +7,7 @@
     python scripts/build_extension.py --zip-only            no index, and no check by Blender
 
 The zip needs nothing but Python 3.11 or newer, and for the engine PyPI the first time. It holds `blender_addon`, a
-copy of the two modules that extension and engine share, and the engine itself with its kernels
+copy of what extension and engine share, and the engine itself with its kernels
 (scripts/bundled_engine.py); the same files give the same bytes. Blender's own tool checks it and writes the index; the
 tool comes with every Blender as a module (`.envs/blender`, made by scripts/test.py) and needs no Blender to run. A
 folder with the results on any web server is a repository: its address is that of index.json.
@@ -34,6 +34,7 @@ SOURCE = ROOT / "blender_addon"
 MANIFEST = "blender_manifest.toml"
 # what lies elsewhere in the project and at these places in the zip
 FROM_ELSEWHERE = {
+    "assets/hand_right.npz": ROOT / "jghand_engine" / "assets" / "hand_right.npz",
     "core/conventions.py": ROOT / "jghand_engine" / "motion" / "conventions.py",
     "core/protocol.py": ROOT / "jghand_engine" / "service" / "protocol.py",
     "LICENSE-MIT": ROOT / "LICENSE",  # of these files

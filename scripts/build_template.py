@@ -22,12 +22,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES
-from jghand_engine.template.surface import boundary_loop, disk_uv, enclosed_volume, fan_faces, is_closed, surface_area
+from jghand_engine.template.surface import boundary_loop, disk_uv, enclosed_volume, fan_faces, is_closed
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 ASSETS = Path(__file__).parents[1] / "jghand_engine" / "assets"
@@ -180,9 +181,10 @@ def report(template: dict[str, np.ndarray]) -> str:
     vertices, faces, joints = template["vertices"].astype(float), template["faces"], template["joints"].astype(float)
     reach = sum(np.linalg.norm(joints[i] - joints[STANDARD_PARENTS[i]]) for i in (9, 10, 11, 12))
     influences = int((template["weights"] > 1e-4).sum(axis=1).max())
+    area_m2 = trimesh.triangles.area(vertices[faces]).sum()
     return (
         f"{len(vertices)} vertices, {len(faces)} faces, closed: {is_closed(faces)}, "
-        f"volume {enclosed_volume(vertices, faces) * 1e6:.1f} cm3, area {surface_area(vertices, faces) * 1e4:.0f} cm2, "
+        f"volume {enclosed_volume(vertices, faces) * 1e6:.1f} cm3, area {area_m2 * 1e4:.0f} cm2, "
         f"wrist to middle tip {reach * 1e3:.1f} mm, at most {influences} influences"
     )
 

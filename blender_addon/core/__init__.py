@@ -5,6 +5,7 @@ joints          names, parents and bones of the 21 joints; the rest hand
 bone_maps       which bones of somebody else's rig are the 21 joints
 posing          joint positions to bone matrices and back (numpy)
 controls        finger controls as numbers: axes, what their turns do, joint ranges (numpy)
+stand_in        the surface of a hand at rest for any joints: what throws its shadow (numpy)
 poses           hand poses with names, for both hands (numpy); the pose library is a shipped .blend
 view            pinhole cameras, hands in their own space, the part of a view that shows them, the request for a picture
 lamps           Blender's lights as the engine's lamps (numpy)

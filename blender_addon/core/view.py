@@ -120,6 +120,21 @@ class Moment:
     weight: float = 1.0
 
 
+@dataclass(frozen=True)
+class SceneLight:
+    """The light that a scene throws on its hands. lamps: records, see the engine's `Lamp`, in the axes of
+    LIGHT_FROM_WORLD; world: {key, env_from_world}, None for a black one; picture: (rows, columns, 3) float32 of it."""
+
+    lamps: Sequence[Mapping[str, Any]] = ()
+    world: Mapping[str, Any] | None = None
+    picture: np.ndarray | None = None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """As the engine takes it, beside the picture; equal for equal lights."""
+        return {"lamps": list(self.lamps), "world": self.world}
+
+
 def picture_request(
     view: Pinhole,
     hands: Sequence[HandInSpace],
@@ -127,14 +142,15 @@ def picture_request(
     outputs: Sequence[str],
     preset: str = "viewport",
     settings: Mapping[str, Any] | None = None,
+    light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
     """Header and arrays of a `render_picture` request: all hands of one view in one request.
 
     outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids, png. settings: of budget_ms, density, shadow_strength,
     shadow_radius_m, correctives, effects, as `image_request.ImageSettings` of the engine has them; what is left out
-    is the preset's.
+    is the preset's. light: of the scene, in which rgba_f32 is scene-linear; None for that of the captures.
     """
-    return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, settings=settings)
+    return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, settings=settings, light=light)
 
 
 def moments_request(
@@ -143,6 +159,7 @@ def moments_request(
     outputs: Sequence[str],
     preset: str = "viewport",
     settings: Mapping[str, Any] | None = None,
+    light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
     """The same for a picture of several moments in the order of time (motion blur): the engine averages them in linear
     light; depth and ids are those of the middle one."""
@@ -169,7 +186,12 @@ def moments_request(
         numbers["world_from_hand"] = [
             [LIGHT_FROM_WORLD @ hand.world_from_hand for hand in moment.hands] for moment in moments
         ]
-    return header, {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
+    arrays = {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
+    if light is not None:
+        header["light"] = light.record
+        if light.picture is not None:
+            arrays["world"] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
+    return header, arrays
 
 
 # ---- the part of a view that can show hands: what is empty is neither drawn nor sent ---------------------------------

@@ -23,7 +23,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import ui
 from ..core.files import copy_whole
 from ..errors import JGHandFailure
-from ..hand import armature
+from ..hand import armature, stand_ins
 from . import bakes
 
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
@@ -47,7 +47,9 @@ class JGHandUsdHook(_Hook):
         """Blender's entry, at the end of an export."""
         notes.clear()
         try:
-            notes.extend(add_splats(export_context.get_stage(), export_context.get_depsgraph()))
+            stage, depsgraph = export_context.get_stage(), export_context.get_depsgraph()
+            drop_stand_ins(stage, depsgraph.scene)
+            notes.extend(add_splats(stage, depsgraph))
         except Exception as error:
             # anything else that left here would take Blender and the artist's scene with it
             traceback.print_exc()
@@ -84,6 +86,16 @@ def forget() -> None:
     """Another file was opened."""
     ui.show_later("")
     notes.clear()
+
+
+def drop_stand_ins(stage: Any, scene: bpy.types.Scene) -> None:
+    """Takes what throws the hands' shadows in Blender out of a stage."""
+    from pxr import Tf
+
+    names = [thing.name for thing in scene.objects if stand_ins.MARK in thing] + [stand_ins.MATERIAL]
+    identifiers = {Tf.MakeValidIdentifier(name) for name in names}
+    for path in [prim.GetPath() for prim in stage.Traverse() if prim.GetName() in identifiers]:
+        stage.RemovePrim(path)
 
 
 def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:

@@ -20,7 +20,7 @@ from ..core.bone_maps import BoneMap, Recognition
 from ..core.joints import HANDEDNESSES, NAMES, RIGHT
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
-from . import armature, controls, framing, sources
+from . import armature, controls, framing, sources, stand_ins
 from .properties import HANDS
 
 # det of an object's axes below which it is flat and can hide nothing that is inside of it
@@ -98,6 +98,7 @@ class AddHand(Reporting, bpy.types.Operator):
             controls.add_controls(context, hand)
         versions.select_bones(hand)
         common.make_active(context, hand)
+        stand_ins.update()
         context.view_layer.update()
         camera = add_camera(context, hand) if self.use_camera and context.scene.camera is None else None
         told = rpt_("Added {name}.").format(name=hand.name)
@@ -447,7 +448,12 @@ def _told(found: Recognition) -> list[str]:
 def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.types.Object]:
     """Visible solid things whose box holds a place."""
     for thing in context.view_layer.objects:
-        if thing.type != "MESH" or not thing.visible_get(view_layer=context.view_layer) or not thing.data.polygons:
+        if (
+            thing.type != "MESH"
+            or stand_ins.MARK in thing
+            or not thing.visible_get(view_layer=context.view_layer)
+            or not thing.data.polygons
+        ):
             continue
         if abs(thing.matrix_world.determinant()) < FLAT_DETERMINANT:
             continue

@@ -12,7 +12,7 @@ import bpy
 from ..core import poses
 from ..core.joints import FINGERS, RIGHT
 from ..versions import path_options
-from . import sources
+from . import sources, stand_ins
 
 # identifier, name, tooltip, icon, number in files
 HANDS = (
@@ -62,6 +62,10 @@ def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context)
     settings.id_data.update_tag()
 
 
+def _cast_shadow(_settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
+    stand_ins.update()
+
+
 class JGHandJoint(bpy.types.PropertyGroup):
     """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
 
@@ -95,6 +99,14 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Show in Viewport",
         description="Draw the avatar of this hand in Solid and Material Preview",
         default=True,
+        override=OVERRIDABLE,
+    )
+    cast_shadow: bpy.props.BoolProperty(
+        name="Cast Shadow",
+        description="Throw a shadow on the scene in Cycles and EEVEE, by a mesh that no camera sees",
+        default=True,
+        update=_cast_shadow,
+        options=set(),
         override=OVERRIDABLE,
     )
     bake: bpy.props.StringProperty(

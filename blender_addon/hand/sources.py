@@ -35,7 +35,7 @@ def recognize_objects(objects: Sequence[bpy.types.Object], handedness: str) -> R
 def objects_of(bone_map: BoneMap, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
     """The 21 objects that a map of object names means, standard order. JGHandFailure: bad_bone_map."""
     known = {thing.name: thing for thing in objects}
-    return [known[source.bone] for source in _whole_sources(bone_map, known)]
+    return [known[source.bone] for source in whole_sources(bone_map, known)]
 
 
 def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
@@ -116,7 +116,7 @@ def read_mapped(
     if evaluated.pose is None:
         raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
     bones = evaluated.pose.bones
-    sources = _whole_sources(bone_map, bones)
+    sources = whole_sources(bone_map, bones)
     ends = {}
     for end in bone_maps.ENDS:
         ends[end] = np.empty((len(bones), 3), np.float32)
@@ -152,7 +152,7 @@ def _bones(rig: bpy.types.Object) -> bpy.types.ArmatureBones:
     return rig.data.bones
 
 
-def _whole_sources(bone_map: BoneMap, known: Container[str]) -> list[JointSource]:
+def whole_sources(bone_map: BoneMap, known: Container[str]) -> list[JointSource]:
     """The 21 sources; refuses a map with a joint that has no source, or whose source is not there any more."""
     empty = [name for name, source in zip(NAMES, bone_map.sources, strict=True) if source is None]
     if empty:

@@ -18,7 +18,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import clock, ui, versions
 from ..errors import JGHandFailure
-from ..hand import instances
+from ..hand import instances, stand_ins
 from ..ops import REGISTERED, Reporting, missing, seen_frames
 from . import camera, composite, rendering
 from .ops import has_standard, use_standard
@@ -137,6 +137,7 @@ def _begin(context: bpy.types.Context) -> _Movie:
     movie = _Movie(copy.session_uid, 0, "")
     try:
         composite.forget(copy)
+        copy[stand_ins.WITHOUT] = True  # Workbench would show them
         view, own = _view_of(context), _local_camera(context)
         if view is not None:
             movie.camera = _add_camera(copy, view).name

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A picture of the engine as textures, and drawing it into a view. Only to be used while Blender draws.
 
-The engine's picture is display-referred sRGB, premultiplied. What a custom shader writes into a view is taken as
-linear, so the shader decodes it (on straight colors) and the view shows the engine's numbers. Each pixel is tested
-against the scene at its own depth. Source: BLENDER 7.2 and 7.3.
+The engine's picture is premultiplied; display-referred sRGB, or scene-linear in the light of a scene. What a custom
+shader writes into a view is taken as linear, so the shader decodes sRGB (on straight colors) and the view shows the
+engine's numbers. Each pixel is tested against the scene at its own depth. Source: BLENDER 7.2 and 7.3.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _FRAGMENT = """
 vec4 color_at(ivec2 at)
 {
   vec4 c = texelFetch(picture, clamp(at, ivec2(0), textureSize(picture, 0) - 1), 0);
-  if (c.a <= 0.0) {
-    return vec4(0.0);
+  if (c.a <= 0.0 || linear_it == 1) {
+    return c;
   }
   vec3 shown = min(c.rgb / c.a, vec3(1.0));
   vec3 linear = mix(shown / 12.92, pow((shown + 0.055) / 1.055, vec3(2.4)), step(vec3(0.04045), shown));
@@ -98,12 +98,16 @@ _floats = np.empty(0, np.float32)
 class GpuPicture:
     """Textures of one picture. Keep it until the drawing is over: one that is freed earlier leaves the view black.
 
-    rgba: (H, W, 4) uint8, sRGB, premultiplied, top row first; depth_m: (H, W) float32 along the view axis, 0 = nothing.
+    rgba: (H, W, 4) premultiplied, top row first: uint8 of sRGB, or float32 that is scene-linear; depth_m: (H, W)
+    float32 along the view axis, 0 = nothing.
     """
 
     def __init__(self, rgba: np.ndarray, depth_m: np.ndarray) -> None:
         self.height, self.width = depth_m.shape
-        self._color = self._texture(_as_floats(rgba), 4, "RGBA8")
+        self._linear = rgba.dtype == np.float32
+        self._color = self._texture(
+            rgba if self._linear else _as_floats(rgba), 4, "RGBA16F" if self._linear else "RGBA8"
+        )
         self._depth = self._texture(depth_m.astype(np.float32, copy=False), 1, "R32F")
 
     def draw(
@@ -124,6 +128,7 @@ class GpuPicture:
             tools.shader.uniform_float("clip_from_depth", clip)
             same_size = (part.width, part.height) == (self.width, self.height)
             tools.shader.uniform_int("smooth_it", 0 if same_size else 1)
+            tools.shader.uniform_int("linear_it", int(self._linear))
             tools.shader.uniform_sampler("picture", self._color)
             tools.shader.uniform_sampler("depth_m", self._depth)
             tools.quad.draw(tools.shader)
@@ -181,6 +186,7 @@ def _made_tools() -> _Tools:
         info.push_constant("VEC4", "place")
         info.push_constant("VEC4", "clip_from_depth")
         info.push_constant("INT", "smooth_it")
+        info.push_constant("INT", "linear_it")
         info.sampler(0, "FLOAT_2D", "picture")
         info.sampler(1, "FLOAT_2D", "depth_m")
         info.vertex_in(0, "VEC2", "pos")

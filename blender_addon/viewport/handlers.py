@@ -18,7 +18,7 @@ from bpy.app.handlers import persistent
 from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
-from ..hand import seen_hands
+from ..hand import seen_hands, stand_ins
 from ..render import lamps, rendering
 from ..renderer import runtime
 from . import drawing, views
@@ -47,6 +47,7 @@ def tick() -> float:
     _follow_status()
     _follow_problems()
     _redraw(views.try_again())
+    stand_ins.tend()
     shown = views.all_views()
     if not shown:
         return clock.IDLE_TICK_S
@@ -192,6 +193,7 @@ def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = N
     """Something was edited: whether that made or removed a hand, or changed lamps. Blender draws the views itself."""
     if not rendering.now() and _on_main_thread() and depsgraph is not None:
         seen_hands.notice(depsgraph)
+        stand_ins.notice(depsgraph)
         lamps.notice(depsgraph)
 
 
@@ -200,6 +202,7 @@ def on_undo(*_: Any) -> None:
     """Undo or redo: every object may be another now."""
     if _on_main_thread():
         seen_hands.forget()
+        stand_ins.expect()
         lamps.forget()
 
 

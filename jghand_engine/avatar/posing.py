@@ -113,8 +113,9 @@ class Poser:
         set_pointers(self._skin, self._arrays)
         _check_size(library, library.call.jg_skin_task_bytes(), SkinTask)
         self._light = None if learned is None else _Light(library, avatar, learned, blocks)
-        self._posed, self._eye_m = False, None
-        self._keep: tuple[object, ...] = ()
+        # what the task points to, and the pose that stands
+        self._stands: tuple[np.ndarray, Bones, Capsules | None] | None = None
+        self._eye_m: np.ndarray | None = None
 
     def prepare(
         self,
@@ -146,11 +147,22 @@ class Poser:
         task.scale, task.inverse_scale = bones.scale, inverse_scale
         if self._light is not None:
             self._light.task.skin = task
-            # the shadows of the world are found for its own directions
             self._light.prepare_scene(light, bones)
             self._light.prepare(bones, inverse_scale, into.rgb, others, keep_correctives=keep_correctives)
-        self._keep, self._posed, self._eye_m = (linear_offset,), True, None
+        self._stands, self._eye_m = (linear_offset, bones, others), None
         self._team.fill(0)
+
+    def prepare_light(self, light: SceneLight) -> bool:
+        """Sets another light of the scene for the pose that stands: `run` lights it anew, and nothing else. Whether
+        there is anything to be run: not for an avatar without a response."""
+        if self._light is None or not self._light.is_lit or self._stands is None:
+            return False
+        _, bones, others = self._stands
+        self._light.prepare_scene(light, bones, keep_pose=True)
+        self._light.prepare_shadows(bones, others)
+        self._eye_m = None
+        self._team.fill(0)
+        return True
 
     def run(self) -> None:
         """Poses the avatar; every thread of a team calls it."""
@@ -162,7 +174,7 @@ class Poser:
     def prepare_gloss(self, eye_m: np.ndarray) -> bool:
         """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
         when nothing is reflected or the pose was seen from there last."""
-        if not self._posed:
+        if self._stands is None:
             raise InputError("gloss", wanted="a pose before it", came="none")
         light = self._light
         if light is None or not light.reflects or (self._eye_m is not None and np.array_equal(eye_m, self._eye_m)):
@@ -192,10 +204,11 @@ class _Light:
         self._scene = None
         if learned.response is not None and self._cast is not None:
             self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task)
+        self.is_lit = self._scene is not None
 
-    def prepare_scene(self, light: SceneLight | None, bones: Bones) -> None:
+    def prepare_scene(self, light: SceneLight | None, bones: Bones, *, keep_pose: bool = False) -> None:
         if self._scene is not None:
-            self._scene.prepare(light or SceneLight(), bones)
+            self._scene.prepare(light or SceneLight(), bones, keep_pose=keep_pose)
 
     def prepare(
         self, bones: Bones, inverse_scale: float, rgb: np.ndarray, others: Capsules | None, *, keep_correctives: bool
@@ -206,6 +219,9 @@ class _Light:
             self._correctives.prepare(task, bones.angles_rad)
         elif task.given is not None:
             task.correctives = CorrectiveKind.GIVEN
+        self.prepare_shadows(bones, others)
+
+    def prepare_shadows(self, bones: Bones, others: Capsules | None) -> None:
         if self._cast is not None:
             self._cast.prepare(bones, others)
 

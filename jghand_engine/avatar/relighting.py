@@ -23,8 +23,19 @@ ROUGHNESS, REFLECTANCE = 0.45, 0.027
 MEAN_ALBEDO = (0.50, 0.33, 0.25)
 # logarithms of display-referred colors become those of linear ones: the slope of sRGB's curve
 SHADE_GAIN = 2.2
+# the far side, which is dark, shows through gaps between Gaussians whose captured light was soft: wider ones close them
+GAP_FILL = 1.15
 # an albedo above throws back more than any skin
 ALBEDO_MAX = 0.95
+
+
+def relightable(avatar: HandAvatar) -> HandAvatar:
+    """The avatar as the light of a scene lights it: as it is, if it learned in known light; else `estimated`. A painted
+    hand has no skin that light falls on: it shines with its own colors, made linear."""
+    learned = avatar.learned
+    if learned is None:
+        return replace(avatar, rgb=srgb_to_linear(avatar.rgb))
+    return avatar if learned.response is not None else estimated(avatar)
 
 
 def estimated(avatar: HandAvatar) -> HandAvatar:
@@ -32,15 +43,15 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
 
     The albedo keeps its differences and gets the mean of skin; the light it was learned in is dropped. What a capture
     had in shadow in every pose stays dark.
-    InputError for a painted hand or one that learned no cast shadow: its fingers could not shade it.
+    InputError for a hand that learned no cast shadow: its fingers could not shade it.
     """
     learned = avatar.learned
     if learned is None or learned.cast is None:
         raise InputError(
-            f"hand {avatar.info.name!r}",
+            f"hand {avatar.info.name!r} in the light of a scene",
             wanted="one that was learned with the shadows of its fingers",
             came="a painted one" if learned is None else "one without",
-            remedy="Leave out the light of the scene.",
+            remedy="Show it in the light of its capture.",
         )
     albedo = srgb_to_linear(np.clip(avatar.rgb, 0, 1).astype(np.float64))
     # as much as each covers
@@ -60,4 +71,5 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
     cast = replace(learned.cast, lamp_rgb=np.zeros((CELLS, 3), np.float32))
     # what it casts on itself on the screen is of its own light
     relit = replace(learned, cast=cast, response=response, shadow=None)
-    return replace(avatar, rgb=albedo.astype(np.float32), learned=relit)
+    sigma_m = (GAP_FILL * avatar.sigma_m).astype(np.float32)
+    return replace(avatar, rgb=albedo.astype(np.float32), sigma_m=sigma_m, learned=relit)

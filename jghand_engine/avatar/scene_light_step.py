@@ -60,7 +60,10 @@ class SceneLightStep:
         self._arrays = {
             "material": blocks.blocked(material),
             "posed": aligned_zeros((rows // LANES, 9, LANES)),
+            "visible": aligned_zeros((rows, CELLS)),
+            "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             "seen": aligned_zeros((LAMPS_MAX, rows)),
+            "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
             "reached": aligned_zeros((rows, 8)),
             "irradiance": aligned_zeros((16, 3)),
@@ -76,8 +79,11 @@ class SceneLightStep:
         self._world: World | None = None
         self._set_world(None)
 
-    def prepare(self, light: SceneLight, bones: Bones) -> None:
-        """Sets the light of the next pose; the hand's capsules are the cast shadow's."""
+    def prepare(self, light: SceneLight, bones: Bones, *, keep_pose: bool = False) -> None:
+        """Sets the light of the next pose, or of the one that stands; the hand's capsules are the cast shadow's, whose
+        `prepare` comes after this: shadows of the world are found for its own directions."""
+        self._task.keeps_pose = keep_pose
+        self._task.keeps_visible = keep_pose and light.world is self._world
         if light.world is not self._world:
             self._set_world(light.world)
         middle_m = palm_middle_m(bones.linear_offset, self._cast.joints_m)

@@ -36,6 +36,27 @@ def take_suns(world: World) -> tuple[World, tuple[Lamp, ...]]:
     return (World(left.reshape(world.radiance.shape), world.env_from_world) if suns else world), tuple(suns)
 
 
+def averaged(picture: np.ndarray, rows_max: int, columns_max: int) -> np.ndarray:
+    """An equirectangular picture (H, W, C) of at most that size: each pixel the mean of its part of the sphere."""
+    rows, columns = picture.shape[:2]
+    # the height of a band of the sphere is its solid angle
+    heights = [-np.sin(np.linspace(np.pi / 2, -np.pi / 2, n + 1)) for n in (rows, min(rows, rows_max))]
+    around = [np.linspace(0, 1, n + 1) for n in (columns, min(columns, columns_max))]
+    return _means(_means(picture, *heights).swapaxes(0, 1), *around).swapaxes(0, 1)
+
+
+def _means(values: np.ndarray, edges: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (N, ...) of the spans between `edges` (N + 1,), averaged over those between `wanted`."""
+    out = np.empty((len(wanted) - 1, *values.shape[1:]), np.float32)
+    first = np.searchsorted(edges, wanted[:-1], "right") - 1
+    last = np.searchsorted(edges, wanted[1:], "left")
+    for span, (begin, end) in enumerate(zip(first, last, strict=True)):
+        inside = np.clip(edges[begin : end + 1], wanted[span], wanted[span + 1])
+        share = np.diff(inside) / (wanted[span + 1] - wanted[span])
+        out[span] = np.tensordot(share.astype(np.float32), values[begin:end], 1)
+    return out
+
+
 def _sun(direction: np.ndarray, light: np.ndarray, radiance: np.ndarray) -> Lamp:
     """The lamp of pixels (N, 3) and (N, 3), (N,): as wide as an even disc whose power is as concentrated as theirs.
 

@@ -84,7 +84,8 @@ class FrameWriter:
             texts = self.passes.add(index, frame, path)
             self.timings.add_ms("passes", 1e3 * (time.perf_counter() - started))
         started = time.perf_counter()
-        write_png(path, frame.rgba if background is None else flatten(frame.rgba, background), texts)
+        rgba = frame.displayed()
+        write_png(path, rgba if background is None else flatten(rgba, background), texts)
         self.timings.add_ms("writing the PNG", 1e3 * (time.perf_counter() - started))
 
     def write_all(self, shard: Shard | None = None) -> Outcome:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from jghand_engine.avatar.world_suns import averaged
 from jghand_engine.errors import InputError
 from jghand_engine.export.exr import exr_package
 
-# rows and columns that are enough to light skin and to mirror in it
+# rows and columns that are enough to find suns in
 ROWS_MAX, COLUMNS_MAX = 256, 512
 # the longest run of one channel in a packed row
 RUN_MAX = 127
@@ -36,28 +37,7 @@ def read_world_picture(path: Path) -> np.ndarray:
         raise InputError(f"{path}", wanted="a picture of three channels", came=f"shape {picture.shape}")
     # resampled pictures swing below zero beside their suns
     finite = np.nan_to_num(picture[..., :3].astype(np.float32), copy=False, nan=0, posinf=0, neginf=0)
-    return averaged(np.maximum(finite, 0))
-
-
-def averaged(picture: np.ndarray) -> np.ndarray:
-    """An equirectangular picture (H, W, C) of at most 256 x 512: each pixel the mean of its part of the sphere."""
-    rows, columns = picture.shape[:2]
-    # the height of a band of the sphere is its solid angle
-    heights = [-np.sin(np.linspace(np.pi / 2, -np.pi / 2, n + 1)) for n in (rows, min(rows, ROWS_MAX))]
-    around = [np.linspace(0, 1, n + 1) for n in (columns, min(columns, COLUMNS_MAX))]
-    return _means(_means(picture, *heights).swapaxes(0, 1), *around).swapaxes(0, 1)
-
-
-def _means(values: np.ndarray, edges: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (N, ...) of the spans between `edges` (N + 1,), averaged over those between `wanted`."""
-    out = np.empty((len(wanted) - 1, *values.shape[1:]), np.float32)
-    first = np.searchsorted(edges, wanted[:-1], "right") - 1
-    last = np.searchsorted(edges, wanted[1:], "left")
-    for span, (begin, end) in enumerate(zip(first, last, strict=True)):
-        inside = np.clip(edges[begin : end + 1], wanted[span], wanted[span + 1])
-        share = np.diff(inside) / (wanted[span + 1] - wanted[span])
-        out[span] = np.tensordot(share.astype(np.float32), values[begin:end], 1)
-    return out
+    return averaged(np.maximum(finite, 0), ROWS_MAX, COLUMNS_MAX)
 
 
 def _read_npy(path: Path) -> np.ndarray:

@@ -12,7 +12,7 @@ the far side. phi takes skin that faces away, which is seen through gaps between
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -47,6 +47,7 @@ DISTANCE2_MIN = 1e-12
 FACING_MIN = 1e-3
 AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
 GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
+EDGE_GAIN = 10.0
 
 
 @dataclass(frozen=True)
@@ -212,12 +213,13 @@ def past_flesh(skin: Skin, flesh: Flesh, towards: Tensor, softness: float, half_
 def reached(
     cast: CastTensors,
     anchors: Skin,
+    skin: Skin,
     flesh: Flesh,
     light: SceneLight,
     lamps: LampRows,
     response: ResponseTensors,
 ) -> Reached:
-    """What reaches the skin of one pose. anchors: posed, root-relative"""
+    """What reaches the skin of one pose. anchors, skin: posed, root-relative"""
     given, seen = torch.zeros_like(anchors.normal), []
     for row in lamps.casting:
         direction, _, sine = lamp_at(row, anchors.position_m)
@@ -231,6 +233,12 @@ def reached(
         given = given + got[:, None] * given.new_tensor(row[6:9])
     spread = cast.anchors.spread
     of_lamps = spread(torch.stack(seen, 1)).T if seen else given.new_zeros(0, len(cast.anchors.nearest))
+    near = replace(flesh, hides=spread(flesh.hides))
+    for slot, row in enumerate(lamps.casting):
+        direction, _, sine = lamp_at(row, skin.position_m)
+        own = past_flesh(skin, near, direction[:, None], FLESH_SOFTNESS, sine[:, None])[:, 0]
+        edge = (EDGE_GAIN * of_lamps[slot] * (1 - of_lamps[slot])).clamp_max(1)
+        of_lamps = torch.cat([of_lamps[:slot], torch.lerp(of_lamps[slot], own, edge)[None], of_lamps[slot + 1 :]])
     terms = (BLACK if light.world is None else light.world).terms
     cells, directions = given.new_tensor(terms.light), given.new_tensor(terms.direction)
     turned = (-directions @ anchors.normal.T).clamp_min(0).square()

@@ -62,15 +62,17 @@ JG_INLINE bool distant_past(const CastTask& t, int k, int group, const float poi
                            t.lamp_width, part);
 }
 
-// Sixteen of the distant lamps from a point: cosines to them, and the part of each that is seen. False: none is faced.
+// Sixteen of the distant lamps from a point: cosines to them, and the part of each that is seen; which was found before
+// if it was `kept`. False: none is faced.
 JG_INLINE bool distant_seen(const CastTask& t, const float* foreign, const float point[3], const float normal[3],
-                            int group, vf& cosine, vf& visible) {
+                            int group, const float* kept, vf& cosine, vf& visible) {
   const float* lamp = t.lamp + 6 * LANES * group;
   vf direction[3], part;
   for (int i = 0; i < 3; i++) direction[i] = load(lamp + LANES * i);
   cosine = max(direction[0] * normal[0] + direction[1] * normal[1] + direction[2] * normal[2], vf{});
   if (!bit_mask(cosine > 0)) return false;
-  visible = all(1.f);
+  visible = kept ? load(kept) : all(1.f);
+  if (kept) return true;
   for (int bone = 0; bone < BONES; bone++) {
     const float hides = foreign[LANES * bone];
     if (hides != 0 && distant_past<false>(t, bone, group, point, direction, part)) visible *= 1.f - hides * (1.f - part);

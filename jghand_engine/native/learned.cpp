@@ -45,7 +45,10 @@ void pose_block(const LearnedTask& t, int32_t block, const vf correction[CORRECT
   for (int i = 0; i < 3; i++) rest[i] = load(look + LANES * i);
   turn_by(turn, rest, normal);
   make_unit(normal, t.length2_min);
-  if (t.scene) return lit_block(t, block, p, normal, correction);
+  if (t.scene) {
+    reflecting_block(t, block, normal, correction);
+    return light_block(t, block);
+  }
   harmonics(normal, waves);
   for (int i = 0; i < 3; i++) exponent[i] = correction[3 + i];
   if (t.nearest) add_fallen(t, block, exponent);
@@ -104,7 +107,7 @@ void gloss_block(const LearnedTask& t, int32_t block) {
 
 JG_API int32_t jg_learned_task_bytes() { return sizeof(jg::LearnedTask); }
 
-// Poses one avatar, together with the other threads of the team.
+// Poses one avatar, or lights it anew in the pose that it has (`keeps_pose`), together with the other threads.
 JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   const jg::LearnedTask t = *task;
   const int32_t anchor_blocks = t.nearest ? t.cast.blocks : 0;
@@ -123,7 +126,9 @@ JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   }
   jg::share(*team, 3, jg::items_of(t.skin.blocks, jg::BLOCKS_PER_ITEM), [&](int32_t item) {
     const int32_t begin = item * jg::BLOCKS_PER_ITEM, end = begin + jg::BLOCKS_PER_ITEM;
-    jg::pose_blocks(t, begin, end < t.skin.blocks ? end : t.skin.blocks);
+    const int32_t last = end < t.skin.blocks ? end : t.skin.blocks;
+    if (!t.scene || !t.scene->keeps_pose) return jg::pose_blocks(t, begin, last);
+    for (int32_t b = begin; b < last; b++) jg::light_block(t, b);
   });
 }
 

@@ -12,9 +12,10 @@ struct MeanTask {
   int32_t width, height;  // of the image that is added, or of the whole mean
   int32_t stride;         // pixels from one row of the sums to the next
   int32_t stripes;        // items that threads share
+  int32_t linear;         // whether colors are scene-linear, not display-referred
   float weight;           // of the image in the mean
   float alpha_min;        // a mean depth needs so much coverage
-  float* rgba;            // (height, width, 4) premultiplied, display-referred
+  float* rgba;            // (height, width, 4) premultiplied
   float* depth;           // (height, width) meters, 0 where there is none; or null
   float* sum;             // premultiplied linear light
   float* depth_sum;       // coverage times depth
@@ -51,7 +52,8 @@ void add_row(const MeanTask& t, int64_t y) {
     const vf pixels = load_first(rgba + 4 * x, 4 * count), alpha = alphas_of(pixels);
     if (!bit_mask(alpha > 0)) continue;
     const vf before = load_first(sum + 4 * x, 4 * count);
-    store_first(sum + 4 * x, before + t.weight * through(pixels, alpha, linear_of), 4 * count);
+    const vf light = t.linear ? pixels : through(pixels, alpha, linear_of);
+    store_first(sum + 4 * x, before + t.weight * light, 4 * count);
     for (int i = x; depth && i < x + count; i++) {
       const float covered = depth[i] > 0 ? t.weight * rgba[4 * i + 3] : 0;
       t.depth_sum[y * t.stride + i] += covered * depth[i];
@@ -66,7 +68,7 @@ void finish_row(const MeanTask& t, int64_t y) {
     const int count = t.width - x < PIXELS ? t.width - x : PIXELS;
     const vf pixels = load_first(t.sum + 4 * (row + x), 4 * count), alpha = alphas_of(pixels);
     if (!bit_mask(alpha > 0)) continue;
-    store_first(t.rgba + 4 * (row + x), through(pixels, alpha, display_of), 4 * count);
+    store_first(t.rgba + 4 * (row + x), t.linear ? pixels : through(pixels, alpha, display_of), 4 * count);
     for (int64_t i = row + x; i < row + x + count; i++)
       if (t.depth_weight[i] > t.alpha_min) t.depth[i] = t.depth_sum[i] / t.depth_weight[i];
   }

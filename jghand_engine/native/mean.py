@@ -1,6 +1,6 @@
 """The mean of images in linear light, premultiplied, by the native kernel: what the sensor of a camera adds up.
 
-Images come in and go out display-referred, as they are blended.
+Images come in and go out as they are blended: display-referred, or scene-linear.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ class MeanTask(ctypes.Structure):
     """MeanTask of native/mean.cpp, field by field."""
 
     _fields_ = (
-        *((name, _I32) for name in ("width", "height", "stride", "stripes")),
+        *((name, _I32) for name in ("width", "height", "stride", "stripes", "linear")),
         *((name, _F32) for name in ("weight", "alpha_min")),
         *((name, _P) for name in ("rgba", "depth", "sum", "depth_sum", "depth_weight")),
     )
 
 
 class NativeMean:
-    """The mean of images of one size, or of parts of them."""
+    """The mean of images of one size, or of parts of them. linear: whether they are scene-linear"""
 
-    def __init__(self, library: Library, threads: int, width: int, height: int) -> None:
-        self._call, self._pool = library.call, shared_pool(threads)
+    def __init__(self, library: Library, threads: int, width: int, height: int, *, linear: bool = False) -> None:
+        self._call, self._pool, self._linear = library.call, shared_pool(threads), linear
         self._sum = np.zeros((height, width, 4), np.float32)
         self._depth_sum, self._depth_weight = np.zeros((2, height, width), np.float32)
 
@@ -57,7 +57,7 @@ class NativeMean:
 
     def _task(self, width: int, height: int, first: int) -> MeanTask:
         """Over sums that begin at pixel `first`."""
-        task = MeanTask(width=width, height=height, stride=self._sum.shape[1], stripes=STRIPES)
+        task = MeanTask(width=width, height=height, stride=self._sum.shape[1], stripes=STRIPES, linear=self._linear)
         task.sum = self._sum.ctypes.data + 16 * first
         task.depth_sum, task.depth_weight = (a.ctypes.data + 4 * first for a in (self._depth_sum, self._depth_weight))
         return task

@@ -17,6 +17,7 @@ constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, 
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
+constexpr float EDGE_GAIN = 10.f;                         // how fast anchors stop counting where they see part of a lamp
 constexpr int POSED = 9, REACHED = 8, MATERIAL = 3;
 
 JG_INLINE vf smooth(vf x) {
@@ -108,11 +109,41 @@ JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* values, 
   }
 }
 
+// What of each lamp sixteen Gaussians see: the mean of the anchors around them, and near the edge of a shadow, which is
+// sharper than anchors are apart, what is found for each.
+JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const vf p[3]) {
+  const CastTask& c = t.cast;
+  const int64_t first = ANCHORS_AROUND * LANES * (int64_t)block;
+  float foreign[BONES * LANES];
+  bool has_foreign = false;
+  for (int j = 0; j < s.slots; j++) {
+    vf part[1];
+    spread<1>(t, block, s.seen + LANES * (int64_t)c.blocks * j, 1, part);
+    const vf edge = min(EDGE_GAIN * part[0] * (1.f - part[0]), all(1.f));
+    if (bit_mask(edge > 0)) {
+      for (int bone = 0; bone < BONES && !has_foreign; bone++) {
+        vf sum = {};
+        for (int k = 0; k < ANCHORS_AROUND; k++) {
+          const int32_t* nearest = t.nearest + first + LANES * k;
+          float of_anchor[LANES];
+          for (int lane = 0; lane < LANES; lane++)
+            of_anchor[lane] = c.foreign[LANES * (BONES * (int64_t)(nearest[lane] / LANES) + bone) + nearest[lane] % LANES];
+          sum += load(t.share + first + LANES * k) * load(of_anchor);
+        }
+        store(foreign + LANES * bone, sum);
+      }
+      has_foreign = true;
+      vf direction[3], strength, sine;
+      lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
+      part[0] += edge * (lamp_seen(c, s, foreign, p, direction, sine) - part[0]);
+    }
+    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), part[0]);
+  }
+}
+
 JG_INLINE vf slot_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const float* lamp) {
   if (lamp[SLOT] < 0) return all(1.f);
-  vf part[1];
-  spread<1>(t, block, s.seen + LANES * (int64_t)t.cast.blocks * (int)lamp[SLOT], 1, part);
-  return part[0];
+  return load(s.skin_seen + LANES * ((int64_t)t.skin.blocks * (int)lamp[SLOT] + block));
 }
 
 }  // namespace
@@ -121,8 +152,12 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
   float* posed = s.posed + POSED * LANES * (int64_t)block;
   vf p[3], normal[3], given[3] = {};
-  posed_anchors(t.cast, t.skin, t.volume_min, t.length2_min, block, p, normal);
-  for (int i = 0; i < 3; i++) store(posed + LANES * i, p[i]), store(posed + LANES * (3 + i), normal[i]);
+  if (s.keeps_pose) {
+    for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
+  } else {
+    posed_anchors(t.cast, t.skin, t.volume_min, t.length2_min, block, p, normal);
+    for (int i = 0; i < 3; i++) store(posed + LANES * i, p[i]), store(posed + LANES * (3 + i), normal[i]);
+  }
   float* seen = s.seen + LANES * (int64_t)block;
   const int64_t rows = LANES * (int64_t)t.cast.blocks;
   vf direction[3], strength, sine;
@@ -169,8 +204,10 @@ void anchor_world(const LearnedTask& t, int32_t block) {
     const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block + lane;
     vf open[3] = {}, seen[3] = {}, bounced[3] = {}, sky = {}, open_sky = {};
     for (int g = 0; g < t.cast.groups; g++) {
+      float* kept = s.visible + LANES * (t.cast.groups * (LANES * (int64_t)block + lane) + g);
       vf cosine, visible;
-      if (!distant_seen(t.cast, foreign, point, normal, g, cosine, visible)) continue;
+      if (!distant_seen(t.cast, foreign, point, normal, g, s.keeps_visible ? kept : nullptr, cosine, visible)) continue;
+      store(kept, visible);
       const float *cell = t.cast.lamp + 6 * LANES * g, *back = s.thrown + 3 * LANES * g;
       const vf hidden = cosine * (1.f - visible);
       for (int i = 0; i < 3; i++) {
@@ -188,11 +225,26 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   }
 }
 
-void lit_block(const LearnedTask& t, int32_t block, const vf p[3], const vf normal[3],
-               const vf correction[CORRECTION]) {
+void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]) {
   const SceneLightTask& s = *t.scene;
-  const vf spread_of_skin = load(s.material + MATERIAL * LANES * (int64_t)block);
-  vf light[3], reached[6];
+  const float* look = t.look + LOOK * LANES * (int64_t)block;
+  float *matt = t.matt + MATT * LANES * (int64_t)block, *reflecting = s.reflecting + 3 * LANES * (int64_t)block;
+  for (int i = 0; i < 3; i++) {
+    const vf shade = min(max(correction[3 + i] * s.shade_gain, all(-t.exponent_max)), all(t.exponent_max));
+    store(matt + LANES * i, normal[i]);
+    store(reflecting + LANES * i, load(look + LANES * (3 + i)) * (1.f / PI) * exp2(shade * LOG2E));
+  }
+}
+
+void light_block(const LearnedTask& t, int32_t block) {
+  const SceneLightTask& s = *t.scene;
+  const int64_t row = LANES * (int64_t)block;
+  float* matt = t.matt + MATT * row;
+  const vf spread_of_skin = load(s.material + MATERIAL * row);
+  vf p[3], normal[3], light[3], reached[6];
+  load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
+  for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
+  lamps_seen(t, s, block, p);
   world_irradiance(s, normal, light);
   spread<6>(t, block, s.reached, REACHED, reached);
   for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
@@ -208,13 +260,7 @@ void lit_block(const LearnedTask& t, int32_t block, const vf p[3], const vf norm
       light[i] += soft_cosine(cosine, corner) * got * lamp[LAMP_RGB + i];
     }
   }
-  const float* look = t.look + LOOK * LANES * (int64_t)block;
-  float* matt = t.matt + MATT * LANES * (int64_t)block;
-  for (int i = 0; i < 3; i++) {
-    const vf shade = min(max(correction[3 + i] * s.shade_gain, all(-t.exponent_max)), all(t.exponent_max));
-    store(matt + LANES * i, normal[i]);
-    store(matt + LANES * (3 + i), load(look + LANES * (3 + i)) * light[i] * (1.f / PI) * exp2(shade * LOG2E));
-  }
+  for (int i = 0; i < 3; i++) store(matt + LANES * (3 + i), load(s.reflecting + 3 * row + LANES * i) * light[i]);
 }
 
 void seen_block(const LearnedTask& t, int32_t block) {

@@ -33,8 +33,11 @@ struct SceneLightTask {
   const float* irradiance;   // (16, 3): of the world, W/m2, for `harmonics`
   const float* lobe;         // (lobes, 7): what the world mirrors: unit direction, sharpness / ln 2, radiance
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
+  float* visible;            // (16 anchor blocks, groups, 16): part of each cell of the world that an anchor sees
   float* seen;               // (slots, 16 anchor blocks): part of a lamp that an anchor sees
+  float* skin_seen;          // (slots, 16 blocks): and a Gaussian
   float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
+  float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* reached;            // (16 anchor blocks, 8): part of the world rgb, bounced W/m2 rgb, part of the sky, 0
   float softness[3];         // half width of the rounded corner of a cosine
   float bounce[3];           // W/m2 that hidden skin throws back, per W/m2 that it gets, pi and solid angle included
@@ -44,14 +47,18 @@ struct SceneLightTask {
   float flesh_softness;      // edge of a lamp's shadow, as a part of a capsule's radius
   float sine2_min;           // floor of a squared sine between ray and capsule
   int32_t lamps, slots, lobes;
+  int32_t keeps_pose;        // whether the light alone is new
+  int32_t keeps_visible;     // and the world is not
 };
 
-// First for all anchors, then for all groups of directions, then for all anchors again, then `lit_block`.
+// First for all anchors, then for all groups of directions, then for all anchors again, then `light_block`.
 void anchor_lamps(const LearnedTask& t, int32_t anchor_block);
 void thrown_back(const LearnedTask& t, int32_t group);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
-// The matt color of a block, p: root-relative.
-void lit_block(const LearnedTask& t, int32_t block, const vf p[3], const vf normal[3], const vf correction[CORRECTION]);
+// Keeps what lights the skin of a block in this pose, whatever the light is.
+void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);
+// The matt color of a block.
+void light_block(const LearnedTask& t, int32_t block);
 // What a block sends to the eye.
 void seen_block(const LearnedTask& t, int32_t block);
 

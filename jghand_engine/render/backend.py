@@ -15,6 +15,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.posing import Poser, new_rows
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
@@ -56,6 +57,7 @@ class Canvas:
     style:     of the shadow, None for none
     alpha_min: cut-off of the blend
     depth:     whether somebody wants it
+    light:     of the scene; None for that of the capture
     """
 
     camera: Camera
@@ -63,10 +65,11 @@ class Canvas:
     style: ShadowStyle | None
     alpha_min: float
     depth: bool = False
+    light: SceneLight | None = None
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
-        if other is None or self.alpha_min != other.alpha_min:
+        if other is None or self.alpha_min != other.alpha_min or self.light != other.light:
             return False
         mine, theirs = self.camera, other.camera
         numbers = ("width", "height", "fx", "fy", "cx", "cy", "orthographic")
@@ -104,6 +107,7 @@ class Backend:
         self._rasterizer = NativeRasterizer(library, self.threads)
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
+        self._light: SceneLight | None = None
 
     def draw(
         self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keep_image: bool = False
@@ -113,11 +117,14 @@ class Backend:
         poses: one per avatar; None keeps the Gaussians of the last call · keep_image: also what was drawn of them, in
         the same view
         """
-        if poses is not None:
-            for hand, pose in zip(self._hands, poses, strict=True):
-                keeps = pose.keep_correctives
-                hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others)
-        camera, settings = canvas.camera, self._settings
+        camera, settings, light = canvas.camera, self._settings, canvas.light
+        posed = self._hands if poses is not None else []
+        for hand, pose in zip(posed, poses or (), strict=True):
+            keeps = pose.keep_correctives
+            hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=light)
+        relit = light is not None and poses is None and light != self._light
+        lit = [hand for hand in self._hands if relit and light is not None and hand.prepare_light(light)]
+        self._light = light
         if not keep_image:
             self._planes = self._rasterizer.prepare(
                 self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
@@ -127,7 +134,7 @@ class Backend:
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
         work = _Work(
-            skins=[] if poses is None else self._hands,
+            skins=[*posed, *lit],
             # an image that is kept is of the same camera
             shining=[] if keep_image else [hand for hand in self._hands if hand.prepare_gloss(canvas.camera.eye_m)],
             rasterizer=None if keep_image else self._rasterizer,
@@ -144,9 +151,9 @@ class Backend:
         self._rasterizer, self._shade = NativeRasterizer(self._library, self.threads), None
         self._planes = aligned_zeros((PLANES, 0, 0))
 
-    def mean(self, width: int, height: int) -> LinearMean:
-        """A mean of images of that size, empty."""
-        return LinearMean(self._library, self.threads, width, height)
+    def mean(self, width: int, height: int, *, linear: bool) -> LinearMean:
+        """A mean of images of that size, empty. linear: whether they are scene-linear"""
+        return LinearMean(self._library, self.threads, width, height, linear=linear)
 
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
         """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""
@@ -189,7 +196,7 @@ class _Work:
     """The stages of one image. Every thread walks through all of them in one call of the pool: waking a thread costs
     more than a small stage, and a stage ends when its items are done, not when all threads have come (native/team.h).
 
-    skins: hands in a new pose · shining: hands whose gloss is seen from elsewhere
+    skins: hands in a new pose or light · shining: hands whose gloss is seen from elsewhere
     """
 
     def __init__(

@@ -238,10 +238,11 @@ def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
 
 
 class LinearMean:
-    """The mean of images of one size in linear light, with weights that sum to 1."""
+    """The mean of images of one size in linear light, with weights that sum to 1. linear: whether they are
+    scene-linear"""
 
-    def __init__(self, library: Library, threads: int, width: int, height: int) -> None:
-        self._box, self._mean = Box(0, 0, width, height), NativeMean(library, threads, width, height)
+    def __init__(self, library: Library, threads: int, width: int, height: int, *, linear: bool = False) -> None:
+        self._box, self._mean = Box(0, 0, width, height), NativeMean(library, threads, width, height, linear=linear)
         self._weights: np.ndarray | None = None
 
     def add(self, image: Image, weight: float) -> None:
@@ -254,5 +255,5 @@ class LinearMean:
             self._weights[image.box.slices] += np.float32(weight) * image.weights
 
     def image(self) -> Image:
-        """The mean, display-referred as the images were. Its depth is the mean of all that covers a pixel."""
+        """The mean, in the colors of the images. Its depth is the mean of all that covers a pixel."""
         return Image(self._box, *self._mean.finish(), self._weights)

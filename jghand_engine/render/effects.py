@@ -61,7 +61,8 @@ def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     learned, allows = avatar.learned, settings.effects.allows
     if learned is not None and not allows(Effect.CORRECTIVES):
         learned = replace(learned, correctives=None, distilled=None)
-    if learned is not None and not allows(Effect.CAST):
+    # in the light of a scene it is found at the anchors of the cast shadow
+    if learned is not None and learned.response is None and not allows(Effect.CAST):
         learned = replace(learned, cast=None)
     return replace(avatar, learned=learned)
 

@@ -29,7 +29,7 @@ class Image:
     """What was drawn.
 
     box:     where it lies in the whole image
-    rgba:    (h, w, 4) float32 premultiplied, display-referred
+    rgba:    (h, w, 4) float32 premultiplied, display-referred or, in the light of a scene, scene-linear
     depth_m: (h, w) meters, 0 where there is none; None unless wanted
     weights: (h, w, hands) how much of a pixel each hand covers; None unless wanted
     """

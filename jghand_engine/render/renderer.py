@@ -17,7 +17,10 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar, bone_numbers, check_follows_joints
 from jghand_engine.avatar.pose_range import outside, trained_range
+from jghand_engine.avatar.relighting import relightable
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.tiers import Tier
+from jghand_engine.color import displayed
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
@@ -54,7 +57,7 @@ from jghand_engine.render.gate import capsules_beside
 from jghand_engine.render.image import Box, Image
 from jghand_engine.render.passes import surface_normals
 from jghand_engine.render.report import FrameReport, summed
-from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
 
 TRANSFORM, PLAN, NORMALS, IDS, ENLARGE = "transform", "plan", "normals", "ids", "enlarge"
@@ -64,7 +67,9 @@ TRANSFORM, PLAN, NORMALS, IDS, ENLARGE = "transform", "plan", "normals", "ids", 
 class Frame:
     """A finished image. It belongs to the caller; the renderer keeps nothing of it.
 
-    rgba:    (H, W, 4) float32, premultiplied, display-referred sRGB, row 0 at the top
+    rgba:    (H, W, 4) float32, premultiplied, row 0 at the top: display-referred sRGB, or scene-linear with Rec.709
+             primaries, 0 and up
+    linear:  whether it is scene-linear: so are hands in the light of a scene
     depth_m: (H, W) float32, meters along the view axis, 0 where there is nothing (everywhere with settings.depth off)
     normal:  (H, W, 3) float32 unit, towards the camera, in its axes, 0 where there is nothing; None unless requested
     ids:     (H, W) uint8, 0 = nothing, k = the k-th hand covers most of what is covered; None unless requested
@@ -75,21 +80,35 @@ class Frame:
     report: FrameReport
     normal: np.ndarray | None = None
     ids: np.ndarray | None = None
+    linear: bool = False
+
+    def displayed(self) -> np.ndarray:
+        """(H, W, 4) premultiplied, display-referred: what is scene-linear through sRGB's curve, without exposure."""
+        return displayed(self.rgba) if self.linear else self.rgba
 
 
 class SceneRenderer:
     """Renders any number of hands into one image, each driven by its own joints. One image at a time.
 
-    avatars: one per hand, each with its handedness · settings: how; `settings.gaussians` is per hand.
-    InputError for an avatar whose bones do not follow the joints by `Skeleton`.
+    avatars:  one per hand, each with its handedness
+    settings: how; `settings.gaussians` is per hand
+    light:    of the scene, in the frame of the joints; None for the light that each avatar was captured in. It may be
+              set to another one between images.
+    InputError for an avatar whose bones do not follow the joints by `Skeleton`, or that no scene can light.
     """
 
-    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None) -> None:
-        self.settings = settings or RenderSettings()
+    def __init__(
+        self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None, light: SceneLight | None = None
+    ) -> None:
+        self.settings, self.light = settings or RenderSettings(), light
         if not avatars:
             raise InputError("hands of an image", wanted="at least one avatar", came="none")
         for avatar in avatars:
             check_follows_joints(avatar)
+        if light is not None:
+            avatars = [relightable(avatar) for avatar in avatars]
+            # what fingers hide of lamps and world is found for each of them
+            self.settings = replace(self.settings, shadow=ShadowMode.OFF)
         allowed = [strip_disabled(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
         chosen = [_with_tier(avatar, self.settings.correctives) for avatar in allowed]
         self._avatars = [avatar for avatar, _ in chosen]
@@ -159,7 +178,7 @@ class SceneRenderer:
         if plan.exposures == 1:
             drawn = self._draw(shot, replace(camera, lens=None), plan, report, check_canceled)
         else:
-            mean = self._backend.mean(camera.width, camera.height)
+            mean = self._backend.mean(camera.width, camera.height, linear=self.light is not None)
             for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
                 shot = self._pose(moment_m, report)
                 mean.add(self._draw(shot, pinhole, plan, report, check_canceled), 1 / plan.exposures)
@@ -199,7 +218,8 @@ class SceneRenderer:
             check_canceled()
             frame = self.render(center.joints_m, sharp, check_canceled=check_canceled)
             return frame, frame.depth_m
-        mean, reports, whole = self._backend.mean(sharp.width, sharp.height), [], Box(0, 0, sharp.width, sharp.height)
+        mean = self._backend.mean(sharp.width, sharp.height, linear=self.light is not None)
+        reports, whole = [], Box(0, 0, sharp.width, sharp.height)
         for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
             for pinhole in pinholes(moment.camera, index, each, len(seen)):
                 check_canceled()
@@ -218,7 +238,7 @@ class SceneRenderer:
             plan = plan.with_averages(motion + focus, count)
         image = mean.image()
         assert image.depth_m is not None
-        return Frame(image.rgba, last.depth_m, summed(reports, plan)), image.depth_m
+        return Frame(image.rgba, last.depth_m, summed(reports, plan), linear=last.linear), image.depth_m
 
     def bone_ids(self, camera: Camera) -> np.ndarray:
         """(H, W) uint8: which bone covers most of a pixel, of the hands as they were drawn last, through the middle of
@@ -325,7 +345,7 @@ class SceneRenderer:
             drawn.append((large.averaged_down(plan.enlarged), 1 - plan.plain))
         if len(drawn) == 1:
             return drawn[0][0]
-        mean = self._backend.mean(camera.width, camera.height)
+        mean = self._backend.mean(camera.width, camera.height, linear=self.light is not None)
         for one, weight in drawn:
             mean.add(one, weight)
         return mean.image()
@@ -364,7 +384,8 @@ class SceneRenderer:
         from_origin = camera.camera_from_world.copy()
         from_origin[:3, 3] += from_origin[:3, :3] @ posed.kept.joints_m[0][0]
         style = self._shadow_style(strength) if strength > 0 else None
-        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, alpha_min, depth)
+        at_origin = replace(camera, camera_from_world=from_origin)
+        return Canvas(at_origin, float(from_origin[2, 3]), style, alpha_min, depth, self.light)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""
@@ -386,14 +407,16 @@ class SceneRenderer:
         depth_m = whole.depth_m if settings.depth else None
         if depth_m is None:
             depth_m = np.zeros(whole.rgba.shape[:2], np.float32)
-        return Frame(whole.rgba, depth_m, report, normal, ids)
+        return Frame(whole.rgba, depth_m, report, normal, ids, self.light is not None)
 
 
 class HandRenderer:
-    """Renders one hand. avatar: which, with its handedness · settings: how."""
+    """Renders one hand. avatar: which, with its handedness · settings, light: as for SceneRenderer."""
 
-    def __init__(self, avatar: HandAvatar, settings: RenderSettings | None = None) -> None:
-        self._scene = SceneRenderer([avatar], settings)
+    def __init__(
+        self, avatar: HandAvatar, settings: RenderSettings | None = None, light: SceneLight | None = None
+    ) -> None:
+        self._scene = SceneRenderer([avatar], settings, light)
         self.settings = self._scene.settings
 
     def render(self, joints_m: np.ndarray, camera: Camera, shutter: Shutter | None = None) -> Frame:
@@ -434,7 +457,7 @@ def _enlarged(frame: Frame, camera: Camera) -> Frame:
     spent_ms = 1e3 * (time.perf_counter() - started)
     report.ran(ENLARGE, spent_ms)
     report.total_ms += spent_ms
-    return Frame(rgba, depth_m, report, normal, ids)
+    return Frame(rgba, depth_m, report, normal, ids, frame.linear)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from jghand_engine import __version__
+from jghand_engine.color import displayed
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
 from jghand_engine.service.image_request import OUTPUT_BYTES, ImageRequest, read_request, text_of
 from jghand_engine.service.protocol import PROTOCOL_VERSION, Array, Message
@@ -41,7 +42,8 @@ def never() -> bool:
 class RenderedImage:
     """An image with the maps that were requested.
 
-    rgba:            (H, W, 4) float32 premultiplied, display-referred sRGB
+    rgba:            (H, W, 4) float32 premultiplied, display-referred sRGB or scene-linear
+    linear:          whether it is scene-linear
     report:          FrameReport as plain data
     depth_m:         (H, W) float32 along the view axis, 0 = nothing
     ids:             (H, W) uint8, 1..20 the bone that ends at that joint of the standard order, 0 = nothing
@@ -53,6 +55,7 @@ class RenderedImage:
     depth_m: np.ndarray | None = None
     ids: np.ndarray | None = None
     covered_depth_m: np.ndarray | None = None
+    linear: bool = False
 
 
 @dataclass(frozen=True)
@@ -133,17 +136,17 @@ class Commands:
         request, outputs = read_request(message)
         size = (request.height, request.width)
         image = self.source.render(request, canceled) if request.hands else RenderedImage(np.zeros((*size, 4)), {})
-        rgba = image.rgba
+        rgba, shown = image.rgba, displayed(image.rgba) if image.linear else image.rgba
         makers = {
             "rgba_f32": lambda: _array(rgba, np.float32),
-            "rgba_u8": lambda: _array(np.rint(np.clip(rgba, 0.0, 1.0) * 255.0), np.uint8),
+            "rgba_u8": lambda: _array(np.rint(np.clip(shown, 0.0, 1.0) * 255.0), np.uint8),
             "depth": lambda: _array(_or_nothing(image.depth_m, size), np.float32),
             "depth_covered": lambda: _array(_or_nothing(image.covered_depth_m, size), np.float32),
             "ids": lambda: _array(_or_nothing(image.ids, size), np.uint8),
-            "png": lambda: Array.of(self.source.encode_png(np.asarray(rgba, np.float32))),
+            "png": lambda: Array.of(self.source.encode_png(np.asarray(shown, np.float32))),
         }
         reports = [image.report] if request.hands else []
-        return Reply({"reports": reports}, {name: makers[name]() for name in outputs})
+        return Reply({"reports": reports, "linear": image.linear}, {name: makers[name]() for name in outputs})
 
 
 def error_header(error: BaseException) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,10 +15,13 @@ import numpy as np
 from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.light_records import light_of, turn_of
+from jghand_engine.avatar.scene_light import SceneLight, World
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
+from jghand_engine.json_files import JsonObject
 from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
 from jghand_engine.render.blur import Moment
@@ -26,12 +30,14 @@ from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, never
-from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings
+from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedLight
 
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
 # avatars that are kept though no renderer shows them: those that were just loaded, before their first image
 IDLE_AVATARS_MAX = 4
+# lights that are kept: of some views and their last light
+LIGHTS_MAX = 16
 # sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
@@ -66,6 +72,7 @@ class _Key(NamedTuple):
     settings: ImageSettings
     depth: bool
     size_px: tuple[int, int] | None
+    lit: bool
 
 
 class HandImages:
@@ -78,6 +85,7 @@ class HandImages:
         self.doing = ""
         self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
+        self._lights: OrderedDict[str, SceneLight] = OrderedDict()
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
@@ -97,7 +105,8 @@ class HandImages:
         is the one of the renderer, in which trained hands have their light."""
         moments = [_moment(exposure, request) for exposure in request.exposures]
         weights = [exposure.weight for exposure in request.exposures]
-        renderer = self._renderer(request)
+        light = None if request.light is None else self._light(request.light)
+        renderer = self._renderer(request, light)
 
         def check() -> None:
             if canceled():
@@ -105,7 +114,8 @@ class HandImages:
 
         frame, covered_depth_m = renderer.render_moments(moments, weights, middle=request.middle, check_canceled=check)
         ids = renderer.bone_ids(moments[request.middle].camera) if request.ids else None
-        return RenderedImage(frame.rgba, frame.report.as_dict(), frame.depth_m, ids, covered_depth_m)
+        report = frame.report.as_dict()
+        return RenderedImage(frame.rgba, report, frame.depth_m, ids, covered_depth_m, frame.linear)
 
     def rest(self) -> None:
         """Gives back what the last images left in the renderers; avatars stay."""
@@ -129,11 +139,25 @@ class HandImages:
         finally:
             self.doing = ""
 
-    def _renderer(self, request: ImageRequest) -> SceneRenderer:
+    def _light(self, wanted: RequestedLight) -> SceneLight:
+        """The light of a request; the very same one as long as it is asked for in the same words, so that what was
+        drawn in it is known again."""
+        words = json.dumps(wanted.record, sort_keys=True)
+        if words not in self._lights:
+            record, world = JsonObject(wanted.record, _wrong), None
+            if wanted.radiance is not None:
+                world = World(wanted.radiance, turn_of(record.needed("world")))
+            while len(self._lights) >= LIGHTS_MAX:
+                self._lights.popitem(last=False)
+            self._lights[words] = light_of(record, world)
+        self._lights.move_to_end(words)
+        return self._lights[words]
+
+    def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
         wanted = replace(request.settings, **{name: getattr(ImageSettings, name) for name in _LIVE})
         size_px = _measured_size(request.width * request.height) if wanted.budget_ms is not None else None
         hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in request.hands)
-        key = _Key(hands, wanted, request.depth, size_px)
+        key = _Key(hands, wanted, request.depth, size_px, light is not None)
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
                 avatars = [self._avatar(*hand) for hand in hands]
@@ -141,12 +165,12 @@ class HandImages:
                 drawn = [_thinned(avatar, settings.gaussians, wanted.density) for avatar in avatars]
                 while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
-                self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
+                self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0), light)
                 self._drop_idle()
         self._renderers.move_to_end(key)
         renderer = self._renderers[key]
         chosen = {name: getattr(request.settings, name) for name in _LIVE}
-        renderer.settings = replace(renderer.settings, **chosen)
+        renderer.settings, renderer.light = replace(renderer.settings, **chosen), light
         return renderer
 
     def _avatar(self, version: _Version, handedness: str) -> HandAvatar:
@@ -179,6 +203,10 @@ class HandImages:
         idle = [version for version in self._avatars if version not in shown]
         for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]
+
+
+def _wrong(name: str, wanted: str, came: object) -> InputError:
+    return InputError(f"light: {name}", wanted=wanted, came=repr(came)[:80])
 
 
 def _settings(wanted: ImageSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:

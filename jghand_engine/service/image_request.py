@@ -29,6 +29,8 @@ BUDGET_MAX_MS = 60_000.0
 SETTING_TEXT_MAX = 200
 # meters of places in a request: beyond any scene, and far from where float64 overflows
 REQUEST_NUMBER_MAX = 1e9
+# pixels of a world's picture: suns are found in it, and more of it lights no skin
+WORLD_ROWS_MAX, WORLD_COLUMNS_MAX = 256, 512
 # focal length and principal point, px: a view a million times narrower than any lens is a mistake
 PINHOLE_MAX_PX = 1e9
 # by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale
@@ -139,6 +141,19 @@ class Exposure:
 
 
 @dataclass(frozen=True)
+class RequestedLight:
+    """The light of a scene, in the request's world.
+
+    record:   lamps, how the world lies, and a key of its picture, see `avatar.light_records`: what is the same in all
+              of them is the same light
+    radiance: (rows, columns, 3) float32, the world's picture; None for a black world
+    """
+
+    record: dict[str, Any]
+    radiance: np.ndarray | None
+
+
+@dataclass(frozen=True)
 class ImageRequest:
     """One image.
 
@@ -146,6 +161,7 @@ class ImageRequest:
     hands:         none for an empty image
     exposures:     at least one, in the order of time; the middle one is the image's moment
     depth, ids:    whether these maps are wanted
+    light:         of the scene, in which colors are scene-linear; None for the light of the captures
     """
 
     width: int
@@ -156,6 +172,7 @@ class ImageRequest:
     orthographic: bool = False
     depth: bool = False
     ids: bool = False
+    light: RequestedLight | None = None
 
     @property
     def middle(self) -> int:
@@ -185,6 +202,7 @@ def read_request(message: Message) -> tuple[ImageRequest, list[str]]:
         orthographic,
         depth="depth" in outputs or "depth_covered" in outputs,
         ids="ids" in outputs,
+        light=_light(message),
     )
     if orthographic and any(exposure.aperture_m > 0 for exposure in request.exposures):
         raise InputError("lenses", wanted="an aperture of 0 for an orthographic camera", came="an open lens")
@@ -291,6 +309,25 @@ def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
         wanted = f"finite numbers up to {REQUEST_NUMBER_MAX:g}"
         raise InputError(f"array {name}", wanted=wanted, came="NaN, infinity or a larger one")
     return values
+
+
+def _light(message: Message) -> RequestedLight | None:
+    """The object `light`: a list of lamps, and a world with the key of its picture, which is the array `world`."""
+    record = message.header.get("light")
+    if record is None:
+        return None
+    world = record.get("world") if isinstance(record, dict) else record
+    if world is not None and not isinstance(world, dict):
+        raise InputError("light", wanted="an object with lamps and world", came=repr(record)[:80])
+    if world is None:
+        return RequestedLight(record, None)
+    text_of(world, "key")
+    came = message.arrays.get("world")
+    shape = (0,) if came is None else came.shape
+    if len(shape) != 3 or shape[0] > WORLD_ROWS_MAX or shape[1] > WORLD_COLUMNS_MAX:
+        wanted = f"rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
+        raise InputError("array world", wanted=wanted, came="nothing" if came is None else str(shape))
+    return RequestedLight(record, _numbers(message, "world", (*shape[:2], 3)).astype(np.float32))
 
 
 def _whole(header: dict[str, Any], name: str, largest: int) -> int:

@@ -85,11 +85,6 @@ def enclosed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.sum(a * np.cross(b, c)) / 6)
 
 
-def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-
-
 def is_closed(faces: np.ndarray) -> bool:
     """Every directed edge occurs once, and its reverse too: a closed surface of consistent orientation."""
     edges = directed_edges(faces)

@@ -13,11 +13,13 @@ from blender_addon.core.view import (
     HandInSpace,
     Moment,
     Pinhole,
+    SceneLight,
     avatar_stamp,
     moments_request,
     picture_request,
     pinhole_from,
 )
+from jghand_engine.errors import InputError
 from jghand_engine.native import contract
 from jghand_engine.service.image_request import ImageSettings, read_request
 from jghand_engine.service.protocol import Message
@@ -63,6 +65,28 @@ def test_up_in_blender_is_up_in_the_light_of_captures():
     place = request.exposures[0].world_from_hand[0]
     np.testing.assert_allclose(place[:3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(place[:3, 3], (2, 4, -3))
+
+
+def test_a_light_arrives_with_its_lamps_and_its_world():
+    sun = {"kind": "sun", "rgb": [3.0, 2.0, 1.0], "place_m": [0.0, 0.0, 1.0]}
+    picture = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
+    light = SceneLight([sun], {"key": "sky", "env_from_world": np.eye(3).tolist()}, picture)
+    request, _ = understood(*picture_request(VIEW, HANDS, outputs=["rgba_f32"], light=light))
+    assert request.light is not None
+    assert request.light.record == light.record
+    np.testing.assert_array_equal(request.light.radiance, picture)
+    dark, _ = understood(*picture_request(VIEW, HANDS, outputs=["rgba_f32"], light=SceneLight()))
+    assert dark.light is not None
+    assert dark.light.radiance is None
+
+
+@pytest.mark.parametrize(
+    ("world", "picture"), [({}, np.ones((2, 4, 3))), ({"key": "a"}, None), ({"key": "a"}, np.ones((2, 2000, 3)))]
+)
+def test_a_world_without_key_or_picture_is_refused(world, picture):
+    light = SceneLight((), world, picture)
+    with pytest.raises(InputError):
+        understood(*picture_request(VIEW, HANDS, outputs=["rgba_f32"], light=light))
 
 
 def test_settings_lens_and_rays_arrive():

@@ -132,7 +132,7 @@ def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsule
     root = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
     lamps = torch_light.LampRows.of(light, bones.root_m, bones.linear_offset, root)
     flesh = torch_light.Flesh.of(hand.learned.cast, joints_m, wide.scale, others)
-    got = torch_light.reached(hand.learned.cast, torch_light.Skin(*anchors), flesh, light, lamps, response)
+    got = torch_light.reached(hand.learned.cast, torch_light.Skin(*anchors), skin, flesh, light, lamps, response)
     matt = torch_light.matt(hand.rgb.double(), skin, got, light, lamps, response, correction.shade.double())
     return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - shift_m), got, light, lamps, response)
 
@@ -174,6 +174,22 @@ def test_a_world_that_changes_is_seen_in_the_next_pose():
         poser.run_gloss()
     rows = np.argsort(poser.blocks.order)
     assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, light))
+
+
+@pytest.mark.parametrize("name", ["all", "sun", "nothing"])
+def test_a_new_light_leaves_the_pose_alone(name):
+    bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
+    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=LIGHTS["all"])
+    poser.run()
+    # whoever poses again would find no Gaussians
+    for values in poser._arrays.values():
+        values.fill(0)
+    assert poser.prepare_light(LIGHTS[name])
+    poser.run()
+    poser.prepare_gloss(EYE_M)
+    poser.run_gloss()
+    rows = np.argsort(poser.blocks.order)
+    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, LIGHTS[name]))
 
 
 # ---- light -----------------------------------------------------------------------------------------------------------

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.scene_light import World
+from jghand_engine.avatar.world_suns import averaged
 from jghand_engine.errors import InputError
-from jghand_engine.export.world_picture import averaged, read_world_picture
+from jghand_engine.export.world_picture import COLUMNS_MAX, ROWS_MAX, read_world_picture
 
 PICTURE = np.random.default_rng(0).lognormal(0, 2, (9, 20, 3)).astype(np.float32)
 
@@ -72,13 +73,13 @@ def test_exr_files_are_read(tmp_path):
 @pytest.mark.parametrize("shape", [(600, 1300), (256, 512), (257, 1024), (20, 3000)])
 def test_averaging_keeps_light_and_where_it_comes_from(shape):
     picture = np.random.default_rng(1).lognormal(0, 2, (*shape, 3)).astype(np.float32)
-    small = averaged(picture)
+    small = averaged(picture, ROWS_MAX, COLUMNS_MAX)
     assert small.shape == (min(shape[0], 256), min(shape[1], 512), 3)
     np.testing.assert_allclose(power(small), power(picture), rtol=1e-5)
     spot = np.zeros((*shape, 3), np.float32)
     spot[shape[0] // 5, shape[1] // 3] = 1
     means = []
-    for each in (spot, averaged(spot)):
+    for each in (spot, averaged(spot, ROWS_MAX, COLUMNS_MAX)):
         direction, light = World(each).samples
         mean = (direction * light).sum((0, 1))
         means.append(mean / np.linalg.norm(mean))

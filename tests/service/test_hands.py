@@ -26,7 +26,7 @@ from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service.commands import Canceled, error_header
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
-from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand
+from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand, RequestedLight
 
 PINHOLE = (200.0, 200.0, 60.0, 45.0)
 DRAFT = ImageSettings("draft")
@@ -401,3 +401,67 @@ def test_a_budget_chooses_settings(source, right, monkeypatch):
     assert report["gaussians"] == 20_000
     source.render(replace(request, width=512, height=334))
     assert asked_for[1:] == [(9.0, (512, 341))]
+
+
+# ---- light of a scene ------------------------------------------------------------------------------------------------
+
+
+SUN = {"kind": "sun", "rgb": [3, 2, 1], "place_m": [0, 0, 1]}
+
+
+def lit(*lamps: dict, world: str = "", radiance: np.ndarray | None = None) -> RequestedLight:
+    record = {"lamps": list(lamps), "world": {"key": world} if world else None}
+    return RequestedLight(record, radiance)
+
+
+def trained_hand(tmp_path) -> Hand:
+    path = tmp_path / "trained.jghand"
+    if not path.exists():
+        save_avatar(path, trained_avatar(601))
+    return Hand(load_painted(handedness=Handedness.RIGHT).canonical_joints_m, str(path))
+
+
+def test_a_lamp_lights_the_hand_in_linear_colors(source, tmp_path):
+    hand = trained_hand(tmp_path)
+    dark = source.render(asked([hand], light=lit()))
+    once = source.render(asked([hand], light=lit(SUN)))
+    twice = source.render(asked([hand], light=lit(SUN | {"rgb": [6, 4, 2]})))
+    assert dark.linear
+    assert once.linear
+    assert dark.rgba[..., :3].max() == 0
+    assert dark.rgba[..., 3].max() > 0.9
+    assert once.rgba[..., :3].max() > 0.01
+    assert np.allclose(twice.rgba[..., :3], 2 * once.rgba[..., :3], rtol=1e-5, atol=1e-7)
+    assert not source.render(asked([hand])).linear
+
+
+def test_a_world_is_known_again_by_its_key(source, tmp_path):
+    hand, sky = trained_hand(tmp_path), np.full((4, 8, 3), 0.5, np.float32)
+    first = source.render(asked([hand], light=lit(world="sky", radiance=sky)))
+    same = source.render(asked([hand], light=lit(world="sky", radiance=3 * sky)))
+    other = source.render(asked([hand], light=lit(world="noon", radiance=2 * sky)))
+    assert np.array_equal(first.rgba, same.rgba)
+    assert np.allclose(other.rgba[..., :3], 2 * first.rgba[..., :3], rtol=1e-5, atol=1e-7)
+
+
+def test_the_same_light_again_draws_nothing(source, tmp_path):
+    hand = trained_hand(tmp_path)
+    source.render(asked([hand], light=lit(SUN)))
+    stages = source.render(asked([hand], light=lit(SUN))).report["stages"]
+    assert {"skin", "gloss", "raster"}.isdisjoint(stage["name"] for stage in stages if stage["ran"])
+
+
+@pytest.mark.parametrize(
+    ("lamp", "name"),
+    [
+        (SUN | {"kind": "torch"}, "kind"),
+        (SUN | {"rgb": [-1, 0, 0]}, "light"),
+        (SUN | {"rgb": [1, 2]}, "rgb"),
+        (SUN | {"place_m": [0, 0, float("nan")]}, "place_m"),
+        (SUN | {"watts": 3}, "watts"),
+        ("sun", "lamp 1"),
+    ],
+)
+def test_a_lamp_that_is_none_is_refused_by_name(source, tmp_path, lamp, name):
+    with pytest.raises(InputError, match=name):
+        source.render(asked([trained_hand(tmp_path)], light=lit(lamp)))

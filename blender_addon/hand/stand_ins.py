@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stand-ins: the meshes that throw the shadows of hands on the scene, in Cycles and EEVEE.
+
+A hand is a picture of the engine's; what Blender's render engines trace is a mesh in its place that no camera sees: a
+child of the hand, with an Armature modifier, in the collections of the hand. It is made from what the hand is and
+can be made again at any time, so one function brings all of them up to date: `update`. Who adds a hand calls it; in a
+window the timer does after whatever else can change one (duplicating, appending, undo, renaming, editing bones);
+without a window it is done when a file was opened and when a render begins.
+
+Views show it in Material Preview and Rendered alone, where it does not show: elsewhere it is disabled, so that nothing
+snaps to it, picks it, counts or exports it. Where one view needs it, it has no opacity in Solid, and cannot be picked.
+Source: BLENDER 8.4.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from .. import clock
+from ..core.joints import NAMES
+from ..core.stand_in import surface_at
+from ..errors import JGHandFailure
+from ..render import ENGINE, composite
+from . import armature, sources
+
+# custom properties: of a stand-in, which hand of its parent's it is; of its mesh, what that was made from; of a scene
+# that is rendered without stand-ins
+MARK, MADE_FROM, WITHOUT = "jghand_stand_in", "jghand_made_from", "jghand_without_stand_ins"
+MATERIAL = "JGHand Stand-In"
+# skin as the scene's light sees it: the mean albedo that a hand of unknown light is given, linear Rec.709
+SKIN_RGBA = (0.50, 0.33, 0.25, 1.0)
+# of a surface that mirrors like skin
+_ROUGHNESS, _SPECULAR = 0.5, 0.25
+# no color in Solid shading; only its color type *Single* shows it
+_INVISIBLE = (1.0, 1.0, 1.0, 0.0)
+# smallest weight that moves a vertex by more than a hundredth of a millimeter
+_WEIGHT_MIN = 1e-4
+# seconds without a change after which stand-ins are looked at: nothing while somebody drags
+_REST_S = 0.3
+# shadings in which something is traced
+_TRACED = {"MATERIAL", "RENDERED"}
+
+# when something was changed last that can concern a hand, on the clock of time.monotonic(); None: nothing since
+_changed_s: float | None = None
+
+
+def update() -> None:
+    """Gives each hand of the file the stand-in that it should have as it is now, and takes away what no hand has."""
+    global _changed_s
+    _changed_s = None
+    left = {}
+    for thing in [thing for thing in bpy.data.objects if MARK in thing]:
+        key = (thing.parent, thing[MARK])
+        if key in left and _is_own(thing):
+            _remove(thing)
+        else:
+            left[key] = thing
+    for hand in [thing for thing in bpy.data.objects if armature.is_any_hand(thing)]:
+        for side, joints, bones in _shapes(hand):
+            _renew(hand, side, left.pop((hand, side), None), joints, bones)
+    for thing in left.values():
+        if _is_own(thing):
+            _remove(thing)
+
+
+def of(hand: bpy.types.Object) -> list[bpy.types.Object]:
+    """The stand-ins of a hand: of a rig with two hands, two."""
+    return [thing for thing in bpy.data.objects if MARK in thing and thing.parent == hand]
+
+
+def notice(depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed in Blender: where that can concern a hand, `tend` brings its stand-in up to date."""
+    for update in depsgraph.updates:
+        thing = update.id
+        if isinstance(thing, bpy.types.Scene | bpy.types.Collection | bpy.types.Armature) or (
+            isinstance(thing, bpy.types.Object) and (MARK in thing or armature.is_any_hand(thing))
+        ):
+            expect()
+            return
+
+
+def expect() -> None:
+    """Has `tend` look at everything, once nothing changes any more."""
+    global _changed_s
+    _changed_s = time.monotonic()
+    clock.hasten(_REST_S)
+
+
+def tend() -> None:
+    """For the timer: brings up to date what was changed, and shows stand-ins to those views alone that trace them."""
+    if _changed_s is not None and time.monotonic() - _changed_s >= _REST_S:
+        update()
+    show(any(space.shading.type in _TRACED for space in _views()))
+
+
+def show(traced: bool) -> None:
+    """Shows stand-ins to views that trace, those of hands that are seen; or to none."""
+    seen = bpy.context.view_layer
+    for thing in bpy.data.objects:
+        if MARK in thing:
+            hand = thing.parent
+            hidden = not traced or hand is None or hand.hide_viewport or hand.hide_get(view_layer=seen)
+            if thing.hide_viewport != hidden:
+                thing.hide_viewport = hidden
+
+
+def _views() -> Iterator[bpy.types.SpaceView3D]:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                yield area.spaces.active
+
+
+def _shapes(hand: bpy.types.Object) -> Iterator[tuple[str, np.ndarray, list[str]]]:
+    """The hands of an armature that throw shadows: their side, (21, 3) joints at rest in the armature's space and unit,
+    and the bone that moves what hangs on each joint."""
+    if not hand.jghand.cast_shadow or hand.type != "ARMATURE" or hand.mode == "EDIT" or not _homes(hand):
+        return
+    try:
+        if armature.is_hand(hand):
+            yield armature.handedness_of(hand), armature.rest_matrices_of(hand)[:, :3, 3], list(NAMES)
+            return
+        for bone_map in sources.stored_maps(hand):
+            found = sources.whole_sources(bone_map, hand.data.bones)
+            bones = [hand.data.bones[source.bone] for source in found]
+            ends = [
+                bone.head_local if source.end == "head" else bone.tail_local
+                for bone, source in zip(bones, found, strict=True)
+            ]
+            yield bone_map.handedness, np.array(ends, np.float64), [bone.name for bone in bones]
+    except JGHandFailure:
+        return  # a hand that cannot be read is not drawn either, and the panel says why
+
+
+def _homes(hand: bpy.types.Object) -> list[bpy.types.Collection]:
+    """Where a hand's stand-in belongs: the collections of the hand in this file."""
+    apart = {scene.collection for scene in bpy.data.scenes if composite.is_hands_scene(scene)}
+    return [home for home in hand.users_collection if home.library is None and home not in apart]
+
+
+def _renew(
+    hand: bpy.types.Object, side: str, thing: bpy.types.Object | None, joints: np.ndarray, bones: list[str]
+) -> None:
+    """Makes a stand-in, or brings one up to date that is there."""
+    if thing is not None and not _is_own(thing):
+        return
+    try:
+        mesh = _mesh(joints, side, bones)
+    except JGHandFailure:  # joints that no hand has at rest
+        if thing is not None:
+            _remove(thing)
+        return
+    thing = thing or _new(hand, side, mesh)
+    before, thing.data = thing.data, mesh
+    _drop(before)
+    name = f"{hand.name} Shadow"
+    if not thing.name.startswith(name):
+        thing.name = name
+    homes, there = _homes(hand), thing.users_collection
+    for home in homes:
+        if home not in there:
+            home.objects.link(thing)
+    for home in there:
+        if home not in homes:
+            home.objects.unlink(thing)
+
+
+def _is_own(thing: bpy.types.Object) -> bool:
+    """Whether a stand-in is of the opened file; one that came from another with its hand stays as it is there."""
+    return thing.library is None and thing.override_library is None
+
+
+def _new(hand: bpy.types.Object, side: str, mesh: bpy.types.Mesh) -> bpy.types.Object:
+    thing = bpy.data.objects.new(f"{hand.name} Shadow", mesh)
+    thing[MARK] = side
+    thing.parent = hand
+    modifier = thing.modifiers.new("Armature", "ARMATURE")
+    modifier.object = hand
+    thing.visible_camera = False
+    thing.hide_select = thing.hide_viewport = True
+    thing.color = _INVISIBLE
+    if hasattr(thing, "hide_surface_pick"):  # from 5.0
+        thing.hide_surface_pick = True
+    _add_driver(thing, hand)
+    return thing
+
+
+def _add_driver(thing: bpy.types.Object, hand: bpy.types.Object) -> None:
+    """A hand that is not rendered, be it animated so, throws no shadow; nor does any where a scene says `WITHOUT`."""
+    driver = thing.driver_add("hide_render").driver
+    driver.type = "MAX"
+    target = driver.variables.new().targets[0]
+    target.id, target.data_path = hand, "hide_render"
+    without = driver.variables.new()
+    without.type = "CONTEXT_PROP"
+    target = without.targets[0]
+    target.context_property, target.data_path = "ACTIVE_SCENE", f'["{WITHOUT}"]'
+    target.use_fallback_value, target.fallback_value = True, 0.0
+
+
+def _mesh(joints: np.ndarray, side: str, bones: list[str]) -> bpy.types.Mesh:
+    """The surface for these joints, with a group for each bone; who has the same shares it. JGHandFailure:
+    bad_joints."""
+    digest = hashlib.sha256(np.round(joints, 7).tobytes() + "\n".join((side, *bones)).encode()).hexdigest()
+    known = next((mesh for mesh in bpy.data.meshes if mesh.get(MADE_FROM) == digest and mesh.library is None), None)
+    if known is not None:
+        return known
+    surface = surface_at(joints, side)
+    mesh = bpy.data.meshes.new(MATERIAL)
+    mesh[MADE_FROM] = digest
+    mesh.from_pydata(surface.vertices, [], surface.faces)
+    mesh.shade_smooth()
+    mesh.materials.append(_material())
+    carrier = bpy.data.objects.new(MATERIAL, mesh)  # groups are a mesh's, and only objects make them
+    for place, bone in enumerate(bones):
+        group = carrier.vertex_groups.get(bone) or carrier.vertex_groups.new(name=bone)
+        weights = surface.weights[:, place]
+        for vertex in np.flatnonzero(weights > _WEIGHT_MIN).tolist():
+            group.add([vertex], float(weights[vertex]), "ADD")
+    bpy.data.objects.remove(carrier)
+    return mesh
+
+
+def _material() -> bpy.types.Material:
+    """Plain skin; the artist may change it."""
+    known = bpy.data.materials.get(MATERIAL)
+    if known is not None and known.library is None:
+        return known
+    material = bpy.data.materials.new(MATERIAL)
+    material.diffuse_color = _INVISIBLE
+    if material.node_tree is None:  # until 4.5
+        material.use_nodes = True
+    tree: bpy.types.NodeTree = material.node_tree
+    skin: Any = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    skin.inputs["Base Color"].default_value = SKIN_RGBA
+    skin.inputs["Roughness"].default_value, skin.inputs["Specular IOR Level"].default_value = _ROUGHNESS, _SPECULAR
+    return material
+
+
+def _remove(thing: bpy.types.Object) -> None:
+    mesh = thing.data
+    bpy.data.objects.remove(thing)
+    _drop(mesh)
+
+
+def _drop(mesh: bpy.types.Mesh) -> None:
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+
+
+@persistent
+def on_load(*_: Any) -> None:
+    """A file was opened: hands of older ones have no stand-in."""
+    update()
+    show(traced=False)
+
+
+@persistent
+def on_render(scene: bpy.types.Scene, *_: Any) -> None:
+    """A render begins where no timer runs: a script may have added hands."""
+    if bpy.app.background and scene.render.engine != ENGINE and WITHOUT not in scene:
+        update()
+
+
+_HANDLERS = (("load_post", on_load), ("render_init", on_render))
+
+
+def register() -> None:
+    """Follows what is opened and rendered."""
+    for name, function in _HANDLERS:
+        getattr(bpy.app.handlers, name).append(function)
+
+
+def unregister() -> None:
+    """Ceases to. Stand-ins stay: they work without the extension."""
+    for name, function in _HANDLERS:
+        getattr(bpy.app.handlers, name).remove(function)

@@ -1,0 +1,255 @@
+"""The stand-ins of hands throw their shadows, and nobody sees anything else of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import hands
+import numpy as np
+import pytest
+
+from blender_addon.core import poses, posing
+from blender_addon.hand import armature, sources, stand_ins
+from blender_addon.render import composite, preview
+
+EXACT_M = 1e-6
+
+
+def add_hand(side: str = "right") -> bpy.types.Object:
+    bpy.ops.jghand.add_hand(handedness=side)
+    return bpy.context.object
+
+
+def only(hand: bpy.types.Object) -> bpy.types.Object:
+    (thing,) = stand_ins.of(hand)
+    return thing
+
+
+def surface_of(thing: bpy.types.Object) -> np.ndarray:
+    """(V, 3) evaluated, in the world."""
+    thing.hide_viewport = False
+    bpy.context.view_layer.update()
+    evaluated = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    vertices = np.empty((len(evaluated.data.vertices), 3), np.float32)
+    evaluated.data.vertices.foreach_get("co", vertices.ravel())
+    world = np.array(evaluated.matrix_world)
+    return vertices @ world[:3, :3].T + world[:3, 3]
+
+
+def engine_surface(hand: bpy.types.Object) -> np.ndarray:
+    """(V, 3) the engine's template posed by the joints of a hand, in the world."""
+    skeleton = pytest.importorskip("jghand_engine.hand.skeleton")
+    from jghand_engine.hand.orders import JointOrder, to_level
+    from jghand_engine.template.builtin import load_template
+    from jghand_engine.template.mesh import posed_vertices
+
+    seen = armature.read_hand(hand, bpy.context.evaluated_depsgraph_get())
+    template = load_template()
+    bones = skeleton.Skeleton(template.joints_m, handedness=seen.handedness)
+    return posed_vertices(template, bones, to_level(seen.joints_world_m, JointOrder.STANDARD))
+
+
+@pytest.fixture
+def floor(extension) -> bpy.types.Scene:
+    """A hand above a plane in the sun, seen from above, and a film that the plane does not fill. Cycles."""
+    hand = add_hand()
+    hand.location, hand.rotation_euler = (0, -0.1, 0.1), (0, 0, 0)
+    bpy.ops.mesh.primitive_plane_add(size=0.5)
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    eye.location = (0, 0, 1)
+    scene = bpy.context.scene
+    for thing in (sun, eye):
+        scene.collection.objects.link(thing)
+    scene.camera, scene.render.engine = eye, "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 4, False
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    scene.render.resolution_percentage, scene.render.film_transparent = 100, True
+    scene.view_settings.view_transform = "Standard"
+    return scene
+
+
+def f12(folder: Path) -> np.ndarray:
+    """(H, W, 4) as it is written."""
+    scene = bpy.context.scene
+    scene.render.filepath = str(folder / "image.png")
+    scene.render.image_settings.color_mode = "RGBA"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    pixels = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)
+    bpy.data.images.remove(image)
+    return pixels
+
+
+def dark(picture: np.ndarray, beside: np.ndarray) -> int:
+    """Pixels that are much darker than beside."""
+    return int(((beside - picture)[..., :3].mean(-1) > 0.2).sum())
+
+
+def test_the_floor_shows_the_shadow_and_the_film_no_hand(floor, tmp_path):
+    hand = bpy.data.objects["Right Hand"]
+    with_shadow = f12(tmp_path)
+    hand.jghand.cast_shadow = False
+    assert not stand_ins.of(hand)
+    bare = f12(tmp_path)
+    np.testing.assert_array_equal(with_shadow[..., 3], bare[..., 3])
+    assert 0 < bare[..., 3].mean() < 1
+    assert dark(with_shadow, bare) > 20
+
+
+def test_a_hand_that_is_not_rendered_throws_no_shadow_also_where_that_is_animated(floor, tmp_path):
+    hand = bpy.data.objects["Right Hand"]
+    for frame, hidden in ((1, True), (2, False)):
+        hand.hide_render = hidden
+        hand.keyframe_insert("hide_render", frame=frame)
+    floor.frame_set(1)
+    none = f12(tmp_path)
+    floor.frame_set(2)
+    assert dark(f12(tmp_path), none) > 20
+
+
+def test_a_preview_movie_shows_no_stand_in(floor, tmp_path):
+    """Workbench draws whatever is not hidden, in the color type Single."""
+    shown = f12(tmp_path)
+    floor[stand_ins.WITHOUT] = True
+    assert dark(shown, f12(tmp_path)) > 20
+    del floor[stand_ins.WITHOUT]
+    movie = preview._begin(bpy.context)
+    assert preview._scene(movie.scene_uid).get(stand_ins.WITHOUT)
+    preview._remove(movie)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_its_surface_is_the_engines_in_every_pose(extension, side):
+    """Worst seen: 0.05 mm, what small weights leave out."""
+    hand = add_hand(side)
+    for pose in [each.name for each in poses.all_poses(side)][::6]:
+        bpy.ops.jghand.apply_pose(pose=pose)
+        np.testing.assert_allclose(surface_of(only(hand)), engine_surface(hand), atol=1e-4)
+
+
+def test_it_has_the_size_of_the_hand_that_a_motion_brought(extension):
+    joints_m = 1.3 * posing.rest_joints_m("right")
+    hand = hands.keyed_hand(extension, "right", joints_m[None])
+    stand_ins.update()
+    np.testing.assert_allclose(surface_of(only(hand)), engine_surface(hand), atol=1e-4)
+
+
+def test_a_rig_of_somebody_else_has_one_for_each_of_its_hands(extension):
+    rig, joints = hands.mixamo_rig(extension)
+    bpy.ops.jghand.use_armature()
+    stand_ins.update()
+    assert sorted(thing[stand_ins.MARK] for thing in stand_ins.of(rig)) == ["left", "right"]
+    for thing in stand_ins.of(rig):
+        wrist = joints[thing[stand_ins.MARK]][0]
+        assert np.linalg.norm(surface_of(thing) - wrist, axis=-1).min() < 0.03
+    sources.forget_map(rig, "left")
+    stand_ins.update()
+    assert only(rig)[stand_ins.MARK] == "right"
+
+
+def test_it_goes_with_its_hand(extension):
+    """Renamed, duplicated, moved to another collection, edited and deleted."""
+    hand = add_hand()
+    first = only(hand)
+    hand.name = "Waving"
+    other = bpy.data.collections.new("other")
+    bpy.context.scene.collection.children.link(other)
+    other.objects.link(hand)
+    bpy.context.scene.collection.objects.unlink(hand)
+    bpy.ops.object.duplicate()
+    twin = bpy.context.object
+    assert twin != hand
+    stand_ins.update()
+    assert only(hand) == first
+    assert first.name == "Waving Shadow"
+    assert list(first.users_collection) == [other]
+    assert only(twin).data == first.data
+    with armature.edit_mode(extension, twin):
+        twin.data.edit_bones["index4"].tail.z += 0.001
+        twin.data.edit_bones["index4"].head.z += 0.01
+    stand_ins.update()
+    np.testing.assert_allclose(surface_of(only(twin)), engine_surface(twin), atol=3e-4)
+    for thing in (hand, twin):
+        bpy.data.objects.remove(thing)
+    stand_ins.update()
+    assert not [thing for thing in bpy.data.objects if stand_ins.MARK in thing]
+    assert not [mesh for mesh in bpy.data.meshes if stand_ins.MADE_FROM in mesh]
+
+
+def test_files_without_stand_ins_get_them_and_linked_hands_too(extension, tmp_path):
+    armature.build_armature(extension, "Old", posing.rest_joints_m("right"), "right")
+    path = str(tmp_path / "old.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    assert not stand_ins.of(bpy.data.objects["Old"])
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert only(bpy.data.objects["Old"]).hide_viewport
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.objects = ["Old"]
+    linked = bpy.data.objects["Old"]
+    bpy.context.scene.collection.objects.link(linked)
+    stand_ins.update()
+    assert only(linked).library is None
+
+
+def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_path):
+    hand = add_hand()
+    asset = bpy.data.collections.new("asset")
+    for thing in (hand, only(hand)):
+        asset.objects.link(thing)
+        bpy.context.scene.collection.objects.unlink(thing)
+    path = str(tmp_path / "asset.blend")
+    bpy.data.libraries.write(path, {asset})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.collections = ["asset"]
+    bpy.context.scene.collection.children.link(bpy.data.collections["asset"])
+    stand_ins.update()
+    bpy.context.view_layer.update()
+    assert only(bpy.data.objects["Right Hand"]).library is not None
+    made = bpy.context.view_layer.objects["Right Hand"].override_hierarchy_create(
+        bpy.context.scene, bpy.context.view_layer
+    )
+    stand_ins.update()
+    assert made.library is None
+    assert len([thing for thing in bpy.data.objects if stand_ins.MARK in thing and thing.parent == made]) == 1
+
+
+def test_undo_takes_both_away(extension):
+    bpy.ops.ed.undo_push(message="before")
+    add_hand()
+    bpy.ops.ed.undo_push(message="added")
+    bpy.ops.ed.undo()
+    assert not [thing for thing in bpy.data.objects if stand_ins.MARK in thing or armature.is_hand(thing)]
+
+
+def test_views_show_it_only_where_they_trace(extension):
+    hand = add_hand()
+    thing = only(hand)
+    assert thing.hide_viewport
+    stand_ins.show(traced=True)
+    assert not thing.hide_viewport
+    hand.hide_set(True)
+    stand_ins.show(traced=True)
+    assert thing.hide_viewport
+    assert thing.hide_select
+    assert not thing.visible_camera
+
+
+def test_the_scene_of_the_hands_has_none(floor):
+    bpy.ops.jghand.combine_with_scene()
+    stand_ins.update()
+    assert composite.out_of_date(floor) == []
+
+
+def test_blenders_usd_export_leaves_it_out(extension, tmp_path):
+    if not bpy.app.build_options.usd:
+        pytest.skip("this Blender has no USD")
+    add_hand()
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "scene.usda"))
+    written = (tmp_path / "scene.usda").read_text()
+    assert "Right_Hand" in written
+    assert "Shadow" not in written
+    assert "Stand_In" not in written
