@@ -1,6 +1,6 @@
 """The light of a scene as JSON: what Blender sends with every image, and what a light file holds.
 
-    light = light_of(JsonObject(record, wrong), radiance)
+    light = light_of(lamps_of(JsonObject(record, wrong)), world)
 
 A lamp is an object with the fields of `Lamp`, `kind` by its name; one that is left out has its default. A world is its
 picture with `env_from_world`; suns are taken out of it here.
@@ -15,7 +15,7 @@ import numpy as np
 
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.avatar.world_suns import averaged, take_suns
-from jghand_engine.json_files import JsonObject, is_number
+from jghand_engine.json_files import JsonObject
 from jghand_engine.native.scene_light_task import LampKind
 
 # lamps of a scene; the brightest of them light the hand
@@ -28,17 +28,21 @@ _KINDS = {kind.name.lower(): kind for kind in LampKind}
 _VECTORS = {"rgb": 3, "place_m": 3, "axis": 3, "side": 3, "size_m": 2}
 
 
-def light_of(record: JsonObject, world: World | None) -> SceneLight:
-    """The lamps of a record, and the suns of a world with what is left of it. InputError names what is wrong."""
+def light_of(lamps: tuple[Lamp, ...], world: World | None) -> SceneLight:
+    """Lamps, and the suns of a world with what is left of it, small."""
+    if world is None:
+        return SceneLight(None, lamps)
+    left, suns = take_suns(world)
+    small = World(averaged(left.radiance, ROWS_MAX, COLUMNS_MAX), left.env_from_world)
+    return SceneLight(small, (*lamps, *suns))
+
+
+def lamps_of(record: JsonObject) -> tuple[Lamp, ...]:
+    """The lamps of a light. InputError names what is wrong."""
     lamps = record.fields.get("lamps", [])
     if not isinstance(lamps, list) or len(lamps) > LAMPS_MAX:
         raise record.wrong("lamps", f"a list of at most {LAMPS_MAX}")
-    read = tuple(lamp_of(record.inner(lamp, f"lamp {number}")) for number, lamp in enumerate(lamps, 1))
-    if world is None:
-        return SceneLight(None, read)
-    left, suns = take_suns(world)
-    small = World(averaged(left.radiance, ROWS_MAX, COLUMNS_MAX), left.env_from_world)
-    return SceneLight(small, (*read, *suns))
+    return tuple(lamp_of(record.inner(lamp, f"lamp {number}")) for number, lamp in enumerate(lamps, 1))
 
 
 def lamp_of(record: JsonObject) -> Lamp:
@@ -73,13 +77,3 @@ def record_of(lamp: Lamp) -> dict[str, Any]:
 def turn_of(record: JsonObject) -> np.ndarray:
     """env_from_world (3, 3) of a world's record; no turn where it is left out."""
     return np.eye(3) if record.fields.get("env_from_world") is None else record.array("env_from_world", (3, 3))
-
-
-def even_world(record: JsonObject) -> World | None:
-    """The world of a record that has one color, `rgb`; None for another."""
-    rgb = record.fields.get("rgb")
-    if rgb is None:
-        return None
-    if not isinstance(rgb, list) or len(rgb) != 3 or not all(is_number(value, 0, NUMBER_MAX) for value in rgb):
-        raise record.wrong("rgb", "three numbers of 0 and up")
-    return World(np.broadcast_to(np.array(rgb, np.float32), (2, 4, 3)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, get_args
 
 import tyro
 
@@ -15,7 +15,7 @@ DESCRIPTION = """Measure where the milliseconds of a frame go on this machine, f
 
 Examples:
   jghand bench
-  jghand bench --size 1024x1024 --presets viewport final --threads 2 --json bench.json"""
+  jghand bench --size 1024x1024 --threads 2 --json bench.json"""
 
 WARM_UP = 10
 
@@ -24,8 +24,6 @@ WARM_UP = 10
 class Bench:
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
     """Pixels."""
-    presets: tuple[PresetName, ...] = ("draft", "viewport", "final", "reference")
-    """Which presets of accuracy against time."""
     rounds: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 100
     """Pictures per preset; they take turns, and ten before them are not counted."""
     threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
@@ -41,8 +39,6 @@ class Bench:
 
         if self.rounds < 1:
             raise InputError("--rounds", wanted="1 or more", came=str(self.rounds))
-        if not self.presets:
-            raise InputError("--presets", wanted="at least one of draft, viewport, final, reference", came="none")
         width, height = pixels(self.size)
         avatar = load_avatar_called(self.avatar.avatar)
         facts = machine(self.threads)
@@ -50,7 +46,7 @@ class Bench:
         cases = [
             # a frame that only repeats the last one would say nothing
             frame_case(subject, replace(preset(name), threads=self.threads, reuse=False), f"preset {name}")
-            for name in self.presets
+            for name in get_args(PresetName)
         ]
         with progress("Measuring", WARM_UP + self.rounds) as bar:
             measured = measure(cases, rounds=self.rounds, warm_up=WARM_UP, tick=lambda: bar.advance(bar.task_ids[0]))

@@ -38,6 +38,7 @@ Examples:
   jghand render --motion capture.npy --order mediapipe --hand right --fps 30 --out pictures
   jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures
   jghand render --poses open,fist --budget-ms 16 --out pictures
+  jghand render --poses open,fist --light studio.hdr --out pictures
   jghand render --motion wave.npz --out truth --passes depth,normal,ids,alpha,joints
   jghand render --motion wave.npz --out pictures --frames 0-2399 --shard 3/8 --skip-existing"""
 
@@ -52,6 +53,9 @@ class Render:
     """Where frame_00000.png and so on, and camera.json, are written."""
     video: File = None
     """Also write an MP4 video to this file, which ends in .mp4."""
+    light: File = None
+    """Show the hand in this light, not in that of its capture: lamps and a world as JSON, as Blender writes them, or
+    the panorama of a world (.hdr, .exr, .npy); docs/LIGHT.md. Pictures show it through sRGB's curve."""
     budget_ms: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Instead of a preset: the best settings that draw a picture in so many milliseconds on this machine."""
     passes: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
@@ -81,6 +85,7 @@ class Render:
         from jghand_engine.cli.timings import Receipts, Timings
         from jghand_engine.export.camera_file import camera_to_dict
         from jghand_engine.export.frame_folder import refuse_other_frames, settle_folder
+        from jghand_engine.export.light_file import read_light
         from jghand_engine.export.pass_writer import refuse_older_truth
         from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
@@ -95,6 +100,7 @@ class Render:
             check_video_name("--video", self.video)
             refuse_foreign_video("--video", self.video)
             ffmpeg_program()
+        light = None if self.light is None else read_light(self.light)
         avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)
         avatar = avatar.for_hand(motion.sequence.handedness)
@@ -108,7 +114,7 @@ class Render:
         settings = replace(settings, depth=False, repeatable=True)
         if effects is not None:
             settings = replace(settings, effects=effects)
-        renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))
+        renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings), light)
         joints_m = motion.sequence.joints_m
         files = FrameFiles(self.out, background, first=motion.frames.start, step=motion.frames.step)
         writer = FrameWriter(
@@ -175,6 +181,7 @@ class Render:
 
         from jghand_engine.avatar.builtin import avatar_sha256
         from jghand_engine.cli.frame_files import file_digest, made_from
+        from jghand_engine.export.light_file import files_of
 
         picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
         # how fast, and what is told
@@ -183,6 +190,8 @@ class Render:
         # of a file what it holds, not what it is called
         camera = self.picture.camera if file is None else file_digest(file)
         look = {**picture, **effect, "passes": self.passes, "camera": camera}
+        if self.light is not None:
+            look["light"] = [file_digest(each) for each in files_of(self.light)]
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
         avatar = avatar_sha256(self.avatar.avatar)
         return made_from(avatar, self.motion, motion, settings, look, whole=whole)

@@ -1,4 +1,4 @@
-"""Skin in the light of a scene, differentiable: the specification of native/scene_light.cpp (METHOD 6).
+"""Skin in the light of a scene, differentiable: the specification of native/scene_light.cpp (docs/LIGHT.md).
 
 Per Gaussian, with albedo rho, normal n, the world's irradiance E(n), lamps i with direction l, irradiance e and seen
 part V, what the anchors say of the world (its part that is seen, what hidden skin throws back), and the pose's shade:

@@ -1,4 +1,4 @@
-// Trained skin in the light of a scene (METHOD 6): a world all around and lamps in it, scene-linear.
+// Trained skin in the light of a scene (docs/LIGHT.md): a world all around and lamps in it, scene-linear.
 // learn/scene_light.py is the specification.
 #pragma once
 #include "learned.h"

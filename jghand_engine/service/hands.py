@@ -15,7 +15,7 @@ import numpy as np
 from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.light_records import light_of, turn_of
+from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
 from jghand_engine.avatar.scene_light import SceneLight, World
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
@@ -149,7 +149,7 @@ class HandImages:
                 world = World(wanted.radiance, turn_of(record.needed("world")))
             while len(self._lights) >= LIGHTS_MAX:
                 self._lights.popitem(last=False)
-            self._lights[words] = light_of(record, world)
+            self._lights[words] = light_of(lamps_of(record), world)
         self._lights.move_to_end(words)
         return self._lights[words]
 

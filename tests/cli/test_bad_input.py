@@ -235,9 +235,20 @@ def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, command, 
 
 
 def test_a_benchmark_of_nothing_is_refused(command):
-    code, err = command("bench", "--presets")
+    code, err = command("bench", "--rounds", "0")
     assert code == 2
-    assert "--presets" in err
+    assert "--rounds" in err
+
+
+def test_a_light_that_is_none_is_refused_before_anything_is_written(tmp_path, command):
+    light = tmp_path / "light.json"
+    light.write_text('{"format": "jghand-light", "version": 1, "lamps": [{"kind": "torch"}]}')
+    out = tmp_path / "out"
+    for name, words in (("kind", light), ("ending", tmp_path / "sky"), ("cannot read", tmp_path / "sky.hdr")):
+        code, err = command("render", "--poses", "open", "--light", words, "--out", out, *SMALL)
+        assert code == 2
+        assert name in err
+    assert not out.exists()
 
 
 def test_pictures_of_a_longer_render_are_neither_mixed_in_nor_removed(tmp_path, command):

@@ -1,0 +1,66 @@
+"""The light of a scene from a file."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from jghand_engine.avatar.light_records import record_of
+from jghand_engine.avatar.scene_light import Lamp
+from jghand_engine.errors import InputError
+from jghand_engine.export.light_file import files_of, read_light
+from jghand_engine.native.scene_light_task import LampKind
+
+LAMPS = (
+    Lamp(LampKind.SUN, (3, 2, 1), (0.2, 0.5, 1), angle_rad=0.1),
+    Lamp(LampKind.SPOT, (1, 1, 1), (0, 1, 0), (0, -1, 0), radius_m=0.1, is_soft=False, cone_rad=1, blend=0.5),
+    Lamp(LampKind.AREA, (1, 1, 1), (0, 1, 0), size_m=(0.2, 0.1), is_ellipse=True, spread_rad=2, on_gloss=False),
+)
+
+
+def written(tmp_path, **content):
+    path = tmp_path / "light.json"
+    path.write_text(json.dumps({"format": "jghand-light", "version": 1, **content}))
+    return path
+
+
+def test_lamps_come_back_as_they_were_written(tmp_path):
+    light = read_light(written(tmp_path, lamps=[record_of(lamp) for lamp in LAMPS]))
+    assert light.lamps == LAMPS
+    assert light.world is None
+
+
+def test_the_sky_of_a_panorama_lights_what_looks_up(tmp_path):
+    sky = np.zeros((16, 32, 3), np.float32)
+    sky[:8] = (1, 2, 3)
+    np.save(tmp_path / "sky.npy", sky)
+    for path in (tmp_path / "sky.npy", written(tmp_path, world={"picture": "sky.npy"})):
+        world = read_light(path).world
+        assert world is not None
+        direction, light = world.samples
+        assert np.allclose(light.sum((0, 1)), 2 * np.pi * np.array([1, 2, 3]), rtol=1e-3)
+        assert (direction[light.sum(-1) > 0] @ [0, 1, 0] > 0).all()
+        assert tmp_path / "sky.npy" in files_of(path)
+
+
+def test_a_world_of_one_color_is_as_bright_everywhere(tmp_path):
+    world = read_light(written(tmp_path, world={"rgb": [0.1, 0.2, 0.3]})).world
+    assert world is not None
+    assert np.allclose(world.radiance, [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"version": 2},
+        {"lamps": "sun"},
+        {"world": {}},
+        {"world": {"picture": "no.hdr"}},
+        {"world": {"rgb": [-1, 0, 0]}},
+    ],
+)
+def test_what_is_no_light_is_refused(tmp_path, content):
+    with pytest.raises(InputError):
+        read_light(written(tmp_path, **content))
