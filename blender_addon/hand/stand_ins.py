@@ -157,19 +157,19 @@ def _renew(
         if thing is not None:
             _remove(thing)
         return
-    thing = thing or _new(hand, side, mesh)
-    before, thing.data = thing.data, mesh
+    mine: bpy.types.Object = _new(hand, side, mesh) if thing is None else thing
+    before, mine.data = mine.data, mesh
     _drop(before)
     name = f"{hand.name} Shadow"
-    if not thing.name.startswith(name):
-        thing.name = name
-    homes, there = _homes(hand), thing.users_collection
+    if not mine.name.startswith(name):
+        mine.name = name
+    homes, there = _homes(hand), mine.users_collection
     for home in homes:
         if home not in there:
-            home.objects.link(thing)
+            home.objects.link(mine)
     for home in there:
         if home not in homes:
-            home.objects.unlink(thing)
+            home.objects.unlink(mine)
 
 
 def _is_own(thing: bpy.types.Object) -> bool:
