@@ -203,6 +203,15 @@ def test_resampling_leaves_gaps_where_they_were():
     assert missing.tolist() == [7, 8, 9]
 
 
+def test_a_joint_beyond_a_missing_one_goes_straight_between_frames():
+    broken, _ = _with_gaps(j8=[4])
+    doubled = broken.resampled(2 * broken.fps)
+    beyond = broken.joints_m[:, [13, 18]]  # further out on the finger of joint 8
+    np.testing.assert_allclose(doubled.joints_m[7, [13, 18]], (beyond[3] + beyond[4]) / 2, atol=1e-15)
+    quarter = broken.resampled(4 * broken.fps)
+    np.testing.assert_allclose(quarter.joints_m[13, [13, 18]], 0.75 * beyond[3] + 0.25 * beyond[4], atol=1e-15)
+
+
 def test_mirroring_twice_is_the_motion_itself():
     sequence = _moving()
     left = sequence.mirrored()
