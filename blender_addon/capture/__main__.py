@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The process: `python blender_addon/capture PLAN_FOLDER --threads 2`, jobs as lines of JSON on standard input.
 
-A job is {"pose": 0, "camera": 3, "file": "…/image0.png", "stamp": "…"}; the answer is a line on standard output:
-{"ready": "5.0.1"} once, then {"file": …, "seconds": …} for every picture, or {"error": …, "file": …} and the end. What
-Blender itself prints goes to standard error. The end of the input is the end of the work.
+A job is {"pose": 0, "camera": 3, "file": "…/image0.png", "stamp": "…", "light": "…"}, the light where that of the plan
+varies; the answer is a line on standard output: {"ready": "5.0.1"} once, then {"file": …, "seconds": …} for every
+picture, or {"error": …, "file": …} and the end. What Blender itself prints goes to standard error. The end of the input
+is the end of the work.
 """
 
 import argparse
@@ -12,6 +13,7 @@ import json
 import os
 import secrets
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -29,34 +31,39 @@ def main() -> int:
         return 3
     # this folder as a package of its own: that of the extension wants Blender's interface
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    stamped = importlib.import_module("capture.png").stamped
-    Scene = importlib.import_module("capture.scene").Scene
-
     plan = json.loads((options.plan / "plan.json").read_text(encoding="utf-8"))
-    scene = Scene(plan["render"], options.plan, options.threads)
+    varies = "lights" in plan["render"]["light"]
+    kind = importlib.import_module("capture.lit").LitScene if varies else importlib.import_module("capture.scene").Scene
+    scene = kind(plan["render"], options.plan, options.threads)
     _say(answers, {"ready": bpy.app.version_string})
     for line in sys.stdin:
         job = json.loads(line)
         started = time.perf_counter()
         target = Path(job["file"])
-        target.parent.mkdir(parents=True, exist_ok=True)
-        # written beside the target and renamed: no moment shows half a picture
-        temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.png")
         try:
-            scene.render(job["pose"], plan["cameras"][job["camera"]], temporary)
-            data = stamped(temporary.read_bytes(), job["stamp"])
-            with open(temporary, "wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, target)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory() as scratch:
+                files = scene.picture(job, plan["cameras"][job["camera"]], Path(scratch))
+            for suffix, data in files.items():
+                _write(target.with_suffix(suffix), data)
         except (OSError, ValueError, RuntimeError) as error:
             _say(answers, {"error": f"{type(error).__name__}: {error}", "file": job["file"]})
             return 1
-        finally:
-            temporary.unlink(missing_ok=True)
         _say(answers, {"file": job["file"], "seconds": round(time.perf_counter() - started, 3)})
     return 0
+
+
+def _write(target: Path, data: bytes) -> None:
+    """Written beside the target and renamed: no moment shows half a file."""
+    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    try:
+        with open(temporary, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _own_output():

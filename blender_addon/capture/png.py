@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rewrites a PNG with nothing but its picture and a stamp, so that the same plan gives the same bytes."""
+"""PNGs with nothing but their picture and a stamp, so that the same plan gives the same bytes."""
 
 import struct
 import zlib
@@ -25,11 +25,24 @@ def stamped(data: bytes, stamp: str) -> bytes:
         if kind in _KEPT:
             result.append(data[place:end])
         if kind == b"IHDR":
-            result.append(_chunk(b"tEXt", STAMP_KEY.encode() + b"\0" + stamp.encode("latin-1")))
+            result.append(_chunk(b"tEXt", _text(stamp)))
         place = end
         if kind == b"IEND":
             return b"".join(result)
     raise ValueError("a PNG without an end")
+
+
+def encoded(pixels, stamp: str) -> bytes:
+    """(H, W, 4) uint8 as such a PNG."""
+    height, width = pixels.shape[:2]
+    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
+    kinds = (b"IHDR", b"tEXt", b"sRGB", b"IDAT", b"IEND")
+    head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    return SIGNATURE + b"".join(map(_chunk, kinds, (head, _text(stamp), b"\0", zlib.compress(rows), b"")))
+
+
+def _text(stamp: str) -> bytes:
+    return STAMP_KEY.encode() + b"\0" + stamp.encode("latin-1")
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

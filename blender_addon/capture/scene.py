@@ -7,6 +7,8 @@ import bpy
 import mathutils
 import numpy as np
 
+from .png import stamped
+
 SENSOR_MM = 36.0
 # clipping of the camera, meters: nearer than any close-up, farther than any stage
 CLIP_M = (0.01, 20.0)
@@ -22,22 +24,28 @@ class Scene:
             self._vertices = arrays["vertices_m"]
             self._mesh = _mesh(arrays, plan["sampling"]["subdivisions"], self._scene)
         self._mesh.materials.append(_skin(plan["skin"], folder))
-        _light(plan["light"], folder, self._vertices, self._scene)
+        if "hdri" in plan["light"]:
+            _light(plan["light"], folder, self._vertices, self._scene)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         self._scene.collection.objects.link(self._camera)
         self._scene.camera = self._camera
         _settings(self._scene, plan["sampling"], threads)
         self._pose = None
 
-    def render(self, pose: int, camera: dict, path: Path) -> None:
-        """Renders one pose through one camera into a PNG file: straight alpha, sRGB."""
+    def picture(self, job: dict, camera: dict, scratch: Path) -> dict[str, bytes]:
+        """The files of a job, by suffix: here a PNG, straight alpha, sRGB. scratch: an empty folder."""
+        self._show(job["pose"], camera)
+        path = scratch / "picture.png"
+        self._scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True)
+        return {".png": stamped(path.read_bytes(), job["stamp"])}
+
+    def _show(self, pose: int, camera: dict) -> None:
         if pose != self._pose:
             self._mesh.vertices.foreach_set("co", self._vertices[pose].reshape(-1).astype(np.float32))
             self._mesh.update()
             self._pose = pose
         self._aim(camera)
-        self._scene.render.filepath = str(path)
-        bpy.ops.render.render(write_still=True)
 
     def _aim(self, camera: dict) -> None:
         """An OpenCV pinhole, x_cam = R X + t; square pixels."""
@@ -139,8 +147,11 @@ def _light(light: dict, folder: Path, vertices: np.ndarray, scene) -> None:
 
 def _environment_file(name: str, folder: Path) -> Path:
     """A file in the plan's folder, or one of the environments in Blender's own."""
-    if Path(name).suffix:
-        return folder / name
+    return folder / name if Path(name).suffix else shipped_environment(name)
+
+
+def shipped_environment(name: str) -> Path:
+    """The file of an environment that comes with Blender."""
     return Path(bpy.utils.resource_path("LOCAL")) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
 
 

@@ -19,6 +19,7 @@ from jghand_engine.captures.hanco import is_hanco, read_hanco
 from jghand_engine.captures.image_files import read_image, read_mask
 from jghand_engine.captures.interhand import read_interhand
 from jghand_engine.captures.interhand_files import InterHandImage, is_interhand
+from jghand_engine.captures.known_light import LIGHTS_FILE, KnownLight, groups_file, read_lights
 from jghand_engine.captures.masks import template_mask
 from jghand_engine.captures.reading import Report, find_roots, subfolders
 from jghand_engine.captures.sample import MaskSource, Sample
@@ -106,7 +107,19 @@ def open_capture(
         capture = read_hanco(place, choice, report=report)
     else:
         capture = read_interhand(place, choice, report=report)
-    return capture.only(replace(sample, template=template) for sample in capture.samples)
+    lights = read_lights(capture.folder)
+    return capture.only(
+        replace(sample, template=template, light=_light(sample, lights) if lights else None)
+        for sample in capture.samples
+    )
+
+
+def _light(sample: Sample, lights: dict[tuple[int, str], KnownLight]) -> KnownLight:
+    known = lights.get((sample.frame, sample.camera_name))
+    if known is None:
+        came = f"none of {sample.frame}/{sample.camera_name}"
+        raise InputError(f"{LIGHTS_FILE}", wanted="the light of every picture", came=came)
+    return replace(known, file=groups_file(sample.image))
 
 
 def layout_of(folder: Path) -> Layout:

@@ -13,6 +13,7 @@ import numpy as np
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import Capture, CaptureChoice
+from jghand_engine.captures.known_light import load_groups
 from jghand_engine.captures.projection import CHECK_ON_MASK_MIN, Seen, likely_mistake, look_at
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
@@ -94,6 +95,8 @@ def check_data(
     for number, sample in enumerate(chosen):
         try:
             seen.append(look_at(sample))
+            if sample.light is not None:
+                load_groups(sample)
         except InputError as error:
             troubles.append(error)
         if tick is not None:
@@ -125,6 +128,12 @@ def facts(report: DataReport) -> dict[str, Any]:
         "bone lengths vary by %": round(100 * _bone_wobble(capture), 2),
         "pictures looked at": len(report.seen),
     }
+    known = [sample.light for sample in capture.samples if sample.light is not None]
+    if known:
+        lamps = Counter(lamp.kind.name.lower() for one in known for lamp in one.light.lamps)
+        kinds = ", ".join(f"{kind} ({count})" for kind, count in sorted(lamps.items()))
+        held_out = sum(one.is_held_out for one in known)
+        named["known light"] = f"{len(known)} pictures, lamps: {kinds}; held out: {held_out} pictures"
     told = _telling(report.seen)
     if told:
         named["joints on the mask %"] = round(100 * float(np.mean([one.on_mask for one in told])), 2)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jghand_engine.captures.image_files import read_image, read_mask
+from jghand_engine.captures.known_light import KnownLight
 from jghand_engine.captures.masks import lit_part, template_mask
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -44,6 +45,7 @@ class Sample:
     capture, sequence, frame, camera_name: where it comes from; (sequence, frame) names a pose
     mask_source, mask: how to get the mask; `mask` is the file for MaskSource.FILE
     template:    whose silhouette stands in for a mask; None: the built-in hand's
+    light:       what lights it; None: unknown
     """
 
     image: Path
@@ -57,6 +59,7 @@ class Sample:
     mask_source: MaskSource = MaskSource.ALPHA
     mask: Path | None = None
     template: HandTemplate | None = None
+    light: KnownLight | None = None
 
     @property
     def pose(self) -> tuple[str, int]:

@@ -1,13 +1,14 @@
 """Which images an avatar learns from and which it is judged by.
 
-A test image shows a pose that was not learned, or is seen by a camera that was not, or both: three figures, because
-they fail for different reasons. Where they come from: the capture's own splits.json, a protocol, or a fixed rule.
+A test image shows a pose that was not learned, or is seen by a camera that was not, or both, or shows a light that was
+not: figures of their own, because they fail for different reasons. Where they come from: the capture's own splits.json,
+a protocol, or a fixed rule.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,14 @@ SPLITS_FORMAT = 1
 
 @dataclass(frozen=True)
 class Split:
-    """Images to learn from, and three kinds of images to be judged by.
+    """Images to learn from, and four kinds of images to be judged by.
 
-    train: learned poses, learned cameras · novel_pose: other poses, learned cameras · novel_view: learned poses, other
-    cameras · novel_both: neither was learned · origin: where the split comes from, to be printed beside figures
+    train:       learned poses, learned cameras
+    novel_pose:  other poses, learned cameras
+    novel_view:  learned poses, other cameras
+    novel_both:  neither was learned
+    novel_light: learned poses and cameras, other lights
+    origin:      where the split comes from, to be printed beside figures
     """
 
     train: tuple[Sample, ...]
@@ -37,11 +42,12 @@ class Split:
     novel_view: tuple[Sample, ...]
     novel_both: tuple[Sample, ...]
     origin: str
+    novel_light: tuple[Sample, ...] = ()
 
     @property
     def test(self) -> tuple[Sample, ...]:
         """All images that are not learned from."""
-        return self.novel_pose + self.novel_view + self.novel_both
+        return self.novel_pose + self.novel_view + self.novel_both + self.novel_light
 
     def all_learned(self) -> Split:
         """The same images, all of them to learn from and none to be judged by."""
@@ -49,7 +55,10 @@ class Split:
 
     def categories(self) -> dict[str, tuple[Sample, ...]]:
         """The kinds of test images by name, those that there are."""
-        kinds = {"novel pose": self.novel_pose, "novel view": self.novel_view, "both novel": self.novel_both}
+        kinds = {
+            "novel pose": self.novel_pose, "novel view": self.novel_view, "both novel": self.novel_both,
+            "novel light": self.novel_light,
+        }  # fmt: skip
         return {name: samples for name, samples in kinds.items() if samples}
 
 
@@ -98,19 +107,30 @@ def split_by_rule(
 def split_from_file(capture: Capture, file: Path) -> Split:
     """The split that a capture was made with.
 
-    {"format": 1, "test_frames": {"<sequence>": [frame, …]}, "test_cameras": ["<camera>", …]}; either may be absent.
+    {"format": 1, "test_frames": {"<sequence>": [frame, …]}, "test_cameras": ["<camera>", …],
+    "test_lights": {"<sequence>": ["<frame>/<camera>", …]}}; each may be absent.
     Names that the capture does not have are ignored: it may be a part of the one that was split. InputError for a file
     that is damaged.
     """
     content = JsonObject.of_file(file, "Write the split again.")
     content.value("format", lambda value: value == SPLITS_FORMAT, str(SPLITS_FORMAT))
     frames, cameras = content.fields.get("test_frames", {}), content.fields.get("test_cameras", [])
+    lights = content.fields.get("test_lights", {})
     if not (isinstance(frames, dict) and all(_is_list_of(numbers, int) for numbers in frames.values())):
         raise content.wrong("test_frames", "lists of frame numbers by sequence")
+    if not (isinstance(lights, dict) and all(_is_list_of(keys, str) for keys in lights.values())):
+        raise content.wrong("test_lights", "lists of frame/camera by sequence")
     if not _is_list_of(cameras, str):
         raise content.wrong("test_cameras", "names of cameras")
     poses = {(name, frame) for name, numbers in frames.items() for frame in numbers}
-    return _split(capture, poses, set(cameras), f"{SPLITS_FILE} of the capture")
+    split = _split(capture, poses, set(cameras), f"{SPLITS_FILE} of the capture")
+    new = {(name, key) for name, keys in lights.items() for key in keys}
+
+    def is_new(sample: Sample) -> bool:
+        return (sample.sequence, f"{sample.frame}/{sample.camera_name}") in new
+
+    lit_anew = tuple(filter(is_new, split.train))
+    return replace(split, train=tuple(s for s in split.train if not is_new(s)), novel_light=lit_anew)
 
 
 def _is_list_of(value: object, kind: type) -> bool:

@@ -25,6 +25,7 @@ again.
 Examples:
   jghand capture --identity 3 --cameras 16 --poses 60 --out captures/id3
   jghand capture --identity adult_woman --skin skin.png --motion dance.npz --out captures/dance
+  jghand capture --identity 3 --lights varied --out captures/id3_lit
   jghand capture --identity 3 --out captures/id3 --shard 1/2     and on another machine --shard 2/2"""
 
 # seconds between two lines of progress where no terminal shows a bar
@@ -38,9 +39,10 @@ class LookOptions:
 
     skin: File = None
     """A picture of skin in the template's UV, without light. Left out: JGHand's own procedural skin."""
-    hdri: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "studio"
-    """Light all around: city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr file,
-    which is copied into the capture."""
+    lights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE|varied")] = "studio"
+    """Soft lamps, and all around city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr
+    file, which is copied into the capture; varied: another world and two other lamps in every picture, what each gives
+    in a file of its own (picture.npz), for a hand that learns to stand in any light."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,7 @@ class Capture:
         return seconds
 
     def _options(self):
+        from jghand_engine.captures.making.lights import VariedLight
         from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
         from jghand_engine.cli.inputs import read_sequence
 
@@ -167,6 +170,7 @@ class Capture:
             close_ups=self.cameras // 8 if self.close_ups is None else self.close_ups,
             poses=self.poses, width=width, height=height, skin=self.look.skin,
             motion=motion,
-            wrist_turn_deg=self.wrist_turn, seed=self.seed, light=Light(self.look.hdri),
+            wrist_turn_deg=self.wrist_turn, seed=self.seed,
+            light=VariedLight() if self.look.lights == "varied" else Light(self.look.lights),
             sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
         )  # fmt: skip

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from jghand_engine.captures.making.lights import VariedLight
 from jghand_engine.captures.making.poses import POSES_MAX
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import PoseSequence
@@ -43,6 +44,15 @@ class Light:
         AreaLight((-0.25, 0.80, 0.10), 0.40, 1.2),
         AreaLight((0.25, -0.65, 0.30), 0.50, 2.0),
     )
+
+    def check(self) -> None:
+        """InputError for an environment that is none."""
+        if not self.hdri_strength >= 0:
+            raise InputError("strength of the environment", wanted="0 or more", came=f"{self.hdri_strength:g}")
+        is_picture = Path(self.hdri).suffix.lower() in (".exr", ".hdr") and Path(self.hdri).is_file()
+        if self.hdri not in HDRI_NAMES and not is_picture:
+            wanted = f"varied, one of {', '.join(HDRI_NAMES)}, or an .exr or .hdr file"
+            raise InputError("light", wanted=wanted, came=self.hdri)
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,7 @@ class CaptureOptions:
     motion:         where poses come from instead of the generator
     wrist_turn_deg: how far hands turn as a whole, so that light falls from different sides
     seed:           of all that varies
+    light:          the same in all images, or another in each
     """
 
     identity: str
@@ -93,7 +104,7 @@ class CaptureOptions:
     motion: PoseSequence | None = None
     wrist_turn_deg: float = 25.0
     seed: int = 0
-    light: Light = field(default_factory=Light)
+    light: Light | VariedLight = field(default_factory=Light)
     material: SkinMaterial = field(default_factory=SkinMaterial)
     sampling: Sampling = field(default_factory=Sampling)
 
@@ -106,14 +117,12 @@ class CaptureOptions:
             ("wrist turn", self.wrist_turn_deg, (0, 180)),
             ("poses of a capture", self.poses, (1, POSES_MAX)),
             ("seed", self.seed, (0, math.inf)),
-            ("strength of the environment", light.hdri_strength, (0, math.inf)),
         ):
             if not least <= value <= most:
                 wanted = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
                 raise InputError(name, wanted=wanted, came=f"{value:g}")
-        hdri = self.light.hdri
-        if hdri not in HDRI_NAMES and not (Path(hdri).suffix.lower() in (".exr", ".hdr") and Path(hdri).is_file()):
-            raise InputError("environment", wanted=f"one of {', '.join(HDRI_NAMES)} or an .exr or .hdr file", came=hdri)
+        if isinstance(light, Light):
+            light.check()
 
     def description(self) -> dict[str, Any]:
         """Everything that decides the images, as JSON; of files what is in them, not where they lie."""
@@ -125,7 +134,7 @@ class CaptureOptions:
         if self.motion is not None:
             motion = hashlib.sha256(self.motion.handedness.encode() + self.motion.joints_m.tobytes()).hexdigest()
         light = dataclasses.asdict(self.light)
-        if is_file(self.light.hdri):
+        if isinstance(self.light, Light) and is_file(self.light.hdri):
             light["hdri"] = _hash(Path(self.light.hdri))
         return {
             **plain,

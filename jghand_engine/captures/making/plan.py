@@ -4,6 +4,7 @@ plan/plan.json     options, cameras, names of poses, what the worker needs to kn
 plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv
 plan/skin.png, relief.png, nails.png
 plan/light.exr or .hdr   the environment, when it is a file of the user's
+plan/lights.json, worlds/   the light of every image, when it varies (lights.py)
 plan/made_by.json  which programs make the images    written by the first of them that is ready (worker.py)
 annotations/…      InterHand2.6M, splits.json          written with the plan, so that any shard may be the first
 """
@@ -26,7 +27,8 @@ from PIL import Image
 
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
-from jghand_engine.captures.making.options import CaptureOptions, is_file, read_input
+from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
+from jghand_engine.captures.making.options import CaptureOptions, Light, is_file, read_input
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
 from jghand_engine.captures.making.skin import make_skin
@@ -55,12 +57,14 @@ _FIRST_SERIAL = 400000
 
 @dataclass(frozen=True)
 class Job:
-    """One image: which pose and camera, where it goes, and the stamp that it must carry."""
+    """One image: which pose and camera, where it goes, the stamp that it must carry, and its entry in lights.json, or
+    '' where the light does not vary."""
 
     pose: int
     camera: int
     file: Path
     stamp: str
+    light: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ class CapturePlan:
     vertices_m:  (P, V, 3) float32, world, meters
     faces:       (F, 3)
     face_uv:     (F, 3, 2) float32
-    files:       name -> bytes, of the skin and of an environment that is the user's
+    files:       name -> bytes, of the skin, of an environment that is the user's, of lights that vary and of skies
     """
 
     description: dict[str, Any]
@@ -105,10 +109,13 @@ class CapturePlan:
             raise InputError("shard", wanted="NUMBER/COUNT with a number from 1 to the count", came=f"{number}/{count}")
         record = self.record
         return [
-            Job(pose, camera, record.image(folder, pose, name), self.stamp(pose, camera))
+            Job(
+                pose, camera, record.image(folder, pose, name), self.stamp(pose, camera),
+                f"{pose}/{name}" if LIGHTS_FILE in self.files else "",
+            )
             for pose in range(number - 1, len(self.joints_m), count)
             for camera, name in enumerate(record.cameras)
-        ]
+        ]  # fmt: skip
 
     def stamp(self, pose: int, camera: int) -> str:
         """A hash of everything that decides one image."""
@@ -126,15 +133,20 @@ class CapturePlan:
         return digest
 
     def split(self) -> dict[str, Any]:
-        """Which poses and cameras are kept for the test; see captures/splits.py."""
+        """Which poses, cameras and lights are kept for the test; see captures/splits.py."""
         frames = list(range(len(self.joints_m)))
         names = list(self.record.cameras)
         tests = len(names) // EVERY_CAMERA
         chosen = {names[int((k + 0.5) * len(names) / tests)] for k in range(tests)}
         test_frames = frames[EVERY_POSE - 1 :: EVERY_POSE]
-        return {
+        split = {
             "format": SPLITS_FORMAT, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)
         }  # fmt: skip
+        if LIGHTS_FILE not in self.files:
+            return split
+        pictures = json.loads(self.files[LIGHTS_FILE])["pictures"]
+        held_out = [key for key, picture in pictures.items() if picture["is_held_out"]]
+        return {**split, "test_lights": {self.record.sequence: held_out}}
 
 
 def make_plan(options: CaptureOptions) -> CapturePlan:
@@ -155,12 +167,8 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
     relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
     material = {**dataclasses.asdict(options.material), "relief_range_m": high - low}
-    light, environment = dataclasses.asdict(options.light), {}
-    if is_file(options.light.hdri):
-        # a copy: the capture may go on in another place, where that file is not
-        light["hdri"] = f"light{Path(options.light.hdri).suffix.lower()}"
-        environment[light["hdri"]] = read_input(Path(options.light.hdri))
-    return CapturePlan(
+    light, lit_by = _light(options.light)
+    plan = CapturePlan(
         description=json.loads(json.dumps(options.description())),
         render=json.loads(
             json.dumps({"sampling": dataclasses.asdict(options.sampling), "light": light, "skin": material})
@@ -175,9 +183,28 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
             "skin.png": _png(Image.fromarray(skin.rgb8)),
             "relief.png": _png(Image.fromarray(relief)),
             "nails.png": _png(Image.fromarray(np.rint(255 * skin.nail).astype(np.uint8))),
-            **environment,
+            **lit_by,
         },
     )
+    if isinstance(options.light, Light):
+        return plan
+    split = plan.split()
+    tests = set(split["test_frames"][plan.record.sequence]), set(split["test_cameras"])
+    lights = plan_lights(options.light, plan.vertices_m, plan.record.cameras, tests, options.seed)
+    return dataclasses.replace(plan, files={**plan.files, LIGHTS_FILE: lights_bytes(lights)})
+
+
+def _light(light: Light | VariedLight) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What the worker is told of the light, and the files that it needs for it, but for lights.json."""
+    if isinstance(light, VariedLight):
+        skies = light.sky_files()
+        return {"lights": LIGHTS_FILE, "skies": list(skies), "shipped": light.shipped}, skies
+    told = dataclasses.asdict(light)
+    if not is_file(light.hdri):
+        return told, {}
+    # a copy: the capture may go on in another place, where that file is not
+    told["hdri"] = f"light{Path(light.hdri).suffix.lower()}"
+    return told, {told["hdri"]: read_input(Path(light.hdri))}
 
 
 def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
@@ -233,8 +260,9 @@ def read_plan(folder: Path) -> CapturePlan | None:
         if content["format"] != FORMAT:
             raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
         hands = read_arrays(folder / FOLDER / "hands.npz", ("vertices_m", "joints_m", "faces", "face_uv"), thing)
-        environment = str(content["render"]["light"]["hdri"])
-        names = ["skin.png", "relief.png", "nails.png", *([environment] if is_file(environment) else [])]
+        light = content["render"]["light"]
+        lit_by = [LIGHTS_FILE, *light["skies"]] if "lights" in light else [light["hdri"]]
+        names = ["skin.png", "relief.png", "nails.png", *(name for name in lit_by if is_file(str(name)))]
         files = {name: (folder / FOLDER / name).read_bytes() for name in names}
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 from jghand_engine import __version__
 from jghand_engine.captures.image_files import image_texts, probe_sized
+from jghand_engine.captures.known_light import groups_file, read_groups
 from jghand_engine.captures.making.plan import FOLDER, Job
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import writing
@@ -55,10 +56,12 @@ def fault_of(job: Job, size: tuple[int, int]) -> str:
         return "missing"
     try:
         probe_sized(job.file, size, "the plan")
-        stamp = image_texts(job.file).get(STAMP_KEY)
+        stamps = {image_texts(job.file).get(STAMP_KEY)}
+        if job.light:
+            stamps.add(str(read_groups(groups_file(job.file), size)["stamp"]))
     except InputError as error:
         return f"broken: {error.came}"
-    return "" if stamp == job.stamp else "made for another plan"
+    return "" if stamps == {job.stamp} else "made for another plan"
 
 
 def find_blender_python(given: Path | None = None) -> Path:
@@ -101,7 +104,10 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
     with tempfile.TemporaryFile() as log, _process([str(python), "-I", str(program)], folder, threads, log) as process:
         _keep_to(folder, str(_answer(process, log, python).get("ready")))
         for job in jobs:
-            message = {"pose": job.pose, "camera": job.camera, "file": str(job.file.resolve()), "stamp": job.stamp}
+            message = {
+                "pose": job.pose, "camera": job.camera, "file": str(job.file.resolve()), "stamp": job.stamp,
+                "light": job.light,
+            }  # fmt: skip
             try:
                 _stream(process.stdin).write(json.dumps(message) + "\n")
                 _stream(process.stdin).flush()
@@ -114,7 +120,7 @@ def _clear_leftovers(files: set[Path]) -> None:
     """Removes what killed workers left of these images; those of other shards are of other poses, and so of other
     names. Each folder is listed once: it may hold thousands."""
     for folder in {file.parent for file in files}:
-        for left in folder.glob(".*.*.png"):
+        for left in (*folder.glob(".*.*.png"), *folder.glob(".*.*.npz")):
             if left.with_name(f"{left.name[1:].split('.')[0]}.png") in files:
                 left.unlink(missing_ok=True)
 

@@ -1,4 +1,5 @@
 """Stands in for blender_addon/capture where there is no Blender: same lines of JSON, the vertices of the hand as dots.
+Where the light varies every group of it gives the same, and the environments of Blender are plain.
 
 The environment says what goes wrong: JGHAND_STAND_IN_FAILS_AT, number of a picture at which the process ends; how long
 a picture takes: JGHAND_STAND_IN_TAKES_S; and which Blender it says it is: JGHAND_STAND_IN_BLENDER.
@@ -20,6 +21,8 @@ def main() -> None:
     plan = json.loads((Path(sys.argv[1]) / "plan.json").read_text(encoding="utf-8"))
     vertices_m = np.load(Path(sys.argv[1]) / "hands.npz", allow_pickle=False)["vertices_m"]
     print(json.dumps({"ready": os.environ.get("JGHAND_STAND_IN_BLENDER", "5.0.1")}), flush=True)
+    for name in plan["render"]["light"].get("shipped", ()):
+        np.save(Path(sys.argv[1]) / "worlds" / f"{name}.npy", np.ones((4, 8, 3), np.float32))
     fails_at = int(os.environ.get("JGHAND_STAND_IN_FAILS_AT", "-1"))
     for number, line in enumerate(sys.stdin):
         if number == fails_at:
@@ -27,10 +30,16 @@ def main() -> None:
         time.sleep(float(os.environ.get("JGHAND_STAND_IN_TAKES_S", "0")))
         job = json.loads(line)
         camera = plan["cameras"][job["camera"]]
-        picture = Image.fromarray(dots(vertices_m[job["pose"]], camera))
+        pixels = dots(vertices_m[job["pose"]], camera)
+        picture = Image.fromarray(pixels)
         stamp = PngImagePlugin.PngInfo()
         stamp.add_text("jghand-stamp", job["stamp"])
         Path(job["file"]).parent.mkdir(parents=True, exist_ok=True)
+        if job["light"]:
+            np.savez_compressed(
+                Path(job["file"]).with_suffix(".npz"), groups=np.stack([pixels[..., :3] / 255] * 3).astype(np.float16),
+                alpha=pixels[..., 3], box_px=np.array([0, 0, *pixels.shape[1::-1]], np.int32), stamp=job["stamp"],
+            )  # fmt: skip
         picture.save(job["file"], pnginfo=stamp)
         print(json.dumps({"file": job["file"], "seconds": 0.1}), flush=True)
 

@@ -275,14 +275,14 @@ def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
     file = tmp_path / "Sky.HDR"
     file.write_bytes(b"light")
     folder, words = tmp_path / "capture", ("--poses", "1", "--cameras", "1", "--close-ups", "0")
-    assert capture(folder, *words, "--hdri", str(file)) == 0
+    assert capture(folder, *words, "--lights", str(file)) == 0
     assert (folder / "plan" / "light.hdr").read_bytes() == b"light"
     assert str(tmp_path) not in (folder / "plan" / "plan.json").read_text(encoding="utf-8")
     moved = tmp_path / "moved"
     folder.rename(moved)
     file.unlink()
     capsys.readouterr()
-    assert capture(moved, *words, "--hdri", str(moved / "plan" / "light.hdr")) == 0
+    assert capture(moved, *words, "--lights", str(moved / "plan" / "light.hdr")) == 0
     assert "0 pictures" in capsys.readouterr().out
     (moved / "plan" / "light.hdr").unlink()
     with pytest.raises(InputError, match=r"light\.hdr"):
@@ -322,7 +322,7 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
         (["--samples", "0"], "samples"),
         (["--cameras", "0"], "cameras"),
         (["--wrist-turn", "nan"], "wrist turn"),
-        (["--hdri", "moonbase"], "environment"),
+        (["--lights", "moonbase"], "light"),
         (["--skin", "absent.png"], "absent.png"),
         (["--seed", "-1"], "seed"),
     ],

@@ -1,0 +1,189 @@
+"""`jghand capture --lights varied`, with a stand-in for Blender: the plan of the lights, resuming, what is kept for
+the test, and what opening such a folder says."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jghand_engine.avatar.scene_light import World
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.check_data import check_data, facts
+from jghand_engine.captures.making import skin, worker
+from jghand_engine.captures.making.lights import (
+    HELD_OUT_KINDS,
+    KINDS,
+    VariedLight,
+    lights_bytes,
+    plan_lights,
+    random_lamp,
+)
+from jghand_engine.captures.making.plan import read_plan
+from jghand_engine.captures.making.skies import SKIES, sky_radiance
+from jghand_engine.captures.splits import split_capture
+from jghand_engine.cli import main
+from jghand_engine.errors import InputError
+
+STAND_IN = Path(__file__).with_name("stand_in_worker.py")
+WORDS = (
+    *("capture", "--identity", "3", "--lights", "varied", "--cameras", "7", "--close-ups", "1", "--poses", "6"),
+    *("--size", "32x48", "--blender-python", sys.executable),
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _stand_in():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worker, "find_program", lambda: STAND_IN)
+        patch.setattr(skin, "SKIN_PX", 128)
+        yield
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("varied") / "made"
+    assert main([*WORDS, "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(made, tmp_path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copied"))
+
+
+def test_every_picture_has_a_world_and_two_lamps_of_its_own(made):
+    lights = [sample.light.light for sample in open_capture(made).samples if sample.light is not None]
+    assert len(lights) == 42
+    assert all(light.world is not None and len(light.lamps) == 2 for light in lights)
+    places = {lamp.place_m for light in lights for lamp in light.lamps}
+    turns = {light.world.env_from_world.tobytes() for light in lights if light.world is not None}
+    assert (len(places), len(turns)) == (84, 42)
+
+
+def test_held_out_lights_are_never_learned_from(made):
+    capture = open_capture(made)
+    split = split_capture(capture)
+    assert split.novel_light
+    assert not any(sample.light.is_held_out for sample in split.train + split.novel_pose + split.novel_view)
+    assert all(sample.light.is_held_out for sample in split.novel_light + split.novel_both)
+    assert len(split.train) + len(split.test) == len(capture)
+    assert list(split.categories()) == ["novel pose", "novel view", "both novel", "novel light"]
+    pictures = json.loads((made / "plan" / "lights.json").read_text(encoding="utf-8"))["pictures"]
+    worlds = {True: set(), False: set()}
+    for picture in pictures.values():
+        worlds[picture["is_held_out"]].add(Path(picture["world"]["picture"]).stem)
+    assert worlds[False] <= set(VariedLight().worlds)
+    assert worlds[True] <= set(VariedLight().held_out_worlds)
+
+
+def test_the_same_capture_planned_again_has_the_same_lights_and_stamps(made):
+    plan = read_plan(made)
+    assert plan is not None
+    tests = {4}, {"400003"}
+    assert (plan.split()["test_frames"], plan.split()["test_cameras"]) == ({"ROM_JGHAND": [4]}, ["400003"])
+
+    def planned(seed: int) -> bytes:
+        return lights_bytes(plan_lights(VariedLight(), plan.vertices_m, plan.record.cameras, tests, seed))
+
+    assert planned(0) == plan.files["lights.json"]
+    other = dataclasses.replace(plan, files={**plan.files, "lights.json": planned(1)})
+    assert not {job.stamp for job in other.jobs(made)} & {job.stamp for job in plan.jobs(made)}
+
+
+def test_groups_that_are_missing_broken_or_of_another_picture_are_made_again(copied, capsys):
+    every = sorted(copied.glob("images/**/*.npz"))
+    before = {path: path.read_bytes() for path in every}
+    every[0].unlink()
+    every[1].write_bytes(before[every[1]][:-40])
+    damaged = bytearray(before[every[2]])
+    damaged[len(damaged) // 2] ^= 0xFF
+    every[2].write_bytes(bytes(damaged))
+    shutil.copy(every[4], every[3])
+    left = every[0].with_name(".image0.0badcafe.npz")
+    left.write_bytes(b"what a killed worker left")
+    assert main([*WORDS, "--out", str(copied), "--shard", "1/1"]) == 0
+    assert "4 are broken or of another plan" in capsys.readouterr().out
+    assert {path: path.read_bytes() for path in every} == before
+    assert not left.exists()
+
+
+def test_check_data_tells_of_the_lights_and_of_groups_that_are_broken(copied):
+    report = check_data(copied)
+    assert "42 pictures" in facts(report)["known light"]
+    assert not [finding for finding in report.findings if "light groups" in finding.text]
+    broken = sorted(copied.glob("images/**/*.npz"))[7]
+    broken.write_bytes(broken.read_bytes()[:-40])
+    told = [finding.text for finding in check_data(copied).findings if finding.is_error]
+    assert any(str(broken) in text and "Start the command" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda content: content.update(format=2), "format"),
+        (lambda content: content["pictures"].popitem(), "light of every picture"),
+        (lambda content: first(content)["lamps"][0].update(watts=4), "watts"),
+        (lambda content: first(content)["lamps"][0].update(kind="bulb"), "kind"),
+        (lambda content: first(content)["lamps"][0].update(rgb=[1, -1, 1]), "rgb"),
+        (lambda content: first(content)["world"].update(picture="../../../etc/hosts"), "plan's folder"),
+        (lambda content: first(content)["world"].update(picture="worlds/none.npy"), "none.npy"),
+        (lambda content: first(content).update(lamps=None), "list of lamps"),
+    ],
+)
+def test_damaged_descriptions_of_the_light_are_told(copied, damage, told):
+    file = copied / "plan" / "lights.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    damage(content)
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        open_capture(copied)
+
+
+def first(content: dict) -> dict:
+    return next(iter(content["pictures"].values()))
+
+
+def test_a_quarter_of_the_lamps_stands_behind_the_hand(made):
+    """... as its camera sees it, beside those that stand there by chance."""
+    rng = np.random.default_rng(0)
+    behind = np.array([0.0, 0.0, 1.0])
+    lamps = [random_lamp(str(kind), np.zeros(3), behind, rng) for kind in rng.choice(KINDS, 2000)]
+    away = np.array([lamp["place_m"] for lamp in lamps])
+    cosine = away @ behind / np.linalg.norm(away, axis=1)
+    # half of the directions, and a quarter of the others
+    assert (cosine > 0).mean() == pytest.approx(0.5 + 0.25 / 2, abs=0.03)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *HELD_OUT_KINDS])
+def test_lamps_light_what_faces_them_alike(kind):
+    """2 pi W/m2 in the middle of the hand, by the table of Blender's lights, an area as the point in its middle."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        lamp = random_lamp(kind, np.zeros(3), np.array([0.0, 0.0, 1.0]), rng)
+        distance2 = float(np.square(lamp["place_m"]).sum())
+        light = lamp["rgb"][0]
+        if lamp["kind"] == "area":
+            half = lamp["spread_rad"] / 2
+            gain = np.tan(half) / (np.tan(half) - half) if half < 1.5 else 1.0
+            light *= np.prod(lamp["size_m"]) * (np.pi / 4 if lamp["is_ellipse"] else 1) * gain
+            assert abs(np.dot(lamp["axis"], lamp["side"])) < 1e-5
+        if lamp["kind"] != "sun":
+            light /= distance2
+        assert light == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", SKIES)
+def test_skies_have_the_mean_that_worlds_have_and_their_sun(name):
+    sky = SKIES[name]
+    direction, light = World(sky_radiance(sky)).samples
+    assert light.sum() / (3 * 4 * np.pi) == pytest.approx(1, abs=1e-3)
+    elevation = np.radians(sky.sun_elevation_deg)
+    disk = direction @ [np.cos(elevation), 0, np.sin(elevation)] > np.cos(np.radians(4))
+    level = light.mean(-1) * np.maximum(direction[..., 2], 0)
+    assert level[disk].sum() / level.sum() == pytest.approx(sky.sun_part, abs=0.12)
