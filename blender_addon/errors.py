@@ -172,6 +172,17 @@ ADVICE = {
     "stereo": Advice(
         "Stereoscopy and multiple views are not supported", "Switch them off and render each view", BAD_INPUT
     ),
+    "no_world_image": Advice(
+        "The image of the world is missing", "Choose another one in World Properties, or put the file back", BAD_INPUT
+    ),
+    "world_not_measured": Advice(
+        "The light of the world's nodes is not measured yet", "Show the hand in a 3D view for a moment", TRY_AGAIN
+    ),
+    "no_cycles": Advice(
+        "The world's nodes are measured by Cycles, which is disabled",
+        'Enable "Cycles Render Engine" in the preferences, under Add-ons',
+        BAD_INPUT,
+    ),
     "other_region": Advice(
         "The render region is not that of the scene that the hands are combined with",
         'Press "Set Up Compositing" again',

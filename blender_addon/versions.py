@@ -214,6 +214,15 @@ def light_tree(light: bpy.types.Light) -> bpy.types.NodeTree | None:
     return light.node_tree if always or light.use_nodes else None
 
 
+def empty_tree(owner: bpy.types.World | bpy.types.Material) -> bpy.types.NodeTree:
+    """The nodes of a world or a material, all of them removed."""
+    if owner.node_tree is None:  # 4.5
+        owner.use_nodes = True
+    tree: bpy.types.NodeTree = owner.node_tree
+    tree.nodes.clear()
+    return tree
+
+
 def make_straight(convert: bpy.types.Node) -> None:
     """Makes an Alpha Convert node divide alpha out."""
     if hasattr(convert, "mapping"):  # 4.5

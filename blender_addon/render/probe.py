@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A light probe: what comes from a world, whatever its nodes are.
+
+Cycles bakes it on a ball of small facets in a scene of its own, which is gone afterwards: nothing of the user's is
+changed, no render is lost. That takes a tenth of a second and more, and is nothing for draw or render handlers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .. import versions
+from ..core import worlds
+from ..errors import JGHandFailure
+
+# of the ball, meters
+RADIUS_M = 0.02
+# paths from each facet: noise of white ones evens out among them
+SAMPLES, BOUNCES = 64, 4
+# columns of the map by which Cycles aims at what is bright in a sky; it aims at the sun apart
+SKY_AIM = 256
+_NAME = "JGHand Light Probe"
+_SHADERS = ("ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfDiffuse")
+
+
+def measure(scene: bpy.types.Scene, world: bpy.types.World | None, sun: worlds.Sun | None = None) -> worlds.WorldLight:
+    """The light of a world at the frame of a scene, scene-linear, in Blender's axes. Raises JGHandFailure
+    (no_cycles)."""
+    looks = worlds.probe(sun)
+    made: list[Any] = []
+    try:
+        own = _scene(scene, world, made)
+        ball = _ball(looks, made)
+        own.collection.objects.link(ball)
+        out = _bake(own, ball)
+    finally:
+        for kind, thing in reversed(made):
+            kind.remove(thing)
+    return worlds.measured(looks, out)
+
+
+def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | None) -> worlds.WorldLight:
+    """The same of an evaluated Sky Texture node alone, in the node's axes, with the sun apart."""
+    world = bpy.data.worlds.new(_NAME)
+    try:
+        tree = versions.empty_tree(world)
+        copy, output = tree.nodes.new(sky.bl_idname), tree.nodes.new("ShaderNodeOutputWorld")
+        background = tree.nodes.new("ShaderNodeBackground")
+        of_all = {*bpy.types.ShaderNode.bl_rna.properties.keys(), "texture_mapping", "color_mapping"}
+        for name in set(sky.bl_rna.properties.keys()) - of_all:
+            setattr(copy, name, getattr(sky, name))
+        tree.links.new(copy.outputs["Color"], background.inputs["Color"])
+        tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+        if hasattr(world, "cycles"):
+            world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", SKY_AIM
+        return measure(scene, world, sun)
+    finally:
+        bpy.data.worlds.remove(world)
+
+
+def _scene(of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any]) -> bpy.types.Scene:
+    scene = bpy.data.scenes.new(_NAME)
+    made.append((bpy.data.scenes, scene))
+    scene.world = world
+    # what is keyed or driven is evaluated anew there
+    scene.frame_current, scene.frame_subframe = of.frame_current, of.frame_subframe
+    try:
+        scene.render.engine = "CYCLES"
+    except TypeError as error:  # the add-on is disabled
+        raise JGHandFailure("no_cycles") from error
+    cycles = scene.cycles
+    cycles.samples, cycles.max_bounces, cycles.seed = SAMPLES, BOUNCES, 0
+    cycles.use_adaptive_sampling = cycles.use_denoising = False
+    # clamped or blurred light would be missing
+    cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
+    scene.render.bake.target = "VERTEX_COLORS"
+    return scene
+
+
+def _ball(looks: worlds.Probe, made: list[Any]) -> bpy.types.Object:
+    """Triangles that look in all directions, each flat: between smooth ones light would be lost below their edges."""
+    normal = looks.normal
+    side = np.cross(normal, np.where(np.abs(normal[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    turn = 2 * np.pi * np.arange(3)[:, None, None] / 3
+    corners = np.cos(turn) * side + np.sin(turn) * np.cross(normal, side)
+    mesh = bpy.data.meshes.new(_NAME)
+    made.append((bpy.data.meshes, mesh))
+    points = RADIUS_M * (looks.place + looks.size[:, None] * corners).swapaxes(0, 1).reshape(-1, 3)
+    mesh.from_pydata(points.tolist(), [], np.arange(len(points)).reshape(-1, 3).tolist())
+    mesh.polygons.foreach_set("material_index", looks.is_white.astype(np.int32))
+    mesh.color_attributes.active_color = mesh.color_attributes.new(_NAME, "FLOAT_COLOR", "POINT")
+    for name in _SHADERS:
+        mesh.materials.append(_material(name, made))
+    ball = bpy.data.objects.new(_NAME, mesh)
+    made.append((bpy.data.objects, ball))
+    return ball
+
+
+def _material(shader: str, made: list[Any]) -> bpy.types.Material:
+    """Of one shader that reflects everything."""
+    material = bpy.data.materials.new(_NAME)
+    made.append((bpy.data.materials, material))
+    tree = versions.empty_tree(material)
+    node, output = tree.nodes.new(shader), tree.nodes.new("ShaderNodeOutputMaterial")
+    node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    node.inputs["Roughness"].default_value = 0.0
+    tree.links.new(node.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def _bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
+    """(facets, 3) radiance that goes out of each."""
+    layer = scene.view_layers[0]
+    layer.update()
+    ball.select_set(True, view_layer=layer)
+    layer.objects.active = ball
+    with bpy.context.temp_override(
+        scene=scene, view_layer=layer, active_object=ball, object=ball, selected_objects=[ball]
+    ):
+        bpy.ops.object.bake(type="COMBINED")
+    attribute = ball.data.color_attributes[_NAME]
+    values = np.empty(4 * len(attribute.data), np.float32)
+    attribute.data.foreach_get("color", values)
+    return values.reshape(-1, 3, 4)[..., :3].mean(1)

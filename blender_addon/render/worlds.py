@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The world of a scene as light: read from its nodes, or measured by a light probe where these do not tell.
+
+    reading = world_of(depsgraph)    anywhere, also while drawing and rendering
+    update(depsgraph)                where that is stale; on the main thread, in no handler
+
+Pictures are averaged once and kept; what was measured is kept until something else is.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import bpy
+import mathutils
+import numpy as np
+
+from ..core import film, worlds
+from ..core.pacing import digest
+from ..core.worlds import Sun, WorldLight
+from ..errors import JGHandFailure
+from . import probe
+from .world_nodes import Shine, Unread, shine_of, values_of, values_of_tree
+
+# worlds whose light is kept, pictures as they were read and lights as they were measured: some MB each
+KEPT = 8
+# color spaces whose bytes are taken as they are
+_LINEAR_BYTES = ("Non-Color", "Raw", "Linear", "Linear Rec.709")
+_SKIES_WITH_SUN = ("NISHITA", "SINGLE_SCATTERING", "MULTIPLE_SCATTERING")
+_ALL = SimpleNamespace(diffuse=True)
+
+_pictures: OrderedDict[str, np.ndarray] = OrderedDict()
+_measured: OrderedDict[str, WorldLight] = OrderedDict()
+# session_uid of images -> how often they were changed
+_changes: dict[int, int] = {}
+
+
+class Reading(NamedTuple):
+    """light: None for a black world. failures: what the panel says. stale: the name of what `update` has to measure,
+    "" for nothing; until then `light` is what was measured last."""
+
+    light: WorldLight | None
+    failures: tuple[JGHandFailure, ...] = ()
+    stale: str = ""
+
+
+def world_of(depsgraph: bpy.types.Depsgraph) -> Reading:
+    """How the world of a scene lights matt surfaces, as it is evaluated."""
+    world = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    # where Cycles is disabled there is no Ray Visibility
+    if world is None or not getattr(world, "cycles_visibility", _ALL).diffuse:
+        return Reading(None)
+    try:
+        shine = shine_of(world)
+        if shine.source is None:
+            return Reading(_of_color(shine.even))
+        if isinstance(shine.source, bpy.types.Image):
+            return Reading(_of_picture(shine))
+        return _of_sky(shine)
+    except Unread:
+        return _found(digest([*values_of_tree(world.node_tree), repr(_changes), _space()]))
+    except JGHandFailure as failure:
+        return Reading(None, (failure,))
+
+
+def update(depsgraph: bpy.types.Depsgraph) -> bool:
+    """Measures the world of a scene where that is stale; says whether anything is new.
+
+    Takes from a tenth of a second to some. Raises JGHandFailure (no_cycles).
+    """
+    name = world_of(depsgraph).stale
+    if not name:
+        return False
+    scene = depsgraph.scene
+    try:
+        sky = shine_of(_world(depsgraph.scene_eval, depsgraph.view_layer_eval)).source
+    except Unread:
+        sky = None
+    if isinstance(sky, bpy.types.Node):
+        light = probe.measure_sky(scene, sky, _sun_of(sky))
+    else:
+        light = probe.measure(scene, _world(scene, depsgraph.view_layer))
+    suns = tuple({**sun, "rgb": _rec709(np.array(sun["rgb"])).tolist()} for sun in light.suns)
+    _keep(_measured, name, replace(light, radiance=_rec709(light.radiance), suns=suns))
+    return True
+
+
+def notice(depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed in Blender: pictures may have been painted."""
+    for change in depsgraph.updates:
+        if isinstance(change.id, bpy.types.Image):
+            _changes[change.id.session_uid] = _changes.get(change.id.session_uid, 0) + 1
+
+
+def forget() -> None:
+    """Another file."""
+    for kept in (_pictures, _measured, _changes):
+        kept.clear()
+
+
+def _world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+    return getattr(layer, "world_override", None) or scene.world
+
+
+# ---- read ------------------------------------------------------------------------------------------------------------
+
+
+def _of_color(rgb: np.ndarray) -> WorldLight | None:
+    return worlds.even(_rec709(rgb)) if (rgb > 0).any() else None
+
+
+def _of_picture(shine: Shine) -> WorldLight:
+    image = shine.source
+    parts = [image.session_uid, image.filepath, image.size[:], image.colorspace_settings.name, image.source]
+    parts += [image.generated_type, image.generated_color[:], image.is_dirty, _changes.get(image.session_uid, 0)]
+    name = digest([repr(parts), _space()])
+    picture = _pictures.get(name)
+    if picture is None:
+        picture = _keep(_pictures, name, _read(image))
+    key = digest([name, repr([shine.gain.tolist(), shine.even.tolist()])])
+    radiance = _pictures.get(key)
+    if radiance is None:
+        light = picture * shine.gain.astype(np.float32) + shine.even.astype(np.float32)
+        radiance = _keep(_pictures, key, _rec709(light))
+    return WorldLight(radiance, shine.turn, key=key)
+
+
+def _read(image: bpy.types.Image) -> np.ndarray:
+    """(H, W, 3) scene-linear, averaged. Raises Unread where only Blender knows its colors, JGHandFailure
+    (no_world_image)."""
+    space, (width, height), channels = image.colorspace_settings.name, image.size, image.channels
+    if not width * height:
+        raise JGHandFailure("no_world_image", image.filepath)
+    if image.source not in ("FILE", "GENERATED") or channels < 3:
+        raise Unread
+    is_encoded = not image.is_float and space not in _LINEAR_BYTES
+    if is_encoded and (space != "sRGB" or not _is_rec709()):
+        raise Unread
+    values = np.empty(width * height * channels, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, channels)[::-1, :, :3]
+    if is_encoded:
+        values = film.linear_of(values)
+    return worlds.averaged(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0))
+
+
+# ---- measured --------------------------------------------------------------------------------------------------------
+
+
+def _of_sky(shine: Shine) -> Reading:
+    """A sky is measured as it is, and turned and multiplied afterwards."""
+    reading = _found(digest([*values_of(shine.source), _space()]))
+    if reading.light is None:
+        return reading
+    light, gain = reading.light, shine.gain
+    turned = worlds.in_joints(shine.turn.T)
+    suns = tuple(
+        {**sun, "rgb": (gain * sun["rgb"]).tolist(), "place_m": (turned @ sun["place_m"]).tolist()}
+        for sun in light.suns
+    )
+    key = digest([light.key, repr([gain.tolist(), shine.even.tolist()])])
+    radiance = np.maximum(light.radiance * gain + shine.even, 0).astype(np.float32)
+    return reading._replace(light=WorldLight(radiance, shine.turn, suns, key))
+
+
+def _sun_of(sky: Any) -> Sun | None:
+    """The disc of a Sky Texture node; azimuths go from +y to +x."""
+    if sky.sky_type not in _SKIES_WITH_SUN or not sky.sun_disc:
+        return None
+    height, turn = sky.sun_elevation, sky.sun_rotation
+    towards = np.cos(height) * np.sin(turn), np.cos(height) * np.cos(turn), np.sin(height)
+    return Sun(np.array(towards), sky.sun_size)
+
+
+def _found(name: str) -> Reading:
+    if name in _measured:
+        _measured.move_to_end(name)
+        return Reading(_measured[name])
+    last = next(reversed(_measured.values()), None)
+    return Reading(last, (JGHandFailure("world_not_measured"),), name)
+
+
+def _keep(kept: OrderedDict[str, Any], name: str, value: Any) -> Any:
+    kept[name] = value
+    while len(kept) > KEPT:
+        kept.popitem(last=False)
+    return value
+
+
+# ---- colors ----------------------------------------------------------------------------------------------------------
+
+
+def _rec709_from_scene() -> np.ndarray:
+    """(3, 3) from the working space of the file."""
+    columns = [mathutils.Color(axis).from_scene_linear_to_rec709_linear() for axis in np.eye(3).tolist()]
+    return np.array(columns).T
+
+
+def _space() -> str:
+    return repr(_rec709_from_scene().round(6).tolist())
+
+
+def _is_rec709() -> bool:
+    return bool(np.allclose(_rec709_from_scene(), np.eye(3), atol=1e-4))
+
+
+def _rec709(values: np.ndarray) -> np.ndarray:
+    """Scene-linear colors of any shape, as Rec.709 without negative parts."""
+    turned = values if _is_rec709() else values @ _rec709_from_scene().T
+    return np.maximum(turned, 0).astype(np.float32)
