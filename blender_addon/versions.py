@@ -214,13 +214,11 @@ def light_tree(light: bpy.types.Light) -> bpy.types.NodeTree | None:
     return light.node_tree if always or light.use_nodes else None
 
 
-def empty_tree(owner: bpy.types.World | bpy.types.Material) -> bpy.types.NodeTree:
-    """The nodes of a world or a material, all of them removed."""
+def ensure_tree(owner: bpy.types.World | bpy.types.Material) -> bpy.types.NodeTree:
+    """The nodes of a new world or material."""
     if owner.node_tree is None:  # 4.5
         owner.use_nodes = True
-    tree: bpy.types.NodeTree = owner.node_tree
-    tree.nodes.clear()
-    return tree
+    return owner.node_tree
 
 
 def make_straight(convert: bpy.types.Node) -> None:

@@ -159,7 +159,7 @@ def probe(sun: Sun | None = None) -> Probe:
     return Probe(
         np.concatenate([normal, plane]),
         np.concatenate([normal, disc]),
-        np.append(size, np.full(len(disc), FILLED / 4)),
+        np.append(size, np.full(len(disc), FILLED / 10)),
         len(white),
         sun,
     )

@@ -358,9 +358,7 @@ def points_material() -> bpy.types.Material:
         return known
     material = bpy.data.materials.new(MATERIAL)
     material.diffuse_color = _SOLID_RGBA  # Solid mode knows no colors of points
-    if material.node_tree is None:  # until 4.5
-        material.use_nodes = True
-    tree: bpy.types.NodeTree = material.node_tree
+    tree = versions.ensure_tree(material)
     tree.nodes.clear()
     color = tree.nodes.new("ShaderNodeAttribute")
     color.attribute_name, color.location = "displayColor", (-300, 0)

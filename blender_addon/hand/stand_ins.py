@@ -23,7 +23,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from .. import clock
+from .. import clock, versions
 from ..core.joints import NAMES
 from ..core.stand_in import surface_at
 from ..errors import JGHandFailure
@@ -235,9 +235,7 @@ def _material() -> bpy.types.Material:
         return known
     material = bpy.data.materials.new(MATERIAL)
     material.diffuse_color = _INVISIBLE
-    if material.node_tree is None:  # until 4.5
-        material.use_nodes = True
-    tree: bpy.types.NodeTree = material.node_tree
+    tree = versions.ensure_tree(material)
     skin: Any = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
     skin.inputs["Base Color"].default_value = SKIN_RGBA
     skin.inputs["Roughness"].default_value, skin.inputs["Specular IOR Level"].default_value = _ROUGHNESS, _SPECULAR

@@ -46,7 +46,8 @@ def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | N
     """The same of an evaluated Sky Texture node alone, in the node's axes, with the sun apart."""
     world = bpy.data.worlds.new(_NAME)
     try:
-        tree = versions.empty_tree(world)
+        tree = versions.ensure_tree(world)
+        tree.nodes.clear()
         copy, output = tree.nodes.new(sky.bl_idname), tree.nodes.new("ShaderNodeOutputWorld")
         background = tree.nodes.new("ShaderNodeBackground")
         of_all = {*bpy.types.ShaderNode.bl_rna.properties.keys(), "texture_mapping", "color_mapping"}
@@ -104,7 +105,8 @@ def _material(shader: str, made: list[Any]) -> bpy.types.Material:
     """Of one shader that reflects everything."""
     material = bpy.data.materials.new(_NAME)
     made.append((bpy.data.materials, material))
-    tree = versions.empty_tree(material)
+    tree = versions.ensure_tree(material)
+    tree.nodes.clear()
     node, output = tree.nodes.new(shader), tree.nodes.new("ShaderNodeOutputMaterial")
     node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     node.inputs["Roughness"].default_value = 0.0

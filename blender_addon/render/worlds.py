@@ -15,14 +15,13 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import bpy
-import mathutils
 import numpy as np
 
 from ..core import film, worlds
 from ..core.pacing import digest
 from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
-from . import probe
+from . import lamps, probe
 from .world_nodes import Shine, Unread, shine_of, values_of, values_of_tree
 
 # worlds whose light is kept, pictures as they were read and lights as they were measured: some MB each
@@ -195,8 +194,7 @@ def _keep(kept: OrderedDict[str, Any], name: str, value: Any) -> Any:
 
 def _rec709_from_scene() -> np.ndarray:
     """(3, 3) from the working space of the file."""
-    columns = [mathutils.Color(axis).from_scene_linear_to_rec709_linear() for axis in np.eye(3).tolist()]
-    return np.array(columns).T
+    return np.stack([lamps.rec709(axis) for axis in np.eye(3)], 1)
 
 
 def _space() -> str:

@@ -89,8 +89,8 @@ def test_white_facets_say_how_bright_what_mirrors_missed_is(missed):
     light = measured(picture, missed=missed)
     true = irradiance(picture, NORMALS)
     error = np.abs(irradiance(light.radiance, NORMALS) - true) / true.mean()
-    assert error.max() < 0.08
-    # it lies where it was seen, if at all: within one of the 64 parts
+    # what was not seen may be anywhere in its part
+    assert error.max() < (0.06 if missed else 0.12)
     if missed:
         assert np.unravel_index(light.radiance[..., 0].argmax(), light.radiance.shape[:2]) == (8, 20)
 
