@@ -265,6 +265,8 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     """A render begins where no timer runs: a script may have added hands."""
     if bpy.app.background and scene.render.engine != ENGINE and WITHOUT not in scene:
         update()
+        for layer in scene.view_layers:  # a render that meets new objects ends Blender (run, 5.2.3)
+            layer.update()
 
 
 _HANDLERS = (("load_post", on_load), ("render_init", on_render))
