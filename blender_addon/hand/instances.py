@@ -8,7 +8,7 @@ instance (particles, geometry nodes, vertices and faces) shows no hands.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import bpy
 import numpy as np
@@ -16,8 +16,8 @@ from mathutils import Matrix
 
 from . import armature
 
-# a collection -> whether hands are in it, or what instances some. An evaluated one has no session_uid of its own, and
-# one that was renamed is another
+# a collection -> whether hands, or what else is wanted, are in it, or what instances some. An evaluated one has no
+# session_uid of its own, and one that was renamed is another
 Known = dict[tuple[int, str], bool]
 # how deep Blender looks into instances of instances
 DEPTH_MAX = 8
@@ -25,7 +25,12 @@ DEPTH_MAX = 8
 
 def shows_hands(thing: bpy.types.Object, known: Known) -> bool:
     """Whether an object is a hand or instances some. known: what was found of collections, for the next object."""
-    if armature.is_any_hand(thing):
+    return shows(thing, armature.is_any_hand, known)
+
+
+def shows(thing: bpy.types.Object, wanted: Callable[[bpy.types.Object], bool], known: Known) -> bool:
+    """Whether an object is wanted or instances what is. known: as of `shows_hands`, for this wish alone."""
+    if wanted(thing):
         return True
     collection = thing.instance_collection if thing.instance_type == "COLLECTION" else None
     if collection is None:
@@ -33,7 +38,7 @@ def shows_hands(thing: bpy.types.Object, known: Known) -> bool:
     key = (collection.session_uid, collection.name_full)
     if key not in known:
         known[key] = False  # Blender lets no collection instance itself; should one, this ends
-        known[key] = any(shows_hands(part, known) for part in collection.all_objects)
+        known[key] = any(shows(part, wanted, known) for part in collection.all_objects)
     return known[key]
 
 

@@ -30,7 +30,7 @@ HAD_LOCK = "jghand_had_lock_interface"
 OWNER = "jghand_combined_scene"
 MARK = "jghand_combination"
 # what the scene of the hands has as the first one has it
-_SCENE = ("frame_start", "frame_end", "frame_step", "camera")
+_SCENE = ("frame_start", "frame_end", "frame_step", "camera", "world")
 _RENDER = (
     *("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "fps", "fps_base"),
     *("use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y"),
@@ -60,7 +60,7 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
     ours, layer = hands_scene_of(scene), _combined_layer(scene)
     if ours is None or layer is None:
         return []
-    wanted, there = _things(scene, instances.sources_at_any_frame(layer)), set(ours.collection.objects)
+    wanted, there = _things(scene, layer), set(ours.collection.objects)
     found = [rpt_("{name} is missing").format(name=thing.name) for thing in wanted if thing not in there]
     found += [rpt_("{name} is too much").format(name=thing.name) for thing in there if thing not in wanted]
     for owner, of, names in _shared(scene, ours):
@@ -80,8 +80,7 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
 
     layer: the view layer that is combined with. Raises JGHandFailure: no_hand, no_camera.
     """
-    hands = instances.sources_at_any_frame(layer)
-    if not hands:
+    if not instances.sources_at_any_frame(layer):
         raise JGHandFailure("no_hand", scene.name)
     if scene.camera is None:
         raise JGHandFailure("no_camera")
@@ -95,7 +94,7 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
         _forget_nodes(scene)
         _give_depth_back(scene)
         layer[HAD_DEPTH] = layer.use_pass_z
-    _share(scene, ours, hands)
+    _share(scene, ours, layer)
     layer.use_pass_z = True
     if HAD_COMPOSITING not in scene:
         _begin_compositing(scene)
@@ -171,7 +170,7 @@ def _forget_nodes(scene: bpy.types.Scene) -> None:
         _take_out(versions.own_compositor_tree(scene))
 
 
-def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.Object]) -> None:
+def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
     """Makes the scene of the hands show what the first one does, from the same side, in the same time."""
     for owner, of, names in _shared(scene, ours):
         for name in names:
@@ -180,7 +179,7 @@ def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.
     _copy_curve(scene.render.motion_blur_shutter_curve, ours.render.motion_blur_shutter_curve)
     ours.render.engine, ours.render.film_transparent = ENGINE, True
     ours.view_layers[0].use_pass_z = True
-    wanted, there = _things(scene, hands), set(ours.collection.objects)
+    wanted, there = _things(scene, layer), set(ours.collection.objects)
     for thing in there.difference(wanted):
         ours.collection.objects.unlink(thing)
     for thing in wanted:
@@ -199,11 +198,17 @@ def _shared(scene: bpy.types.Scene, ours: bpy.types.Scene) -> Iterator[tuple[Any
     yield ours.jghand, scene.jghand, _HANDS
 
 
-def _things(scene: bpy.types.Scene, hands: list[bpy.types.Object]) -> list[bpy.types.Object]:
-    """The objects that the scene of the hands shows: hands, what moves them, and cameras."""
+def _things(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The objects of the scene of the hands: hands, what moves them, cameras, and the lamps that light them."""
     cameras = [marker.camera for marker in scene.timeline_markers]
-    parts = [part for hand in hands for part in armature.parts_of(hand)]
-    return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras)) if thing is not None]
+    parts = [part for hand in instances.sources_at_any_frame(layer) for part in armature.parts_of(hand)]
+    known: instances.Known = {}
+    lamps = armature.rendered_at_any_frame(layer, lambda thing: instances.shows(thing, _is_lamp, known))
+    return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras, *lamps)) if thing is not None]
+
+
+def _is_lamp(thing: bpy.types.Object) -> bool:
+    return thing.type == "LIGHT"
 
 
 def _copy_curve(source: bpy.types.CurveMapping, target: bpy.types.CurveMapping) -> None:

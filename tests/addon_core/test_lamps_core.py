@@ -11,7 +11,9 @@ import pytest
 
 from blender_addon.core.lamps import BlenderLight, lamps_of
 from blender_addon.core.view import LIGHT_FROM_WORLD
-from jghand_engine.avatar.scene_light import Lamp, LampKind
+from jghand_engine.avatar import light_records
+from jghand_engine.errors import InputError
+from jghand_engine.json_files import JsonObject
 
 WHITE = np.ones(3)
 LIGHT = BlenderLight(
@@ -19,6 +21,10 @@ LIGHT = BlenderLight(
     **{"radius": 0.1, "angle": 0.2, "cone": 1.0, "blend": 0.5, "size": (0.3, 0.2)},
 )  # fmt: skip
 KINDS = ("SUN", "POINT", "SPOT", "AREA")
+
+
+def wrong(name: str, wanted: str, came: object) -> InputError:
+    return InputError(name, wanted=wanted, came=repr(came))
 
 
 def placed(place=(0, 0, 0), turn=None, scale=(1, 1, 1)) -> np.ndarray:
@@ -34,9 +40,9 @@ AWAY = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_engine_takes_every_lamp_as_json(kind):
-    (lamp,) = json.loads(json.dumps(lamps_of(replace(LIGHT, kind=kind), 1.0)))
-    read = Lamp(**{**lamp, "kind": LampKind[lamp["kind"].upper()]})
-    assert min(read.rgb) > 0
+    lamps = json.loads(json.dumps(lamps_of(replace(LIGHT, kind=kind, gloss=0.5), 1.0)))
+    read = light_records.lamps_of(JsonObject({"lamps": lamps}, wrong))
+    assert [lamp.on_matt for lamp in read] == [True, False]
 
 
 def test_lamps_stand_and_shine_in_the_axes_of_the_engine():

@@ -9,15 +9,22 @@ import sys
 
 import numpy as np
 
-from jghand_engine.avatar.scene_light import Lamp, LampKind, SceneLight
+from jghand_engine.avatar.light_records import lamps_of
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.scene_light_step import irradiance_at, lamp_rows
+from jghand_engine.errors import InputError
+from jghand_engine.json_files import JsonObject
 
 UP = (0.0, 1.0, 0.0)
 ORIGIN = np.zeros(3)
 
 
+def wrong(name: str, wanted: str, came: object) -> InputError:
+    return InputError(name, wanted=wanted, came=repr(came))
+
+
 def irradiance(lamps: list[dict]) -> np.ndarray:
-    light = SceneLight(lamps=tuple(Lamp(**{**lamp, "kind": LampKind[lamp["kind"].upper()]}) for lamp in lamps))
+    light = SceneLight(lamps=lamps_of(JsonObject({"lamps": lamps}, wrong)))
     rows, _ = lamp_rows(light, ORIGIN, ORIGIN)
     cosines = [max(float(row[:3] @ UP) / np.linalg.norm(row[:3]), 0.0) for row in rows]
     parts = [cosine * irradiance_at(row, ORIGIN) for row, cosine in zip(rows, cosines, strict=True)]

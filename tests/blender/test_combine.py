@@ -13,7 +13,7 @@ from blender_addon import versions
 from blender_addon.core import film, posing
 from blender_addon.core.view import picture_request
 from blender_addon.hand import armature
-from blender_addon.render import camera, composite
+from blender_addon.render import camera, composite, lamps
 from blender_addon.renderer import runtime
 from blender_addon.renderer.engine_command import engine_command
 from blender_addon.renderer.link import EngineLink
@@ -349,6 +349,30 @@ def test_a_picture_says_in_what_its_hands_are_not_up_to_date(scene, capfd):
     assert "right is too much" in composite.out_of_date(scene)
     bpy.ops.jghand.combine_with_scene()
     assert composite.out_of_date(scene) == []
+
+
+def test_the_lamps_and_the_world_of_the_scene_light_its_hands_as_its_engine_takes_them(scene):
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.diffuse_factor = 0.5
+    inside, placed = bpy.data.collections.new("inside"), bpy.data.objects.new("placed", None)
+    inside.objects.link(bpy.data.objects.new("point", bpy.data.lights.new("point", "POINT")))
+    placed.instance_type, placed.instance_collection = "COLLECTION", inside
+    for thing in (sun, placed):
+        scene.collection.objects.link(thing)
+    scene.world = bpy.data.worlds.new("world")
+    bpy.ops.jghand.combine_with_scene()
+    ours = composite.hands_scene_of(scene)
+    assert ours.world == scene.world
+    found = {}
+    for engine in ("CYCLES", "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"):
+        scene.render.engine = engine
+        for each in (scene, ours):
+            each.view_layers[0].update()
+            found[engine, each.name] = sorted(map(str, lamps.lamps_of(each.view_layers[0].depsgraph, []).lamps))
+        assert found[engine, scene.name] == found[engine, ours.name]
+    assert [len(each) for each in found.values()] == [2, 2, 3, 3]
+    placed.hide_render = True
+    assert composite.out_of_date(scene) == ["placed is too much"]
 
 
 def test_a_linked_hand_of_the_same_name_is_combined_too(scene, tmp_path):
