@@ -33,7 +33,10 @@ def light_of(lamps: tuple[Lamp, ...], world: World | None) -> SceneLight:
     if world is None:
         return SceneLight(None, lamps)
     left, suns = take_suns(world)
-    small = World(averaged(left.radiance, ROWS_MAX, COLUMNS_MAX), left.env_from_world)
+    radiance = averaged(left.radiance, ROWS_MAX, COLUMNS_MAX)
+    # a pixel is as bright all over, but counts as a point: those of a small picture are parted
+    parts = -(-ROWS_MAX // len(radiance))
+    small = World(radiance.repeat(parts, 0).repeat(parts, 1), left.env_from_world)
     return SceneLight(small, (*lamps, *suns))
 
 

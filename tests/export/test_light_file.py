@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.light_records import record_of
-from jghand_engine.avatar.scene_light import Lamp
+from jghand_engine.avatar.scene_light import Lamp, harmonics
 from jghand_engine.errors import InputError
 from jghand_engine.export.light_file import files_of, read_light
 from jghand_engine.native.scene_light_task import LampKind
@@ -43,6 +43,14 @@ def test_the_sky_of_a_panorama_lights_what_looks_up(tmp_path):
         assert np.allclose(light.sum((0, 1)), 2 * np.pi * np.array([1, 2, 3]), rtol=1e-3)
         assert (direction[light.sum(-1) > 0] @ [0, 1, 0] > 0).all()
         assert tmp_path / "sky.npy" in files_of(path)
+
+
+def test_a_world_of_one_color_lights_all_normals_alike(tmp_path):
+    terms = read_light(written(tmp_path, world={"rgb": [0.2, 0.5, 1.0]})).world.terms
+    normals = np.random.default_rng(0).standard_normal((200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    lit = harmonics(normals) @ terms.irradiance(np.full(3, 0.02))
+    np.testing.assert_allclose(lit, np.tile(np.pi * np.array([0.2, 0.5, 1.0]), (200, 1)), rtol=0.002)
 
 
 def test_a_world_of_one_color_is_as_bright_everywhere(tmp_path):
