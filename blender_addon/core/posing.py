@@ -90,15 +90,7 @@ def bone_keys(joints: np.ndarray, rest: np.ndarray, handedness: str) -> BoneKeys
     """
     joints = checked_joints(joints)
     rest = np.asarray(rest, np.float64)
-    axes = np.empty((len(joints), len(NAMES), 3, 3))
-    axes[:, WRIST] = palm_axes(joints, handedness) @ (
-        palm_axes(rest[None, :, :3, 3], handedness)[0].T @ rest[0, :3, :3]
-    )
-    for place in range(1, len(NAMES)):
-        parent = PARENTS[place]
-        carried = axes[:, parent] @ (rest[parent, :3, :3].T @ rest[place, :3, :3])
-        tail = TAILS[place]
-        axes[:, place] = carried if tail < 0 else _smallest_rotation(carried, joints[:, tail] - joints[:, place])
+    axes = posed_axes(joints, rest, handedness)
     location, quaternion = np.empty_like(joints), np.empty((*joints.shape[:2], 4))
     for place, parent in enumerate(PARENTS):
         if parent < 0:
@@ -111,6 +103,20 @@ def bone_keys(joints: np.ndarray, rest: np.ndarray, handedness: str) -> BoneKeys
         location[:, place] = _apply(inverse, joints[:, place] - unposed_head)
         quaternion[:, place] = _continuous(_quaternions(inverse @ axes[:, place]))
     return BoneKeys(location, quaternion)
+
+
+def posed_axes(joints: np.ndarray, rest: np.ndarray, handedness: str) -> np.ndarray:
+    """(F, 21, 3) joints and (21, 4, 4) rest matrices -> (F, 21, 3, 3) axes of the bones in the poses."""
+    axes = np.empty((len(joints), len(NAMES), 3, 3))
+    axes[:, WRIST] = palm_axes(joints, handedness) @ (
+        palm_axes(rest[None, :, :3, 3], handedness)[0].T @ rest[0, :3, :3]
+    )
+    for place in range(1, len(NAMES)):
+        parent = PARENTS[place]
+        carried = axes[:, parent] @ (rest[parent, :3, :3].T @ rest[place, :3, :3])
+        tail = TAILS[place]
+        axes[:, place] = carried if tail < 0 else _smallest_rotation(carried, joints[:, tail] - joints[:, place])
+    return axes
 
 
 def checked_joints(joints: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of a hand at rest for any 21 joints: what throws a hand's shadow in Cycles and EEVEE.
+"""The surface of a hand at any 21 joints: what throws its shadow in Cycles and EEVEE, and where the scene's shadow on
+it is looked for.
 
 It is the engine's template, whose file the build copies into the zip. Each vertex has weights of the bones that *begin*
 at a joint, as armatures have them. Does not use bpy.
@@ -7,14 +8,14 @@ at a joint, as armatures have them. Does not use bpy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from . import posing
-from .joints import LEFT, PARENTS, TAILS
+from .joints import LEFT, TAILS
 
 _NAME = "hand_right.npz"
 _MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -33,34 +34,44 @@ class Surface:
     faces: np.ndarray
     weights: np.ndarray
 
+    @property
+    def normals(self) -> np.ndarray:
+        """(V, 3) unit, outwards: faces count by their area."""
+        corners = self.vertices[self.faces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        total = np.zeros_like(self.vertices)
+        for corner in range(3):
+            np.add.at(total, self.faces[:, corner], across)
+        return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-30)
+
 
 def surface_at(joints: np.ndarray, handedness: str) -> Surface:
-    """The template's hand carried to (21, 3) joints of a rest pose, any unit: each bone is turned onto its new place
-    and stretched along itself; across, all are as thick as the whole hand is large. JGHandFailure: bad_joints."""
-    joints = np.asarray(joints, np.float64)
-    there = posing.rest_matrices(joints, handedness)
-    vertices, faces, weights, own = _template()
-    if handedness == LEFT:
-        vertices, faces, own = vertices * _MIRROR, faces[:, ::-1], own * _MIRROR
-    here = posing.rest_matrices(own, handedness)
+    """The template's hand carried to (21, 3) joints of any pose, any unit: each bone is turned onto its new place and
+    stretched along itself; across, all are as thick as the whole hand is large. JGHandFailure: bad_joints."""
+    joints = posing.checked_joints(np.asarray(joints)[None])
+    template, rest = _template(handedness)
+    axes, joints, own = posing.posed_axes(joints, rest, handedness)[0], joints[0], rest[:, :3, 3]
     tails = [tail if tail >= 0 else place for place, tail in enumerate(TAILS)]
     lengths, own_lengths = (np.linalg.norm(each[tails] - each, axis=-1) for each in (joints, own))
-    bones, own_bones = (np.linalg.norm(each[1:] - each[list(PARENTS[1:])], axis=-1) for each in (joints, own))
-    size = bones.sum() / own_bones.sum()
-    stretch = np.full((len(joints), 3), size)
+    stretch = np.full((len(joints), 3), lengths.sum() / own_lengths.sum())
     stretch[:, 1] = np.divide(lengths, own_lengths, out=stretch[:, 1], where=own_lengths > 0)
-    linear = there[:, :3, :3] * stretch[:, None] @ np.swapaxes(here[:, :3, :3], -1, -2)
-    moved = np.einsum("jab,vjb->vja", linear, vertices[:, None] - own) + joints
-    return Surface(np.einsum("vj,vja->va", weights, moved), faces, weights)
+    maps = np.empty((len(joints), 3, 4))
+    maps[:, :, :3] = axes * stretch[:, None] @ np.swapaxes(rest[:, :3, :3], -1, -2)
+    maps[:, :, 3] = joints - np.einsum("jab,jb->ja", maps[:, :, :3], own)
+    skin = (template.weights @ maps.reshape(len(joints), 12)).reshape(-1, 3, 4)
+    return replace(template, vertices=np.einsum("vab,vb->va", skin[..., :3], template.vertices) + skin[..., 3])
 
 
 @cache
-def _template() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, faces, weights and joints of the right hand, meters."""
+def _template(handedness: str) -> tuple[Surface, np.ndarray]:
+    """The template's hand, meters, and its (21, 4, 4) rest matrices. JGHandFailure (not_a_hand): another handedness."""
     package = Path(__file__).parents[1]
     built = package / "assets" / _NAME
     path = built if built.is_file() else package.parent / "jghand_engine" / "assets" / _NAME
     with np.load(path, allow_pickle=False) as arrays:
         vertices, faces, weights, joints = (arrays[name] for name in ("vertices", "faces", "weights", "joints"))
-    weights = weights.astype(np.float64)
-    return vertices.astype(np.float64), faces, weights / weights.sum(1, keepdims=True), joints.astype(np.float64)
+    vertices, weights, joints = (each.astype(np.float64) for each in (vertices, weights, joints))
+    if handedness == LEFT:
+        vertices, faces, joints = vertices * _MIRROR, faces[:, ::-1], joints * _MIRROR
+    weights /= weights.sum(1, keepdims=True)
+    return Surface(vertices, faces, weights), posing.rest_matrices(joints, handedness)

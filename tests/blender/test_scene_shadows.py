@@ -1,0 +1,151 @@
+"""What a scene leaves of lamps at points of the skin: nothing behind a card, all beside it, a penumbra of its width."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from blender_addon.core import posing, stand_in
+from blender_addon.core.view import LIGHT_FROM_WORLD
+from blender_addon.render import lamps, scene_shadows
+
+SUN = {"kind": "sun", "rgb": [1, 1, 1], "place_m": [0, 1, 0]}
+POINT = {"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 1, 0]}
+AREA = {
+    "kind": "area", "rgb": [1, 1, 1], "place_m": [0, 1, 0], "axis": [0, -1, 0], "side": [1, 0, 0], "size_m": [0.2, 0.2],
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def fresh(context):
+    scene_shadows.forget()
+
+
+def card(size: float, *, up: float, aside: float = 0.0) -> bpy.types.Object:
+    """A level square; Blender's z is up, and y in the axes of lamps."""
+    bpy.ops.mesh.primitive_plane_add(size=size, location=(aside, 0, up))
+    return bpy.context.object
+
+
+def line(count: int = 800, length: float = 0.4) -> tuple[np.ndarray, np.ndarray]:
+    """Points along x on the ground and the normals there, up."""
+    points = np.zeros((count, 3))
+    points[:, 0] = np.linspace(-length / 2, length / 2, count)
+    return points, np.tile([0.0, 1.0, 0.0], (count, 1))
+
+
+def left(points: np.ndarray, normals: np.ndarray, *records: dict) -> np.ndarray:
+    """0..1."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return scene_shadows.left_of_lamps(points, normals, records, depsgraph) / 255
+
+
+@pytest.mark.parametrize("lamp", [SUN, POINT, AREA], ids=["sun", "point", "area"])
+def test_a_card_between_leaves_nothing_and_one_beside_all(context, lamp):
+    points, normals = line(length=0.1)
+    plane = card(0.6, up=0.5)
+    assert left(points, normals, lamp).max() == 0
+    plane.location.x = 0.8
+    assert left(points, normals, lamp).min() == 1
+    plane.location = (0, 0, -0.2)
+    assert left(points, normals, lamp).min() == 1
+    plane.location.z = 1.2
+    assert left(points, normals, lamp).min() == (0 if lamp is SUN else 1)
+
+
+def test_a_card_that_lies_on_the_skin_shades_it_and_the_skins_own_surface_does_not(context):
+    points, normals = line(length=0.1)
+    card(0.6, up=0.0)
+    assert left(points, normals, SUN).min() == 1
+    card(0.6, up=0.01)
+    assert left(points, normals, SUN).max() == 0
+
+
+def test_skin_that_faces_away_and_lamps_without_shadow_cost_no_ray(context):
+    points, normals = line(length=0.1)
+    card(0.6, up=0.5)
+    assert left(points, -normals, POINT).min() == 1
+    assert left(points, normals, {**POINT, "has_shadow": False}).min() == 1
+
+
+def _width(seen: np.ndarray, step: float) -> float:
+    """Of the ramp from none to all: six times the integral of v (1 - v), v as mean over 20 neighbors."""
+    mean = seen[: len(seen) // 20 * 20].reshape(-1, 20).mean(-1)
+    return float(6 * (mean * (1 - mean)).sum() * 20 * step)
+
+
+@pytest.mark.parametrize("up", [0.2, 0.5])
+def test_the_penumbra_of_an_area_lamp_is_as_wide_as_it_should_be(context, up):
+    """Of a straight edge: size of the lamp x edge to ground / lamp to edge."""
+    card(2.0, up=up, aside=1.0)
+    points, normals = line(length=0.8)
+    points[:, 1] -= scene_shadows.LIFT_M  # rays begin above the skin
+    wanted = AREA["size_m"][0] * up / (1 - up)
+    assert _width(left(points, normals, AREA)[0], 0.001) == pytest.approx(wanted, rel=0.3)
+
+
+@pytest.mark.parametrize("kind", ["sun", "point"])
+def test_the_penumbra_of_a_round_lamp_is_as_wide_as_it_should_be(context, kind):
+    """The visible part of a disk behind a straight edge; 6 x the integral of v (1 - v) is 0.865 of its width."""
+    card(2.0, up=0.5, aside=1.0)
+    points, normals = line(length=0.8)
+    lamp = {**SUN, "angle_rad": 0.4} if kind == "sun" else {**POINT, "radius_m": 0.1}
+    whole = 2 * 0.5 * np.tan(0.2) if kind == "sun" else 0.2
+    x = np.linspace(-1, 1, 20_001)
+    part = 0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.pi
+    wanted = 6 * (part * (1 - part)).mean() * whole
+    assert _width(left(points, normals, lamp)[0], 0.001) == pytest.approx(wanted, rel=0.3)
+
+
+def test_instances_units_and_turned_things_throw_shadows_and_stand_ins_none(extension):
+    points, normals = line(length=0.1)
+    plane = card(0.6, up=0.0)
+    plane.name = "card"
+    collection = bpy.data.collections.new("cards")
+    collection.objects.link(plane)
+    bpy.context.scene.collection.objects.unlink(plane)
+    instance = bpy.data.objects.new("instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", collection
+    instance.matrix_world = Matrix.Translation((0, 0, 50)) @ Matrix.Rotation(3.0, 4, "Z") @ Matrix.Scale(100, 4)
+    bpy.context.scene.collection.objects.link(instance)
+    bpy.context.scene.unit_settings.scale_length = 0.01
+    assert left(points, normals, POINT).max() == 0
+    instance.location.z = 150
+    assert left(points, normals, POINT).min() == 1
+    bpy.data.objects.remove(instance)
+    bpy.context.scene.unit_settings.scale_length = 1.0
+    bpy.ops.jghand.add_hand()
+    for thing in bpy.data.objects:
+        thing.hide_viewport = False
+    joints_m = posing.rest_joints_m("right") @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]] @ LIGHT_FROM_WORLD[:3, :3].T
+    surface = stand_in.surface_at(joints_m, "right")
+    assert left(surface.vertices, surface.normals, SUN).min() == 1
+
+
+def test_a_thing_that_changes_is_looked_at_again(context):
+    points, normals = line(length=0.1)
+    plane = card(0.6, up=0.5)
+    assert left(points, normals, POINT).max() == 0
+    for vertex in plane.data.vertices:
+        vertex.co.x += 2
+    plane.data.update()
+    assert left(points, normals, POINT).min() == 1
+    plane.data.vertices.foreach_set("co", np.array([-1, -1, 0, 1, -1, 0, -1, 1, 0, 1, 1, 0], np.float32))
+    plane.data.update()
+    plane.visible_shadow = False
+    assert left(points, normals, POINT).min() == 1
+
+
+def test_blenders_lamps_are_read_into_what_it_takes(context):
+    """The shadow of a cube on points that a spot of Blender's lights."""
+    spot = bpy.data.objects.new("spot", bpy.data.lights.new("spot", "SPOT"))
+    spot.location = (0, 0, 1)
+    bpy.context.scene.collection.objects.link(spot)
+    bpy.ops.mesh.primitive_cube_add(size=0.1, location=(0, 0, 0.5))
+    points, normals = line(length=0.8)
+    found = lamps.lamps_of(bpy.context.evaluated_depsgraph_get(), [])
+    seen = left(points, normals, *found.lamps)[0]
+    assert seen[len(seen) // 2] == 0
+    assert seen[0] == seen[-1] == 1
