@@ -245,6 +245,6 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
     return hit
 
 
-def _unit(vector: Sequence[float]) -> np.ndarray:
+def _unit(vector: Any) -> np.ndarray:
     vector = np.asarray(vector, np.float64)
     return vector / np.linalg.norm(vector)
