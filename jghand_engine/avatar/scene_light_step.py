@@ -33,6 +33,10 @@ LAMPS_MAX = 32
 WHOLE_SINE_MAX = 0.12
 # parts of all light at the hand below which a lamp is left out, and casts no shadow
 LAMP_PART_MIN, SHADOW_PART_MIN = 0.002, 0.005
+# radii of a narrow area, or of a part of it, that its beam is wider by: where beams of four parts meet is light, too
+BEAM_RADII = 1.7
+# half of a hand's length, meters: some of it may be in a beam that passes its middle by
+HALF_HAND_M = 0.1
 # fade of a spot without one: a step of its cosine
 BLEND_MIN = 1e-3
 # concentration of a spherical Gaussian that is as wide as GGX mirrors, over 1 / roughness^4: half the angle in the
@@ -131,42 +135,59 @@ def lamp_rows(light: SceneLight, root_m: np.ndarray, middle_m: np.ndarray) -> tu
     root_m:   (3,) of the hand; rows are relative to it
     middle_m: (3,) of the hand, relative to the root: where lamps are compared
     """
-    whole = [_row(lamp, root_m) for lamp in light.lamps]
-    power = np.array([irradiance_at(row, middle_m).sum() for row in whole])
+    plain = [_row(lamp, root_m) for lamp in light.lamps]
+    whole = [_widened(row, middle_m) for row in plain]
+    looks = middle_m + HALF_HAND_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    power = np.array([irradiance_at(row, looks).sum(-1).max() for row in whole])
     world = 0.0 if light.world is None else float(light.world.terms.mean_irradiance.sum())
     every = float(power.sum()) + world
     rows: list[np.ndarray] = []
     casting: list[np.ndarray] = []
     for index in np.argsort(-power, kind="stable")[:LAMPS_MAX]:
-        lamp, row = light.lamps[index], whole[index]
+        lamp = light.lamps[index]
         if power[index] <= LAMP_PART_MIN * every:
             break
         if lamp.has_shadow and power[index] > SHADOW_PART_MIN * every:
-            row[NUMBER["slot"]] = len(casting)
-            casting.append(row)
-        rows += _parts(lamp, row, middle_m)
+            plain[index][NUMBER["slot"]] = whole[index][NUMBER["slot"]] = len(casting)
+            casting.append(whole[index])
+        rows += [_widened(part, middle_m) for part in _parts(lamp, plain[index], middle_m)]
     lamps, shadows = (np.array(each).reshape(-1, len(LAMP_NUMBERS)) for each in (rows, casting))
     return lamps, shadows
 
 
-def irradiance_at(row: np.ndarray, point_m: np.ndarray) -> np.ndarray:
-    """(3,) W/m2 that a surface gets which faces the lamp of a row, at a point (3,) in the row's frame."""
+def irradiance_at(row: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """(..., 3) W/m2 that surfaces get which face the lamp of a row, at points (..., 3) in the row's frame."""
     rgb, kind = row[NUMBER["red"] : NUMBER["blue"] + 1], int(row[NUMBER["kind"]])
     if kind == LampKind.SUN:
-        return rgb
-    way_m = row[:3] - point_m
-    distance2 = max(float(way_m @ way_m), 1e-12)
+        return np.broadcast_to(rgb, points_m.shape)
+    way_m = row[:3] - points_m
+    distance2 = np.maximum(np.square(way_m).sum(-1), 1e-12)
     strength = 1 / (distance2 + row[NUMBER["softening"]])
-    cosine = -float(way_m @ row[3:6]) / np.sqrt(distance2)
+    cosine = -(way_m @ row[3:6]) / np.sqrt(distance2)
     if kind == LampKind.SPOT:
         t = np.clip((cosine - row[NUMBER["cone"]]) * row[NUMBER["cone_scale"]], 0, 1)
-        strength *= t * t * (3 - 2 * t)
+        strength = strength * t * t * (3 - 2 * t)
     if kind == LampKind.AREA:
-        strength *= max(cosine, 0.0)
+        strength = strength * np.maximum(cosine, 0)
         if row[NUMBER["spread_gain"]] > 0:
-            tangent = np.sqrt(max(1 - cosine * cosine, 0.0)) / max(cosine, 1e-4)
-            strength *= max(row[NUMBER["spread"]] - tangent, 0.0) * row[NUMBER["spread_gain"]]
-    return rgb * strength
+            tangent = np.sqrt(np.maximum(1 - cosine * cosine, 0)) / np.maximum(cosine, 1e-4)
+            strength = strength * np.maximum(row[NUMBER["spread"]] - tangent, 0) * row[NUMBER["spread_gain"]]
+    return rgb * strength[..., None]
+
+
+def _widened(row: np.ndarray, middle_m: np.ndarray) -> np.ndarray:
+    """A narrow area, of which each point shines into a cone, as one point at its middle: its cone holds all of their
+    light and is as wide as the area where the hand is."""
+    if row[NUMBER["spread_gain"]] == 0:
+        return row
+    row = row.copy()
+    radius_m = np.sqrt(row[NUMBER["radius2"]])
+    distance_m = max(float((middle_m - row[:3]) @ row[3:6]), radius_m, 1e-6)
+    cone = row[NUMBER["spread"]] ** 3
+    wider = cone + (BEAM_RADII * radius_m / distance_m) ** 3
+    row[NUMBER["spread"]] = wider ** (1 / 3)
+    row[NUMBER["spread_gain"]] *= cone / wider
+    return row
 
 
 def _row(lamp: Lamp, root_m: np.ndarray) -> np.ndarray:

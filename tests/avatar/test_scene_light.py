@@ -312,6 +312,33 @@ def test_a_large_area_is_four_lamps_of_one_shadow_and_gives_the_same_light():
         assert parts == pytest.approx(whole, rel=0.1)
 
 
+@pytest.mark.parametrize("spread_rad", [0.1, 0.2, 0.5, 1.0, 2.0])
+def test_a_large_area_that_shines_straight_ahead_lights_what_is_in_its_beam(spread_rad):
+    """Against the sum over all of its points, each of which shines into a cone."""
+    size_m, distance_m, edge = 0.6, 0.8, np.tan(spread_rad / 2)
+    area = Lamp(LampKind.AREA, (1, 1, 1), (0, 0, distance_m), size_m=(size_m, size_m), spread_rad=spread_rad)
+    grid = size_m * ((np.arange(200) + 0.5) / 200 - 0.5)
+
+    def wanted(aside_m: float) -> float:
+        tangent2 = ((grid[:, None] - aside_m) ** 2 + grid**2) / distance_m**2
+        cones = np.maximum(edge - np.sqrt(tangent2), 0) / (edge - spread_rad / 2)
+        return (cones / (1 + tangent2) ** 2).mean() * (size_m / distance_m) ** 2
+
+    def found(aside_m: float) -> float:
+        rows, _ = lamp_rows(SceneLight(None, (area,)), np.array([aside_m, 0, 0]), np.zeros(3))
+        return sum(row[2] / np.linalg.norm(row[:3]) * irradiance_at(row, np.zeros(3))[0] for row in rows)
+
+    assert found(0.0) == pytest.approx(wanted(0.0), rel=0.25)
+    assert found(0.15) == pytest.approx(wanted(0.15), rel=0.25)
+    assert found(0.9) == pytest.approx(wanted(0.9), abs=0.01 * wanted(0.0))
+
+
+def test_a_beam_that_passes_the_palm_by_lights_the_fingers():
+    spot = Lamp(LampKind.SPOT, (1, 1, 1), (0.08, 0, 0.5), (0, 0, -1), cone_rad=0.1)
+    rows, casting = lamp_rows(SceneLight(None, (spot,)), np.zeros(3), np.zeros(3))
+    assert len(rows) == len(casting) == 1
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
