@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -32,7 +33,7 @@ from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, Shutter
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.crop import HandFacts
-from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
+from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode, preset
@@ -94,6 +95,17 @@ def test_a_choice_is_written_as_it_is_read(text: str):
 def test_an_unknown_effect_is_refused_by_name(text: str):
     with pytest.raises(InputError, match=r"effects: wanted auto \| all \| none"):
         Choice.parse(text)
+
+
+def test_the_estimate_of_a_shadow_grows_with_its_samples_and_the_hand():
+    def estimate(samples: int, focal_px: float) -> float:
+        settings = replace(SMALL, shadow=ShadowMode.ALWAYS, shadow_samples=samples)
+        plan = plan_of(HandRenderer(RIGHT, settings).render(pose("fist"), camera(focal_px=focal_px)))
+        return plan[Effect.SHADOW].estimated_ms
+
+    assert estimate(32, 150.0) == pytest.approx(2 * estimate(16, 150.0))
+    assert estimate(16, 300.0) == pytest.approx(4 * estimate(16, 150.0), rel=0.01)
+    assert estimate(16, 150.0) > 0
 
 
 def test_every_effect_is_decided_about_once_and_has_a_line():
@@ -606,6 +618,24 @@ def test_a_lens_is_the_mean_of_very_many_pinholes(aperture_m: float):
     points = 0.5 * aperture_m * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     brute = sum(linear(renderer.render(joints, view.through(float(x), float(y)))) / 400 for x, y in points)
     assert float(np.abs(linear(seen) - brute).max()) <= blur.FOCUS_ERROR_MAX  # observed 0.044
+
+
+def test_a_hand_that_only_the_rim_of_the_lens_sees_is_blurred_there():
+    """Seen from the rim, what is at 0.5 m goes aside by 20 mm times 0.5 / 0.2 - 1, where 0.2 m are sharp."""
+    renderer, joints = HandRenderer(RIGHT, replace(SMALL, gaussians=500)), pose("open")
+    pinhole = camera(side_m=0.0)
+
+    def farthest_m(view: Camera, is_seen: Callable[[EffectPlan], bool]) -> float:
+        inside_m, outside_m = 0.0, 1.0
+        while outside_m - inside_m > 0.001:
+            middle_m = (inside_m + outside_m) / 2
+            seen = is_seen(plan_of(renderer.render(joints + np.array([middle_m, 0.0, 0.0]), view)))
+            inside_m, outside_m = (middle_m, outside_m) if seen else (inside_m, middle_m)
+        return inside_m
+
+    from_middle_m = farthest_m(pinhole, lambda plan: plan.box.width > 0)
+    from_rim_m = farthest_m(replace(pinhole, lens=Lens(0.04, 0.2)), lambda plan: plan.runs(Effect.FOCUS))
+    assert 0.030 < from_rim_m - from_middle_m < 0.040  # the box is a little deeper
 
 
 def test_what_is_in_focus_stays_where_it_was():
