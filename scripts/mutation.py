@@ -4,39 +4,52 @@
     .envs/engine/bin/python scripts/mutation.py --library mutants/lib/python3.*/site-packages [AREA …] [--sample 20]
 
 Python lines are broken by cosmic-ray's operators, C++ lines by the few below, after which the kernels are built anew.
-A mutant is tried in a copy of the checkout, with the test files that name its module, which must pass without it.
+A mutant is tried in a copy of the checkout, with the test files that name its module, which must pass without it;
+those that import it come first. One with which they take far longer is killed, too. Every run of tests is a fork of
+this process (Linux, macOS), so that NumPy and PyTorch are loaded once; only modules that changed are built anew.
 Survivors are printed: those that change what users get want a test, others (a size of a buffer, a faster way to the
-same picture) are equivalent. It takes about ten seconds a mutant, in C++ a minute, and is run by hand, not in CI.
+same picture) are equivalent. It takes some seconds a mutant and is run by hand, not in CI.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import math
+import os
 import random
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# area -> files, and the folders whose tests count for them
+NATIVE, GOLDEN = "jghand_engine/native", "tests/golden/test_golden_frames.py"
+# area -> files, and the tests that count for them; of C++ those of each entry are asked after all before it have passed
 AREAS = {
-    "hand": (("jghand_engine/hand/*.py",), ("tests/hand", "tests/learn")),
+    "hand": (("jghand_engine/hand/*.py",), ("tests/hand", "tests/service", "tests/learn")),
     "template": (("jghand_engine/template/*.py",), ("tests/template",)),
     "render": (("jghand_engine/render/*.py",), ("tests/render", "tests/service")),
     "effects": (("jghand_engine/render/effect*.py", "jghand_engine/render/[bcg]*.py"), ("tests/render",)),
     "training": (("jghand_engine/learn/*.py",), ("tests/learn",)),
     "exporters": (("jghand_engine/export/**/*.py",), ("tests/export",)),
     "studies": (("jghand_engine/study/*.py", "scripts/compare_transforms.py"), ("tests/study", "tests/test_*.py")),
-    "kernels": (("jghand_engine/native/*.cpp",), ("tests/native", "tests/render/test_rasterize*.py",
-                                                  "tests/render/test_shadow.py", "tests/avatar")),
+    "raster": ((f"{NATIVE}/raster*.cpp", f"{NATIVE}/raster.h", f"{NATIVE}/projection.h", f"{NATIVE}/tile.h"),
+               ("tests/native/test_rasterizer.py", "tests/render/test_rasterize*.py", "tests/render/test_ellipsoids.py",
+                GOLDEN)),
+    "shadow": ((f"{NATIVE}/shadow*.cpp", f"{NATIVE}/shadow.h"), ("tests/render/test_shadow.py", GOLDEN)),
+    "skin": ((f"{NATIVE}/skin*", f"{NATIVE}/learned*.cpp", f"{NATIVE}/learned.h", f"{NATIVE}/capsule.h"),
+             ("tests/avatar", "tests/learn/test_trained_skin.py", GOLDEN)),
 }  # fmt: skip
-# of the lines of C++ that can be broken, one of so many is, unless --sample says how many
+# of the lines that can be broken in C++, one of so many is, unless --sample says how many
 CPP_ONE_IN = 10
 CPP_OPERATORS = (
     (r" \+ ", " - "), (r" - ", " + "), (r" \* ", " / "), (r" < ", " >= "), (r" > ", " <= "), (r"\bmin\(", "max("),
@@ -44,13 +57,25 @@ CPP_OPERATORS = (
 )  # fmt: skip
 # unions of types are no arithmetic, `is` compares as == does, and a dataclass without its decorator is no program
 IGNORED = re.compile(r"BitOr|BitXor|_Is|RemoveDecorator|Variable|Shift|Pow|Mod|FloorDiv|BitAnd")
+# that anything may take, on the clock; and how many times the seconds of a processor that tests take without a mutant
 TIMEOUT_S = 900
+PATIENCE = 4
+# the hash of all sources is written into the built library: in the compiler's command it would keep files that are as
+# they were from coming out of its cache
 BUILD = """
 import sys
 from jghand_engine.native import build, library
-build.build_all(build.host_targets(), build.LIBRARY_FOLDER)
+hash_of, none = build.source_hash, "0" * 64
+for target in build.host_targets():
+    if not build.has_these_sources(target):
+        build.source_hash = lambda target: none
+        path = build.build(target)
+        build.source_hash = hash_of
+        path.write_bytes(path.read_bytes().replace(none.encode(), hash_of(target).encode()))
 sys.exit(library.load("auto").variant != sys.argv[1])
 """
+# what tests import of others: loaded once, for all their processes
+LOADED = ("hypothesis", "numpy", "PIL.Image", "pytest", "safetensors.numpy", "scipy.spatial", "torch", "trimesh")
 
 
 @dataclass(frozen=True)
@@ -69,7 +94,7 @@ class Mutant:
 
     def text(self) -> str:
         """The whole file with the line broken."""
-        if self.path.endswith(".py"):
+        if not is_cpp(self.path):
             from cosmic_ray import mutating, plugins  # pyright: ignore[reportMissingImports]
 
             broken = mutating.mutate_code(self.original, plugins.get_operator(self.operator)(), self.place)
@@ -91,6 +116,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     sys.path.append(str(options.library))
+    os.environ["OMP_NUM_THREADS"] = "1"  # before it is loaded
+    for name in LOADED:
+        importlib.import_module(name)
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
         files = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
@@ -101,19 +129,19 @@ def main() -> int:
         for area in options.areas or AREAS:
             killed = tried = 0
             for mutant in sampled(area, options.sample, random.Random(options.seed)):
-                tests = tests_of(mutant.path, AREAS[area][1])
-                if not passes(copy, tests):
-                    print(f"  {mutant.path}:{mutant.line}: its tests fail without it", flush=True)
-                    continue
                 if mutant.text() == mutant.original:
                     continue
-                survived = outlives(mutant, copy, tests)
+                survived = outlives(mutant, copy, tests_of(mutant.path, AREAS[area][1]))
+                if survived is None:
+                    print(f"  {mutant.path}:{mutant.line}: its tests fail without it", flush=True)
+                    continue
                 tried, killed = tried + 1, killed + (not survived)
+                print("." if not survived else "", end="", file=sys.stderr, flush=True)
                 if survived:
                     own, broken = ((each.splitlines())[mutant.line - 1] for each in (mutant.original, mutant.text()))
                     print(f"  {mutant.path}:{mutant.line}\n    - {own.strip()}\n    + {broken.strip()}", flush=True)
-            if area == "kernels" and not run(copy, "-c", BUILD, variant()):
-                # or the areas behind it would be tried with the last broken kernel
+            # or the areas behind it would be tried with the last broken kernel
+            if AREAS[area][0][0].startswith(NATIVE) and not builds(copy):
                 raise SystemExit(f"{area}: the unbroken kernels do not build")
             print(f"{area}: {killed} of {tried} killed, {100 * killed / max(tried, 1):.0f} %", flush=True)
     return 0
@@ -123,10 +151,10 @@ def sampled(area: str, count: int, random_: random.Random) -> list[Mutant]:
     """Mutants of an area, no two of one line."""
     # plots are looked at
     files = sorted({path for pattern in AREAS[area][0] for path in ROOT.glob(pattern) if "plot" not in path.stem})
-    found = [mutant for file in files for mutant in (in_cpp(file) if file.suffix == ".cpp" else in_python(file))]
+    found = [mutant for file in files for mutant in (in_cpp if is_cpp(file.name) else in_python)(file)]
     random_.shuffle(found)
     chosen = [*{(mutant.path, mutant.line): mutant for mutant in found}.values()]
-    return chosen[: count or (len(chosen) // CPP_ONE_IN if area == "kernels" else 100)]
+    return chosen[: count or (len(chosen) // CPP_ONE_IN if AREAS[area][0][0].startswith(NATIVE) else 100)]
 
 
 def in_python(file: Path) -> Iterator[Mutant]:
@@ -148,52 +176,100 @@ def in_cpp(file: Path) -> Iterator[Mutant]:
         if line.lstrip().startswith(("//", "#", "*", "static_assert", "template")):
             continue
         for operator, (pattern, _other) in enumerate(CPP_OPERATORS):
-            for found in re.finditer(pattern, line.split("//")[0]):
+            # what is fetched early is no part of the result
+            for found in re.finditer(pattern, line.split("//")[0].split("prefetch")[0]):
                 yield Mutant(str(file.relative_to(ROOT)), number, str(operator), found.start())
 
 
-@cache
-def tests_of(path: str, folders: tuple[str, ...]) -> tuple[str, ...]:
-    """The test files that name the module; of a kernel, and where none does, all that are given."""
-    files = [file for folder in folders for file in ROOT.glob(folder if "*" in folder else f"{folder}/test_*.py")]
-    name = re.compile(rf"\b{Path(path).stem}\b")
-    named = [file for file in files if path.endswith(".py") and name.search(file.read_text(encoding="utf-8"))]
-    return tuple(sorted(str(file.relative_to(ROOT)) for file in named or files))
+def is_cpp(path: str) -> bool:
+    return path.endswith((".cpp", ".h"))
 
 
 @cache
-def passes(copy: Path, tests: tuple[str, ...]) -> bool:
-    """Whether they pass without a mutant."""
-    return run(copy, "-m", "pytest", "-xq", "-p", "no:cacheprovider", *tests)
+def tests_of(path: str, folders: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """In turn the test files of each entry that import the module, and the others that name it; of C++ all of them, and
+    in Python where none does."""
+    entries = [sorted(ROOT.glob(each if each.endswith(".py") else f"{each}/test_*.py")) for each in folders]
+    stem, texts = Path(path).stem, {file: file.read_text(encoding="utf-8") for files in entries for file in files}
+    name, imported = re.compile(rf"\b{stem}\b"), re.compile(rf"import.*\b{stem}\b|from.*\b{stem} import")
+    parts = []
+    for files in entries:
+        named = [file for file in files if name.search(texts[file])]
+        first = [file for file in named if imported.search(texts[file])]
+        parts += [first, [file for file in named if file not in first]]
+    if is_cpp(path) or not any(parts):
+        parts = entries
+    return [tuple(str(file.relative_to(ROOT)) for file in part) for part in parts if part]
 
 
-def outlives(mutant: Mutant, copy: Path, tests: tuple[str, ...]) -> bool:
-    """Whether all tests pass with it. A kernel that does not build, or fails its self-test, is killed."""
+@cache
+def seconds(copy: Path, tests: tuple[str, ...]) -> float:
+    """Of a processor that they take without a mutant; infinite where one fails."""
+    return run_tests(copy, tests, TIMEOUT_S)
+
+
+def outlives(mutant: Mutant, copy: Path, tests: list[tuple[str, ...]]) -> bool | None:
+    """Whether all tests pass with it; None where they do not without it. A kernel that does not build, or fails its
+    self-test, is killed."""
+    if is_cpp(mutant.path):
+        for part in tests:  # once, while the built kernels are the unbroken ones
+            seconds(copy, part)
+        with broken(mutant, copy):
+            if not builds(copy):
+                return False
+    for part in tests:
+        limit_s = PATIENCE * seconds(copy, part)
+        if not math.isfinite(limit_s):
+            return None
+        with broken(mutant, copy):
+            if not math.isfinite(run_tests(copy, part, limit_s)):
+                return False
+    return True
+
+
+@contextmanager
+def broken(mutant: Mutant, copy: Path) -> Iterator[None]:
+    """The copy with its line broken; what is compiled of it meanwhile is not kept."""
+    sys.dont_write_bytecode = True
+    (copy / mutant.path).write_text(mutant.text(), encoding="utf-8")
     try:
-        (copy / mutant.path).write_text(mutant.text(), encoding="utf-8")
-        builds = not mutant.path.endswith(".cpp") or run(copy, "-c", BUILD, variant())
-        return builds and run(copy, "-m", "pytest", "-xq", "-p", "no:cacheprovider", *tests)
+        yield
     finally:
         (copy / mutant.path).write_text(mutant.original, encoding="utf-8")
+        sys.dont_write_bytecode = False
 
 
 @cache
 def variant() -> str:
     """Of the kernels that this machine takes."""
-    sys.path.insert(0, str(ROOT))
-    from jghand_engine.native.library import load
+    command = [sys.executable, "-c", "from jghand_engine.native.library import load; print(load('auto').variant)"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
-    return load("auto").variant
+
+def run_tests(copy: Path, tests: tuple[str, ...], limit_s: float) -> float:
+    """Seconds of a processor that they take, in a process that has what they import of others; infinite where one
+    fails, or takes longer."""
+    child = os.fork()
+    if not child:
+        os.chdir(copy)
+        sys.path.insert(0, str(copy))
+        os.environ |= {"PYTHONPATH": str(copy), "TMPDIR": str(copy.parent)}
+        for output in (1, 2):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+        signal.alarm(TIMEOUT_S)
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(limit_s), math.ceil(limit_s)))
+        pytest = importlib.import_module("pytest")
+        os._exit(pytest.main(["-xq", "-p", "no:cacheprovider", *tests]))
+    _, status, used = os.wait4(child, 0)
+    return math.inf if status else used.ru_utime + used.ru_stime
 
 
-def run(copy: Path, *words: str) -> bool:
-    """Whether Python ends well in the copy; one that never ends does not."""
-    environment = {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-    try:
-        command = ["env", *(f"{name}={value}" for name, value in environment.items()), sys.executable, *words]
-        return subprocess.run(command, cwd=copy, capture_output=True, timeout=TIMEOUT_S).returncode == 0
-    except subprocess.TimeoutExpired:
-        return False
+def builds(copy: Path) -> bool:
+    """Whether the kernels of the copy build, load and pass their self-test."""
+    environment = {**os.environ, "PYTHONPATH": str(copy)}
+    command = [sys.executable, "-c", BUILD, variant()]
+    return subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=TIMEOUT_S).returncode == 0
 
 
 if __name__ == "__main__":
