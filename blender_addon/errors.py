@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One sentence and one remedy for everything that can fail. No numbers in them: they are to be translated.
 
-Details (a path, the last lines of the log) stand apart. Source: BLENDER 3.5.
+Details (a path, the last lines of the log) stand apart. Source: BLENDER 3.4.
 """
 
 from __future__ import annotations
