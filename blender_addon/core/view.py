@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,11 @@ class SceneLight:
     def record(self) -> dict[str, Any]:
         """As the engine takes it, beside the picture; equal for equal lights."""
         return {"lamps": list(self.lamps), "world": self.world}
+
+    @cached_property
+    def key(self) -> str:
+        """Of the record."""
+        return repr(self.record)
 
 
 def picture_request(

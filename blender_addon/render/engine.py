@@ -17,8 +17,9 @@ import bpy
 import numpy as np
 
 from ..core import film, panel_text
-from ..core.view import Moment, Part, moments_request
+from ..core.view import Moment, Part, SceneLight, moments_request
 from ..errors import JGHandFailure
+from ..hand import instances
 from ..ops import sentence_of
 from ..preferences import preferences
 from ..renderer import runtime
@@ -26,7 +27,7 @@ from ..renderer.runtime import RenderNote
 from ..renderer.state import REQUEST_S
 from ..ui import POPUP_LETTERS
 from ..viewport.views import ViewportEngine
-from . import ENGINE, camera, composite, rendering, samples
+from . import ENGINE, camera, composite, rendering, samples, scene_light
 
 COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
 # as Blender shows what is missing
@@ -108,17 +109,19 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         part = camera.region(scene.render, size)
         frame = samples.Frame(lambda: self.camera_override or depsgraph.scene_eval.camera, size, part)
         seen = samples.read_moments(depsgraph, frame, self.frame_set)
+        light = scene_light.of_render(depsgraph, instances.evaluated_sources(depsgraph))
         evaluated, scene = time.perf_counter(), depsgraph.scene_eval
         wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer_eval)}
-        reply = self._ask(seen, list(wanted.values()), scene)
+        reply = self._ask(seen, list(wanted.values()), scene, light)
         answered = time.perf_counter()
         arrays = {name: np.asarray(reply.arrays[output].view()) for name, output in wanted.items()}
         drawn = _drawn(arrays, scene)
         arrays = {name: values[drawn.top : drawn.bottom, drawn.left : drawn.right] for name, values in arrays.items()}
-        self._fill(part, drawn, depsgraph.view_layer_eval.name, dict(_passes(arrays, scene)))
+        passes = dict(_passes(arrays, scene, linear=light is not None))
+        self._fill(part, drawn, depsgraph.view_layer_eval.name, passes)
         self._tell(reply.header.get("reports", []), seen, (evaluated - clock, answered - evaluated))
 
-    def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
+    def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene, light: SceneLight | None) -> Any:
         """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
         self.update_stats("JGHand", "Waiting for the renderer")
         header, arrays = moments_request(
@@ -129,6 +132,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
                 "shadow_strength": scene.jghand.shadow_strength,
                 "shadow_radius_m": scene.jghand.shadow_radius_mm / 1e3,
             },
+            light=light,
         )
         chosen = preferences()
         timeout_s = chosen.render_timeout_s if chosen is not None else REQUEST_S
@@ -193,9 +197,9 @@ def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
     return Part(columns.start, rows.start, columns.stop, rows.stop)
 
 
-def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Iterator[tuple[str, np.ndarray]]:
-    """The passes as Blender takes them, of an evaluated scene."""
-    combined = film.scene_linear(arrays[COMBINED])
+def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene, *, linear: bool) -> Iterator[tuple[str, np.ndarray]]:
+    """The passes as Blender takes them, of an evaluated scene. linear: whether colors are scene-linear already"""
+    combined = arrays[COMBINED] if linear else film.scene_linear(arrays[COMBINED])
     if not scene.render.film_transparent:
         combined = film.over(combined, samples.background(scene.world))
     yield COMBINED, film.from_bottom(combined)

@@ -7,7 +7,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
-from . import ENGINE, composite
+from . import ENGINE, composite, scene_light
 
 
 class RenderPanel(ui.HandSidebar, bpy.types.Panel):
@@ -31,11 +31,16 @@ class RenderPanel(ui.HandSidebar, bpy.types.Panel):
             if combined:
                 layout.operator("jghand.remove_combination", icon="X")
         layout.operator("jghand.add_camera", icon="CAMERA_DATA")
+        layout.prop(scene.jghand, "light", expand=True)
+        for warning in scene_light.warnings() if scene_light.is_chosen(scene) else ():
+            ui.paragraph(layout, context, warning, icon="INFO")
 
 
 def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What the scene's view transform does to the hand."""
     view = context.scene.view_settings
+    if scene_light.is_chosen(context.scene):
+        return
     if view.view_transform != "Standard":
         text = iface_("View transform is {name}: colors differ from the capture").format(name=view.view_transform)
     elif view.look != "None" or view.exposure != 0.0 or view.gamma != 1.0 or view.use_curve_mapping:

@@ -169,7 +169,7 @@ def _set_up(copy: bpy.types.Scene, scene: bpy.types.Scene, context: bpy.types.Co
         _copy_settings(space.shading, copy.display.shading)
     if has_standard(copy.view_settings):
         use_standard(copy.view_settings)
-    copy.jghand.render_preset = scene.jghand.viewport_preset
+    copy.jghand.render_preset, copy.jghand.light = scene.jghand.viewport_preset, "CAPTURE"
 
 
 def _copy_settings(source: Any, target: Any) -> None:

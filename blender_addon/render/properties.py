@@ -19,6 +19,11 @@ PRESETS = (
     ("final", "Final", "What the avatar looks like, for renders", "NONE", 2),
     ("reference", "Reference", "Slow and exact, for comparisons", "NONE", 3),
 )
+# what hands are lit by, as PRESETS
+LIGHTS = (
+    ("CAPTURE", "Capture", "As hands were lit when they were captured", "NONE", 0),
+    ("SCENE", "Scene", "By the lamps and the world of the scene", "NONE", 1),
+)
 # a viewport image at sixty frames a second
 BUDGET_MS = 16.0
 # below this part of its splats a hand has holes
@@ -74,6 +79,12 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         description="How F12 and animation renders are made",
         items=PRESETS,
         default="final",
+    )
+    light: bpy.props.EnumProperty(
+        name="Light",
+        description="What lights hands in Material Preview, Rendered and renders; Solid has no lamps",
+        items=LIGHTS,
+        default="CAPTURE",
     )
     shadow_strength: bpy.props.FloatProperty(
         name="Shadow Strength",

@@ -23,10 +23,10 @@ from .. import clock
 from ..core import pacing
 from ..core.pacing import Activity, Attempts, DrawMoment, Pace, ViewSettings, Want
 from ..core.panel_text import HANDS
-from ..core.view import HandInSpace, Part, part_with, picture_of, picture_request
+from ..core.view import HandInSpace, Part, SceneLight, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
-from ..render import ENGINE, lamps, rendering
+from ..render import ENGINE, lamps, rendering, scene_light
 from ..render.samples import background
 from ..renderer import runtime
 from ..renderer.link import Answer
@@ -40,7 +40,8 @@ OPEN_TICK_S, SHORTEST_TICK_S = 0.05, 0.005
 # kinds of views: a draw handler in Solid and Material Preview, the render engine in Rendered
 SOLID, RENDERED = "viewport", "rendered"
 _SHADINGS = ("SOLID", "MATERIAL")
-_OUTPUTS = ("rgba_u8", "depth")
+# of the engine: colors of the capture, or scene-linear ones
+_OUTPUTS, _LIT_OUTPUTS = ("rgba_u8", "depth"), ("rgba_f32", "depth")
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class View:
     kind: str
     camera: ViewCamera | None = None
     hands: list[HandInSpace] = field(default_factory=list)
+    light: SceneLight | None = None
     part: Part | None = None
     settings: ViewSettings = field(default_factory=ViewSettings)
     pace: Pace = field(default_factory=Pace)
@@ -204,6 +206,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     if view.part is None:
         _rest(view)
         return
+    view.light = scene_light.in_view(depsgraph, context.space_data, things)
     moment = moment_of(context.scene)
     _turn.draws(view.slot)
     look(view, moment, drawing=True)
@@ -323,7 +326,8 @@ def take(view: View, moment: DrawMoment) -> bool:
     before, view.failure = view.failure, answer.failure
     if accepted and answer.message is not None:
         arrays = answer.message.arrays
-        view.came = np.asarray(arrays["rgba_u8"].view()), np.asarray(arrays["depth"].view())
+        colors = arrays["rgba_f32"] if "rgba_f32" in arrays else arrays["rgba_u8"]
+        view.came = np.asarray(colors.view()), np.asarray(arrays["depth"].view())
         view.place = view.places.get(tag)
         names = view.place.hands if view.place is not None else ()
         for report in answer.message.header.get("reports", [])[:1]:
@@ -334,7 +338,7 @@ def take(view: View, moment: DrawMoment) -> bool:
 def _want(view: View) -> Want:
     assert view.camera is not None  # `look` has checked it
     assert view.part is not None
-    parts: list[bytes | str] = [repr(view.settings)]
+    parts: list[bytes | str] = [repr(view.settings), "" if view.light is None else view.light.key]
     for hand in view.hands:
         parts += [
             hand.avatar,
@@ -351,7 +355,13 @@ def _ask(view: View, ask: pacing.Ask) -> None:
     assert view.part is not None
     whole, room_m = view.camera.in_front_of(view.hands)
     pinhole = picture_of(whole, view.part, ask.quality.pixels_max)
-    header, arrays = picture_request(pinhole, view.hands, outputs=_OUTPUTS, settings=ask.quality.settings())
+    header, arrays = picture_request(
+        pinhole,
+        view.hands,
+        outputs=_OUTPUTS if view.light is None else _LIT_OUTPUTS,
+        settings=ask.quality.settings(),
+        light=view.light,
+    )
     kept = {each.tag for each in view.pace.asks}
     view.places = {tag: place for tag, place in view.places.items() if tag in kept}
     view.places[ask.tag] = Place(view.part, room_m, tuple(hand.name for hand in view.hands))
