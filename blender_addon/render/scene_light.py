@@ -2,15 +2,20 @@
 """The light that a scene throws on its hands: its lamps and its world, for renders and for 3D views.
 
 light = in_view(depsgraph, space, hands)    None: hands are shown in the light of their captures
+
+Worlds whose nodes do not tell their light are measured by `tend`, which the timer calls, and before frames are rendered
+without a window.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import bpy
 
 from ..core.view import SceneLight
+from ..errors import JGHandFailure
 from . import lamps, worlds
 from .lamps import SceneLamps
 from .worlds import Reading
@@ -19,6 +24,12 @@ from .worlds import Reading
 _made: dict[tuple[str, str], SceneLight] = {}
 # sentences about what of the light of the last render, or view, is not honored
 _warnings: tuple[str, ...] = ()
+# seconds for which a world rests before it is measured: nothing while somebody turns a knob of it
+_REST_S = 0.3
+# the world that is to be measured, and since when, on the clock of time.monotonic()
+_stale: tuple[str, float] = ("", 0.0)
+# worlds that cannot be measured, and why
+_unmeasured: dict[str, str] = {}
 
 
 def in_view(
@@ -47,13 +58,45 @@ def warnings() -> tuple[str, ...]:
     return _warnings
 
 
+def tend() -> bool:
+    """For the timer: measures the world of the views, where that is due; says whether anything is new."""
+    name, since_s = _stale
+    if not name or name in _unmeasured or time.monotonic() - since_s < _REST_S:
+        return False
+    measure(bpy.context.evaluated_depsgraph_get())
+    return True
+
+
+def measure(depsgraph: bpy.types.Depsgraph) -> None:
+    """Measures the world of a scene that lights its hands, where that is stale. On the main thread, in no handler."""
+    global _stale
+    name, _stale = worlds.world_of(depsgraph).stale, ("", 0.0)
+    if not is_chosen(depsgraph.scene) or not name:
+        return
+    try:
+        worlds.update(depsgraph)
+    except JGHandFailure as failure:
+        _unmeasured[name] = str(failure)
+
+
+def forget() -> None:
+    """Another file, or everything in it may be another."""
+    lamps.forget()
+    worlds.forget()
+    _made.clear()
+    _unmeasured.clear()
+
+
 def _uses_world(space: bpy.types.SpaceView3D) -> bool:
     return space.shading.type == "RENDERED" or space.shading.use_scene_world
 
 
 def _together(found: SceneLamps, world: Reading) -> SceneLight:
-    global _warnings
-    _warnings = (*found.warnings, *map(str, world.failures))
+    global _warnings, _stale
+    if world.stale != _stale[0]:
+        _stale = (world.stale, time.monotonic())
+    of_world = [_unmeasured[world.stale]] if world.stale in _unmeasured else map(str, world.failures)
+    _warnings = (*found.warnings, *of_world)
     around = world.light
     key = (found.key, "" if around is None else around.key)
     if key not in _made:

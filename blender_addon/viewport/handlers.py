@@ -19,7 +19,7 @@ from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands, stand_ins
-from ..render import lamps, rendering
+from ..render import lamps, rendering, scene_light, worlds
 from ..renderer import runtime
 from . import drawing, views
 
@@ -48,6 +48,8 @@ def tick() -> float:
     _follow_problems()
     _redraw(views.try_again())
     stand_ins.tend()
+    if scene_light.tend():
+        _redraw({view.region for view in views.all_views()})
     shown = views.all_views()
     if not shown:
         return clock.IDLE_TICK_S
@@ -169,6 +171,7 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
     if rendering.now() or not _on_main_thread() or depsgraph is None or depsgraph.mode != "VIEWPORT":
         return
     lamps.notice(depsgraph)
+    worlds.notice(depsgraph)
     views.begin_step()
     resting = [view for view in views.all_views() if pacing.camera_rests(view.pace)]
     if not resting:
@@ -195,6 +198,7 @@ def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = N
         seen_hands.notice(depsgraph)
         stand_ins.notice(depsgraph)
         lamps.notice(depsgraph)
+        worlds.notice(depsgraph)
 
 
 @persistent

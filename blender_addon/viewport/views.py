@@ -26,7 +26,7 @@ from ..core.panel_text import HANDS
 from ..core.view import HandInSpace, Part, SceneLight, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
-from ..render import ENGINE, lamps, rendering, scene_light
+from ..render import ENGINE, rendering, scene_light
 from ..render.samples import background
 from ..renderer import runtime
 from ..renderer.link import Answer
@@ -410,7 +410,7 @@ def clear() -> None:
         remove(view)
     _drawing.clear()
     seen_hands.forget()
-    lamps.forget()
+    scene_light.forget()
 
 
 def forget_failures() -> None:

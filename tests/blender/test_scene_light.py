@@ -1,0 +1,129 @@
+"""Hands in the light of their scene: what F12 makes of lamps and worlds, and what a view asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import hands
+import numpy as np
+import pytest
+from test_render_engine import layers, with_link
+
+from blender_addon.core import posing
+from blender_addon.hand import armature
+from blender_addon.render import camera, composite, scene_light
+from blender_addon.renderer.link import EngineLink
+
+pytestmark = pytest.mark.usefixtures("linked_extension")
+
+
+@pytest.fixture(scope="module")
+def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
+    from blender_addon.renderer import runtime
+    from blender_addon.renderer.engine_command import engine_command
+
+    link = EngineLink(lambda: engine_command(engine_python))
+    before = with_link(link)
+    yield link
+    runtime._link = before
+    link.close()
+
+
+@pytest.fixture
+def scene(context) -> bpy.types.Scene:
+    """A hand, a camera, and a lamp in a black world."""
+    armature.build_armature(context, "right", posing.rest_joints_m("right"), "right")
+    scene = context.scene
+    scene.camera = hands.camera_on(context, (0, 0.09, 0), 0.5)
+    camera.set_picture_size(scene.render, 96, 64)
+    scene.render.engine, scene.render.film_transparent = "JGHAND", True
+    scene.jghand.render_preset, scene.jghand.light = "draft", "SCENE"
+    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.data.energy, lamp.location = 2.0, (0.2, 0.2, 0.5)
+    scene.collection.objects.link(lamp)
+    return scene
+
+
+def colors(scene: bpy.types.Scene, folder: Path) -> np.ndarray:
+    """(H, W, 3) of F12, scene-linear."""
+    passes = layers(scene, folder)
+    return np.stack([passes[f"Combined.{name}"] for name in "RGB"], -1)
+
+
+def even_world(rgb: tuple[float, float, float]) -> bpy.types.World:
+    world = bpy.data.worlds.new("Even")
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (*rgb, 1)
+    return world
+
+
+def test_twice_the_watts_are_twice_the_light(scene, real_engine, tmp_path):
+    once = colors(scene, tmp_path)
+    scene.objects["Lamp"].data.energy *= 2
+    twice = colors(scene, tmp_path)
+    assert once.max() > 0.05
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-4, atol=1e-6)
+
+
+def test_lamp_and_world_light_the_hand_together(scene, real_engine, tmp_path):
+    lamp = colors(scene, tmp_path)
+    scene.world = even_world((0.1, 0.3, 0.2))
+    both = colors(scene, tmp_path)
+    scene.objects["Lamp"].hide_render = True
+    world = colors(scene, tmp_path)
+    assert world[..., 1].max() > 1.5 * world[..., 0].max()
+    np.testing.assert_allclose(both, lamp + world, rtol=0.02, atol=1e-3)
+
+
+def test_the_light_of_the_capture_knows_no_lamp(scene, real_engine, tmp_path):
+    scene.jghand.light = "CAPTURE"
+    before = colors(scene, tmp_path)
+    scene.objects["Lamp"].data.energy = 5000.0
+    np.testing.assert_array_equal(before, colors(scene, tmp_path))
+
+
+def test_the_scene_of_the_hands_has_the_lamps_and_the_world(scene):
+    scene.world = even_world((1, 1, 1))
+    ours = composite.combine(scene, scene.view_layers[0])
+    assert ours.world == scene.world
+    assert ours.jghand.light == "SCENE"
+    assert scene.objects["Lamp"].name in ours.collection.objects
+    assert composite.out_of_date(scene) == []
+
+
+def view(shading: str, **more: bool) -> SimpleNamespace:
+    chosen = {"use_scene_lights": True, "use_scene_lights_render": True, "use_scene_world": True, **more}
+    return SimpleNamespace(
+        shading=SimpleNamespace(type=shading, **chosen),
+        local_view=None,
+        as_pointer=lambda: 1,
+        show_object_viewport_light=True,
+        use_local_collections=False,
+    )
+
+
+def test_a_view_keeps_its_light_until_something_changes_it(scene):
+    depsgraph, things = bpy.context.evaluated_depsgraph_get(), [scene.objects[0]]
+    assert scene_light.in_view(depsgraph, view("SOLID"), things) is None
+    assert scene_light.in_view(depsgraph, view("MATERIAL", use_scene_world=False), things) is None
+
+
+def test_nodes_that_do_not_tell_their_light_are_measured_once(scene):
+    scene.world = even_world((1, 1, 1))
+    tree = scene.world.node_tree
+    noise = tree.nodes.new("ShaderNodeTexNoise")
+    tree.links.new(noise.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    dark = scene_light.of_render(depsgraph, [scene.objects[0]])
+    assert dark is not None
+    assert dark.picture is None
+    assert "not measured" in " ".join(scene_light.warnings())
+    scene_light.measure(depsgraph)
+    light = scene_light.of_render(bpy.context.evaluated_depsgraph_get(), [scene.objects[0]])
+    assert light is not None
+    assert light.picture is not None
+    assert 0.3 < light.picture.mean() < 0.8
+    assert scene_light.warnings() == ()
