@@ -180,7 +180,7 @@ ADVICE = {
     ),
     "no_cycles": Advice(
         "The world's nodes are measured by Cycles, which is disabled",
-        'Enable "Cycles Render Engine" in the preferences, under Add-ons',
+        "Enable Cycles Render Engine in the preferences, under Add-ons",
         BAD_INPUT,
     ),
     "other_region": Advice(

@@ -138,8 +138,6 @@ class CardPanel(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator("jghand.load_avatar", icon="FILE_FOLDER")
-        if context.object.type == "ARMATURE":
-            layout.prop(context.object.jghand, "cast_shadow")
         try:
             card = avatar_files.card_of(avatar_of(context.object))
         except JGHandFailure as failure:

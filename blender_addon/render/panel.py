@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
@@ -31,9 +33,24 @@ class RenderPanel(ui.HandSidebar, bpy.types.Panel):
             if combined:
                 layout.operator("jghand.remove_combination", icon="X")
         layout.operator("jghand.add_camera", icon="CAMERA_DATA")
-        layout.prop(scene.jghand, "light", expand=True)
+
+
+class LightPanel(ui.HandSidebar, bpy.types.Panel):
+    """What lights hands, and whether they throw a shadow on the scene."""
+
+    bl_idname = "VIEW3D_PT_jghand_light"
+    bl_label = "Light"
+    bl_parent_id = RenderPanel.bl_idname
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, scene = self.layout, context.scene
+        layout.row().prop(scene.jghand, "light", expand=True)
         for warning in scene_light.warnings() if scene_light.is_chosen(scene) else ():
             ui.paragraph(layout, context, warning, icon="INFO")
+        hand = ui.active(context)
+        if hand is not None and hand.type == "ARMATURE":
+            layout.prop(hand.jghand, "cast_shadow")
 
 
 def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -52,4 +69,4 @@ def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     column.operator("jghand.use_standard", icon="COLOR")
 
 
-CLASSES = (RenderPanel,)
+CLASSES = (RenderPanel, LightPanel)

@@ -187,7 +187,7 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
         space, solid = area.spaces.active, view.kind == views.SOLID
         things = seen_hands.hands_in(scene, window.view_layer, space, switched_on_only=solid)
         if things:
-            views.read_again(view, things, depsgraph)
+            views.read_again(view, things, depsgraph, space)
             views.look(view, moment, drawing=False)
 
 

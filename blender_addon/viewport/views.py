@@ -307,8 +307,15 @@ def look(view: View, moment: DrawMoment, *, drawing: bool) -> None:
         view.pace = pacing.missed(view.pace, moment)
 
 
-def read_again(view: View, things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
-    """Reads the hands of a view that is not drawn yet, from where it looked last."""
+def read_again(
+    view: View,
+    things: list[bpy.types.Object],
+    depsgraph: bpy.types.Depsgraph,
+    space: bpy.types.SpaceView3D | None = None,
+) -> None:
+    """Reads the hands of a view that is not drawn yet, from where it looked last; and, of its `space`, their light."""
+    if space is not None:
+        view.light = scene_light.in_view(depsgraph, space, things)
     view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=view.kind == SOLID)
     view.part = part_with(view.camera.whole, view.hands) if view.camera is not None else None
 

@@ -33,7 +33,10 @@ SAYS = {"missing", "tell", "warn", "report", "paragraph", "rpt_", "iface_", "tra
 # what no artist sees: options of a command line, names in a program, the process by its inner name
 INNER = re.compile(r"(^|\s)--[a-z]|[a-z0-9]_[a-z]|\bf[xy]\b|\.envs|(?<!JGHand )\bengine\b")
 # controls of Blender's own that messages name, and where Blender has them
-BLENDERS = {"Allow Online Access": (bpy.types.PreferencesSystem, "use_online_access")}
+BLENDERS = {
+    "Allow Online Access": (bpy.types.PreferencesSystem, "use_online_access"),
+    "Custom Distance": (bpy.types.PointLight, "use_custom_distance"),
+}
 
 
 @pytest.fixture

@@ -559,7 +559,7 @@ def test_a_played_frame_is_asked_for_only_where_it_is_drawn(link, extension, mon
     monkeypatch.setattr(views, "open_regions", lambda: [(window, area, region)])
     monkeypatch.setattr(seen_hands, "hands_in", lambda *_, **__: [hand])
     monkeypatch.setattr(views, "look", lambda *_, **__: asked.append(1))
-    depsgraph = SimpleNamespace(mode="VIEWPORT", view_layer=context.view_layer)
+    depsgraph = SimpleNamespace(mode="VIEWPORT", view_layer=context.view_layer, updates=())
     monkeypatch.setattr(views, "read_again", lambda *_: None)
     handlers.on_frame_change(context.scene, depsgraph)
     assert asked == ([1] if shading == "SOLID" else [])
