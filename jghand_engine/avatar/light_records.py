@@ -25,7 +25,10 @@ ROWS_MAX, COLUMNS_MAX = 32, 64
 # meters, watts and radiance: beyond any scene, and far from where float32 overflows
 NUMBER_MAX = 1e9
 _KINDS = {kind.name.lower(): kind for kind in LampKind}
-_VECTORS = {"rgb": 3, "place_m": 3, "axis": 3, "side": 3, "size_m": 2}
+# how many numbers a field has, and the least that they may be
+_VECTORS = {
+    "rgb": (3, 0), "place_m": (3, -NUMBER_MAX), "axis": (3, -NUMBER_MAX), "side": (3, -NUMBER_MAX), "size_m": (2, 0),
+}  # fmt: skip
 
 
 def light_of(lamps: tuple[Lamp, ...], world: World | None) -> SceneLight:
@@ -59,7 +62,8 @@ def lamp_of(record: JsonObject) -> Lamp:
         if name == "kind" or (name not in record.fields and field.default is not MISSING):
             continue
         if name in _VECTORS:
-            values[name] = record.numbers(name, _VECTORS[name], -NUMBER_MAX, NUMBER_MAX)
+            count, least = _VECTORS[name]
+            values[name] = record.numbers(name, count, least, NUMBER_MAX)
         elif isinstance(field.default, bool):
             values[name] = record.flag(name)
         else:

@@ -130,7 +130,7 @@ def facts(report: DataReport) -> dict[str, Any]:
     }
     known = [sample.light for sample in capture.samples if sample.light is not None]
     if known:
-        lamps = Counter(lamp.kind.name.lower() for one in known for lamp in one.light.lamps)
+        lamps = Counter(lamp.kind.name.lower() for one in known for lamp in one.lamps)
         kinds = ", ".join(f"{kind} ({count})" for kind, count in sorted(lamps.items()))
         held_out = sum(one.is_held_out for one in known)
         named["known light"] = f"{len(known)} pictures, lamps: {kinds}; held out: {held_out} pictures"

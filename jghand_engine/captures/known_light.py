@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.avatar.light_json import lamp_of_json
-from jghand_engine.avatar.scene_light import SceneLight, World
+from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.errors import InputError
 from jghand_engine.json_files import JsonObject
 from jghand_engine.npz_files import read_arrays
@@ -47,16 +47,32 @@ _REMEDY = "Start the command that made the capture again: it makes broken files 
 
 @dataclass(frozen=True, eq=False)
 class KnownLight:
-    """The light of one picture. file: of its groups · light: of which its groups are the world's and each lamp's ·
-    is_held_out: whether it has worlds and kinds of lamps that no picture has that is learned from"""
+    """The light of one picture, reduced as for drawing: its groups are the world's, if it has one, and each lamp's.
 
-    file: Path
-    light: SceneLight
-    is_held_out: bool
+    suns:        of the world, taken out of it: its group holds their light
+    file:        of the groups
+    is_held_out: whether it has worlds and kinds of lamps that no picture has that is learned from
+    """
+
+    world: World | None
+    suns: tuple[Lamp, ...]
+    lamps: tuple[Lamp, ...]
+    file: Path = Path()
+    is_held_out: bool = False
 
     @property
     def groups(self) -> int:
-        return (self.light.world is not None) + len(self.light.lamps)
+        return (self.world is not None) + len(self.lamps)
+
+    def weighted(self, weight: np.ndarray) -> SceneLight:
+        """All of it, its groups multiplied by `weight` (G, 3). What is multiplied by 0 is left out."""
+        of_lamps = weight if self.world is None else weight[1:]
+        lamps = [(lamp, by) for lamp, by in zip(self.lamps, of_lamps, strict=True) if by.any()]
+        world = None
+        if self.world is not None and weight[0].any():
+            world = World(self.world.radiance * weight[0].astype(np.float32), self.world.env_from_world)
+            lamps += [(sun, weight[0]) for sun in self.suns]
+        return SceneLight(world, tuple(replace(lamp, rgb=tuple((lamp.rgb * by).tolist())) for lamp, by in lamps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,24 +84,24 @@ class LitPicture:
     alpha: np.ndarray
     corner_px: tuple[int, int]
     size_px: tuple[int, int]
-    light: SceneLight
+    light: KnownLight
 
 
 @dataclass(frozen=True, eq=False)
 class MixedPicture:
     """rgb: (H, W, 3) float32, linear, premultiplied, not exposed · alpha: (H, W) float32 · weight: (G, 3) float32 by
-    which each light of `of` is multiplied · exposure: factor that makes `rgb` a picture of usual brightness"""
+    which each group of `of` is multiplied · exposure: factor that makes `rgb` a picture of usual brightness"""
 
     rgb: np.ndarray
     alpha: np.ndarray
     weight: np.ndarray
     exposure: float
-    of: SceneLight
+    of: KnownLight
 
     @cached_property
     def light(self) -> SceneLight:
-        """The light that `rgb` shows. What is off is left out."""
-        return weighted(self.of, self.weight)
+        """The light that `rgb` shows."""
+        return self.of.weighted(self.weight)
 
 
 def read_lights(folder: Path) -> dict[tuple[int, str], KnownLight]:
@@ -98,19 +114,21 @@ def read_lights(folder: Path) -> dict[tuple[int, str], KnownLight]:
         return {}
     content = JsonObject.of_file(file, _REMEDY)
     content.value("format", lambda value: value == LIGHTS_FORMAT, str(LIGHTS_FORMAT))
-    pictures, worlds = content.needed("pictures"), {}
+    pictures = content.needed("pictures")
+    worlds: dict[str, SceneLight] = {}
     lights = {}
     for key in pictures.fields:
         frame, _, camera = key.partition("/")
         if not (frame.isdecimal() and camera):
             raise pictures.wrong(key, "pictures named frame/camera")
         picture = pictures.needed(key)
-        world = picture.object("world")
-        lamps = [picture.inner(one, "lamps") for one in picture.value("lamps", _is_list, "a list of lamps")]
-        light = SceneLight(
-            None if world is None else _world(world, file.parent, worlds), tuple(map(lamp_of_json, lamps))
-        )
-        lights[int(frame), camera] = KnownLight(Path(), light, picture.flag("is_held_out", False))
+        world, suns = None, ()
+        if (entry := picture.object("world")) is not None:
+            whole, env_from_world = _world(entry, file.parent, worlds), turn_of(entry)
+            world = None if whole.world is None else World(whole.world.radiance, env_from_world)
+            suns = tuple(replace(sun, place_m=tuple(sun.place_m @ env_from_world)) for sun in whole.lamps)
+        held_out = picture.flag("is_held_out", False)
+        lights[int(frame), camera] = KnownLight(world, suns, lamps_of(picture), is_held_out=held_out)
     return lights
 
 
@@ -127,7 +145,7 @@ def load_groups(sample: Sample) -> LitPicture:
     size_px = sample.camera.width, sample.camera.height
     arrays = read_groups(sample.light.file, size_px, sample.light.groups)
     left, top = arrays["box_px"][:2].tolist()
-    return LitPicture(arrays["groups"], arrays["alpha"], (left, top), size_px, sample.light.light)
+    return LitPicture(arrays["groups"], arrays["alpha"], (left, top), size_px, sample.light)
 
 
 def read_groups(file: Path, size_px: tuple[int, int], groups: int | None = None) -> dict[str, np.ndarray]:
@@ -173,7 +191,7 @@ def mix(picture: LitPicture, weight: np.ndarray) -> MixedPicture:
     return MixedPicture(rgb, whole, weight, fit_exposure(inside, alpha), picture.light)
 
 
-def random_weights(light: SceneLight, rng: np.random.Generator) -> np.ndarray:
+def random_weights(light: KnownLight, rng: np.random.Generator) -> np.ndarray:
     """(G, 3) random amounts of the world and the lamps, at least one of them on."""
     often = np.array(([] if light.world is None else [WORLD_ON]) + [LAMP_ON] * len(light.lamps))
     on = np.zeros(len(often), bool)
@@ -191,33 +209,17 @@ def fit_exposure(rgb: np.ndarray, alpha: np.ndarray) -> float:
     return float(np.clip(EXPOSED_TO / max(float(np.quantile(luminance, EXPOSED_PART)), 1e-9), *EXPOSURE))
 
 
-def weighted(light: SceneLight, weight: np.ndarray) -> SceneLight:
-    """The light with its world and its lamps multiplied by `weight` (G, 3); what is multiplied by 0 is left out."""
-    of_world, of_lamps = (None, weight) if light.world is None else (weight[0], weight[1:])
-    world = light.world
-    if world is not None and of_world is not None:
-        world = World(world.radiance * of_world, world.env_from_world) if of_world.any() else None
-    lamps = zip(light.lamps, of_lamps, strict=True)
-    return SceneLight(
-        world, tuple(replace(lamp, rgb=tuple((lamp.rgb * by).tolist())) for lamp, by in lamps if by.any())
-    )
-
-
-def _world(entry: JsonObject, folder: Path, known: dict[str, np.ndarray]) -> World:
-    """known: pictures that were read before, by name."""
+def _world(entry: JsonObject, folder: Path, known: dict[str, SceneLight]) -> SceneLight:
+    """The world of an entry, not yet turned, and its suns. known: those that were read before, by name."""
     name = entry.value("picture", _is_inside, "the name of a file in the plan's folder")
     if name not in known:
         try:
-            known[name] = np.load(folder / name, allow_pickle=False)
+            known[name] = light_of((), World(np.load(folder / name, allow_pickle=False)))
         except (OSError, ValueError, EOFError) as error:
             thing = f"picture of a world {folder / name}"
             raise InputError(thing, wanted="a whole .npy file", came=str(error)[:200], remedy=_REMEDY) from error
-    return World(known[name], entry.array("env_from_world", (3, 3)))
+    return known[name]
 
 
 def _is_inside(name: object) -> bool:
     return isinstance(name, str) and not Path(name).is_absolute() and ".." not in Path(name).parts
-
-
-def _is_list(value: object) -> bool:
-    return isinstance(value, list)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jghand_engine.avatar.light_json import lamp_of_json
-from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
-from jghand_engine.captures.known_light import LitPicture, fit_exposure, mix, mixed, random_weights, weighted
-from jghand_engine.errors import InputError
-from jghand_engine.json_files import JsonObject
+from jghand_engine.avatar.scene_light import Lamp, World
+from jghand_engine.captures.known_light import KnownLight, LitPicture, fit_exposure, mix, mixed, random_weights
 from jghand_engine.native.scene_light_task import LampKind
 
-LIGHT = SceneLight(
+LIGHT = KnownLight(
     World(np.ones((4, 8, 3), np.float32)),
+    (Lamp(LampKind.SUN, (9.0, 8.0, 7.0), (1.0, 0.0, 0.0)),),
     (
         Lamp(LampKind.SUN, (3.0, 3.0, 3.0), (0.0, 1.0, 0.0)),
         Lamp(LampKind.POINT, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), radius_m=0.01),
@@ -39,11 +37,13 @@ def test_a_mix_is_the_sum_of_the_weighted_groups_and_its_light_is_weighted_alike
         on = view.weight.any(1)
         light = view.light
         assert (light.world is not None) is bool(on[0])
+        lamps = list(light.lamps)
         if light.world is not None:
             np.testing.assert_allclose(light.world.radiance[0, 0], view.weight[0])
+            # the light of the world's suns is in its group
+            np.testing.assert_allclose(lamps.pop().rgb, [9, 8, 7] * view.weight[0], rtol=1e-6)
         kept = [(lamp, weight) for lamp, weight in zip(LIGHT.lamps, view.weight[1:], strict=True) if weight.any()]
-        assert len(light.lamps) == len(kept)
-        for lamp, (before, weight) in zip(light.lamps, kept, strict=True):
+        for lamp, (before, weight) in zip(lamps, kept, strict=True):
             np.testing.assert_allclose(lamp.rgb, np.array(before.rgb) * weight, rtol=1e-6)
             assert lamp.place_m == before.place_m
 
@@ -77,36 +77,9 @@ def test_the_exposure_brings_the_bright_part_of_the_hand_to_seven_tenths_within_
 
 
 def test_a_light_without_a_world_mixes_too(picture):
-    lamps = SceneLight(None, LIGHT.lamps)
+    lamps = KnownLight(None, (), LIGHT.lamps)
     one = LitPicture(picture.groups[1:], picture.alpha, picture.corner_px, picture.size_px, lamps)
     view = mix(one, np.array([[2.0, 2.0, 2.0], [0.0, 0.0, 0.0]]))
     np.testing.assert_allclose(view.rgb[2:8, 1:6], 2 * picture.groups[1].astype(np.float32))
     assert [lamp.rgb for lamp in view.light.lamps] == [(6.0, 6.0, 6.0)]
-    assert weighted(lamps, np.zeros((2, 3))) == SceneLight()
-
-
-def lamp(**fields) -> Lamp:
-    return lamp_of_json(JsonObject(fields, lambda name, wanted, came: InputError(name, wanted=wanted, came=str(came))))
-
-
-def test_what_a_record_of_a_lamp_leaves_out_is_the_default():
-    read = lamp(kind="area", rgb=[1, 2, 3], place_m=[0, 0, 1], size_m=[0.1, 0.2], is_ellipse=True, has_shadow=False)
-    assert read == Lamp(
-        LampKind.AREA, (1.0, 2.0, 3.0), (0.0, 0.0, 1.0), size_m=(0.1, 0.2), is_ellipse=True, has_shadow=False
-    )
-
-
-@pytest.mark.parametrize(
-    ("fields", "named"),
-    [
-        ({}, "kind"),
-        ({"kind": "sun", "rgb": [1, 1, 1]}, "place_m"),
-        ({"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 0, 1], "watts": 5}, "watts"),
-        ({"kind": "point", "rgb": [1, 1, float("nan")], "place_m": [0, 0, 1]}, "rgb"),
-        ({"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 0, 1], "radius_m": -1}, "radius_m"),
-        ({"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 0, 1], "is_soft": 1}, "is_soft"),
-    ],
-)
-def test_records_that_are_no_lamp_name_the_entry(fields, named):
-    with pytest.raises(InputError, match=named):
-        lamp(**fields)
+    assert not lamps.weighted(np.zeros((2, 3))).lamps

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jghand_engine.avatar.light_records import light_of
 from jghand_engine.avatar.scene_light import World
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.check_data import check_data, facts
@@ -58,12 +59,32 @@ def copied(made, tmp_path) -> Path:
 
 
 def test_every_picture_has_a_world_and_two_lamps_of_its_own(made):
-    lights = [sample.light.light for sample in open_capture(made).samples if sample.light is not None]
+    lights = [sample.light for sample in open_capture(made).samples if sample.light is not None]
     assert len(lights) == 42
     assert all(light.world is not None and len(light.lamps) == 2 for light in lights)
     places = {lamp.place_m for light in lights for lamp in light.lamps}
     turns = {light.world.env_from_world.tobytes() for light in lights if light.world is not None}
     assert (len(places), len(turns)) == (84, 42)
+
+
+def test_the_light_of_a_picture_is_what_drawing_makes_of_its_record(made):
+    """The suns of its world with it, turned as the world is, and as much light as the plan's picture has."""
+    pictures = json.loads((made / "plan" / "lights.json").read_text(encoding="utf-8"))["pictures"]
+    suns = 0
+    for sample in open_capture(made).samples:
+        record, light = pictures[f"{sample.frame}/{sample.camera_name}"], sample.light
+        assert light is not None
+        turn = np.array(record["world"]["env_from_world"])
+        drawn = light_of((), World(np.load(made / "plan" / record["world"]["picture"]), turn))
+        assert drawn.world is not None
+        assert light.world is not None
+        np.testing.assert_array_equal(light.world.radiance, drawn.world.radiance)
+        np.testing.assert_allclose(light.world.env_from_world, turn)
+        for sun, expected in zip(light.suns, drawn.lamps, strict=True):
+            np.testing.assert_allclose(sun.place_m, expected.place_m, atol=1e-6)
+            np.testing.assert_allclose(sun.rgb, expected.rgb)
+        suns += len(light.suns)
+    assert suns
 
 
 def test_held_out_lights_are_never_learned_from(made):
@@ -133,7 +154,7 @@ def test_check_data_tells_of_the_lights_and_of_groups_that_are_broken(copied):
         (lambda content: first(content)["lamps"][0].update(rgb=[1, -1, 1]), "rgb"),
         (lambda content: first(content)["world"].update(picture="../../../etc/hosts"), "plan's folder"),
         (lambda content: first(content)["world"].update(picture="worlds/none.npy"), "none.npy"),
-        (lambda content: first(content).update(lamps=None), "list of lamps"),
+        (lambda content: first(content).update(lamps=None), "a list of at most"),
     ],
 )
 def test_damaged_descriptions_of_the_light_are_told(copied, damage, told):
