@@ -129,8 +129,8 @@ def _read(
     power = light.energy
     if not eevee:
         color *= node_color(light)[0]
-        if light.type == "AREA" and light.cycles.is_portal:  # it only guides the world's light
-            power = 0.0
+        if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
+            power = 0.0  # it only guides the world's light
     size_x = getattr(light, "size", 0.0)
     shape = getattr(light, "shape", "SQUARE")
     has_shadow = light.use_shadow and _lights_any(thing.light_linking.blocker_collection, hands)
