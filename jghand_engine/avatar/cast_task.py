@@ -52,7 +52,7 @@ class CastStep:
 
     blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
     joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
-    rows: of the anchors, whole blocks
+    rows: of the anchors, whole blocks · row_of_anchor: in which each stands
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
@@ -70,9 +70,9 @@ class CastStep:
             "lamp": lamp,
             "fallen": aligned_zeros((own.rows, 4)),
         }
-        row_of_anchor = np.argsort(own.order)
+        self.row_of_anchor = np.argsort(own.order)
         self.around = {
-            "nearest": blocks.blocked(row_of_anchor[anchors.nearest], np.int32),
+            "nearest": blocks.blocked(self.row_of_anchor[anchors.nearest], np.int32),
             "share": blocks.blocked(anchors.share),
         }
         shadow = task.cast

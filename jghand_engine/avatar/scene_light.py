@@ -9,7 +9,7 @@ the centroid of its light, how much of that a hand's own fingers take, 8 lobes w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -159,12 +159,28 @@ class Lamp:
             raise InputError("lamp", wanted="a direction", came="none")
 
 
+@dataclass(frozen=True, eq=False)
+class Shades:
+    """What the things of a scene leave of its lamps on the hands of an image. One is equal to itself alone.
+
+    left: for each hand (lamps, anchors) 0..1, in the orders of the light's lamps and of the anchors of the avatar's
+          cast shadow; lamps beyond the rows have all of it
+    """
+
+    left: tuple[np.ndarray, ...]
+
+
 @dataclass(frozen=True)
 class SceneLight:
-    """All light of a scene. world: None for a black one."""
+    """All light of a scene. world: None for a black one. shades: None where nothing stands in the light."""
 
     world: World | None = None
     lamps: tuple[Lamp, ...] = ()
+    shades: Shades | None = None
+
+    def on_hand(self, place: int) -> SceneLight:
+        """As it falls on one hand of an image."""
+        return self if self.shades is None else replace(self, shades=Shades(self.shades.left[place : place + 1]))
 
 
 def harmonics(direction: np.ndarray) -> np.ndarray:

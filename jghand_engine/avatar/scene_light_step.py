@@ -71,6 +71,7 @@ class SceneLightStep:
             "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
             "reached": aligned_zeros((rows, 8)),
             "irradiance": aligned_zeros((16, 3)),
+            "left": aligned_zeros((LAMPS_MAX, rows)),
             "lobe": aligned_zeros((LOBES, 7)),
             "lamp": aligned_zeros((4 * LAMPS_MAX, len(LAMP_NUMBERS))),
             "casting": aligned_zeros((LAMPS_MAX, len(LAMP_NUMBERS))),
@@ -91,9 +92,20 @@ class SceneLightStep:
         if light.world is not self._world:
             self._set_world(light.world)
         middle_m = palm_middle_m(bones.linear_offset, self._cast.joints_m)
-        rows, casting = lamp_rows(light, bones.root_m, middle_m)
+        rows, casting, sources = lamp_rows(light, bones.root_m, middle_m)
         self._arrays["lamp"][: len(rows)], self._arrays["casting"][: len(casting)] = rows, casting
         self._task.lamps, self._task.slots = len(rows), len(casting)
+        self._set_left(None if light.shades is None else light.shades.left[0], sources)
+
+    def _set_left(self, of_lamp: np.ndarray | None, sources: list[int]) -> None:
+        """Sets what a scene leaves of the lamps (lamps, anchors), as `Shades` has it; sources: the lamps by slot."""
+        left = self._arrays["left"]
+        self._task.left = None if of_lamp is None else left.ctypes.data
+        if of_lamp is not None:
+            left[...] = 1
+            for slot, index in enumerate(sources):
+                if index < len(of_lamp):
+                    left[slot, self._cast.row_of_anchor] = of_lamp[index]
 
     def _set_world(self, world: World | None) -> None:
         task, response = self._task, self._response
@@ -129,8 +141,9 @@ def palm_middle_m(linear_offset: np.ndarray, joints_m: np.ndarray) -> np.ndarray
     return matrix[:, :3] @ (0.5 * joints_m[MIDDLE_KNUCKLE]) + matrix[:, 3]
 
 
-def lamp_rows(light: SceneLight, root_m: np.ndarray, middle_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The lamps that matter to a hand, as the kernel takes them (n, LAMP_NUMBERS), and those whose shadows do, by slot.
+def lamp_rows(light: SceneLight, root_m: np.ndarray, middle_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """The lamps that matter to a hand, as the kernel takes them (n, LAMP_NUMBERS), those whose shadows do, by slot, and
+    which of the light's these are.
 
     root_m:   (3,) of the hand; rows are relative to it
     middle_m: (3,) of the hand, relative to the root: where lamps are compared
@@ -143,6 +156,7 @@ def lamp_rows(light: SceneLight, root_m: np.ndarray, middle_m: np.ndarray) -> tu
     every = float(power.sum()) + world
     rows: list[np.ndarray] = []
     casting: list[np.ndarray] = []
+    sources: list[int] = []
     for index in np.argsort(-power, kind="stable")[:LAMPS_MAX]:
         lamp = light.lamps[index]
         if power[index] <= LAMP_PART_MIN * every:
@@ -150,9 +164,10 @@ def lamp_rows(light: SceneLight, root_m: np.ndarray, middle_m: np.ndarray) -> tu
         if lamp.has_shadow and power[index] > SHADOW_PART_MIN * every:
             plain[index][NUMBER["slot"]] = whole[index][NUMBER["slot"]] = len(casting)
             casting.append(whole[index])
+            sources.append(int(index))
         rows += [_widened(part, middle_m) for part in _parts(lamp, plain[index], middle_m)]
     lamps, shadows = (np.array(each).reshape(-1, len(LAMP_NUMBERS)) for each in (rows, casting))
-    return lamps, shadows
+    return lamps, shadows, sources
 
 
 def irradiance_at(row: np.ndarray, points_m: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ class LampRows:
     @classmethod
     def of(cls, light: SceneLight, root_m: np.ndarray, linear_offset: np.ndarray, joints_m: np.ndarray) -> LampRows:
         """Those that matter to a pose. joints_m: (21, 3) canonical, root-relative"""
-        return cls(*lamp_rows(light, root_m, palm_middle_m(linear_offset, joints_m)))
+        return cls(*lamp_rows(light, root_m, palm_middle_m(linear_offset, joints_m))[:2])
 
 
 def lamp_at(row: np.ndarray, position_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -137,7 +137,9 @@ JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t
       lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
       part[0] += edge * (lamp_seen(c, s, foreign, p, direction, sine) - part[0]);
     }
-    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), part[0]);
+    vf left[1] = {all(1.f)};
+    if (s.left) spread<1>(t, block, s.left + LANES * (int64_t)c.blocks * j, 1, left);
+    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), part[0] * left[0]);
   }
 }
 
@@ -168,7 +170,9 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;
     lamp_at(lamp, p, direction, strength, sine);
-    const vf part = lamp[SLOT] < 0 ? all(1.f) : load(seen + rows * (int)lamp[SLOT]);
+    const int64_t slot = rows * (int)lamp[SLOT];
+    vf part = lamp[SLOT] < 0 ? all(1.f) : load(seen + slot);
+    if (s.left && lamp[SLOT] >= 0) part *= load(s.left + LANES * (int64_t)block + slot);
     const vf got = max(dot(normal, direction), vf{}) * strength * part * lamp[ON_MATT];
     for (int i = 0; i < 3; i++) given[i] += got * lamp[LAMP_RGB + i];
   }

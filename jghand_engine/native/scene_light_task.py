@@ -28,7 +28,7 @@ class SceneLightTask(ctypes.Structure):
     """SceneLightTask of native/scene_light.h."""
 
     _fields_ = (
-        *((name, _P) for name in ("material", "lamp", "casting", "irradiance", "lobe")),
+        *((name, _P) for name in ("material", "lamp", "casting", "irradiance", "left", "lobe")),
         *((name, _P) for name in ("posed", "visible", "seen", "skin_seen", "thrown", "reflecting", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "ambient", "least")),
         *((name, _F32) for name in ("shade_gain", "flesh_softness", "sine2_min")),

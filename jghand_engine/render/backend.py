@@ -119,11 +119,16 @@ class Backend:
         """
         camera, settings, light = canvas.camera, self._settings, canvas.light
         posed = self._hands if poses is not None else []
-        for hand, pose in zip(posed, poses or (), strict=True):
+        lights = [None if light is None else light.on_hand(place) for place in range(len(self._hands))]
+        for hand, pose, mine in zip(posed, poses or (), lights, strict=False):
             keeps = pose.keep_correctives
-            hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=light)
+            hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
         relit = light is not None and poses is None and light != self._light
-        lit = [hand for hand in self._hands if relit and light is not None and hand.prepare_light(light)]
+        lit = [
+            hand
+            for hand, mine in zip(self._hands, lights, strict=True)
+            if relit and mine is not None and hand.prepare_light(mine)
+        ]
         self._light = light
         if not keep_image:
             self._planes = self._rasterizer.prepare(

@@ -20,6 +20,7 @@ from jghand_engine.avatar.relighting import estimated
 from jghand_engine.avatar.scene_light import (
     Lamp,
     SceneLight,
+    Shades,
     World,
     cosine_bands,
     harmonics,
@@ -228,6 +229,36 @@ def test_a_hand_in_two_lights_is_the_sum_of_both_hands():
     assert np.abs(both - sum(each)).max() < 1e-5 * both.max()
 
 
+def test_what_stands_before_a_lamp_takes_its_light_where_its_shadow_falls():
+    """All of one lamp, half of the other, and of a lamp beyond the rows nothing."""
+    bones = bones_of(AVATAR)
+    sun, point, area = LAMPS["sun"], replace(LAMPS["point"], rgb=(1, 1, 1)), replace(LAMPS["area"], rgb=(9, 9, 9))
+    assert AVATAR.learned is not None
+    assert AVATAR.learned.cast is not None
+    left = np.ones((2, len(AVATAR.learned.cast.anchors.position_m)))
+    left[0], left[1] = 0, 0.5
+    shaded = natively(AVATAR, bones, SceneLight(None, (sun, point, area), Shades((left,))))
+    alone = {lamp: natively(AVATAR, bones, SceneLight(None, (lamp,))) for lamp in (point, area)}
+    assert np.abs(shaded - 0.5 * alone[point] - alone[area]).max() < 1e-5 * shaded.max()
+
+
+def test_the_shadow_of_a_thing_falls_where_its_anchors_are():
+    """The fingers of the second hand are behind a card: they alone are dark, and no other hand's."""
+    hand, sun = estimated(load_builtin(handedness=Handedness.RIGHT)), replace(LAMPS["sun"], place_m=(0, 0, 1))
+    assert hand.learned is not None
+    assert hand.learned.cast is not None
+    bones, edge_m = bones_of(hand, "open"), 0.09
+    behind = hand.learned.cast.anchors.position_m[:, 1] > edge_m
+    light = SceneLight(None, (sun,), Shades((np.ones((1, len(behind))), 1.0 - behind[None])))
+    bare, first, second = (
+        natively(hand, bones, each) for each in (SceneLight(None, (sun,)), light.on_hand(0), light.on_hand(1))
+    )
+    assert np.abs(first - bare).max() < 1e-5 * bare.max()
+    up_m = hand.position_m[:, 1] - edge_m
+    assert second[up_m > 0.01].mean() < 0.02 * bare[up_m > 0.01].mean()
+    assert second[up_m < -0.01].mean() > 0.98 * bare[up_m < -0.01].mean()
+
+
 def test_twice_the_light_is_twice_as_bright():
     bones, light = bones_of(AVATAR), LIGHTS["all"]
     lamps = tuple(replace(lamp, rgb=tuple(2 * c for c in lamp.rgb)) for lamp in light.lamps)
@@ -295,14 +326,15 @@ def test_lobes_together_are_the_blurred_world():
 def test_lamps_that_nobody_sees_are_left_out_and_faint_ones_cast_no_shadow():
     far = Lamp(LampKind.POINT, (1, 1, 1), (100, 0, 0))
     faint = replace(LAMPS["sun"], rgb=(0.009, 0.006, 0.003))
-    rows, casting = lamp_rows(SceneLight(None, (far, LAMPS["sun"], faint)), np.zeros(3), np.zeros(3))
+    rows, casting, sources = lamp_rows(SceneLight(None, (far, LAMPS["sun"], faint)), np.zeros(3), np.zeros(3))
     assert len(rows) == 2
     assert len(casting) == 1
+    assert sources == [1]
 
 
 def test_a_large_area_is_four_lamps_of_one_shadow_and_gives_the_same_light():
     area = LAMPS["area"]
-    rows, casting = lamp_rows(SceneLight(None, (area,)), np.zeros(3), np.array([0.0, 0.05, 0]))
+    rows, casting, _ = lamp_rows(SceneLight(None, (area,)), np.zeros(3), np.array([0.0, 0.05, 0]))
     assert len(rows) == 4
     assert len(casting) == 1
     assert len({float(row[17]) for row in rows}) == 1
@@ -325,7 +357,7 @@ def test_a_large_area_that_shines_straight_ahead_lights_what_is_in_its_beam(spre
         return (cones / (1 + tangent2) ** 2).mean() * (size_m / distance_m) ** 2
 
     def found(aside_m: float) -> float:
-        rows, _ = lamp_rows(SceneLight(None, (area,)), np.array([aside_m, 0, 0]), np.zeros(3))
+        rows, *_ = lamp_rows(SceneLight(None, (area,)), np.array([aside_m, 0, 0]), np.zeros(3))
         return sum(row[2] / np.linalg.norm(row[:3]) * irradiance_at(row, np.zeros(3))[0] for row in rows)
 
     assert found(0.0) == pytest.approx(wanted(0.0), rel=0.25)
@@ -335,7 +367,7 @@ def test_a_large_area_that_shines_straight_ahead_lights_what_is_in_its_beam(spre
 
 def test_a_beam_that_passes_the_palm_by_lights_the_fingers():
     spot = Lamp(LampKind.SPOT, (1, 1, 1), (0.08, 0, 0.5), (0, 0, -1), cone_rad=0.1)
-    rows, casting = lamp_rows(SceneLight(None, (spot,)), np.zeros(3), np.zeros(3))
+    rows, casting, _ = lamp_rows(SceneLight(None, (spot,)), np.zeros(3), np.zeros(3))
     assert len(rows) == len(casting) == 1
 
 

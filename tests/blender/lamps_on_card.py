@@ -25,7 +25,7 @@ def wrong(name: str, wanted: str, came: object) -> InputError:
 
 def irradiance(lamps: list[dict]) -> np.ndarray:
     light = SceneLight(lamps=lamps_of(JsonObject({"lamps": lamps}, wrong)))
-    rows, _ = lamp_rows(light, ORIGIN, ORIGIN)
+    rows, *_ = lamp_rows(light, ORIGIN, ORIGIN)
     cosines = [max(float(row[:3] @ UP) / np.linalg.norm(row[:3]), 0.0) for row in rows]
     parts = [cosine * irradiance_at(row, ORIGIN) for row, cosine in zip(rows, cosines, strict=True)]
     return np.sum([ORIGIN, *parts], 0)
