@@ -14,6 +14,11 @@ import numpy as np
 
 from .view import LIGHT_FROM_WORLD
 
+# the engine takes 256, and a world brings a few of its own
+LAMPS_MAX = 240
+# an area smaller than that is a point anyway, and its radiance grows beyond any number
+SIZE_MIN_M = 1e-3
+
 
 @dataclass(frozen=True)
 class BlenderLight:
@@ -85,6 +90,22 @@ def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
     return [{**lamp, "rgb": (rgb * factor).tolist(), **counts} for factor, counts in parts if factor > 0]
 
 
+def brightest(lamps: list[dict[str, Any]], place_m: np.ndarray) -> list[dict[str, Any]]:
+    """As many lamps as the engine takes: those that light a place (3,), in Blender's axes, most if it is in their
+    beams."""
+    if len(lamps) <= LAMPS_MAX:
+        return lamps
+    middle = LIGHT_FROM_WORLD[:3, :3] @ place_m
+
+    def light(lamp: dict[str, Any]) -> float:
+        if lamp["kind"] == "sun":
+            return sum(lamp["rgb"])
+        distance2 = float(np.square(middle - lamp["place_m"]).sum())
+        return sum(lamp["rgb"]) * math.prod(lamp.get("size_m", (1.0,))) / max(distance2, 1e-6)
+
+    return sorted(lamps, key=light, reverse=True)[:LAMPS_MAX]
+
+
 # of a light of power 1: what a lamp of its kind has for it, and the lamp's other fields
 _Shape = tuple[float, dict[str, Any]]
 
@@ -124,11 +145,13 @@ def _area(light: BlenderLight, sides: np.ndarray, scale: np.ndarray, unit_m: flo
     if scale[2] == 0 or size.min() <= 0:
         return None
     area = size[0] * size[1] * (math.pi / 4 if light.is_ellipse else 1.0)
-    strength = 1 / math.pi / (area if light.is_normalized else 1.0)
+    size_m = np.maximum(size * unit_m, SIZE_MIN_M)
+    # its light stays where its size does not
+    strength = 1 / math.pi / (area if light.is_normalized else 1.0) * float(np.prod(size * unit_m / size_m))
     return strength, {
         "axis": (-sides[:, 2]).tolist(),
         "side": sides[:, 0].tolist(),
-        "size_m": (size * unit_m).tolist(),
+        "size_m": size_m.tolist(),
         "is_ellipse": light.is_ellipse,
         "spread_rad": light.spread,
     }

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_addon.core.lamps import BlenderLight, lamps_of
+from blender_addon.core.lamps import LAMPS_MAX, BlenderLight, brightest, lamps_of
 from blender_addon.core.view import LIGHT_FROM_WORLD
-from jghand_engine.avatar import light_records
+from jghand_engine.avatar import light_records, world_suns
 from jghand_engine.errors import InputError
 from jghand_engine.json_files import JsonObject
 
@@ -109,3 +109,25 @@ def test_a_spot_is_as_wide_as_the_scale_of_its_object_makes_it():
     assert oval["cone_rad"] == pytest.approx(2 * math.atan(2))
     (half,) = lamps_of(replace(spot, cone=math.pi, matrix=placed(scale=(1, 1, 2))), 1.0)
     assert half["cone_rad"] == pytest.approx(math.pi)
+
+
+def test_a_tiny_area_is_as_bright_as_it_is_in_numbers_that_the_engine_takes():
+    for is_normalized in (True, False):
+        area = replace(LIGHT, kind="AREA", size=(1e-6, 0.5), power=1e3, is_normalized=is_normalized)
+        (lamp,) = lamps_of(area, 1.0)
+        assert lamp["size_m"] == [1e-3, 0.5]
+        power = 1e3 if is_normalized else 1e3 * 1e-6 * 0.5
+        np.testing.assert_allclose(np.array(lamp["rgb"]) * 1e-3 * 0.5 * math.pi, power)
+    (tiny,) = lamps_of(replace(LIGHT, kind="AREA", size=(1e-9, 1e-9), power=1e3), 1.0)
+    assert max(tiny["rgb"]) < light_records.NUMBER_MAX
+
+
+def test_of_many_lamps_the_engine_gets_as_many_as_it_takes_and_those_that_light_most():
+    lights = [replace(LIGHT, matrix=placed((away, 0, 0))) for away in range(1, 400)]
+    lights += [replace(LIGHT, kind=kind, matrix=placed((1e4, 0, 0))) for kind in ("AREA", "SUN")]
+    lamps = [lamp for light in lights for lamp in lamps_of(light, 1.0)]
+    kept = brightest(lamps, np.zeros(3))
+    assert [lamp["kind"] for lamp in kept] == ["sun", *["point"] * (LAMPS_MAX - 1)]
+    assert kept[-1]["place_m"][0] == LAMPS_MAX - 1
+    assert LAMPS_MAX + world_suns.SUNS_MAX <= light_records.LAMPS_MAX
+    assert brightest(lamps[:9], np.zeros(3)) == lamps[:9]

@@ -347,6 +347,17 @@ def test_what_cannot_be_read_of_a_light_says_so(card):
     assert "negative" in found.warnings[0]
 
 
+def test_more_lamps_than_the_engine_takes_are_the_brightest_and_say_so(card):
+    data = add_light("POINT", **POINT).data
+    for place in range(300):
+        thing = bpy.data.objects.new("lamp", data)
+        thing.location.x = 2 + place
+        bpy.context.scene.collection.objects.link(thing)
+    found = read(card)
+    assert max(lamp["place_m"][0] for lamp in found.lamps) < len(found.lamps) + 2
+    assert found.warnings == (f"301 lamps: the {len(found.lamps)} brightest light hands; hide some of them",)
+
+
 @pytest.mark.skipif(not hasattr(bpy.data, "colorspace"), reason="one working space alone")
 def test_colors_are_rec709_whatever_the_working_space(card):
     add_light("POINT", **POINT, color=(1, 0.5, 0.25))
