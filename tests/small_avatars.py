@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, own_flesh
+from jghand_engine.avatar.relighting import estimated
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
 from jghand_engine.learn.light import LightTensors
@@ -74,6 +76,24 @@ def trained_tensors(count: int = 200, seed: int = 0, shape: PoseNetShape | None 
     own = torch.from_numpy(own_flesh(anchors.position_m.numpy(), avatar.canonical_joints_m.numpy()))
     cast = CastTensors(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, own)
     return replace(avatar, learned=LearnedTensors(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
+
+
+def known_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
+    """A trained one that answers any light, each Gaussian in its own way."""
+    avatar, g = estimated(trained_avatar(count, seed)), np.random.default_rng(seed)
+    assert avatar.learned is not None
+    guess = avatar.learned.response
+    assert guess is not None
+    response = replace(
+        guess,
+        spread=g.uniform(0.5, 2, count).astype(np.float32),
+        roughness=g.uniform(0.25, 0.65, count).astype(np.float32),
+        reflectance=g.uniform(0.01, 0.08, count).astype(np.float32),
+        **{name: np.float32(getattr(guess, name)) for name in ("softness", "bounce", "ambient")},
+        shade_gain=float(np.float32(guess.shade_gain)),
+        trained_on={"worlds": 3, "sun": 5},
+    )
+    return replace(avatar, learned=replace(avatar.learned, response=response))
 
 
 def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:

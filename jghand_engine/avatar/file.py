@@ -7,8 +7,9 @@ is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which may b
 arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3) float64. Files keep the standard joint
 order; the engine's level order ends here.
 
-A trained avatar has format_version 2, a description `learnt` and the arrays of `learned_storage`. Avatars that were
-not trained are still written as version 1, which older JGHands read.
+A trained avatar has format_version 2, a description `learnt` and the arrays of `learned_storage`. One that was learned
+in known light has version 3: older JGHands refuse it, who would draw its albedo as its colors. Avatars that were not
+trained are still written as version 1.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
 from jghand_engine.json_files import JsonObject, is_number
 
-FORMAT_VERSION = 2
-# the newest without anything learned
-PAINTED_VERSION = 1
+FORMAT_VERSION = 3
+# the newest without a known light, and without anything learned
+LEARNED_VERSION, PAINTED_VERSION = 2, 1
 METADATA_KEY = "jghand"
 
 
@@ -55,11 +56,11 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     """
     thing = f"avatar for {path}"
     check_avatar(avatar, thing)
-    packed, box_m = pack(_arrays(avatar), storage)
+    packed, box_m = pack(_arrays(avatar), storage, linear=_is_linear(avatar))
     joints_m = from_level(avatar.canonical_joints_m, JointOrder.STANDARD)
     packed["canonical_joints_m"] = np.ascontiguousarray(joints_m, np.float64)
     description: dict[str, Any] = {
-        "format_version": PAINTED_VERSION if avatar.learned is None else FORMAT_VERSION,
+        "format_version": _version(avatar),
         "name": avatar.info.name,
         "template": avatar.info.template,
         "licence": avatar.info.license,
@@ -95,7 +96,7 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
 
 def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
     """The avatar that a reader gets back when `avatar` is saved with `storage`."""
-    packed, box_m = pack(_arrays(avatar), storage)
+    packed, box_m = pack(_arrays(avatar), storage, linear=_is_linear(avatar))
     stored = _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
     if avatar.learned is None:
         return stored
@@ -126,7 +127,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
     if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
         came = str(int(packed["weight_bone"].max()))
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
-    plain = {name: packed.pop(name) for name in expected_arrays(about.storage)}
+    plain = {name: packed.pop(name) for name in expected_arrays(about.storage, linear=about.is_linear)}
     avatar = _avatar(about.info, about.handedness, joints_m, unpack(plain, about.storage, about.box_m))
     if about.learned is not None:
         avatar = _with_learned(avatar, packed, about.learned)
@@ -174,6 +175,7 @@ class _Description:
         is_learned = content["format_version"] > PAINTED_VERSION
         learned = of.inner(content.get("learnt"), "learnt") if is_learned else None
         self.learned = None if learned is None else LearnedAbout.parsed(learned)
+        self.is_linear = self.learned is not None and self.learned.light.is_known
 
 
 def _text(of: JsonObject, name: str) -> str:
@@ -221,7 +223,8 @@ def _is_box(value: object) -> bool:
 
 def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.ndarray]:
     """All arrays of a file; their names, types and shapes are checked before any is read."""
-    wanted = {name: (dtype, (about.gaussians, *rest)) for name, (dtype, rest) in expected_arrays(about.storage).items()}
+    plain = expected_arrays(about.storage, linear=about.is_linear)
+    wanted = {name: (dtype, (about.gaussians, *rest)) for name, (dtype, rest) in plain.items()}
     wanted["canonical_joints_m"] = ("F64", (JOINT_COUNT, 3))
     if about.learned is not None:
         wanted |= expected_learned_arrays(about.learned, about.gaussians, about.storage)
@@ -236,6 +239,16 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
         if came != (dtype, shape):
             raise InputError(f"{thing}: {name}", wanted=f"{dtype} {shape}", came=f"{came[0]} {came[1]}", remedy=REMEDY)
     return {name: content.get_tensor(name) for name in wanted}
+
+
+def _is_linear(avatar: HandAvatar) -> bool:
+    return avatar.learned is not None and avatar.learned.response is not None
+
+
+def _version(avatar: HandAvatar) -> int:
+    if avatar.learned is None:
+        return PAINTED_VERSION
+    return FORMAT_VERSION if _is_linear(avatar) else LEARNED_VERSION
 
 
 def _arrays(avatar: HandAvatar) -> Arrays:

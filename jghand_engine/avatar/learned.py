@@ -6,7 +6,8 @@ native kernels, which draw; tests hold the two together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,6 +53,12 @@ class Light:
     lobe_sharpness: np.ndarray
     lobe_rgb: np.ndarray
     rim: np.ndarray
+
+
+def no_light() -> Light:
+    """Of a hand that shines with its own colors alone, or is lit by a scene."""
+    nothing = np.zeros((0, 3), np.float32)
+    return Light(np.zeros((SH_COUNT, 3), np.float32), nothing, nothing[:, 0], nothing, np.zeros((), np.float32))
 
 
 @dataclass(frozen=True)
@@ -145,6 +152,7 @@ class SkinResponse:
     bounce:      (3,) albedo of the skin that throws light back
     ambient:     (3,) part of the world's mean irradiance that no shadow takes
     shade_gain:  of the pose's shade
+    trained_on:  how many worlds, and lamps of each kind, it was learned from, by name; empty for a guess
     """
 
     spread: np.ndarray
@@ -154,6 +162,7 @@ class SkinResponse:
     bounce: np.ndarray
     ambient: np.ndarray
     shade_gain: float
+    trained_on: Mapping[str, int] = field(default_factory=dict)
 
     def prefix(self, count: int) -> SkinResponse:
         """The same for the first `count` Gaussians."""
@@ -175,6 +184,8 @@ class Learned:
     ellipsoid:     of Gaussians that are no spheres, else None
     cast:          shadows that its parts cast on each other; None when it was trained without
     distilled:     cheaper tiers of the correctives, and what they cost; None where nothing was measured
+    response:      how the skin answers the light of a scene; then light and shine are none, and the cast shadow has a
+                   lamp for each cell of a world. None where it was learned in one unknown light
     """
 
     normal: np.ndarray

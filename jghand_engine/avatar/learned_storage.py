@@ -13,15 +13,18 @@
 | cast.bone_weights| float32 x 21 | float16 x 21             | 0.05 % of every weight                                 |
 | cast.nearest     | uint16 x 3   | uint16 x 3               | nothing                                                |
 | cast.share       | uint8 x 3    | uint8 x 3                | nothing: they are learned with in eight bits            |
+| response.*       | float32      | uint8 over their range   | 1/510 of the range; constants are float32: nothing     |
 | linear.*         | as it is used: int8 directions with a scale, constants as float16; nothing lost by writing    |
 
-The network reads where a Gaussian sits, and its bones; both stand in the file already. What the cheaper tiers cost
-stands under `baked`, the name of files of 0.1.
+A hand that was learned in known light has a response, and neither shine nor light. The network reads where a Gaussian
+sits, and its bones; both stand in the file already. What the cheaper tiers cost stands under `baked`, the name of files
+of 0.1.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -37,9 +40,12 @@ from jghand_engine.avatar.learned import (
     Learned,
     Light,
     ShadowLook,
+    SkinResponse,
+    no_light,
     own_flesh,
 )
-from jghand_engine.avatar.storage import UINT16_MAX, Storage
+from jghand_engine.avatar.scene_light import CELLS
+from jghand_engine.avatar.storage import UINT8_MAX, UINT16_MAX, Storage
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.avatar.validation import AVATAR_REACH_M, LIGHT_LOBES_MAX, SHADOW_GAIN_MAX, is_text
 from jghand_engine.errors import InputError
@@ -49,6 +55,9 @@ from jghand_engine.native.learned_tasks import HIDDEN_MAX
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
+RESPONSE, RANGE = "response.", "response.range"
+# of a response: values per Gaussian, then per channel
+MATERIAL, PER_CHANNEL = ("spread", "roughness", "reflectance"), ("softness", "bounce", "ambient")
 
 # no figure of a tier is larger
 PRICE_MAX = 1e9
@@ -110,6 +119,31 @@ class CastAbout:
 
 
 @dataclass(frozen=True)
+class LightAbout:
+    """What the JSON says of the light that the hand was learned in: one that it carries along, or known ones that it
+    answers. trained_on: as in SkinResponse"""
+
+    kind: str = "learnt"
+    trained_on: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def is_known(self) -> bool:
+        return self.kind == "known"
+
+    @classmethod
+    def of(cls, response: SkinResponse | None) -> LightAbout:
+        return cls() if response is None else cls("known", dict(response.trained_on))
+
+    @classmethod
+    def parsed(cls, of: JsonObject) -> LightAbout:
+        kind, counts = of.one_of("kind", ("learnt", "known")), of.inner(of.fields.get("trained_on"), "trained_on")
+        for name in counts.fields:
+            if not is_text(name):
+                raise of.wrong("trained_on", "names of one line")
+        return cls(kind, {name: counts.count(name, 0, 2**53) for name in counts.fields})
+
+
+@dataclass(frozen=True)
 class LearnedAbout:
     """What the JSON says.
 
@@ -119,6 +153,7 @@ class LearnedAbout:
     ellipsoids:            whether the Gaussians are ellipsoids
     cast:                  the cast shadow, None where there is none
     baked:                 cheaper tiers, None where nothing was measured
+    light:                 that it was learned in
     """
 
     lobes: int
@@ -128,6 +163,7 @@ class LearnedAbout:
     ellipsoids: bool
     cast: CastAbout | None
     baked: DistilledAbout | None
+    light: LightAbout
 
     @classmethod
     def of(cls, learned: Learned) -> LearnedAbout:
@@ -140,7 +176,8 @@ class LearnedAbout:
         distilled = learned.distilled
         baked = None if distilled is None or net is None else DistilledAbout.of(distilled)
         cast = None if learned.cast is None else CastAbout(len(learned.cast.lamp_rgb), len(learned.cast.anchors))
-        return cls(lobes, shape, learned.shadow, learned.world_offsets, learned.ellipsoid is not None, cast, baked)
+        ellipsoids, light = learned.ellipsoid is not None, LightAbout.of(learned.response)
+        return cls(lobes, shape, learned.shadow, learned.world_offsets, ellipsoids, cast, baked, light)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -153,14 +190,19 @@ class LearnedAbout:
         distilled, cast, shadow = of.object("baked"), of.object("cast"), of.object("shadow")
         if distilled is not None and net is None:
             raise of.wrong("baked", "an object, beside a network")
+        about = None if cast is None else CastAbout.parsed(cast)
+        light = LightAbout() if (told := of.object("light")) is None else LightAbout.parsed(told)
+        if light.is_known and (about is None or about.lamps != CELLS):
+            raise of.wrong("cast", f"one of {CELLS} lamps, beside a known light")
         return cls(
             of.count("lobes", 0, LIGHT_LOBES_MAX),
             net,
             None if shadow is None else _parsed_shadow(shadow),
             of.flag("world_offsets"),
             of.flag("ellipsoids", left_out=False),
-            None if cast is None else CastAbout.parsed(cast),
+            about,
             None if distilled is None or net is None else DistilledAbout.parsed(distilled, net),
+            light,
         )
 
 
@@ -193,10 +235,15 @@ def _parsed_net(of: JsonObject) -> PoseNetShape:
 def expected_learned_arrays(about: LearnedAbout, gaussians: int, storage: Storage) -> dict[str, tuple[str, tuple]]:
     """Name -> (safetensors dtype, shape) of every array that training adds."""
     exact = storage is Storage.EXACT
-    arrays: dict[str, tuple[str, tuple]] = {SHINE: ("F32" if exact else "F16", (gaussians,))}
+    arrays: dict[str, tuple[str, tuple]] = {}
     arrays |= {NORMAL: ("F32", (gaussians, 3))} if exact else {PACKED_NORMAL: ("U16", (gaussians, 2))}
-    for name, shape in _light_shapes(about.lobes).items():
-        arrays[LIGHT + name] = ("F32", shape)
+    if about.light.is_known:
+        arrays |= {RESPONSE + name: ("F32" if exact else "U8", (gaussians,)) for name in MATERIAL}
+        arrays |= {RESPONSE + name: ("F32", (3,)) for name in PER_CHANNEL} | {RESPONSE + "shade_gain": ("F32", (1,))}
+        arrays |= {} if exact else {RANGE: ("F32", (len(MATERIAL), 2))}
+    else:
+        arrays[SHINE] = ("F32" if exact else "F16", (gaussians,))
+        arrays |= {LIGHT + name: ("F32", shape) for name, shape in _light_shapes(about.lobes).items()}
     if about.net is not None:
         for name, shape in about.net.arrays().items():
             arrays[NET + name] = ("F32" if exact else "F16", shape)
@@ -270,6 +317,30 @@ def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: np.ndarray) 
     return CastShadow(_single(own["lamp_rgb"]), _single(own["bounced_rgb"]), anchors, flesh)
 
 
+def _pack_response(response: SkinResponse, storage: Storage) -> dict[str, np.ndarray]:
+    packed = {RESPONSE + name: _single(getattr(response, name)) for name in (*MATERIAL, *PER_CHANNEL)}
+    packed[RESPONSE + "shade_gain"] = np.array([response.shade_gain], np.float32)
+    if storage is Storage.COMPACT:
+        every = [packed[RESPONSE + name].astype(np.float64) for name in MATERIAL]
+        packed[RANGE] = np.array([[values.min(), values.max()] for values in every], np.float32)
+        for name, values in zip(MATERIAL, every, strict=True):
+            step = (values.max() - values.min()) / UINT8_MAX
+            packed[RESPONSE + name] = np.rint((values - values.min()) / (step or 1.0)).astype(np.uint8)
+    return packed
+
+
+def _unpack_response(packed: dict[str, np.ndarray], about: LightAbout) -> SkinResponse:
+    values = {name: packed[RESPONSE + name] for name in (*MATERIAL, *PER_CHANNEL)}
+    if RANGE in packed:
+        for name, (low, high) in zip(MATERIAL, packed[RANGE].astype(np.float64), strict=True):
+            with np.errstate(invalid="ignore"):  # a range that is not finite gives values that are refused
+                values[name] = low + values[name] * ((high - low) / UINT8_MAX)
+    gain = float(packed[RESPONSE + "shade_gain"][0])
+    return SkinResponse(
+        **{name: _single(array) for name, array in values.items()}, shade_gain=gain, trained_on=about.trained_on
+    )
+
+
 def _pack_linear(linear: LinearCorrectives) -> dict[str, np.ndarray]:
     packed = {LINEAR + name: _single(getattr(linear, name)) for name in ("mean", "projection", "scale")}
     packed[LINEAR + "constant"] = _single(linear.constant).astype(np.float16)
@@ -290,12 +361,14 @@ def pack_learned(learned: Learned, storage: Storage) -> dict[str, np.ndarray]:
     exact = storage is Storage.EXACT
     real = np.float32 if exact else np.float16
     normal = _single(learned.normal)
-    packed = {SHINE: _single(learned.shine)}
-    packed |= {NORMAL: normal} if exact else {PACKED_NORMAL: octahedral(normal)}
-    for f in fields(Light):
-        packed[LIGHT + f.name] = np.atleast_1d(_single(getattr(learned.light, f.name)))
+    packed = {NORMAL: normal} if exact else {PACKED_NORMAL: octahedral(normal)}
+    if learned.response is not None:
+        packed |= _pack_response(learned.response, storage)
     with np.errstate(over="ignore"):  # what becomes infinite is refused when the file is read once before it is named
-        packed[SHINE] = packed[SHINE].astype(real)
+        if learned.response is None:
+            packed[SHINE] = _single(learned.shine).astype(real)
+            for f in fields(Light):
+                packed[LIGHT + f.name] = np.atleast_1d(_single(getattr(learned.light, f.name)))
         if isinstance(learned.correctives, PoseNetwork):
             for name, array in learned.correctives.weights.items():
                 packed[NET + name] = _single(array).astype(real)
@@ -312,8 +385,11 @@ def pack_learned(learned: Learned, storage: Storage) -> dict[str, np.ndarray]:
 def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical_joints_m: np.ndarray) -> Learned:
     """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar."""
     normal = packed[NORMAL] if NORMAL in packed else octahedral_normal(packed[PACKED_NORMAL])
-    light = {f.name: _single(packed[LIGHT + f.name]) for f in fields(Light)}
-    light["rim"] = light["rim"].reshape(())
+    response = _unpack_response(packed, about.light) if about.light.is_known else None
+    light, shine = no_light(), np.zeros(len(normal), np.float32)
+    if response is None:
+        arrays, shine = {f.name: _single(packed[LIGHT + f.name]) for f in fields(Light)}, _single(packed[SHINE])
+        light = Light(**arrays | {"rim": arrays["rim"].reshape(())})
     net = None
     if about.net is not None:
         net = PoseNetwork(about.net, {name: _single(packed[NET + name]) for name in about.net.arrays()})
@@ -326,14 +402,15 @@ def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical
         ellipsoid = Ellipsoid(**{f.name: _single(packed[ELLIPSOID + f.name]) for f in fields(Ellipsoid)})
     return Learned(
         normal=_single(normal),
-        shine=_single(packed[SHINE]),
-        light=Light(**light),
+        shine=shine,
+        light=light,
         correctives=net,
         shadow=about.shadow,
         world_offsets=about.world_offsets,
         ellipsoid=ellipsoid,
         cast=None if about.cast is None else _unpack_cast(packed, canonical_joints_m),
         distilled=distilled,
+        response=response,
     )
 
 

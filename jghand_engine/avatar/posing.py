@@ -18,6 +18,7 @@ from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
 from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
@@ -49,12 +50,14 @@ class PosedHand:
 
 
 class Posing:
-    """Poses one avatar again and again for nobody's eye. Its own correctives are used, never a cheaper tier of them.
+    """Poses one avatar again and again for nobody's eye, and in no scene's light. Its own correctives are used, never
+    a cheaper tier of them.
 
     threads: 0 takes as many as is sensible
     """
 
     def __init__(self, avatar: HandAvatar, threads: int = 0, library: Library | None = None) -> None:
+        avatar = in_studio(avatar)
         learned, self._skeleton = avatar.learned, avatar.skeleton()
         self._relit = learned is not None
         if learned is not None:

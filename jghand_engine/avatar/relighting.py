@@ -1,15 +1,19 @@
-"""How a hand that was learned in a light that nobody knows may look in the light of a scene: a guess."""
+"""Hands in a light that they were not made for: one learned in unknown light, in that of a scene, which is a guess; one
+learned in known light, where no scene lights it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.learned import SkinResponse
-from jghand_engine.avatar.scene_light import CELLS
-from jghand_engine.color import srgb_to_linear
+from jghand_engine.avatar.cast_task import LIGHT_TO_DISPLAY
+from jghand_engine.avatar.learned import Light, SkinResponse, no_light
+from jghand_engine.avatar.scene_light import CELLS, LOBE_ROWS, WORLD_FLOOR, World, harmonics
+from jghand_engine.avatar.scene_light_step import mirrored
+from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import InputError
 
 # of hands that were learned in known light, path traced: half width of the rounded corner of a cosine (red goes
@@ -25,6 +29,10 @@ MEAN_ALBEDO = (0.50, 0.33, 0.25)
 SHADE_GAIN = 2.2
 # the far side, which is dark, shows through gaps between Gaussians whose captured light was soft: wider ones close them
 GAP_FILL = 1.15
+# the studio in which a hand of known light stands where no scene is given: light from everywhere, a little more from
+# above, and a wide lamp up in front to the left. W/(m2 sr): skin that faces the lamp gets 1.3 pi W/m2
+STUDIO_SKY, STUDIO_RISE = 0.6, 0.15
+STUDIO_KEY, STUDIO_KEY_SHARPNESS, STUDIO_KEY_TOWARDS = 3.0, 8.0, (-0.45, 0.65, 0.61)
 # an albedo above throws back more than any skin
 ALBEDO_MAX = 0.95
 
@@ -70,6 +78,40 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
     )
     cast = replace(learned.cast, lamp_rgb=np.zeros((CELLS, 3), np.float32))
     # what it casts on itself on the screen is of its own light
-    relit = replace(learned, cast=cast, response=response, shadow=None)
+    shine = np.zeros_like(learned.shine)
+    relit = replace(learned, light=no_light(), shine=shine, cast=cast, response=response, shadow=None)
     sigma_m = (GAP_FILL * avatar.sigma_m).astype(np.float32)
     return replace(avatar, rgb=albedo.astype(np.float32), sigma_m=sigma_m, learned=relit)
+
+
+@cache
+def studio() -> World:
+    """The light of a hand of known light where no scene is given, in the axes of the joints, y up."""
+    direction, _ = World(np.ones((LOBE_ROWS, 2 * LOBE_ROWS, 3))).samples
+    cosine = direction @ (np.array(STUDIO_KEY_TOWARDS) / np.linalg.norm(STUDIO_KEY_TOWARDS))
+    key = STUDIO_KEY * np.exp(STUDIO_KEY_SHARPNESS * (cosine - 1))
+    return World(np.repeat((STUDIO_SKY + STUDIO_RISE * direction[..., 1] + key)[..., None], 3, -1))
+
+
+def in_studio(avatar: HandAvatar) -> HandAvatar:
+    """The avatar as it looks where nobody gives a light: as it is, unless it learned in known light. Then it gets the
+    light of the `studio` as others carry that of their capture, display-referred, so that all that draws or exports
+    those shows it too. Powers stand in for sRGB's curve, as in what was learned so."""
+    learned = avatar.learned
+    if learned is None or learned.response is None or learned.cast is None:
+        return avatar
+    response, world = learned.response, studio()
+    terms, mean = world.terms, world.terms.mean_irradiance
+    direction = world.samples[0].reshape(-1, 3)
+    wave = harmonics(direction)
+    irradiance = np.maximum(wave @ terms.irradiance(response.softness), WORLD_FLOOR * mean)
+    exponent, *_ = np.linalg.lstsq(wave, LIGHT_TO_DISPLAY * np.log(irradiance / np.pi), rcond=None)
+    lobe, reflected = mirrored(world, response.roughness), float(response.reflectance.mean())
+    light = Light(exponent, lobe[:, :3], lobe[:, 3], reflected * lobe[:, 4:], np.zeros(()))
+    light = Light(**{name: np.asarray(values, np.float32) for name, values in vars(light).items()})
+    # skin that sees nothing of the light gets what skin around it throws back
+    bounced = (response.ambient + response.bounce / (1 - np.minimum(response.bounce, ALBEDO_MAX))) * mean
+    cast = replace(learned.cast, lamp_rgb=terms.light.astype(np.float32), bounced_rgb=bounced.astype(np.float32))
+    shine = (response.reflectance / max(reflected, 1e-6)).astype(np.float32)
+    shown = replace(learned, light=light, shine=shine, cast=cast, response=None)
+    return replace(avatar, rgb=linear_to_srgb(avatar.rgb), learned=shown)

@@ -15,6 +15,7 @@ from jghand_engine.avatar.learned import (
     SH_COUNT,
     CastShadow,
     Learned,
+    SkinResponse,
 )
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
@@ -33,6 +34,8 @@ LIGHT_LOBES_MAX = 64
 LIGHT_VALUE_MAX = 1e3
 SHADOW_GAIN_MAX = 100.0
 POSE_NET_WEIGHT_MAX = 1e4
+# of a response: what per Gaussian the softness is multiplied by, and the least roughness, which highlights divide by
+RESPONSE_SPREAD_MAX, ROUGHNESS_MIN = 10.0, 0.01
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
 # by how much shares and weights of an anchor, of 8 and 16 bits, may sum to something else than 1
@@ -90,6 +93,8 @@ def _check_learned(learned: Learned, count: int, thing: str) -> None:
         ranges["ellipsoid quaternion"] = (learned.ellipsoid.quaternion, (count, 4), -most, most)
     if learned.cast is not None:
         ranges |= _cast_ranges(learned.cast, count)
+    if learned.response is not None:
+        ranges |= _response_ranges(learned.response, count)
     if learned.distilled is not None and learned.distilled.linear is not None:
         ranges |= _linear_ranges(learned.distilled.linear, count)
     for name, (values, shape, low, high) in ranges.items():
@@ -136,6 +141,18 @@ def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[np.ndarray, tu
         "cast bone_weights": (anchors.bone_weights, (len(anchors), JOINT_COUNT), 0.0, 1.0),
         "cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBORS), 0, len(anchors) - 1),
         "cast share": (anchors.share, (count, ANCHOR_NEIGHBORS), 0.0, 1.0),
+    }
+
+
+def _response_ranges(response: SkinResponse, count: int) -> dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]:
+    return {
+        "response spread": (response.spread, (count,), 0.0, RESPONSE_SPREAD_MAX),
+        "response roughness": (response.roughness, (count,), ROUGHNESS_MIN, 1.0),
+        "response reflectance": (response.reflectance, (count,), 0.0, 1.0),
+        "response softness": (response.softness, (3,), 0.0, 1.0),
+        "response bounce": (response.bounce, (3,), 0.0, 1.0),
+        "response ambient": (response.ambient, (3,), 0.0, 1.0),
+        "response shade_gain": (np.array(response.shade_gain), (), 0.0, LIGHT_VALUE_MAX),
     }
 
 

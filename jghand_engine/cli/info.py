@@ -16,6 +16,7 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.avatar.learned import Learned
     from jghand_engine.avatar.tiers import Distilled
 
 DESCRIPTION = """Say what is inside an avatar, a motion, a USD or a splat file, and what is wrong with one of these two.
@@ -129,7 +130,7 @@ def learned_facts(avatar: HandAvatar) -> dict[str, Any]:
         return {}
     shape = learned.correctives.shape if isinstance(learned.correctives, PoseNetwork) else None
     return {
-        "light": f"{len(learned.light.lobe_sharpness)} lobes of gloss",
+        "light": _light(learned),
         "correctives": "none" if shape is None else f"network of width {shape.hidden}",
         "offsets_up_to_mm": 0.0 if shape is None else 1e3 * shape.reach_m,
         "shadow": "none" if learned.shadow is None else f"gain {learned.shadow.gain:.3g}",
@@ -140,6 +141,13 @@ def learned_facts(avatar: HandAvatar) -> dict[str, Any]:
             "measured on": learned.distilled.measured_on,
         },
     }  # fmt: skip
+
+
+def _light(learned: Learned) -> str:
+    if learned.response is None:
+        return f"that of its capture, {len(learned.light.lobe_sharpness)} lobes of gloss"
+    counts = ", ".join(f"{name} {count}" for name, count in learned.response.trained_on.items())
+    return f"known: that of any scene{f'; learned from {counts}' if counts else ''}"
 
 
 def _accuracy(distilled: Distilled | None) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar, bone_numbers, check_follows_joints
 from jghand_engine.avatar.pose_range import outside, trained_range
-from jghand_engine.avatar.relighting import relightable
+from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import displayed
@@ -92,8 +92,8 @@ class SceneRenderer:
 
     avatars:  one per hand, each with its handedness
     settings: how; `settings.gaussians` is per hand
-    light:    of the scene, in the frame of the joints; None for the light that each avatar was captured in. It may be
-              set to another one between images.
+    light:    of the scene, in the frame of the joints; None for the light that each avatar was captured in, and a
+              studio's for one that learned in known light. It may be set to another one between images.
     InputError for an avatar whose bones do not follow the joints by `Skeleton`, or that no scene can light.
     """
 
@@ -109,6 +109,8 @@ class SceneRenderer:
             avatars = [relightable(avatar) for avatar in avatars]
             # what fingers hide of lamps and world is found for each of them
             self.settings = replace(self.settings, shadow=ShadowMode.OFF)
+        else:
+            avatars = [in_studio(avatar) for avatar in avatars]
         allowed = [strip_disabled(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
         chosen = [_with_tier(avatar, self.settings.correctives) for avatar in allowed]
         self._avatars = [avatar for avatar, _ in chosen]

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import safetensors
 import safetensors.numpy
-from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
+from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import SIGMA_MIN_M, HandAvatar, LearnedFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
-from jghand_engine.avatar.learned import Learned, Light, ShadowLook
+from jghand_engine.avatar.learned import Learned, Light, ShadowLook, SkinResponse
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.validation import as_text
 from jghand_engine.errors import InputError, RetryError
@@ -42,6 +42,7 @@ def same_learned(one: Learned | None, other: Learned | None) -> bool:
             learned.shine,
             *(getattr(learned.light, f.name) for f in fields(Light)),
             *weights_of(learned),
+            *(() if learned.response is None else (getattr(learned.response, f.name) for f in fields(SkinResponse))),
             *(() if learned.ellipsoid is None else (learned.ellipsoid.log_stretch, learned.ellipsoid.quaternion)),
         ]
         for learned in (one, other)
@@ -244,7 +245,7 @@ def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("storage", list(Storage))
-@pytest.mark.parametrize("make", [trained_avatar, ellipsoid_avatar])
+@pytest.mark.parametrize("make", [trained_avatar, ellipsoid_avatar, known_avatar])
 def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage, make):
     avatar = make()
     save_avatar(tmp_path / "hand.jghand", avatar, storage=storage)
@@ -278,7 +279,7 @@ def test_a_network_of_any_shape_comes_back(tmp_path, shaded):
 
 def test_saving_a_compact_trained_avatar_again_changes_nothing():
     for seed in range(20):
-        once = stored_form(trained_avatar(500, seed), Storage.COMPACT)
+        once = stored_form((known_avatar if seed % 2 else trained_avatar)(500, seed), Storage.COMPACT)
         assert same(stored_form(once, Storage.COMPACT), once)
 
 
@@ -294,6 +295,22 @@ def test_compact_storage_of_what_was_learned_costs_what_its_table_says():
     assert all(np.abs(ours / theirs - 1).max() < 0.5e-3 for ours, theirs in pairs)
 
 
+def test_compact_storage_of_a_known_light_costs_what_its_table_says():
+    avatar = known_avatar(20_000)
+    stored = stored_form(avatar, Storage.COMPACT)
+    assert np.abs(stored.rgb - avatar.rgb).max() <= 1.6e-5
+    for name in ("spread", "roughness", "reflectance"):
+        ours, theirs = (getattr(each.learned.response, name) for each in (stored, avatar))
+        assert np.abs(ours - theirs).max() <= np.ptp(theirs) / 509
+    assert np.allclose(stored.learned.response.softness, avatar.learned.response.softness, rtol=1e-6)
+
+
+def test_a_prefix_keeps_what_it_answers_light_with():
+    avatar = known_avatar().prefix(50)
+    assert len(avatar.learned.response.spread) == len(avatar.learned.response.reflectance) == 50
+    assert avatar.learned.response.trained_on == {"worlds": 3, "sun": 5}
+
+
 def test_normals_along_the_axes_and_on_the_folds_survive():
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     folds = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, -1.0], [1.0, 0.0, -1.0]]) / 2**0.5
@@ -303,8 +320,8 @@ def test_normals_along_the_axes_and_on_the_folds_survive():
     assert np.abs(stored.learned.normal - normal).max() < 5e-5
 
 
-def test_an_avatar_that_was_not_trained_is_written_for_older_readers(tmp_path):
-    for avatar, version in ((small_avatar(), 1), (trained_avatar(), 2)):
+def test_an_avatar_is_written_for_the_oldest_readers_that_can_draw_it(tmp_path):
+    for avatar, version in ((small_avatar(), 1), (trained_avatar(), 2), (known_avatar(), 3)):
         save_avatar(tmp_path / "hand.jghand", avatar)
         with safetensors.safe_open(str(tmp_path / "hand.jghand"), framework="numpy") as content:
             assert json.loads(content.metadata()[METADATA_KEY])["format_version"] == version

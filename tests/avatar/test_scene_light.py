@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from small_avatars import trained_avatar
+from small_avatars import known_avatar
 from small_hands import joints_of
 from test_trained_posing import RootRelative
 
@@ -43,22 +43,7 @@ EYE_M = np.array([0.1, 0.25, 0.5])
 EVEN = World(np.broadcast_to(np.array([0.2, 0.5, 1.0], np.float32), (16, 32, 3)))
 
 
-def varied(avatar: HandAvatar) -> HandAvatar:
-    """With a response that differs from Gaussian to Gaussian."""
-    hand, g = estimated(avatar), np.random.default_rng(5)
-    assert hand.learned is not None
-    assert hand.learned.response is not None
-    count = len(hand)
-    response = replace(
-        hand.learned.response,
-        spread=g.uniform(0.5, 2, count).astype(np.float32),
-        roughness=g.uniform(0.25, 0.65, count).astype(np.float32),
-        reflectance=g.uniform(0.01, 0.08, count).astype(np.float32),
-    )
-    return replace(hand, learned=replace(hand.learned, response=response))
-
-
-AVATAR = varied(trained_avatar(601))
+AVATAR = known_avatar(601)
 
 
 def response_of(avatar: HandAvatar) -> SkinResponse:

@@ -15,7 +15,7 @@ import safetensors
 import safetensors.numpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from small_avatars import ellipsoid_avatar, trained_avatar
+from small_avatars import ellipsoid_avatar, known_avatar, trained_avatar
 
 from jghand_engine.avatar.builtin import ASSETS
 from jghand_engine.avatar.correctives import LinearCorrectives
@@ -85,7 +85,7 @@ def test_a_pickle_is_refused_and_does_not_run(tmp_path):
 
 def test_a_newer_version_says_to_update(tmp_path):
     arrays, about = parts()
-    refused(written(tmp_path / "new.jghand", arrays, {**about, "format_version": 3}), "newer JGHand", "update")
+    refused(written(tmp_path / "new.jghand", arrays, {**about, "format_version": 4}), "newer JGHand", "update")
 
 
 FIELDS = {
@@ -253,6 +253,49 @@ def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
 
 
 # ---- what training adds ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=list(Storage))
+def known_parts(request, tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The same of an avatar that was learned in known light."""
+    path = tmp_path_factory.mktemp("known") / "hand.jghand"
+    save_avatar(path, known_avatar(50), storage=request.param)
+    with safetensors.safe_open(str(path), framework="numpy") as content:
+        return safetensors.numpy.load_file(path), json.loads(content.metadata()[METADATA_KEY])
+
+
+@pytest.mark.parametrize(
+    ("light", "named"),
+    [
+        ({"kind": "guessed", "trained_on": {}}, "'guessed'"),
+        ({"kind": None, "trained_on": {}}, "kind"),
+        ({"kind": "known"}, "trained_on"),
+        ({"kind": "known", "trained_on": {"sun": -1}}, "sun"),
+        ({"kind": "known", "trained_on": {"sun\n": 1}}, "trained_on"),
+        ([], "light"),
+        ({"kind": "learnt", "trained_on": {}}, "arrays"),
+        (None, "arrays"),
+    ],
+)
+def test_a_light_of_another_kind_is_refused_by_name(tmp_path, known_parts, light, named):
+    arrays, about = known_parts
+    refused(written(tmp_path / "bad.jghand", arrays, {**about, "learnt": {**about["learnt"], "light": light}}), named)
+
+
+def test_a_known_light_without_lamps_for_its_shadows_is_refused(tmp_path, known_parts):
+    arrays, about = known_parts
+    for cast in (None, {"lamps": 20, "anchors": 50}):
+        learned = {**about["learnt"], "cast": cast}
+        refused(written(tmp_path / "wrong.jghand", arrays, {**about, "learnt": learned}), "cast")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 6e4, -1.0])
+def test_a_response_that_no_skin_has_is_refused(tmp_path, known_parts, value):
+    arrays, about = known_parts
+    for name in (name for name in arrays if name.startswith("response.") and arrays[name].dtype == np.float32):
+        bad = arrays[name].copy()
+        bad.reshape(-1)[-1] = value
+        refused(written(tmp_path / "value.jghand", {**arrays, name: bad}, about), "response")
 
 
 @pytest.fixture(scope="module", params=list(Storage))

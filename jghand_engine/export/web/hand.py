@@ -15,6 +15,7 @@ from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MI
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
+from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.export.web.pack import Pack, task_in_words
@@ -42,6 +43,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
 
     avatar: with the correctives that the page shall compute.
     """
+    avatar = in_studio(avatar)
     blocks = Blocks(avatar.position_m)
     learned = avatar.learned
     skin = skin_task(blocks)
