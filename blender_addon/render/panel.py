@@ -46,7 +46,11 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene = self.layout, context.scene
         layout.row().prop(scene.jghand, "light", expand=True)
-        for warning in scene_light.warnings() if scene_light.is_chosen(scene) else ():
+        is_chosen = scene_light.is_chosen(scene)
+        around = layout.row()
+        around.active = is_chosen
+        around.prop(scene.jghand, "use_surroundings")
+        for warning in scene_light.warnings() if is_chosen else ():
             ui.paragraph(layout, context, warning, icon="INFO")
         hand = ui.active(context)
         if hand is not None and hand.type == "ARMATURE":

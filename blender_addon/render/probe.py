@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A light probe: what comes from a world, whatever its nodes are.
+"""A light probe: what comes from a world, whatever its nodes are, and from what is around a place.
 
 Cycles bakes it on a ball of small facets in a scene of its own, which is gone afterwards: nothing of the user's is
 changed, no render is lost. That takes a tenth of a second and more, and is nothing for draw or render handlers.
@@ -7,6 +7,8 @@ changed, no render is lost. That takes a tenth of a second and more, and is noth
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -26,20 +28,57 @@ _NAME = "JGHand Light Probe"
 _SHADERS = ("ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfDiffuse")
 
 
-def measure(scene: bpy.types.Scene, world: bpy.types.World | None, sun: worlds.Sun | None = None) -> worlds.WorldLight:
+@dataclass(frozen=True)
+class Around:
+    """What is around a place of a scene: place, in Blender units; things, which shine, throw light back or are in its
+    way; lamps, which light the things, but are no part of what is measured."""
+
+    place: tuple[float, float, float]
+    things: tuple[bpy.types.Object, ...]
+    lamps: tuple[bpy.types.Object, ...]
+
+
+def measure(
+    scene: bpy.types.Scene,
+    world: bpy.types.World | None,
+    sun: worlds.Sun | None = None,
+    around: Around | None = None,
+) -> worlds.WorldLight:
     """The light of a world at the frame of a scene, scene-linear, in Blender's axes. Raises JGHandFailure
     (no_cycles)."""
     looks = worlds.probe(sun)
     made: list[Any] = []
     try:
         own = _scene(scene, world, made)
-        ball = _ball(looks, made)
+        ball = _ball(looks, RADIUS_M / scene.unit_settings.scale_length, made)
         own.collection.objects.link(ball)
+        if around is not None:
+            ball.location = around.place
+            for thing in (*around.things, *_lamps_for_others(around.lamps, ball, made)):
+                own.collection.objects.link(thing)
         out = _bake(own, ball)
     finally:
         for kind, thing in reversed(made):
             kind.remove(thing)
     return worlds.measured(looks, out)
+
+
+def _lamps_for_others(
+    lamps: Iterable[bpy.types.Object], ball: bpy.types.Object, made: list[Any]
+) -> Iterator[bpy.types.Object]:
+    """Copies of lamps, which do not light the ball, nor show in its mirrors."""
+    hidden = bpy.data.collections.new(_NAME)
+    made.append((bpy.data.collections, hidden))
+    hidden.objects.link(ball)
+    hidden.collection_objects[0].light_linking.link_state = "EXCLUDE"
+    for lamp in lamps:
+        copy = lamp.copy()
+        made.append((bpy.data.objects, copy))
+        # one that lights chosen objects only lights none that may throw its light back
+        if copy.light_linking.receiver_collection is None:
+            copy.light_linking.receiver_collection = hidden
+            copy.visible_glossy = False
+            yield copy
 
 
 def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | None) -> worlds.WorldLight:
@@ -81,7 +120,7 @@ def _scene(of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any]) 
     return scene
 
 
-def _ball(looks: worlds.Probe, made: list[Any]) -> bpy.types.Object:
+def _ball(looks: worlds.Probe, radius: float, made: list[Any]) -> bpy.types.Object:
     """Triangles that look in all directions, each flat: between smooth ones light would be lost below their edges."""
     normal = looks.normal
     side = np.cross(normal, np.where(np.abs(normal[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
@@ -90,7 +129,7 @@ def _ball(looks: worlds.Probe, made: list[Any]) -> bpy.types.Object:
     corners = np.cos(turn) * side + np.sin(turn) * np.cross(normal, side)
     mesh = bpy.data.meshes.new(_NAME)
     made.append((bpy.data.meshes, mesh))
-    points = RADIUS_M * (looks.place + looks.size[:, None] * corners).swapaxes(0, 1).reshape(-1, 3)
+    points = radius * (looks.place + looks.size[:, None] * corners).swapaxes(0, 1).reshape(-1, 3)
     mesh.from_pydata(points.tolist(), [], np.arange(len(points)).reshape(-1, 3).tolist())
     mesh.polygons.foreach_set("material_index", looks.is_white.astype(np.int32))
     mesh.color_attributes.active_color = mesh.color_attributes.new(_NAME, "FLOAT_COLOR", "POINT")

@@ -86,6 +86,12 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         items=LIGHTS,
         default="CAPTURE",
     )
+    use_surroundings: bpy.props.BoolProperty(
+        name="Surroundings",
+        description="Light hands with what comes from the objects around them, too: emission, walls that throw light "
+        "back and hide the world. Cycles measures it at the hands, again whenever one of these objects changes",
+        default=False,
+    )
     shadow_strength: bpy.props.FloatProperty(
         name="Shadow Strength",
         description="How dark the shadow is that a hand casts on itself and on the other",

@@ -16,6 +16,7 @@ import bpy
 
 from ..core.view import SceneLight
 from ..errors import JGHandFailure
+from ..hand import instances
 from . import lamps, worlds
 from .lamps import SceneLamps
 from .worlds import Reading
@@ -27,7 +28,8 @@ _warnings: tuple[str, ...] = ()
 # seconds for which a world rests before it is measured: nothing while somebody turns a knob of it
 _REST_S = 0.3
 # the world that is to be measured, and since when, on the clock of time.monotonic()
-_stale: tuple[str, float] = ("", 0.0)
+_BLACK = Reading(None)
+_stale, _stale_since_s = _BLACK, 0.0
 # worlds that cannot be measured, and why
 _unmeasured: dict[str, str] = {}
 
@@ -36,16 +38,19 @@ def in_view(
     depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D, hands: Sequence[bpy.types.Object]
 ) -> SceneLight | None:
     """What lights hands in a 3D view: Solid, and Material Preview without the scene's lights or world, have none."""
-    if not is_chosen(depsgraph.scene) or not lamps.uses_scene_lights(space) or not _uses_world(space):
+    if not is_chosen(depsgraph.scene):
         return None
-    return _together(lamps.in_view(depsgraph, space, hands), worlds.world_of(depsgraph))
+    world = _world(depsgraph, hands)  # also in Solid: a render may come next
+    if not lamps.uses_scene_lights(space) or not _uses_world(space):
+        return None
+    return _together(lamps.in_view(depsgraph, space, hands), world)
 
 
 def of_render(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> SceneLight | None:
     """What lights hands in a render."""
     if not is_chosen(depsgraph.scene):
         return None
-    return _together(lamps.lamps_of(depsgraph, hands), worlds.world_of(depsgraph))
+    return _together(lamps.lamps_of(depsgraph, hands), _world(depsgraph, hands))
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
@@ -60,23 +65,25 @@ def warnings() -> tuple[str, ...]:
 
 def tend() -> bool:
     """For the timer: measures the world of the views, where that is due; says whether anything is new."""
-    name, since_s = _stale
-    if not name or name in _unmeasured or time.monotonic() - since_s < _REST_S:
+    if not _stale.stale or _stale.stale in _unmeasured or time.monotonic() - _stale_since_s < _REST_S:
         return False
-    measure(bpy.context.evaluated_depsgraph_get())
+    _measure(bpy.context.evaluated_depsgraph_get(), _stale.place)
     return True
 
 
 def measure(depsgraph: bpy.types.Depsgraph) -> None:
     """Measures the world of a scene that lights its hands, where that is stale. On the main thread, in no handler."""
+    if is_chosen(depsgraph.scene):
+        _measure(depsgraph, worlds.place_of(depsgraph, instances.evaluated_sources(depsgraph)))
+
+
+def _measure(depsgraph: bpy.types.Depsgraph, place: worlds.Place | None) -> None:
     global _stale
-    name, _stale = worlds.world_of(depsgraph).stale, ("", 0.0)
-    if not is_chosen(depsgraph.scene) or not name:
-        return
+    _stale = _BLACK
     try:
-        worlds.update(depsgraph)
+        worlds.update(depsgraph, place)
     except JGHandFailure as failure:
-        _unmeasured[name] = str(failure)
+        _unmeasured[worlds.world_of(depsgraph, place).stale] = str(failure)
 
 
 def forget() -> None:
@@ -91,14 +98,21 @@ def _uses_world(space: bpy.types.SpaceView3D) -> bool:
     return space.shading.type == "RENDERED" or space.shading.use_scene_world
 
 
+def _world(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> Reading:
+    """The world of a scene; where it is stale `tend` sees to it."""
+    global _stale, _stale_since_s
+    reading = worlds.world_of(depsgraph, worlds.place_of(depsgraph, hands))
+    if reading.stale != _stale.stale:
+        _stale, _stale_since_s = reading, time.monotonic()
+    return reading
+
+
 def _together(found: SceneLamps, world: Reading) -> SceneLight:
-    global _warnings, _stale
-    if world.stale != _stale[0]:
-        _stale = (world.stale, time.monotonic())
+    global _warnings
     of_world = [_unmeasured[world.stale]] if world.stale in _unmeasured else map(str, world.failures)
     _warnings = (*found.warnings, *of_world)
     around = world.light
-    key = (found.key, "" if around is None else around.key)
+    key = (found.key, "" if around is None else repr((around.record, around.suns)))
     if key not in _made:
         _made.clear()
         _made[key] = (

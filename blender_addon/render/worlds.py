@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The world of a scene as light: read from its nodes, or measured by a light probe where these do not tell.
+"""The world of a scene as light: read from its nodes, or measured by a light probe where these do not tell, or where
+objects around the hands shine, too.
 
-    reading = world_of(depsgraph)    anywhere, also while drawing and rendering
-    update(depsgraph)                where that is stale; on the main thread, in no handler
+    reading = world_of(depsgraph, place_of(depsgraph, hands))    anywhere, also while drawing and rendering
+    update(depsgraph, reading.place)                             where that is stale; on the main thread, in no handler
 
 Pictures are averaged once and kept; what was measured is kept until something else is.
 """
@@ -10,6 +11,7 @@ Pictures are averaged once and kept; what was measured is kept until something e
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -17,10 +19,12 @@ from typing import Any, NamedTuple
 import bpy
 import numpy as np
 
+from .. import versions
 from ..core import film, worlds
 from ..core.pacing import digest
 from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
+from ..hand import stand_ins
 from . import lamps, probe
 from .world_nodes import Shine, Unread, shine_of, values_of, values_of_tree
 
@@ -33,22 +37,42 @@ _ALL = SimpleNamespace(diffuse=True)
 
 _pictures: OrderedDict[str, np.ndarray] = OrderedDict()
 _measured: OrderedDict[str, WorldLight] = OrderedDict()
-# session_uid of images -> how often they were changed
+# session_uid of images, and _AROUND for all else around hands -> how often that was changed
 _changes: dict[int, int] = {}
+_AROUND = -1
+# light is measured at the middle of the hands, anew where they left such a part of space
+CELL_M = 0.05
+Place = tuple[int, int, int]
+# objects that light may come from, or be stopped by
+_SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META", "CURVES", "POINTCLOUD", "VOLUME"}
 
 
 class Reading(NamedTuple):
     """light: None for a black world. failures: what the panel says. stale: the name of what `update` has to measure,
-    "" for nothing; until then `light` is what was measured last."""
+    "" for nothing; until then `light` is what was measured last. place: as of `place_of`."""
 
     light: WorldLight | None
     failures: tuple[JGHandFailure, ...] = ()
     stale: str = ""
+    place: Place | None = None
 
 
-def world_of(depsgraph: bpy.types.Depsgraph) -> Reading:
-    """How the world of a scene lights matt surfaces, as it is evaluated."""
+def place_of(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> Place | None:
+    """The cell of space in which light is measured for hands, where their scene wants what is around them."""
+    if not depsgraph.scene.jghand.use_surroundings or not hands:
+        return None
+    places = np.array([hand.evaluated_get(depsgraph).matrix_world.translation for hand in hands])
+    x, y, z = np.rint(places.mean(0) * depsgraph.scene.unit_settings.scale_length / CELL_M).astype(int).tolist()
+    return x, y, z
+
+
+def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Reading:
+    """How the world of a scene lights matt surfaces, as it is evaluated; at a place, with what is around it."""
     world = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    if place is not None:
+        tree = world and versions.world_tree(world)
+        parts = [*values_of_tree(tree)] if tree else [repr(world and world.color[:])]
+        return _found(digest([*parts, repr((_changes, place)), _space()]))._replace(place=place)
     # where Cycles is disabled there is no Ray Visibility
     if world is None or not getattr(world, "cycles_visibility", _ALL).diffuse:
         return Reading(None)
@@ -65,33 +89,52 @@ def world_of(depsgraph: bpy.types.Depsgraph) -> Reading:
         return Reading(None, (failure,))
 
 
-def update(depsgraph: bpy.types.Depsgraph) -> bool:
+def update(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> bool:
     """Measures the world of a scene where that is stale; says whether anything is new.
 
     Takes from a tenth of a second to some. Raises JGHandFailure (no_cycles).
     """
-    name = world_of(depsgraph).stale
+    name = world_of(depsgraph, place).stale
     if not name:
         return False
-    scene = depsgraph.scene
+    scene, layer = depsgraph.scene, depsgraph.view_layer
     try:
-        sky = shine_of(_world(depsgraph.scene_eval, depsgraph.view_layer_eval)).source
+        evaluated = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+        shine = shine_of(evaluated) if evaluated is not None else Shine()
     except Unread:
-        sky = None
-    if isinstance(sky, bpy.types.Node):
-        light = probe.measure_sky(scene, sky, _sun_of(sky))
+        shine = Shine()
+    sky = shine.source if isinstance(shine.source, bpy.types.Node) else None
+    sun = _sun_of(sky) if sky is not None else None
+    if place is not None:
+        at = np.array(place) * CELL_M / scene.unit_settings.scale_length
+        things = tuple(thing for thing in layer.objects if _is_around(thing))
+        lamps_there = tuple(thing for thing in layer.objects if thing.type == "LIGHT" and not thing.hide_render)
+        around = probe.Around(tuple(at.tolist()), things, lamps_there)
+        turned = sun and Sun(shine.turn.T @ sun.towards, sun.angle_rad)
+        light = probe.measure(scene, _world(scene, layer), turned, around)
+    elif sky is not None:
+        light = probe.measure_sky(scene, sky, sun)
     else:
-        light = probe.measure(scene, _world(scene, depsgraph.view_layer))
+        light = probe.measure(scene, _world(scene, layer))
     suns = tuple({**sun, "rgb": _rec709(np.array(sun["rgb"])).tolist()} for sun in light.suns)
     _keep(_measured, name, replace(light, radiance=_rec709(light.radiance), suns=suns))
     return True
 
 
 def notice(depsgraph: bpy.types.Depsgraph) -> None:
-    """Something was changed in Blender: pictures may have been painted."""
+    """Something was changed in Blender: pictures may be painted, and what is around hands may shine otherwise."""
     for change in depsgraph.updates:
-        if isinstance(change.id, bpy.types.Image):
-            _changes[change.id.session_uid] = _changes.get(change.id.session_uid, 0) + 1
+        thing, is_other = change.id, change.is_updated_transform or change.is_updated_geometry
+        if isinstance(thing, bpy.types.Image):
+            _count(thing.session_uid)
+        elif isinstance(thing, bpy.types.Material | bpy.types.Light) or (
+            is_other and isinstance(thing, bpy.types.Object) and (_is_around(thing) or thing.type == "LIGHT")
+        ):
+            _count(_AROUND)
+
+
+def _count(what: int) -> None:
+    _changes[what] = _changes.get(what, 0) + 1
 
 
 def forget() -> None:
@@ -102,6 +145,16 @@ def forget() -> None:
 
 def _world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
     return getattr(layer, "world_override", None) or scene.world
+
+
+def _is_around(thing: bpy.types.Object) -> bool:
+    """Whether an object is rendered and no hand's, nor brings lamps that are sent as lamps."""
+    if thing.hide_render or stand_ins.MARK in thing:
+        return False
+    inside = thing.instance_collection if thing.instance_type == "COLLECTION" else None
+    if inside is not None:
+        return not any(each.type in ("LIGHT", "ARMATURE") for each in inside.all_objects)
+    return thing.type in _SURFACES
 
 
 # ---- read ------------------------------------------------------------------------------------------------------------
