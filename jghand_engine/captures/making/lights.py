@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.captures.making.skies import SKIES, random_rotation, sky_radiance
+from jghand_engine.captures.making.skies import SKIES, sky_radiance
+from jghand_engine.hand.rotations import quaternion_rotation
 from jghand_engine.render.camera import Camera
 
 FORMAT = 1
@@ -94,7 +95,7 @@ def plan_lights(
                 "is_held_out": held_out,
                 "world": {
                     "picture": _world_file(world),
-                    "env_from_world": np.round(random_rotation(rng), DIGITS).tolist(),
+                    "env_from_world": np.round(quaternion_rotation(_unit(rng, 4)), DIGITS).tolist(),
                 },
                 "lamps": [random_lamp(str(kind), middle_m, behind, rng) for kind in kinds],
             }
@@ -106,7 +107,7 @@ def plan_lights(
 
 def random_lamp(kind: str, middle_m: np.ndarray, behind: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
     """The record of a lamp of a kind of KINDS or HELD_OUT_KINDS around a hand. behind: (3,) unit, from the eye on."""
-    towards = _direction(rng)
+    towards = _unit(rng, 3)
     if rng.random() < BEHIND or kind == "rim":
         towards = behind + 0.5 * towards
         towards /= np.linalg.norm(towards)
@@ -119,7 +120,7 @@ def random_lamp(kind: str, middle_m: np.ndarray, behind: np.ndarray, rng: np.ran
     axis /= np.linalg.norm(axis)
     intensity = IRRADIANCE * away_m**2
     if kind in ("area", "grid"):
-        side = np.cross(axis, _direction(rng))
+        side = np.cross(axis, _unit(rng, 3))
         size_m = rng.uniform(0.1, 0.5, 2)
         round_ = bool(rng.random() < 0.3)
         # narrowing gathers the light: the gain of RELIGHTING's table, tan h / (tan h - h) on the axis
@@ -141,8 +142,9 @@ def random_lamp(kind: str, middle_m: np.ndarray, behind: np.ndarray, rng: np.ran
     return record | _record(axis=axis, cone_rad=np.radians(cone), blend=blend)
 
 
-def _direction(rng: np.random.Generator) -> np.ndarray:
-    vector = rng.standard_normal(3)
+def _unit(rng: np.random.Generator, size: int) -> np.ndarray:
+    """(size,) in any direction."""
+    vector = rng.standard_normal(size)
     return vector / np.linalg.norm(vector)
 
 

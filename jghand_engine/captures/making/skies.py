@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine.hand.rotations import axis_rotation
-
 # rows of the pictures; the columns are twice as many
 SKY_ROWS = 128
 # how far the sun's light spreads, radians: a disk of a pixel would light by luck
@@ -79,12 +77,3 @@ def sky_radiance(sky: Sky) -> np.ndarray:
     ground = GROUND_RGB / np.pi * (light * level).sum((0, 1))
     light = np.where(up[..., None] > 0, light, ground)
     return (light * (4 * np.pi) / (light * solid_angle).sum() * 3).astype(np.float32)
-
-
-def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """(3, 3), any as likely as any other."""
-    quaternion = rng.standard_normal(4)
-    quaternion /= np.linalg.norm(quaternion)
-    angle = 2 * np.arccos(np.clip(quaternion[0], -1, 1))
-    axis = quaternion[1:] / max(np.linalg.norm(quaternion[1:]), 1e-12)
-    return axis_rotation(axis, np.asarray(angle))
