@@ -24,8 +24,13 @@ RADIUS_M = 0.02
 SAMPLES, BOUNCES = 64, 4
 # columns of the map by which Cycles aims at what is bright in a sky; it aims at the sun apart
 SKY_AIM = 256
-_NAME = "JGHand Light Probe"
+NAME = "JGHand Light Probe"
 _SHADERS = ("ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfDiffuse")
+
+
+def is_own(scene: bpy.types.Scene) -> bool:
+    """Whether a scene is there for a probe alone: what is said of it is no edit of the artist's."""
+    return scene.name.startswith(NAME)
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ def _lamps_for_others(
     lamps: Iterable[bpy.types.Object], ball: bpy.types.Object, made: list[Any]
 ) -> Iterator[bpy.types.Object]:
     """Copies of lamps, which do not light the ball, nor show in its mirrors."""
-    hidden = bpy.data.collections.new(_NAME)
+    hidden = bpy.data.collections.new(NAME)
     made.append((bpy.data.collections, hidden))
     hidden.objects.link(ball)
     hidden.collection_objects[0].light_linking.link_state = "EXCLUDE"
@@ -83,7 +88,7 @@ def _lamps_for_others(
 
 def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | None) -> worlds.WorldLight:
     """The same of an evaluated Sky Texture node alone, in the node's axes, with the sun apart."""
-    world = bpy.data.worlds.new(_NAME)
+    world = bpy.data.worlds.new(NAME)
     try:
         tree = versions.ensure_tree(world)
         tree.nodes.clear()
@@ -102,7 +107,7 @@ def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | N
 
 
 def _scene(of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any]) -> bpy.types.Scene:
-    scene = bpy.data.scenes.new(_NAME)
+    scene = bpy.data.scenes.new(NAME)
     made.append((bpy.data.scenes, scene))
     scene.world = world
     # what is keyed or driven is evaluated anew there
@@ -127,22 +132,22 @@ def _ball(looks: worlds.Probe, radius: float, made: list[Any]) -> bpy.types.Obje
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     turn = 2 * np.pi * np.arange(3)[:, None, None] / 3
     corners = np.cos(turn) * side + np.sin(turn) * np.cross(normal, side)
-    mesh = bpy.data.meshes.new(_NAME)
+    mesh = bpy.data.meshes.new(NAME)
     made.append((bpy.data.meshes, mesh))
     points = radius * (looks.place + looks.size[:, None] * corners).swapaxes(0, 1).reshape(-1, 3)
     mesh.from_pydata(points.tolist(), [], np.arange(len(points)).reshape(-1, 3).tolist())
     mesh.polygons.foreach_set("material_index", looks.is_white.astype(np.int32))
-    mesh.color_attributes.active_color = mesh.color_attributes.new(_NAME, "FLOAT_COLOR", "POINT")
+    mesh.color_attributes.active_color = mesh.color_attributes.new(NAME, "FLOAT_COLOR", "POINT")
     for name in _SHADERS:
         mesh.materials.append(_material(name, made))
-    ball = bpy.data.objects.new(_NAME, mesh)
+    ball = bpy.data.objects.new(NAME, mesh)
     made.append((bpy.data.objects, ball))
     return ball
 
 
 def _material(shader: str, made: list[Any]) -> bpy.types.Material:
     """Of one shader that reflects everything."""
-    material = bpy.data.materials.new(_NAME)
+    material = bpy.data.materials.new(NAME)
     made.append((bpy.data.materials, material))
     tree = versions.ensure_tree(material)
     tree.nodes.clear()
@@ -163,7 +168,7 @@ def _bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
         scene=scene, view_layer=layer, active_object=ball, object=ball, selected_objects=[ball]
     ):
         bpy.ops.object.bake(type="COMBINED")
-    attribute = ball.data.color_attributes[_NAME]
+    attribute = ball.data.color_attributes[NAME]
     values = np.empty(4 * len(attribute.data), np.float32)
     attribute.data.foreach_get("color", values)
     return values.reshape(-1, 3, 4)[..., :3].mean(1)

@@ -84,7 +84,8 @@ def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Read
             return Reading(_of_picture(shine))
         return _of_sky(shine)
     except Unread:
-        return _found(digest([*values_of_tree(world.node_tree), repr(_changes), _space()]))
+        painted = {image: count for image, count in _changes.items() if image != _AROUND}
+        return _found(digest([*values_of_tree(world.node_tree), repr(painted), _space()]))
     except JGHandFailure as failure:
         return Reading(None, (failure,))
 

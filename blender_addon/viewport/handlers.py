@@ -19,7 +19,7 @@ from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands, stand_ins
-from ..render import lamps, rendering, scene_light, worlds
+from ..render import lamps, probe, rendering, scene_light, worlds
 from ..renderer import runtime
 from . import drawing, views
 
@@ -194,7 +194,7 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
 @persistent
 def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """Something was edited: whether that made or removed a hand, or changed lamps. Blender draws the views itself."""
-    if not rendering.now() and _on_main_thread() and depsgraph is not None:
+    if not rendering.now() and _on_main_thread() and depsgraph is not None and not probe.is_own(depsgraph.scene):
         seen_hands.notice(depsgraph)
         stand_ins.notice(depsgraph)
         lamps.notice(depsgraph)

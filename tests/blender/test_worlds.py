@@ -14,6 +14,7 @@ from blender_addon import versions
 from blender_addon.core import worlds as pictures
 from blender_addon.core.view import LIGHT_FROM_WORLD
 from blender_addon.render import world_nodes, worlds
+from blender_addon.viewport import handlers
 from jghand_engine.avatar.scene_light import World, harmonics
 from jghand_engine.avatar.world_suns import take_suns
 
@@ -433,6 +434,21 @@ def test_what_is_around_hands_lights_them_as_in_cycles():
     assert objects == (4, 0)
     # without a place there is the world alone
     assert errors(reading().light, np.tile(np.pi * np.array([0.05, 0.07, 0.1]), (60, 1)))[1] < 2e-3
+
+
+def test_measuring_is_no_change_that_is_measured_again(context):
+    room()
+    bpy.context.view_layer.update()
+    bpy.app.handlers.depsgraph_update_post.append(handlers.on_change)
+    try:
+        assert update((0, 0, 0))
+        bpy.context.view_layer.update()
+        assert not reading((0, 0, 0)).stale
+        bpy.data.objects["wall"].location.x += 0.1
+        bpy.context.view_layer.update()
+        assert reading((0, 0, 0)).stale
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(handlers.on_change)
 
 
 def test_what_is_around_is_measured_again_when_it_changes_and_hands_leave_their_cell(context):
