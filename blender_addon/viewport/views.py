@@ -57,7 +57,8 @@ class Place:
 class View:
     """One region (its address) and one kind of drawing. part: that can show the hands, None when they are out of sight
     · places: of the pictures that were asked for, by tag · came: the newest picture, not yet textures · taken: the
-    newest answer that was looked at · unreadable: hands by name, and why · drawn: whether the last draw showed one"""
+    newest answer that was looked at · unreadable: hands by name, and why · drawn: whether the last draw showed one ·
+    has_depth: whether Blender left the depth of the scene"""
 
     region: int
     kind: str
@@ -76,6 +77,7 @@ class View:
     unreadable: list[tuple[str, JGHandFailure]] = field(default_factory=list)
     round_trip_s: float = 0.0
     drawn: bool = False
+    has_depth: bool = True
 
     @property
     def slot(self) -> str:
@@ -199,7 +201,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
         return
     if view is None:
         view = _views[region.as_pointer(), kind] = View(region.as_pointer(), kind)
-    view.settings = settings_of(context.scene)
+    view.settings, view.has_depth = settings_of(context.scene), _has_depth(context.space_data)
     view.camera = view_camera(region, context.region_data, context.scene.unit_settings.scale_length)
     view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=kind == SOLID)
     view.part = part_with(view.camera.whole, view.hands)
@@ -232,6 +234,11 @@ def show_again(context: bpy.types.Context, kind: str) -> None:
             _draw(view)
 
 
+def _has_depth(space: bpy.types.SpaceView3D) -> bool:
+    """Whether the depth of the scene is there to be tested against: EEVEE leaves none where no overlay wants it."""
+    return space.shading.type == "SOLID" or space.overlay.show_overlays
+
+
 @contextlib.contextmanager
 def _by_the_driver() -> Iterator[None]:
     """What fails here fails for the graphics driver: JGHandFailure (no_graphics)."""
@@ -261,7 +268,7 @@ def _draw(view: View) -> None:
         view.place.part,
         (whole.width, whole.height),
         view.camera.clip_of_depth(view.place.room_m),
-        behind_scene=view.kind == SOLID,
+        behind_scene=view.kind == SOLID and view.has_depth,
     )
 
 

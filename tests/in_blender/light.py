@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The hand in the light of the scene: lamps that are dragged, the world, and the shadow that falls on things."""
+
+from __future__ import annotations
+
+import importlib
+
+import bpy
+import numpy as np
+
+# a screen's step that nobody takes for noise
+STEP = 8
+
+
+def step_a_hand_in_the_default_scene_is_lit_by_it(window):
+    for thing in list(bpy.context.scene.objects):
+        if thing.type == "MESH":
+            bpy.data.objects.remove(thing)
+    bpy.ops.jghand.add_hand()
+    scene = bpy.context.scene
+    scene.jghand.light, scene.render.engine = "SCENE", "JGHAND"
+    assert scene.view_settings.view_transform == "AgX"
+    lamp = _lamp()
+    lamp.location, lamp.data.energy, lamp.data.shadow_soft_size = (0.6, -0.5, 0.3), 6.0, 0.05
+    window.space().overlay.show_overlays = False
+    window.space().region_3d.view_perspective = "PERSP"
+    yield from window.look_at((0.0, 0.0, 0.09), 0.5, (1.5, 0.0, 0.0))
+    yield from window.shading("RENDERED")
+    yield lambda: _is_sharp(window)
+    window.picture("lamp_before_it")
+
+
+def step_the_light_follows_a_lamp_that_is_dragged(window):
+    before = _colors(window).mean()
+    yield from _drag_lamp(window, 0.5)
+    behind = _colors(window).mean()
+    window.picture("lamp_behind_it")
+    assert behind < before - 2 * STEP
+    yield from _drag_lamp(window, -0.5)
+    assert abs(_colors(window).mean() - before) < 2
+
+
+def step_a_red_lamp_makes_it_red(window):
+    before = _colors(window).mean(0)
+    _lamp().data.color = (1.0, 0.02, 0.02)
+    window.redraw()
+    yield lambda: _is_sharp(window)
+    after = _colors(window).mean(0)
+    window.picture("red_lamp")
+    assert after[0] / after[1] > 1.3 * before[0] / before[1]
+    _lamp().data.color = (1.0, 1.0, 1.0)
+    yield 0.5
+
+
+def step_the_world_lights_it(window):
+    world = bpy.context.scene.world
+    _lamp().hide_set(True)
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 4.0
+    window.redraw()
+    yield lambda: _is_sharp(window)
+    bright = _colors(window).mean()
+    window.picture("bright_world")
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.5
+    window.redraw()
+    yield lambda: _is_sharp(window)
+    assert _colors(window).mean() < bright - STEP
+    _lamp().hide_set(False)
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    yield 0.5
+
+
+def step_in_material_preview_it_stands_in_the_scenes_light_and_throws_its_shadow(window):
+    bpy.context.scene.render.engine = "BLENDER_EEVEE"
+    bpy.ops.mesh.primitive_plane_add(size=1.0, location=(0.0, 0.0, 0.0))
+    _lamp().location = (-0.4, -0.4, 0.5)
+    shading = window.space().shading
+    yield from window.look_at((0.05, 0.05, 0.07), 0.6, (1.0, 0.0, 0.2))
+    empty = window.crop(window.screen())[-40:].astype(int)
+    yield from window.shading("MATERIAL")
+    shading.use_scene_lights = shading.use_scene_world = True
+    window.redraw()
+    yield lambda: _is_sharp(window)
+    yield lambda: np.abs(window.crop(window.screen())[-40:] - empty).mean() > STEP  # EEVEE has its shaders
+    yield 3.0  # and gathers its samples
+    with_shadow = window.picture("material_preview").astype(int)
+    red, _, blue = np.moveaxis(window.crop(with_shadow), -1, 0)
+    assert (red > 1.25 * blue).sum() > 5000  # the hand, without overlays: EEVEE leaves no depth then
+    hand = next(thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing)
+    hand.jghand.cast_shadow = False
+    window.redraw()
+    yield lambda: _is_sharp(window)
+    yield 3.0
+    without = window.crop(window.picture("without_shadow").astype(int))
+    darker = without.mean(-1) - window.crop(with_shadow).mean(-1)
+    assert (darker > STEP).sum() > 2000
+
+
+def step_solid_keeps_the_light_of_the_capture(window):
+    yield from window.shading("SOLID")
+    yield lambda: _is_sharp(window)
+    before = _colors(window).mean(0)
+    _lamp().data.energy = 5000.0
+    window.redraw()
+    yield 1.0
+    yield lambda: _is_sharp(window)
+    assert np.abs(_colors(window).mean(0) - before).max() < 1
+    window.picture("solid")
+
+
+def _drag_lamp(window, y: float):
+    """Moves it through the scene, and waits."""
+    for place in np.linspace(_lamp().location.y, y, 12):
+        _lamp().location.y = place
+        window.redraw()
+        yield 0.05
+    yield lambda: _is_sharp(window)
+
+
+def _lamp() -> bpy.types.Object:
+    return next(thing for thing in bpy.context.scene.objects if thing.type == "LIGHT")
+
+
+def _colors(window) -> np.ndarray:
+    """(N, 3) pixels of the palm, below the middle of the view."""
+    shown = window.crop(window.screen()).astype(float)
+    height, width = shown.shape[:2]
+    return shown[height * 50 // 100 : height * 60 // 100, width * 48 // 100 : width * 52 // 100].reshape(-1, 3)
+
+
+def _is_sharp(window) -> bool:
+    """Whether every view has the best picture of what it wants."""
+    views = importlib.import_module(window.addon.__name__ + ".viewport.views")
+    paces = [view.pace for view in views.all_views()]
+    return bool(paces) and all(
+        p.grade == 2 and p.shown and p.shown.want == p.want and p.shown.grade == 2 for p in paces
+    )
