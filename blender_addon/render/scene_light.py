@@ -17,7 +17,7 @@ import bpy
 from ..core.view import SceneLight
 from ..errors import JGHandFailure
 from ..hand import instances
-from . import lamps, worlds
+from . import lamps, studio, worlds
 from .lamps import SceneLamps
 from .worlds import Reading
 
@@ -37,12 +37,17 @@ _unmeasured: dict[str, str] = {}
 def in_view(
     depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D, hands: Sequence[bpy.types.Object]
 ) -> SceneLight | None:
-    """What lights hands in a 3D view: Solid, and Material Preview without the scene's lights or world, have none."""
+    """What lights hands in a 3D view: Solid has none, Material Preview without the scene's world has its HDRI."""
     if not is_chosen(depsgraph.scene):
         return None
     world = _world(depsgraph, hands)  # also in Solid: a render may come next
-    if not lamps.uses_scene_lights(space) or not _uses_world(space):
+    if space.shading.type == "SOLID":
         return None
+    if space.shading.type == "MATERIAL" and not space.shading.use_scene_world:
+        around = studio.light_of(space)
+        if around is None:
+            return None
+        world = Reading(around)
     return _together(lamps.in_view(depsgraph, space, hands), world)
 
 
@@ -65,6 +70,8 @@ def warnings() -> tuple[str, ...]:
 
 def tend() -> bool:
     """For the timer: measures the world of the views, where that is due; says whether anything is new."""
+    if studio.tend():
+        return True
     if not _stale.stale or _stale.stale in _unmeasured or time.monotonic() - _stale_since_s < _REST_S:
         return False
     _measure(bpy.context.evaluated_depsgraph_get(), _stale.place)
@@ -92,10 +99,6 @@ def forget() -> None:
     worlds.forget()
     _made.clear()
     _unmeasured.clear()
-
-
-def _uses_world(space: bpy.types.SpaceView3D) -> bool:
-    return space.shading.type == "RENDERED" or space.shading.use_scene_world
 
 
 def _world(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> Reading:

@@ -181,6 +181,11 @@ def _of_picture(shine: Shine) -> WorldLight:
     return WorldLight(radiance, shine.turn, key=key)
 
 
+def picture_of(image: bpy.types.Image) -> np.ndarray:
+    """(H, W, 3) float32 Rec.709 of an environment, averaged. Raises as `_read`."""
+    return _rec709(_read(image))
+
+
 def _read(image: bpy.types.Image) -> np.ndarray:
     """(H, W, 3) scene-linear, averaged. Raises Unread where only Blender knows its colors, JGHandFailure
     (no_world_image)."""

@@ -13,6 +13,7 @@ import pytest
 from test_render_engine import layers, with_link
 
 from blender_addon.core import posing
+from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.hand import armature
 from blender_addon.render import camera, composite, scene_light
 from blender_addon.renderer.link import EngineLink
@@ -108,7 +109,47 @@ def view(shading: str, **more: bool) -> SimpleNamespace:
 def test_a_view_keeps_its_light_until_something_changes_it(scene):
     depsgraph, things = bpy.context.evaluated_depsgraph_get(), [scene.objects[0]]
     assert scene_light.in_view(depsgraph, view("SOLID"), things) is None
-    assert scene_light.in_view(depsgraph, view("MATERIAL", use_scene_world=False), things) is None
+
+
+def test_material_preview_without_the_world_of_the_scene_lights_by_its_hdri(scene):
+    """How it lies as seen in a window: a quarter turn brings what comes from +x to -y."""
+    hdri = next(light for light in bpy.context.preferences.studio_lights if light.type == "WORLD")
+    space = view("MATERIAL", use_scene_world=False, use_scene_lights=False, use_studiolight_view_rotation=True)
+    space.shading.selected_studio_light = hdri
+    space.shading.studiolight_rotate_z, space.shading.studiolight_intensity = 0.0, 1.0
+    before = len(bpy.data.images)
+
+    def light() -> SceneLight | None:
+        return scene_light.in_view(bpy.context.evaluated_depsgraph_get(), space, [scene.objects[0]])
+
+    def towards(blender: tuple[float, float, float]) -> np.ndarray:
+        found = light()
+        assert found is not None
+        assert found.world is not None
+        return np.array(found.world["env_from_world"]) @ LIGHT_FROM_WORLD[:3, :3] @ blender
+
+    assert light() is None  # that of the capture, until the picture is read
+    assert scene_light.tend()
+    plain = light()
+    assert plain is not None
+    assert plain.picture is not None
+    assert not plain.lamps
+    np.testing.assert_allclose(towards((1, 0, 0)), (1, 0, 0), atol=1e-6)
+    space.shading.studiolight_rotate_z, space.shading.studiolight_intensity = np.pi / 2, 2.0
+    np.testing.assert_allclose(towards((0, -1, 0)), (1, 0, 0), atol=1e-6)
+    twice = light()
+    assert twice is not None
+    np.testing.assert_allclose(twice.picture, 2 * plain.picture)
+    space.shading.studiolight_rotate_z, space.shading.use_studiolight_view_rotation = 0.0, False
+    space.region_3d = SimpleNamespace(view_matrix=np.eye(4))  # from above
+    np.testing.assert_allclose(towards((0, 0, -1)), (0, 1, 0), atol=1e-6)
+    np.testing.assert_allclose(towards((0, 1, 0)), (0, 0, 1), atol=1e-6)
+    space.shading.selected_studio_light = SimpleNamespace(path="/no/such.exr")
+    assert light() is None
+    assert scene_light.tend()
+    assert light() is None
+    assert not scene_light.tend()
+    assert len(bpy.data.images) == before
 
 
 def test_nodes_that_do_not_tell_their_light_are_measured_once(scene):
