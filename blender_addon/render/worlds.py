@@ -11,7 +11,7 @@ Pictures are averaged once and kept; what was measured is kept until something e
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -72,7 +72,9 @@ def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Read
     if place is not None:
         tree = world and versions.world_tree(world)
         parts = [*values_of_tree(tree)] if tree else [repr(world and world.color[:])]
-        return _found(digest([*parts, repr((_changes, place)), _space()]))._replace(place=place)
+        found = _found("around", [*parts, repr((_changes, place))])
+        # until then the world alone
+        return found._replace(place=place, light=found.light if found.light is not None else world_of(depsgraph).light)
     # where Cycles is disabled there is no Ray Visibility
     if world is None or not getattr(world, "cycles_visibility", _ALL).diffuse:
         return Reading(None)
@@ -85,7 +87,7 @@ def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Read
         return _of_sky(shine)
     except Unread:
         painted = {image: count for image, count in _changes.items() if image != _AROUND}
-        return _found(digest([*values_of_tree(world.node_tree), repr(painted), _space()]))
+        return _found("nodes", [*values_of_tree(world.node_tree), repr(painted)])
     except JGHandFailure as failure:
         return Reading(None, (failure,))
 
@@ -210,7 +212,7 @@ def _read(image: bpy.types.Image) -> np.ndarray:
 
 def _of_sky(shine: Shine) -> Reading:
     """A sky is measured as it is, and turned and multiplied afterwards."""
-    reading = _found(digest([*values_of(shine.source), _space()]))
+    reading = _found("sky", values_of(shine.source))
     if reading.light is None:
         return reading
     light, gain = reading.light, shine.gain
@@ -233,11 +235,14 @@ def _sun_of(sky: Any) -> Sun | None:
     return Sun(np.array(towards), sky.sun_size)
 
 
-def _found(name: str) -> Reading:
+def _found(kind: str, parts: Iterable[str]) -> Reading:
+    """What was measured of such parts; until then what was measured last of this kind: a sky is brighter by itself than
+    as its world has it."""
+    name = f"{kind} {digest([*parts, _space()])}"
     if name in _measured:
         _measured.move_to_end(name)
         return Reading(_measured[name])
-    last = next(reversed(_measured.values()), None)
+    last = next((light for known, light in reversed(_measured.items()) if known.startswith(kind)), None)
     return Reading(last, (JGHandFailure("world_not_measured"),), name)
 
 

@@ -350,6 +350,20 @@ def test_until_a_world_is_measured_anew_it_lights_as_it_did():
     assert reading().light.key != before.key
 
 
+def test_what_another_way_measured_lights_nothing_meanwhile():
+    """A sky is measured without the strength of its world, which may be a twentieth."""
+    of_a_sky()
+    background().inputs["Strength"].default_value = 0.05
+    update()
+    sky = reading().light
+    # around hands: the world alone, until that is measured
+    found = reading((0, 0, 0))
+    assert found.stale
+    assert found.light.key == sky.key
+    of_a_gradient()
+    assert reading().light is None
+
+
 def test_measuring_leaves_the_file_as_it_was(context):
     of_a_gradient()
     kinds = ("scenes", "worlds", "objects", "meshes", "materials", "node_groups")
