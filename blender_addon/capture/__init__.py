@@ -7,5 +7,6 @@ and lines of JSON.
 
 __main__   the process: reads jobs, renders, reports
 scene      mesh, skin, light and camera in Blender
-png        the stamp in a finished picture
+lit        the same in another light in every picture, with a light group each
+png        finished pictures with their stamp
 """

@@ -119,7 +119,7 @@ def _world(scene, group: str):
     scene.world = world
     world.use_nodes = True
     world.lightgroup = group
-    # as fine as the pictures: the automatic map takes a second to build for every picture
+    # as fine as the pictures: the automatic map takes longer to build than a small picture to trace
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 2 * WORLD_ROWS
     tree = world.node_tree
     environment, turn = tree.nodes.new("ShaderNodeTexEnvironment"), tree.nodes.new("ShaderNodeMapping")
