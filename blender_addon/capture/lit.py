@@ -187,7 +187,7 @@ def _compositor(scene, groups: list[str]):
     tree.links.new(layers.outputs["Image"], output.inputs[SUM])
     for group in groups:
         denoise = tree.nodes.new("CompositorNodeDenoise")
-        # the fast one brightens the hand's edge by 5 %: albedo and normal end there as light does
+        # the fast one was 5 % off at the edge of a hand of 64 x 96 pixels, where this one was 0.1 %
         denoise.inputs["Prefilter"].default_value = "Accurate"
         for name, source in (
             ("Image", f"Combined_{group}"), ("Albedo", "Denoising Albedo"), ("Normal", "Denoising Normal"),

@@ -93,7 +93,7 @@ def test_the_groups_sum_to_the_picture_of_all_lights(captured, tmp_path):
     total = planes[lit.SUM][..., :3]
     groups = np.stack([planes[group][..., :3] * hand for group in ("world", "lamp1", "lamp2")])
     # blocks of 8 x 8 pixels: single ones have the noise that the denoiser took from the groups. With OIDN's fast
-    # prefilter the edge, which is a third of so small a hand, was 5 % too bright
+    # prefilter the edge, a third of so small a hand, was 5 % too bright
     blocks = [part.reshape(HEIGHT // 8, 8, WIDTH // 8, 8, 3).mean((1, 3)) for part in (groups.sum(0), total)]
     assert np.abs(blocks[0] - blocks[1]).mean() < 0.02 * total.mean()
     assert groups.sum(0).mean() == pytest.approx(total.mean(), rel=0.01)
