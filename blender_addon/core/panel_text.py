@@ -23,6 +23,7 @@ STAGES = {
     "transform": "Bones",
     "plan": "Plan",
     "skin": "Skin",
+    "light": "Light",
     "gloss": "Gloss",
     "raster": "Drawing",
     "shadow + compose": "Shadow",
@@ -38,6 +39,10 @@ EFFECTS = {
     "motion-blur": "Motion Blur",
     "depth-of-field": "Depth of Field",
     "whole-picture": "Whole Image",
+    "lamps": "Lamps",
+    "lamp-shadow": "Shadows of Lamps",
+    "world-shadow": "Shadows in the World",
+    "gloss": "Gloss",
 }
 # which of several hands a note of the engine is about
 _HAND = re.compile(r"hand (\d+): (.*)", re.DOTALL)

@@ -100,10 +100,7 @@ class CastStep:
 
     def prepare(self, bones: Bones, others: Capsules | None = None) -> None:
         """Sets the capsules of the next pose. others: of hands beside this one."""
-        matrices = bones.linear_offset.astype(np.float64)
-        # bone i ends at joint i
-        joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self.joints_m) + matrices[:, :, 3]
-        start, end, radius_m = capsules(joints_m, bones.scale)
+        start, end, radius_m = capsules(posed_joints_m(bones.linear_offset, self.joints_m), bones.scale)
         if others is not None:
             start, end = np.concatenate([start, others.start_m]), np.concatenate([end, others.end_m])
             radius_m = np.concatenate([radius_m, others.radius_m])
@@ -122,6 +119,13 @@ class CastStep:
         self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m
         self._capsule_lamp[:, :, 0] = along.reshape(count, -1, LANES)
         self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(count, -1, LANES)
+
+
+def posed_joints_m(linear_offset: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
+    """(21, 3) where the bones' maps (21, 3, 4) carry the joints (21, 3) of the canonical hand, root-relative."""
+    matrices = linear_offset.astype(np.float64)
+    # bone i ends at joint i
+    return np.einsum("ijk,ik->ij", matrices[:, :, :3], joints_m) + matrices[:, :, 3]
 
 
 def _lamps(direction: np.ndarray, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

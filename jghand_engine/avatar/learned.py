@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -163,6 +164,11 @@ class SkinResponse:
     ambient: np.ndarray
     shade_gain: float
     trained_on: Mapping[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def mirrors(self) -> bool:
+        """Whether anything has gloss."""
+        return bool((self.reflectance > 0).any())
 
     def prefix(self, count: int) -> SkinResponse:
         """The same for the first `count` Gaussians."""

@@ -17,6 +17,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
+from jghand_engine.avatar.lamp_rows import LIMITS, Limits
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.avatar.scene_light import SceneLight
@@ -100,10 +101,17 @@ class Poser:
 
     blocks: which Gaussian stands in which row; rows beyond the avatar have sigma 0 and opacity 0
     into:   the rows, `blocks.rows` of them; with covariances where any hand of the image has ellipsoids
+    limits: below which parts of the light of a scene are left out
     teams:  counters to be set to zero before what was prepared is run again
     """
 
-    def __init__(self, library: Library, avatar: HandAvatar, into: GaussianArrays | None = None) -> None:
+    def __init__(
+        self,
+        library: Library,
+        avatar: HandAvatar,
+        into: GaussianArrays | None = None,
+        limits: Limits = LIMITS,
+    ) -> None:
         self._call, learned = library.call, avatar.learned
         self.blocks = blocks = Blocks(avatar.position_m)
         ellipsoids = learned is not None and learned.ellipsoid is not None
@@ -115,7 +123,7 @@ class Poser:
         self._skin = skin_task(blocks)
         set_pointers(self._skin, self._arrays)
         _check_size(library, library.call.jg_skin_task_bytes(), SkinTask)
-        self._light = None if learned is None else _Light(library, avatar, learned, blocks)
+        self._light = None if learned is None else _Light(library, avatar, learned, blocks, limits)
         # what the task points to, and the pose that stands
         self._stands: tuple[np.ndarray, Bones, Capsules | None] | None = None
         self._eye_m: np.ndarray | None = None
@@ -196,7 +204,7 @@ class Poser:
 class _Light:
     """What a trained avatar adds to skinning: correctives, light, the shadows that fingers cast, gloss."""
 
-    def __init__(self, library: Library, avatar: HandAvatar, learned: Learned, blocks: Blocks) -> None:
+    def __init__(self, library: Library, avatar: HandAvatar, learned: Learned, blocks: Blocks, limits: Limits) -> None:
         _check_size(library, library.call.jg_learned_task_bytes(), LearnedTask)
         self.task, self.reflects, self._rows = learned_task(learned, avatar.handedness), learned.reflects, blocks.rows
         self._arrays = learned_arrays(avatar, learned, blocks)
@@ -206,7 +214,7 @@ class _Light:
         self._cast = None if learned.cast is None else CastStep(learned.cast, avatar, blocks, self.task)
         self._scene = None
         if learned.response is not None and self._cast is not None:
-            self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task)
+            self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task, limits)
         self.is_lit = self._scene is not None
 
     def prepare_scene(self, light: SceneLight | None, bones: Bones, *, keep_pose: bool = False) -> None:

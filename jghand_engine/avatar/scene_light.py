@@ -16,7 +16,7 @@ import numpy as np
 
 from jghand_engine.avatar.learned import lamp_directions
 from jghand_engine.errors import InputError
-from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, LampKind
 
 # squares of the constants that make `harmonics` orthonormal, and the degree of each
 HARMONIC_NORM2 = np.square(
@@ -37,6 +37,8 @@ LOBE_ROWS = 16
 GAUSS_NODES = 48
 # the world lights no normal with less than this part of its mean: harmonics may swing below zero
 WORLD_FLOOR = 0.03
+# fade of a spot without one: a step of its cosine
+BLEND_MIN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +159,38 @@ class Lamp:
         # the sun's direction is its place
         if not np.any(self.place_m if self.kind is LampKind.SUN else self.axis):
             raise InputError("lamp", wanted="a direction", came="none")
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """(LAMP_NUMBERS,) as the kernel takes it, in the frame of the joints, without a shadow."""
+        place, axis, rgb = (np.array(value, np.float64) for value in (self.place_m, self.axis, self.rgb))
+        is_sun = self.kind is LampKind.SUN
+        row = np.zeros(len(LAMP_NUMBERS))
+        row[:3] = place / np.linalg.norm(place) if is_sun else place
+        row[3:6] = axis / max(float(np.linalg.norm(axis)), 1e-12)
+        values = {"kind": self.kind, "slot": -1, "on_matt": self.on_matt, "on_gloss": self.on_gloss}
+        if is_sun:
+            values["sun_sine"] = np.sin(min(self.angle_rad, np.pi) / 2)
+        elif self.kind is LampKind.AREA:
+            area_m2 = self.size_m[0] * self.size_m[1] * (np.pi / 4 if self.is_ellipse else 1.0)
+            # far away radiance times area is what a point sends; near, a disk of the same area
+            rgb, values["softening"] = rgb * area_m2, area_m2 / np.pi
+            values["radius2"] = area_m2 / np.pi
+            half = min(self.spread_rad / 2, np.pi / 2)
+            if half < np.pi / 2 - 1e-3:
+                # all light in an ever narrower beam: a thousandth is none
+                half = max(half, 1e-3)
+                values["spread"], values["spread_gain"] = np.tan(half), 1 / (np.tan(half) - half)
+        else:
+            values["radius2"] = self.radius_m**2
+            values["softening"] = self.radius_m**2 if self.is_soft else 0.0
+        if self.kind is LampKind.SPOT:
+            cone = np.cos(min(self.cone_rad, 2 * np.pi) / 2)
+            values["cone"], values["cone_scale"] = cone, 1 / max((1 - cone) * self.blend, BLEND_MIN * BLEND_MIN)
+        row[6:9] = rgb
+        for name, value in values.items():
+            row[NUMBER[name]] = value
+        return row
 
 
 @dataclass(frozen=True, eq=False)

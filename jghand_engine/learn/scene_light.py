@@ -12,6 +12,7 @@ the far side. phi takes skin that faces away, which is seen through gaps between
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,22 +25,16 @@ from jghand_engine.avatar.cast_task import (
     CAPSULE_WIDTH_MIN_M,
     LAMP_HALF_WIDTH,
     Capsules,
+    posed_joints_m,
 )
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
+from jghand_engine.avatar.lamp_rows import LIMITS, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
 from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
-from jghand_engine.avatar.scene_light_step import (
-    AMBIENT_MIN,
-    BLACK,
-    FLESH_SOFTNESS,
-    NUMBER,
-    lamp_rows,
-    mirrored,
-    palm_middle_m,
-)
+from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, mirrored
 from jghand_engine.learn.cast_shadow import CastTensors, capsules, soft_edge
 from jghand_engine.learn.light import harmonics, unit
-from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.native.scene_light_task import NUMBER, LampKind
 
 # see native/scene_light.cpp
 CORNER_MIN, CORNER_MAX = 0.02, 0.95
@@ -96,19 +91,23 @@ class Reached:
 
 @dataclass(frozen=True)
 class LampRows:
-    """Lamps as the kernel takes them, see scene_light_step.lamp_rows.
+    """Lamps as the kernel takes them, see avatar/lamp_rows.py.
 
+    shares:  (lamps + 1,) of all light, see `light_shares`
     rows:    (n, LAMP_NUMBERS)
     casting: (slots, LAMP_NUMBERS) those whose shadows are found
     """
 
+    shares: np.ndarray
     rows: np.ndarray
     casting: np.ndarray
 
     @classmethod
     def of(cls, light: SceneLight, root_m: np.ndarray, linear_offset: np.ndarray, joints_m: np.ndarray) -> LampRows:
         """Those that matter to a pose. joints_m: (21, 3) canonical, root-relative"""
-        return cls(*lamp_rows(light, root_m, palm_middle_m(linear_offset, joints_m))[:2])
+        points_m = posed_joints_m(linear_offset, joints_m)
+        shares = light_shares(light, root_m, points_m)
+        return cls(shares, *lamp_rows(light, shares, root_m, points_m, LIMITS)[:2])
 
 
 def lamp_at(row: np.ndarray, position_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -227,8 +226,7 @@ def reached(
         seen.append(past_flesh(anchors, flesh, towards, FLESH_SOFTNESS, half_width)[:, 0])
     for row in lamps.rows:
         direction, strength, _ = lamp_at(row, anchors.position_m)
-        slot = int(row[NUMBER["slot"]])
-        part = seen[slot] if slot >= 0 else torch.ones_like(strength)
+        part = _drawn(seen, row)
         got = (anchors.normal * direction).sum(-1).clamp_min(0) * strength * part * float(row[NUMBER["on_matt"]])
         given = given + got[:, None] * given.new_tensor(row[6:9])
     spread = cast.anchors.spread
@@ -253,7 +251,8 @@ def reached(
     bounced = (cosine * (1 - visible)) @ thrown
     sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
     at_skin = spread(torch.cat([part, bounced, sky], 1))
-    return Reached(at_skin[:, :3], at_skin[:, 3:6], at_skin[:, 6], of_lamps)
+    shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
+    return Reached(1 - shade * (1 - at_skin[:, :3]), shade * at_skin[:, 3:6], 1 - shade * (1 - at_skin[:, 6]), of_lamps)
 
 
 def matt(
@@ -272,7 +271,7 @@ def matt(
         corner = (response.spread[:, None] * response.softness).square() + sine.square()[:, None]
         corner = corner.sqrt().clamp(CORNER_MIN, CORNER_MAX)
         cosine = (skin.normal * direction).sum(-1, keepdim=True)
-        strength = strength * _seen(got, row) * float(row[NUMBER["on_matt"]])
+        strength = strength * _drawn(got.seen, row) * float(row[NUMBER["on_matt"]])
         irradiance = irradiance + soft_cosine(cosine, corner) * strength[:, None] * albedo.new_tensor(row[6:9])
     result = albedo / np.pi * irradiance
     if shade is not None:
@@ -304,7 +303,7 @@ def towards_eye(
         grazing = (1 - (direction * half).sum(-1).clamp(0, 1)) ** 5
         fresnel = response.reflectance + (1 - response.reflectance) * rise * grazing
         masked = (cosine * (1 - k) + k) * (cosine_eye * (1 - k) + k)
-        shine = wide2 / (np.pi * bell.square()) * fresnel / 4 * cosine / masked * strength * _seen(got, row)
+        shine = wide2 / (np.pi * bell.square()) * fresnel / 4 * cosine / masked * strength * _drawn(got.seen, row)
         rgb = rgb + shine[:, None] * float(row[NUMBER["on_gloss"]]) * rgb.new_tensor(row[6:9])
     if light.world is not None:
         lobes = rgb.new_tensor(mirrored(light.world, response.roughness.detach().double().cpu().numpy()))
@@ -319,6 +318,7 @@ def towards_eye(
     return rgb * smooth((facing - AWAY_FROM) / AWAY_WIDTH)[:, None]
 
 
-def _seen(got: Reached, row: np.ndarray) -> Tensor:
+def _drawn(seen: Sequence[Tensor] | Tensor, row: np.ndarray) -> Tensor | float:
+    """(N,) part of a lamp that reaches points, by what they see of each slot: its shadow may have faded."""
     slot = int(row[NUMBER["slot"]])
-    return got.seen[slot] if slot >= 0 else torch.ones_like(got.sky)
+    return 1 - float(row[NUMBER["shade"]]) * (1 - seen[slot]) if slot >= 0 else 1.0

@@ -109,9 +109,30 @@ JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* values, 
   }
 }
 
-// What of each lamp sixteen Gaussians see: the mean of the anchors around them, and near the edge of a shadow, which is
-// sharper than anchors are apart, what is found for each.
-JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const vf p[3]) {
+// Half width of the rounded corner of a cosine, of one channel.
+JG_INLINE vf corner_of(const SceneLightTask& s, int channel, vf spread, vf sine) {
+  const vf own = spread * s.softness[channel];
+  return min(max(sqrt(own * own + sine * sine), all(CORNER_MIN)), all(CORNER_MAX));
+}
+
+// The same values where light of the lamps of a shadow falls on sixteen Gaussians, 0 where they face away from all.
+JG_INLINE vf where_lit(const SceneLightTask& s, int slot, const vf p[3], const vf normal[3], vf spread, vf values) {
+  vf lit = {};
+  for (int j = 0; j < s.lamps; j++) {
+    const float* lamp = s.lamp + LAMP * j;
+    if ((int)lamp[SLOT] != slot) continue;
+    vf direction[3], strength, sine;
+    lamp_at(lamp, p, direction, strength, sine);
+    const vf cosine = dot(normal, direction);
+    for (int i = 0; i < 3; i++) lit = select(cosine > -corner_of(s, i, spread, sine), values, lit);
+  }
+  return lit;
+}
+
+// What of each lamp reaches sixteen Gaussians: the mean of what the anchors around them see, and near the edge of a
+// shadow, which is sharper than anchors are apart, what is found for each.
+JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const vf p[3],
+                          const vf normal[3], vf spread_of_skin) {
   const CastTask& c = t.cast;
   const int64_t first = ANCHORS_AROUND * LANES * (int64_t)block;
   float foreign[BONES * LANES];
@@ -119,7 +140,8 @@ JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t
   for (int j = 0; j < s.slots; j++) {
     vf part[1];
     spread<1>(t, block, s.seen + LANES * (int64_t)c.blocks * j, 1, part);
-    const vf edge = min(EDGE_GAIN * part[0] * (1.f - part[0]), all(1.f));
+    vf edge = min(EDGE_GAIN * part[0] * (1.f - part[0]), all(1.f));
+    if (bit_mask(edge > 0)) edge = where_lit(s, j, p, normal, spread_of_skin, edge);
     if (bit_mask(edge > 0)) {
       for (int bone = 0; bone < BONES && !has_foreign; bone++) {
         vf sum = {};
@@ -139,7 +161,8 @@ JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t
     }
     vf left[1] = {all(1.f)};
     if (s.left) spread<1>(t, block, s.left + LANES * (int64_t)c.blocks * j, 1, left);
-    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), part[0] * left[0]);
+    const vf reaches = 1.f - s.casting[LAMP * j + SHADE] * (1.f - part[0] * left[0]);
+    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), reaches);
   }
 }
 
@@ -173,6 +196,7 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
     const int64_t slot = rows * (int)lamp[SLOT];
     vf part = lamp[SLOT] < 0 ? all(1.f) : load(seen + slot);
     if (s.left && lamp[SLOT] >= 0) part *= load(s.left + LANES * (int64_t)block + slot);
+    part = 1.f - lamp[SHADE] * (1.f - part);
     const vf got = max(dot(normal, direction), vf{}) * strength * part * lamp[ON_MATT];
     for (int i = 0; i < 3; i++) given[i] += got * lamp[LAMP_RGB + i];
   }
@@ -181,6 +205,7 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
 
 void thrown_back(const LearnedTask& t, int32_t group) {
   const SceneLightTask& s = *t.scene;
+  if (!(s.shade > 0)) return;
   const float* towards = t.cast.lamp + 6 * LANES * group;
   vf away[3], back[3], weights = all(DISTANCE2_MIN), sums[3] = {};
   for (int i = 0; i < 3; i++) away[i] = -load(towards + LANES * i);
@@ -203,7 +228,11 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
   const float* posed = s.posed + POSED * LANES * (int64_t)block;
   for (int lane = 0; lane < LANES; lane++) {
-    float point[3], normal[3];
+    float point[3], normal[3], *out = s.reached + REACHED * (LANES * (int64_t)block + lane);
+    if (!(s.shade > 0)) {
+      for (int i = 0; i < REACHED; i++) out[i] = i < 3 || i == 6;
+      continue;
+    }
     for (int i = 0; i < 3; i++) point[i] = posed[LANES * i + lane], normal[i] = posed[LANES * (3 + i) + lane];
     const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block + lane;
     vf open[3] = {}, seen[3] = {}, bounced[3] = {}, sky = {}, open_sky = {};
@@ -220,12 +249,12 @@ void anchor_world(const LearnedTask& t, int32_t block) {
       }
       sky += cosine, open_sky += cosine * visible;
     }
-    float* out = s.reached + REACHED * (LANES * (int64_t)block + lane);
     for (int i = 0; i < 3; i++) {
-      out[i] = (sum_of(seen[i]) + s.ambient[i]) / (sum_of(open[i]) + s.ambient[i]);
-      out[3 + i] = sum_of(bounced[i]);
+      const float whole = sum_of(open[i]) + s.ambient[i];
+      out[i] = 1.f - s.shade * (1.f - (sum_of(seen[i]) + s.ambient[i]) / whole);
+      out[3 + i] = s.shade * sum_of(bounced[i]);
     }
-    out[6] = sum_of(open_sky) / (sum_of(sky) + DISTANCE2_MIN);
+    out[6] = 1.f - s.shade * (1.f - sum_of(open_sky) / (sum_of(sky) + DISTANCE2_MIN));
   }
 }
 
@@ -248,7 +277,7 @@ void light_block(const LearnedTask& t, int32_t block) {
   vf p[3], normal[3], light[3], reached[6];
   load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
   for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
-  lamps_seen(t, s, block, p);
+  lamps_seen(t, s, block, p, normal, spread_of_skin);
   world_irradiance(s, normal, light);
   spread<6>(t, block, s.reached, REACHED, reached);
   for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
@@ -259,9 +288,7 @@ void light_block(const LearnedTask& t, int32_t block) {
     lamp_at(lamp, p, direction, strength, sine);
     const vf cosine = dot(normal, direction), got = strength * slot_seen(t, s, block, lamp);
     for (int i = 0; i < 3; i++) {
-      const vf own = spread_of_skin * s.softness[i];
-      const vf corner = min(max(sqrt(own * own + sine * sine), all(CORNER_MIN)), all(CORNER_MAX));
-      light[i] += soft_cosine(cosine, corner) * got * lamp[LAMP_RGB + i];
+      light[i] += soft_cosine(cosine, corner_of(s, i, spread_of_skin, sine)) * got * lamp[LAMP_RGB + i];
     }
   }
   for (int i = 0; i < 3; i++) store(matt + LANES * (3 + i), load(s.reflecting + 3 * row + LANES * i) * light[i]);

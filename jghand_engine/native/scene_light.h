@@ -21,7 +21,8 @@ enum LampNumber {
   SLOT = 17,           // of its shadow; -1: none
   ON_MATT = 18,        // 0 or 1
   ON_GLOSS = 19,       // 0 or 1
-  LAMP = 20
+  SHADE = 20,          // how much of its shadow is drawn, 0..1
+  LAMP = 21
 };
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
@@ -36,7 +37,7 @@ struct SceneLightTask {
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (16 anchor blocks, groups, 16): part of each cell of the world that an anchor sees
   float* seen;               // (slots, 16 anchor blocks): part of a lamp that an anchor sees
-  float* skin_seen;          // (slots, 16 blocks): and a Gaussian
+  float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
   float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* reached;            // (16 anchor blocks, 8): part of the world rgb, bounced W/m2 rgb, part of the sky, 0
@@ -47,6 +48,7 @@ struct SceneLightTask {
   float shade_gain;          // of the pose's shade, in logarithms of linear color
   float flesh_softness;      // edge of a lamp's shadow, as a part of a capsule's radius
   float sine2_min;           // floor of a squared sine between ray and capsule
+  float shade;               // how much of what skin hides of the world, and throws back, is drawn, 0..1
   int32_t lamps, slots, lobes;
   int32_t keeps_pose;        // whether the light alone is new
   int32_t keeps_visible;     // and the world is not

@@ -21,7 +21,9 @@ class LampKind(IntEnum):
 LAMP_NUMBERS = (
     *("place_x", "place_y", "place_z", "axis_x", "axis_y", "axis_z", "red", "green", "blue", "softening", "radius2"),
     *("sun_sine", "cone", "cone_scale", "spread", "spread_gain", "kind", "slot", "on_matt", "on_gloss"),
+    "shade",
 )
+NUMBER = {name: place for place, name in enumerate(LAMP_NUMBERS)}
 
 
 class SceneLightTask(ctypes.Structure):
@@ -31,6 +33,6 @@ class SceneLightTask(ctypes.Structure):
         *((name, _P) for name in ("material", "lamp", "casting", "irradiance", "left", "lobe")),
         *((name, _P) for name in ("posed", "visible", "seen", "skin_seen", "thrown", "reflecting", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "ambient", "least")),
-        *((name, _F32) for name in ("shade_gain", "flesh_softness", "sine2_min")),
+        *((name, _F32) for name in ("shade_gain", "flesh_softness", "sine2_min", "shade")),
         *((name, _I32) for name in ("lamps", "slots", "lobes", "keeps_pose", "keeps_visible")),
     )

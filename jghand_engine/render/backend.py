@@ -23,13 +23,14 @@ from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRaster
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.light_effects import limits_of
 from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
 # names of the stages
-SKIN, GLOSS, RASTER, SHADOW, COMPOSE = "skin", "gloss", "raster", "shadow + compose", "compose"
+SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE = "skin", "light", "gloss", "raster", "shadow + compose", "compose"
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ class Backend:
 
     variant: of the kernels
     threads: how many draw
+    light:   of the scene, in which the Gaussians stand
     """
 
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
@@ -101,13 +103,13 @@ class Backend:
         first = 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
-            self._hands.append(Poser(library, avatar, mine))
+            self._hands.append(Poser(library, avatar, mine, limits_of(settings.effects)))
             first += len(mine)
         self._padding = rows - sum(len(avatar) for avatar in avatars)
         self._rasterizer = NativeRasterizer(library, self.threads)
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
-        self._light: SceneLight | None = None
+        self.light: SceneLight | None = None
 
     def draw(
         self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keep_image: bool = False
@@ -123,13 +125,13 @@ class Backend:
         for hand, pose, mine in zip(posed, poses or (), lights, strict=False):
             keeps = pose.keep_correctives
             hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
-        relit = light is not None and poses is None and light != self._light
+        relit = light is not None and poses is None and light != self.light
         lit = [
             hand
             for hand, mine in zip(self._hands, lights, strict=True)
             if relit and mine is not None and hand.prepare_light(mine)
         ]
-        self._light = light
+        self.light = light
         if not keep_image:
             self._planes = self._rasterizer.prepare(
                 self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
@@ -146,7 +148,7 @@ class Backend:
             shade=shade,
         )
         work.run(shared_pool(self.threads))
-        work.report_to(report, COMPOSE if canvas.style is None else SHADOW)
+        work.report_to(report, SKIN if posed else LIGHT, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasterizer.visible
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
         return rgba, depth_m
@@ -237,11 +239,11 @@ class _Work:
         self._shade.run()
         times[4] = time.perf_counter()
 
-    def report_to(self, report: FrameReport, last: str) -> None:
-        """Writes the stages into the report; `last` is what the shade call did."""
+    def report_to(self, report: FrameReport, first: str, last: str) -> None:
+        """Writes the stages into the report; `first` is what was done to the skins, `last` what the shade call did."""
         skin_ms, gloss_ms, raster_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
         if self._skins:
-            report.ran(SKIN, skin_ms)
+            report.ran(first, skin_ms)
         if self._shining:
             report.ran(GLOSS, gloss_ms)
         if self._rasterizer is not None:

@@ -30,6 +30,7 @@ class HandFacts:
     """What plans need to know of an avatar, found once.
 
     avatar:            as it is drawn, see `strip_disabled`
+    joints_m:          (21, 3) of the canonical hand, root-relative
     gate:              of its shadow
     look:              of its shadow; None where it was learned without one
     gated:             whether its colors were learned under that gate
@@ -41,6 +42,7 @@ class HandFacts:
 
     def __init__(self, avatar: HandAvatar) -> None:
         self.avatar, self.learned = avatar, avatar.learned
+        self.joints_m = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
         self.gate = ShadowGate(avatar.canonical_joints_m)
         self.look = ShadowLook() if self.learned is None else self.learned.shadow
         printed = self.look is not None and self.look.printed

@@ -22,10 +22,17 @@ class Effect(StrEnum):
     MOTION = "motion-blur"
     FOCUS = "depth-of-field"
     WHOLE = "whole-picture"
+    LAMPS = "lamps"
+    LAMP_SHADOW = "lamp-shadow"
+    WORLD_SHADOW = "world-shadow"
+    GLOSS = "gloss"
 
 
-# without a skin there is no image; it is only reused
-CHOOSABLE = tuple(effect for effect in Effect if effect is not Effect.SKIN)
+# without a skin or a light there is no image; the one is only reused, of the other what nobody sees is left out
+CHOOSABLE = tuple(effect for effect in Effect if effect not in (Effect.SKIN, Effect.LAMPS))
+# what a hand has in the light of its capture alone, and in that of a scene alone; nothing is decided about the others
+OF_CAPTURE = frozenset({Effect.CAST, Effect.SHADOW})
+OF_SCENE = frozenset({Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS})
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,8 @@ class Choice:
 
 
 AUTO = Choice()
+# why an effect does not run
+NOT_CHOSEN = "not among the chosen effects"
 
 
 class Decision(NamedTuple):
@@ -116,7 +125,7 @@ class Decision(NamedTuple):
 class EffectPlan:
     """How one image is made.
 
-    decisions: one per effect
+    decisions: one per effect that the light has
     box:       what is drawn of the image, empty where no hand can be seen; each of several exposures has its own
     strength:  of the shadow pass, 0..1
     enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not

@@ -24,9 +24,10 @@ from jghand_engine.native import contract
 from jghand_engine.render.blur import Shutter, disc_px, focus_count, focus_error, motion_count, motion_error
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.crop import HandFacts, hand_box
-from jghand_engine.render.effect_plan import Decision, Effect, EffectPlan
+from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
 from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, extent_px, fade, fade_with_size, gap_between
 from jghand_engine.render.image import Box
+from jghand_engine.render.light_effects import Lit, light_decisions
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
 # a skin is reused when no point of it can have moved farther, and the correctives of a hand that moved as a whole when
@@ -53,8 +54,6 @@ SHADOW_MISSED = 0.35
 SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1.3e-4
 MAP_MS, SHADOW_MS = 1e-6, 3e-7
 
-NOT_CHOSEN = "not among the chosen effects"
-
 
 def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     """The avatar without what may not be drawn of it: no memory is taken for that, and no time."""
@@ -64,6 +63,9 @@ def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     # in the light of a scene it is found at the anchors of the cast shadow
     if learned is not None and learned.response is None and not allows(Effect.CAST):
         learned = replace(learned, cast=None)
+    if learned is not None and learned.response is not None and not allows(Effect.GLOSS):
+        matt = replace(learned.response, reflectance=np.zeros_like(learned.response.reflectance))
+        learned = replace(learned, response=matt)
     return replace(avatar, learned=learned)
 
 
@@ -129,6 +131,7 @@ class Scene:
     moved_m:  of a pose that is reused, how far its skin can have moved; None for a new one
     reshaped: whether the correctives of any hand have to be computed
     seen:     numbers of the hands that are in the image at some moment, through some part of the lens; None for all
+    lit:      how a scene lights it; None in the light of the capture
     """
 
     joints_m: Sequence[np.ndarray]
@@ -138,6 +141,7 @@ class Scene:
     moved_m: float | None = None
     reshaped: bool = True
     seen: Sequence[int] | None = None
+    lit: Lit | None = None
 
     @cached_property
     def seen_joints(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -154,13 +158,19 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     box = scene.box(hands, settings.alpha_min)
     exposures, blur = _blur(scene, hands, settings)
     if not box.width and exposures == 1 and not settings.effects.forced:
-        return EffectPlan(tuple(Decision(effect, False, "no hand is in the image") for effect in Effect), box)
-    strength, shadow = plan_shadow(scene, hands, settings)
+        other = OF_SCENE if scene.lit is None else OF_CAPTURE
+        nothing = tuple(Decision(effect, False, "no hand is in the image") for effect in Effect if effect not in other)
+        return EffectPlan(nothing, box)
+    if scene.lit is None:
+        strength, shadow = plan_shadow(scene, hands, settings)
+        light = [shadow]
+    else:
+        strength, light = 0.0, light_decisions(scene.lit, scene.moved_m, scene.bones, hands, settings.effects)
     enlarged, plain, smooth = _filter(scene, hands, settings, box)
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
-    decisions = (*_reuse(scene, hands, settings), smooth, shadow, *blur, crop)
+    decisions = (*_reuse(scene, hands, settings), smooth, *light, *blur, crop)
     return EffectPlan(decisions, box, strength, enlarged, plain, exposures)
 
 
@@ -184,6 +194,8 @@ def _reuse(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -
         (Effect.CORRECTIVES, any(one.correctives for _, one in learned), "skin and shade of creases", network_ms),
         (Effect.CAST, any(one.cast for _, one in learned), "shadows of the fingers on the hand", cast_ms),
     ):
+        if effect in OF_CAPTURE and scene.lit is not None:
+            continue
         if not settings.effects.allows(effect):
             decisions.append(Decision(effect, False, NOT_CHOSEN, lost, None))
         elif not has_any:

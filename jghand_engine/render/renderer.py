@@ -55,6 +55,7 @@ from jghand_engine.render.effects import (
 )
 from jghand_engine.render.gate import capsules_beside
 from jghand_engine.render.image import Box, Image
+from jghand_engine.render.light_effects import Lit
 from jghand_engine.render.passes import surface_normals
 from jghand_engine.render.report import FrameReport, summed
 from jghand_engine.render.settings import RenderSettings, ShadowMode
@@ -302,7 +303,7 @@ class SceneRenderer:
 
     def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
         started = time.perf_counter()
-        scene = shot.posed.scene(camera, shutter, shot.moved_m)
+        scene = shot.posed.scene(camera, shutter, shot.moved_m, self._lit(shot.posed, camera))
         if shutter is not None or camera.lens is not None:
             hands_m = scene.joints_m
             moments = [Moment(hands_m, camera)] if shutter is None else shutter.moments(hands_m, camera)
@@ -310,6 +311,14 @@ class SceneRenderer:
         plan = plan_effects(scene, self._facts, self.settings)
         report.ran(PLAN, 1e3 * (time.perf_counter() - started))
         return plan
+
+    def _lit(self, posed: _Posed, camera: Camera) -> Lit | None:
+        if self.light is None:
+            return None
+        before, drawn = self._backend.light, self._drawn
+        new_world = before is None or before.world is not self.light.world
+        seen_anew = drawn is None or not np.array_equal(drawn.camera.eye_m, _at_origin(posed, camera).eye_m)
+        return Lit(self.light, before != self.light, new_world, seen_anew)
 
     def _seen_hands(self, moments: Sequence[Moment]) -> list[int]:
         """Numbers of the hands that are in the image at some of the moments, or pass it between them."""
@@ -382,12 +391,9 @@ class SceneRenderer:
     def _canvas(
         self, posed: _Posed, camera: Camera, strength: float, alpha_min: float, *, depth: bool = False
     ) -> Canvas:
-        # the origin of what was posed, also when the hand has moved by less than the limit since
-        from_origin = camera.camera_from_world.copy()
-        from_origin[:3, 3] += from_origin[:3, :3] @ posed.kept.joints_m[0][0]
-        style = self._shadow_style(strength) if strength > 0 else None
-        at_origin = replace(camera, camera_from_world=from_origin)
-        return Canvas(at_origin, float(from_origin[2, 3]), style, alpha_min, depth, self.light)
+        style, at_origin = self._shadow_style(strength) if strength > 0 else None, _at_origin(posed, camera)
+        near_m = float(at_origin.camera_from_world[2, 3])
+        return Canvas(at_origin, near_m, style, alpha_min, depth, self.light)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""
@@ -443,6 +449,14 @@ def _rays(camera: Camera) -> list[Camera]:
     return [camera.through(x_m, y_m) for x_m in (-half_m, half_m) for y_m in (-half_m, half_m)]
 
 
+def _at_origin(posed: _Posed, camera: Camera) -> Camera:
+    """The camera in the frame of the Gaussians: its origin is that of what was posed, also when the hand has moved by
+    less than the limit since."""
+    from_origin = camera.camera_from_world.copy()
+    from_origin[:3, 3] += from_origin[:3, :3] @ posed.kept.joints_m[0][0]
+    return replace(camera, camera_from_world=from_origin)
+
+
 def _enlarged(frame: Frame, camera: Camera) -> Frame:
     """A frame of `camera.halved()` as one of `camera`; what cannot be mixed, such as the numbers of hands, is
     repeated."""
@@ -477,10 +491,17 @@ class _Posed:
     notes: list[str]
     unseen: list[str]
 
-    def scene(self, camera: Camera, shutter: Shutter | None = None, moved_m: float | None = None) -> Scene:
+    def scene(
+        self,
+        camera: Camera,
+        shutter: Shutter | None = None,
+        moved_m: float | None = None,
+        lit: Lit | None = None,
+    ) -> Scene:
         """As it is seen by a camera."""
         reshaped = not all(pose.keep_correctives for pose in self.poses)
-        return Scene(self.kept.joints_m, [pose.bones for pose in self.poses], camera, shutter, moved_m, reshaped)
+        bones = [pose.bones for pose in self.poses]
+        return Scene(self.kept.joints_m, bones, camera, shutter, moved_m, reshaped, lit=lit)
 
 
 @dataclass(frozen=True)

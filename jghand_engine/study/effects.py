@@ -17,7 +17,7 @@ from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.learn.tables import NONE, Table, number
 from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Lens
-from jghand_engine.render.effect_plan import Choice, Decision, Effect
+from jghand_engine.render.effect_plan import OF_SCENE, Choice, Decision, Effect
 from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.subject import Subject
@@ -127,7 +127,7 @@ def effects_of_motion(
         for effect in FORCED
     }
     rows = {effect: EffectRow(effect) for effect in FORCED}
-    strip: dict[Effect, list[bool]] = {effect: [] for effect in Effect}
+    strip: dict[Effect, list[bool]] = {effect: [] for effect in Effect if effect not in OF_SCENE}
     for joints in subject.poses:
         frame = auto.render(joints, subject.camera)
         for decision in frame.report.plan.decisions if frame.report.plan else ():

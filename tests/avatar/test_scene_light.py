@@ -14,6 +14,7 @@ from test_trained_posing import RootRelative
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.cast_task import Capsules
+from jghand_engine.avatar.lamp_rows import LIMITS, irradiance_at, lamp_rows, light_shares
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import estimated
@@ -27,7 +28,7 @@ from jghand_engine.avatar.scene_light import (
     mirrored_lobes,
     soft_cosine,
 )
-from jghand_engine.avatar.scene_light_step import irradiance_at, lamp_rows
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Bones
@@ -79,6 +80,8 @@ LIGHTS = {name: SceneLight(None, (lamp,)) for name, lamp in LAMPS.items()} | {
     "world": SceneLight(world()),
     "all": SceneLight(world(1), tuple(LAMPS.values())),
     "nothing": SceneLight(),
+    # lamps, and shadows of lamps, that are drawn in part
+    "fading": SceneLight(None, (LAMPS["sun"], *(Lamp(LampKind.SUN, (r, r, r), (1, 0.3, 0)) for r in (0.006, 0.016)))),
 }
 
 
@@ -132,6 +135,16 @@ def test_the_kernel_lights_skin_as_training_does(name):
     wanted = exactly(AVATAR, bones, LIGHTS[name]).numpy()
     found = natively(AVATAR, bones, LIGHTS[name])
     assert np.abs(found - wanted).max() <= 1e-4 * max(wanted.max(), 1e-6)
+
+
+def test_the_shadow_of_a_faint_world_fades_in_the_kernel_as_in_training():
+    hand, bones = with_response(AVATAR, bounce=np.zeros(3)), bones_of(AVATAR)
+    faint = replace(EVEN, radiance=EVEN.radiance * 0.04)
+    light = SceneLight(faint, (LAMPS["sun"],))
+    wanted, found = exactly(hand, bones, light).numpy(), natively(hand, bones, light)
+    assert np.abs(found - wanted).max() <= 1e-4 * wanted.max()
+    shares = light_shares(light, bones.root_m, np.zeros((1, 3)))
+    assert 0.02 < shares[-1] < 0.04
 
 
 def test_another_hand_casts_its_shadow_in_the_kernel_as_in_training():
@@ -308,10 +321,15 @@ def test_lobes_together_are_the_blurred_world():
 # ---- which lamps -----------------------------------------------------------------------------------------------------
 
 
+def rows_of(light: SceneLight, *points: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    points_m = np.stack(points)
+    return lamp_rows(light, light_shares(light, np.zeros(3), points_m), np.zeros(3), points_m, LIMITS)
+
+
 def test_lamps_that_nobody_sees_are_left_out_and_faint_ones_cast_no_shadow():
     far = Lamp(LampKind.POINT, (1, 1, 1), (100, 0, 0))
     faint = replace(LAMPS["sun"], rgb=(0.009, 0.006, 0.003))
-    rows, casting, sources = lamp_rows(SceneLight(None, (far, LAMPS["sun"], faint)), np.zeros(3), np.zeros(3))
+    rows, casting, sources = rows_of(SceneLight(None, (far, LAMPS["sun"], faint)), np.zeros(3))
     assert len(rows) == 2
     assert len(casting) == 1
     assert sources == [1]
@@ -319,14 +337,45 @@ def test_lamps_that_nobody_sees_are_left_out_and_faint_ones_cast_no_shadow():
 
 def test_a_large_area_is_four_lamps_of_one_shadow_and_gives_the_same_light():
     area = LAMPS["area"]
-    rows, casting, _ = lamp_rows(SceneLight(None, (area,)), np.zeros(3), np.array([0.0, 0.05, 0]))
+    rows, casting, _ = rows_of(SceneLight(None, (area,)), np.array([0.0, 0.05, 0]))
     assert len(rows) == 4
     assert len(casting) == 1
     assert len({float(row[17]) for row in rows}) == 1
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
-    for point in points:
-        parts, whole = sum(irradiance_at(row, point) for row in rows), irradiance_at(casting[0], point)
-        assert parts == pytest.approx(whole, rel=0.1)
+    assert irradiance_at(rows, points).sum(0) == pytest.approx(irradiance_at(casting, points)[0], rel=0.1)
+
+
+def steps(hand: HandAvatar, lights: list[SceneLight]) -> np.ndarray:
+    """The largest step of an 8-bit picture from each light to the next, the brightest skin being white."""
+    poser, seen = Poser(native_library.load(), hand), []
+    poser.prepare(bones_of(hand), np.zeros(3), light=lights[0])
+    poser.run()
+    for light in lights:
+        poser.prepare_light(light)
+        poser.run()
+        poser.prepare_gloss(EYE_M)
+        poser.run_gloss()
+        seen.append(poser.into.rgb.copy())
+    shown = linear_to_srgb(np.clip(np.stack(seen) / seen[0].max(), 0, 1))
+    return 255 * np.abs(np.diff(shown, axis=0)).max((1, 2))
+
+
+def test_a_lamp_that_grows_out_of_nothing_and_its_shadow_appear_in_no_step():
+    """Skin that the strong lamp leaves black shows the faint one, and what hides that, as nothing else does."""
+    hand = with_response(AVATAR, bounce=np.zeros(3))
+    powers = np.linspace(0.0015, 0.011, 200) * 3
+    strong, place = Lamp(LampKind.SUN, (3, 3, 3), (0, 0.2, -1), has_shadow=False), (0.6, 0.2, 1)
+    lights = [SceneLight(None, (strong, Lamp(LampKind.SUN, (p, p, p), place))) for p in powers]
+    assert steps(hand, lights).max() <= 1
+
+
+def test_the_shadow_of_a_world_that_grows_out_of_nothing_appears_in_no_step():
+    hand = with_response(AVATAR, bounce=np.zeros(3), reflectance=np.zeros(len(AVATAR), np.float32))
+    strong = Lamp(LampKind.SUN, (3, 3, 3), (0, 0.2, -1))
+    parts = np.array([0.01998, 0.02, 0.02002, 0.03998, 0.04, 0.04002])
+    powers = 3 * parts / (1 - parts)
+    lights = [SceneLight(World(np.full((4, 8, 3), p / np.pi)), (strong,)) for p in powers]
+    assert steps(hand, lights)[[0, 1, 3, 4]].max() <= 1
 
 
 @pytest.mark.parametrize("spread_rad", [0.1, 0.2, 0.5, 1.0, 2.0])
@@ -342,8 +391,10 @@ def test_a_large_area_that_shines_straight_ahead_lights_what_is_in_its_beam(spre
         return (cones / (1 + tangent2) ** 2).mean() * (size_m / distance_m) ** 2
 
     def found(aside_m: float) -> float:
-        rows, *_ = lamp_rows(SceneLight(None, (area,)), np.array([aside_m, 0, 0]), np.zeros(3))
-        return sum(row[2] / np.linalg.norm(row[:3]) * irradiance_at(row, np.zeros(3))[0] for row in rows)
+        point_m = np.array([aside_m, 0, 0])
+        rows, *_ = rows_of(SceneLight(None, (area,)), point_m)
+        way_m = rows[:, :3] - point_m
+        return float(way_m[:, 2] / np.linalg.norm(way_m, axis=1) @ irradiance_at(rows, point_m[None])[:, 0, 0])
 
     assert found(0.0) == pytest.approx(wanted(0.0), rel=0.25)
     assert found(0.15) == pytest.approx(wanted(0.15), rel=0.25)
@@ -352,7 +403,7 @@ def test_a_large_area_that_shines_straight_ahead_lights_what_is_in_its_beam(spre
 
 def test_a_beam_that_passes_the_palm_by_lights_the_fingers():
     spot = Lamp(LampKind.SPOT, (1, 1, 1), (0.08, 0, 0.5), (0, 0, -1), cone_rad=0.1)
-    rows, casting, _ = lamp_rows(SceneLight(None, (spot,)), np.zeros(3), np.zeros(3))
+    rows, casting, _ = rows_of(SceneLight(None, (spot,)), np.zeros(3), np.array([0.08, 0.0, 0.0]))
     assert len(rows) == len(casting) == 1
 
 

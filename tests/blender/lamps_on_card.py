@@ -9,9 +9,9 @@ import sys
 
 import numpy as np
 
+from jghand_engine.avatar.lamp_rows import LIMITS, irradiance_at, lamp_rows, light_shares
 from jghand_engine.avatar.light_records import lamps_of
 from jghand_engine.avatar.scene_light import SceneLight
-from jghand_engine.avatar.scene_light_step import irradiance_at, lamp_rows
 from jghand_engine.errors import InputError
 from jghand_engine.json_files import JsonObject
 
@@ -25,10 +25,10 @@ def wrong(name: str, wanted: str, came: object) -> InputError:
 
 def irradiance(lamps: list[dict]) -> np.ndarray:
     light = SceneLight(lamps=lamps_of(JsonObject({"lamps": lamps}, wrong)))
-    rows, *_ = lamp_rows(light, ORIGIN, ORIGIN)
+    points = ORIGIN[None]
+    rows, *_ = lamp_rows(light, light_shares(light, ORIGIN, points), ORIGIN, points, LIMITS)
     cosines = [max(float(row[:3] @ UP) / np.linalg.norm(row[:3]), 0.0) for row in rows]
-    parts = [cosine * irradiance_at(row, ORIGIN) for row, cosine in zip(rows, cosines, strict=True)]
-    return np.sum([ORIGIN, *parts], 0)
+    return np.array(cosines) @ irradiance_at(rows, points)[:, 0]
 
 
 print(json.dumps([irradiance(lamps).tolist() for lamps in json.load(sys.stdin)]))
