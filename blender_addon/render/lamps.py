@@ -17,10 +17,9 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Color
 
-from .. import versions
 from ..core import lamps, pacing
 from ..hand import armature
-from . import composite
+from . import composite, world_nodes
 
 # settings of views that choose lamps
 _SHADING = ("type", "use_scene_lights", "use_scene_lights_render")
@@ -133,7 +132,7 @@ def _read(
         color *= light.temperature_color
     power = light.energy
     if not eevee:
-        color *= node_color(light)[0]
+        color *= world_nodes.of_light(light)[0]
         if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
             power = 0.0  # it only guides the world's light
     size_x = getattr(light, "size", 0.0)
@@ -173,7 +172,7 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
         yield rpt_("{name}: negative power does not darken hands; hide it from them by light linking").format(name=name)
     if eevee and light.use_custom_distance and light.type != "SUN":
         yield rpt_('{name}: "Custom Distance" does not end its light on hands; lower its power').format(name=name)
-    unread = "" if eevee else node_color(light)[1]
+    unread = "" if eevee else world_nodes.of_light(light)[1]
     if unread:
         text = rpt_('{name}: "{node}" of its nodes is left out on hands; give its Emission plain values')
         yield text.format(name=name, node=unread)
@@ -200,37 +199,3 @@ def _lights_any(linked: bpy.types.Collection | None, hands: Sequence[bpy.types.O
         states[armature.name_in_files(thing)] = how.light_linking.link_state
     others = "EXCLUDE" if "INCLUDE" in states.values() else "INCLUDE"
     return any(states.get(armature.name_in_files(hand), others) == "INCLUDE" for hand in hands)
-
-
-# ---- nodes of a light ------------------------------------------------------------------------------------------------
-
-
-def node_color(light: bpy.types.Light) -> tuple[np.ndarray, str]:
-    """(3,) what a light's nodes multiply it with, where that is one color; and the node that could not be read, or
-    "": its part is 1 then."""
-    tree = versions.light_tree(light)
-    if tree is None:
-        return np.ones(3), ""
-    output = tree.get_output_node("CYCLES")
-    node = _source(output.inputs["Surface"]) if output is not None else None
-    if node is None or node.mute:
-        return np.zeros(3), ""
-    if node.type != "EMISSION":
-        return np.ones(3), node.name
-    product, unread = np.ones(3), ""
-    for name in ("Color", "Strength"):
-        socket = node.inputs[name]
-        source = _source(socket)
-        if source is None:
-            product = product * np.ravel(socket.default_value)[:3]
-        elif source.type in ("RGB", "VALUE"):
-            product = product * np.ravel(source.outputs[0].default_value)[:3]
-        else:
-            unread = source.name
-    return product, unread
-
-
-def _source(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
-    """The node whose value a socket takes; None where it has its own."""
-    links = [link for link in socket.links if not link.is_muted]
-    return links[0].from_node if links else None

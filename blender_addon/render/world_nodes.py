@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a world's nodes shine with, where that can be told without rendering them: one color, and a picture or a sky
-that is turned and multiplied. What can not be told is `Unread`: a light probe measures it.
+"""What nodes of worlds and lights shine with, where that can be told without rendering them: one color, and a picture
+or a sky that is turned and multiplied. What can not be told is `Unread`: of worlds a light probe measures it.
 
 Nodes are read as diffuse rays find them, so that a world which shows cameras something else lights as it does.
 """
@@ -75,6 +75,37 @@ def shine_of(world: bpy.types.World) -> Shine:
     if _source(output.inputs["Volume"]) is not None:
         raise Unread
     return _shader(output.inputs["Surface"])
+
+
+def of_light(light: bpy.types.Light) -> tuple[np.ndarray, str]:
+    """(3,) what a light's nodes multiply it with, where that is one color; and the name of a node that does not tell,
+    whose part is 1 then, or ""."""
+    tree = versions.light_tree(light)
+    if tree is None:
+        return np.ones(3), ""
+    output = tree.get_output_node("CYCLES")
+    link = next((link for link in output.inputs["Surface"].links if not link.is_muted), None) if output else None
+    if link is None or link.from_node.mute:
+        return BLACK, ""
+    node = link.from_node
+    # of rays to lamps Cycles tells nothing: not even those from matt skin are Diffuse Rays (run, 5.0.1, 5.2.3)
+    path = next((each for each in tree.nodes if each.type == "LIGHT_PATH"), None)
+    if node.type != "EMISSION" or path is not None:
+        return np.ones(3), (path or node).name
+    product, unread = np.ones(3), ""
+    for name, told in (("Color", _even), ("Strength", _value)):
+        try:
+            product = product * told(node.inputs[name])
+        except Unread:
+            unread = node.inputs[name].links[0].from_node.name
+    return product, unread
+
+
+def _even(socket: bpy.types.NodeSocket) -> np.ndarray:
+    shine = _color(socket)
+    if shine.source is not None:
+        raise Unread
+    return shine.even
 
 
 def _source(socket: bpy.types.NodeSocket) -> bpy.types.NodeSocket | None:

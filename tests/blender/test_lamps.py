@@ -110,6 +110,15 @@ def with_linked_values(thing: bpy.types.Object) -> None:
         tree.links.new(source.outputs[0], node.inputs[name])
 
 
+def with_sums(thing: bpy.types.Object) -> None:
+    node, tree = emission(thing), thing.data.node_tree
+    value, product = tree.nodes.new("ShaderNodeValue"), tree.nodes.new("ShaderNodeMath")
+    value.outputs[0].default_value = 1.5
+    product.operation, product.inputs[1].default_value = "MULTIPLY", 4
+    tree.links.new(value.outputs[0], product.inputs[0])
+    tree.links.new(product.outputs[0], node.inputs["Strength"])
+
+
 def without_output(thing: bpy.types.Object) -> None:
     emission(thing)
     thing.data.node_tree.links.clear()
@@ -211,6 +220,7 @@ LIGHTS: dict[str, Row] = {
     "area in a stretched parent": ("AREA", {**AREA, "turn": Quaternion()}, in_stretched_parent),
     "nodes": ("POINT", POINT, with_nodes),
     "nodes with linked values": ("POINT", POINT, with_linked_values),
+    "nodes with sums": ("POINT", POINT, with_sums),
     "nodes without output": ("POINT", POINT, without_output),
 }  # fmt: skip
 
@@ -341,6 +351,8 @@ def test_what_cannot_be_read_of_a_light_says_so(card):
         'lamp: "Noise Texture" of its nodes is left out on hands; give its Emission plain values',
     )
     np.testing.assert_allclose(found.lamps[0]["rgb"], 2 * 10 / (4 * math.pi), rtol=1e-4)
+    tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs["Is Diffuse Ray"], node.inputs["Strength"])
+    assert '"Light Path" of its nodes' in read(card).warnings[0]
     thing.data.energy = -1
     found = read(card)
     assert not found.lamps
