@@ -147,10 +147,29 @@ def test_the_shadow_of_a_faint_world_fades_in_the_kernel_as_in_training():
     assert 0.02 < shares[-1] < 0.04
 
 
-def test_another_hand_casts_its_shadow_in_the_kernel_as_in_training():
-    bones, middle_m = bones_of(AVATAR), np.array([[0.03, 0.09, 0.08], [0.0, 0.05, 0.3]])
-    half_m = np.array([[0.0, 0.04, 0.0], [0.02, 0.0, 0.02]])
-    others = Capsules(middle_m - half_m, middle_m + half_m, np.array([0.012, 0.01]), np.array([1.0, 0.6]))
+def flesh_around() -> Capsules:
+    """Sixteen capsules on all sides of the hand, which stand before some lamps and beside others."""
+    g, turn = np.random.default_rng(0), np.arange(16) * np.pi / 8
+    middle_m = np.array([0.0, 0.08, 0.0]) + 0.14 * np.stack([np.cos(turn), np.sin(turn), g.uniform(-1, 1, 16)], -1)
+    half_m = g.uniform(-0.02, 0.02, (16, 3))
+    return Capsules(middle_m - half_m, middle_m + half_m, g.uniform(0.008, 0.02, 16), g.uniform(0.3, 1.0, 16))
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        Capsules(
+            np.array([[0.03, 0.05, 0.08], [-0.02, 0.05, 0.28]]),
+            np.array([[0.03, 0.13, 0.08], [0.02, 0.05, 0.32]]),
+            np.array([0.012, 0.01]),
+            np.array([1.0, 0.6]),
+        ),
+        flesh_around(),
+    ],
+    ids=["before it", "around it"],
+)
+def test_another_hand_casts_its_shadow_in_the_kernel_as_in_training(others):
+    bones = bones_of(AVATAR)
     wanted = exactly(AVATAR, bones, LIGHTS["all"], others).numpy()
     alone = natively(AVATAR, bones, LIGHTS["all"])
     found = natively(AVATAR, bones, LIGHTS["all"], others=others)

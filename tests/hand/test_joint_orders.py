@@ -132,6 +132,15 @@ def test_a_thumb_that_starts_beyond_the_knuckles_is_no_thumb():
     assert implausibilities(joints) == ["the thumb's first bone is longer than a metacarpal of another finger"]
 
 
+@pytest.mark.parametrize(("finger", "name"), [(1, "index"), (2, "middle"), (3, "ring"), (4, "pinky")])
+def test_a_second_phalanx_longer_than_the_first_is_told_of_its_own_finger(finger, name):
+    joints = hands.canonical_np()
+    joint = 11 + finger  # where the second phalanx ends, level order
+    first, second = joints[joint - 5] - joints[joint - 10], joints[joint] - joints[joint - 5]
+    joints[[joint, joint + 5]] += (1.5 * np.linalg.norm(first) / np.linalg.norm(second) - 1) * second
+    assert implausibilities(joints) == [f"the second phalanx of the {name} finger is longer than its first"]
+
+
 def test_the_order_does_not_depend_on_pose_place_or_unit():
     fist = hands.hand(torch.full((1, 5, 3), 1.4, dtype=torch.float64), torch.zeros(1, 5, dtype=torch.float64))
     check_order(fist.numpy() * 1000 + 5)

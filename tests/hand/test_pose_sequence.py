@@ -169,6 +169,12 @@ def test_a_bone_that_never_has_a_length_is_named():
         PoseSequence(joints, 30.0, RIGHT).with_constant_bone_lengths()
 
 
+def test_a_bone_that_no_frame_shows_is_named():
+    broken, _ = _with_gaps(j8=list(range(40)))
+    with pytest.raises(InputError, match="none with middle2"):
+        broken.with_constant_bone_lengths()
+
+
 def test_constant_lengths_leave_gaps_as_gaps():
     broken, _ = _with_gaps(j8=[4])
     steady = broken.with_constant_bone_lengths()
