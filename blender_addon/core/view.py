@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .stand_in import points_m
 from .wire import protocol
 
 # a hand is looked at from near: where new cameras, and the part of a view that can show hands, begin, meters
@@ -124,11 +126,13 @@ class Moment:
 @dataclass(frozen=True)
 class SceneLight:
     """The light that a scene throws on its hands. lamps: records, see the engine's `Lamp`, in the axes of
-    LIGHT_FROM_WORLD; world: {key, env_from_world}, None for a black one; picture: (rows, columns, 3) float32 of it."""
+    LIGHT_FROM_WORLD; world: {key, env_from_world}, None for a black one; picture: (rows, columns, 3) float32 of it;
+    left: (hands, lamps, POINTS) uint8 what things leave of the lamps at `stand_in.points_on` hands, None for all."""
 
     lamps: Sequence[Mapping[str, Any]] = ()
     world: Mapping[str, Any] | None = None
     picture: np.ndarray | None = None
+    left: np.ndarray | None = None
 
     @property
     def record(self) -> dict[str, Any]:
@@ -137,8 +141,8 @@ class SceneLight:
 
     @cached_property
     def key(self) -> str:
-        """Of the record."""
-        return repr(self.record)
+        """Of the record, and of what is left of it."""
+        return repr(self.record) + ("" if self.left is None else hashlib.blake2b(self.left.tobytes()).hexdigest())
 
 
 def picture_request(
@@ -197,6 +201,8 @@ def moments_request(
         header["light"] = light.record
         if light.picture is not None:
             arrays["world"] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
+        if light.left is not None:
+            arrays["left"], arrays["left_at"] = map(protocol.Array.of, (light.left, points_m()))
     return header, arrays
 
 

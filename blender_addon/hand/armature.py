@@ -39,6 +39,8 @@ HANDEDNESS_PROPERTY = "jghand_handedness"
 # custom properties of a foreign armature, one bone map per hand, and of an empty that stands for 21 objects (`sources`)
 MAP_PROPERTIES = {side: f"jghand_bone_map_{side}" for side in HANDEDNESSES}
 OBJECT_PROPERTIES = {name: f"jghand_joint_{name}" for name in NAMES}
+# and of the mesh that throws a hand's shadow (`stand_ins`): which hand's
+STAND_IN = "jghand_stand_in"
 
 
 def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str) -> bpy.types.Object:

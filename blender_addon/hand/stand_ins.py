@@ -32,7 +32,7 @@ from . import armature, sources
 
 # custom properties: of a stand-in, which hand of its parent's it is; of its mesh, what that was made from; of a scene
 # that is rendered without stand-ins
-MARK, MADE_FROM, WITHOUT = "jghand_stand_in", "jghand_made_from", "jghand_without_stand_ins"
+MARK, MADE_FROM, WITHOUT = armature.STAND_IN, "jghand_made_from", "jghand_without_stand_ins"
 MATERIAL = "JGHand Stand-In"
 # skin as the scene's light sees it: the mean albedo that a hand of unknown light is given, linear Rec.709
 SKIN_RGBA = (0.50, 0.33, 0.25, 1.0)

@@ -19,6 +19,7 @@ from .. import versions
 from ..errors import JGHandFailure
 from ..hand import armature, instances
 from . import ENGINE
+from .scene_shadows import SOLID
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
 # and locked Blender's interface before, and the nodes of its own that were switched off then; of the view layer that is
@@ -61,7 +62,11 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
     if ours is None or layer is None:
         return []
     wanted, there = _things(scene, layer), set(ours.collection.objects)
-    found = [rpt_("{name} is missing").format(name=thing.name) for thing in wanted if thing not in there]
+    missing = [thing for thing in wanted if thing not in there]
+    found = [rpt_("{name} is missing").format(name=thing.name) for thing in missing if not _may_shade(thing)]
+    shading = sum(map(_may_shade, missing))
+    if shading:
+        found.append(rpt_("{count} things that may shade hands are missing").format(count=shading))
     found += [rpt_("{name} is too much").format(name=thing.name) for thing in there if thing not in wanted]
     for owner, of, names in _shared(scene, ours):
         for name in names:
@@ -199,16 +204,26 @@ def _shared(scene: bpy.types.Scene, ours: bpy.types.Scene) -> Iterator[tuple[Any
 
 
 def _things(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    """The objects of the scene of the hands: hands, what moves them, cameras, and the lamps that light them."""
+    """The objects of the scene of the hands: hands, what moves them, cameras, the lamps that light them, and what may
+    stand in that light."""
     cameras = [marker.camera for marker in scene.timeline_markers]
     parts = [part for hand in instances.sources_at_any_frame(layer) for part in armature.parts_of(hand)]
     known: instances.Known = {}
-    lamps = armature.rendered_at_any_frame(layer, lambda thing: instances.shows(thing, _is_lamp, known))
-    return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras, *lamps)) if thing is not None]
+    of_light = _is_of_light if scene.jghand.light == "SCENE" else _is_lamp
+    lights = armature.rendered_at_any_frame(layer, lambda thing: instances.shows(thing, of_light, known))
+    return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras, *lights)) if thing is not None]
 
 
 def _is_lamp(thing: bpy.types.Object) -> bool:
     return thing.type == "LIGHT"
+
+
+def _is_of_light(thing: bpy.types.Object) -> bool:
+    return _is_lamp(thing) or _may_shade(thing)
+
+
+def _may_shade(thing: bpy.types.Object) -> bool:
+    return thing.type in SOLID and thing.visible_shadow and armature.STAND_IN not in thing
 
 
 def _copy_curve(source: bpy.types.CurveMapping, target: bpy.types.CurveMapping) -> None:

@@ -110,6 +110,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         frame = samples.Frame(lambda: self.camera_override or depsgraph.scene_eval.camera, size, part)
         seen = samples.read_moments(depsgraph, frame, self.frame_set)
         light = scene_light.of_render(depsgraph, instances.evaluated_sources(depsgraph))
+        light = scene_light.shaded(light, seen[(len(seen) - 1) // 2].hands, depsgraph)
         evaluated, scene = time.perf_counter(), depsgraph.scene_eval
         wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer_eval)}
         reply = self._ask(seen, list(wanted.values()), scene, light)

@@ -11,18 +11,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import bpy
+import numpy as np
 
-from ..core.view import SceneLight
+from ..core.stand_in import POINTS, points_on, surface_at
+from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
 from ..hand import instances
-from . import lamps, studio, worlds
+from . import lamps, scene_shadows, studio, worlds
 from .lamps import SceneLamps
 from .worlds import Reading
 
 # the last light of each set of lamps and world: one that does not change is not put together anew at each draw
 _made: dict[tuple[str, str], SceneLight] = {}
+# and the last lights with what things take of them, of some views
+_shaded: dict[tuple[object, ...], SceneLight | None] = {}
+_SHADED_MAX = 8
 # sentences about what of the light of the last render, or view, is not honored
 _warnings: tuple[str, ...] = ()
 # seconds for which a world rests before it is measured: nothing while somebody turns a knob of it
@@ -56,6 +62,38 @@ def of_render(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object])
     if not is_chosen(depsgraph.scene):
         return None
     return _together(lamps.lamps_of(depsgraph, hands), _world(depsgraph, hands))
+
+
+def shaded(light: SceneLight | None, hands: Sequence[HandInSpace], depsgraph: bpy.types.Depsgraph) -> SceneLight | None:
+    """A light, less what the things of the scene take of its lamps on these hands."""
+    if light is None or not light.lamps or not hands:
+        return light
+    left = np.stack([_left(hand, light, depsgraph) for hand in hands])
+    return replace(light, left=left) if left.min() < 255 else light
+
+
+def _left(hand: HandInSpace, light: SceneLight, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+    """(lamps, POINTS) uint8 what things leave on the skin of a hand; all of it on one whose joints have no palm."""
+    try:
+        surface = surface_at(hand.joints_world_m @ LIGHT_FROM_WORLD[:3, :3].T, hand.handedness)
+    except JGHandFailure:  # the engine says so, and draws it nevertheless
+        return np.full((len(light.lamps), POINTS), 255, np.uint8)
+    return scene_shadows.left_of_lamps(*points_on(surface), light.lamps, depsgraph)
+
+
+def shaded_in_view(
+    light: SceneLight | None, hands: Sequence[HandInSpace], depsgraph: bpy.types.Depsgraph
+) -> SceneLight | None:
+    """The same in a 3D view, kept between two draws."""
+    if light is None:
+        return None
+    key: tuple[object, ...] = (light.key, scene_shadows.edits(), depsgraph.scene.session_uid, depsgraph.view_layer.name)
+    key += tuple((hand.handedness, hand.joints_world_m.tobytes()) for hand in hands)
+    if key not in _shaded:
+        if len(_shaded) >= _SHADED_MAX:
+            _shaded.clear()
+        _shaded[key] = shaded(light, hands, depsgraph)
+    return _shaded[key]
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
@@ -97,6 +135,7 @@ def forget() -> None:
     """Another file, or everything in it may be another."""
     lamps.forget()
     worlds.forget()
+    scene_shadows.forget()
     _made.clear()
     _unmeasured.clear()
 

@@ -21,7 +21,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from ..core.view import LIGHT_FROM_WORLD
-from ..hand import stand_ins
+from ..hand import armature
 
 # a lamp whose half angle has a larger sine, as the hand sees it, throws soft shadows: so many rays to its strata
 _SOFT_SINE, _SIDE = 0.01, 2
@@ -36,11 +36,13 @@ _FACING_MIN = -0.3
 # trees of things, and what was found for lamps, that are kept
 _TREES, _FOUND = 64, 256
 # what has triangles
-_SOLID = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+SOLID = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
 _Kept = TypeVar("_Kept")
 _trees: OrderedDict[Hashable, BVHTree] = OrderedDict()
 _found: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+# how often something was edited that may throw a shadow
+_edits = 0
 
 
 @dataclass(frozen=True)
@@ -90,10 +92,35 @@ def left_of_lamps(
     return left
 
 
+def edits() -> int:
+    """As long as this stays, so does what may throw a shadow."""
+    return _edits
+
+
+def notice(depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed in Blender, or another frame is evaluated."""
+    if any(_may_shade(update.id) for update in depsgraph.updates):
+        expect()
+
+
+def expect() -> None:
+    """Everything may be another."""
+    global _edits
+    _edits += 1
+
+
+def _may_shade(thing: bpy.types.ID) -> bool:
+    if not isinstance(thing, bpy.types.Object):
+        kinds = bpy.types.Mesh | bpy.types.Curve | bpy.types.MetaBall | bpy.types.GeometryNodeTree
+        return isinstance(thing, kinds | bpy.types.Scene | bpy.types.Collection)
+    return (thing.type in SOLID and armature.STAND_IN not in thing) or thing.is_instancer
+
+
 def forget() -> None:
     """Gives the memory of trees and shadows back."""
     _trees.clear()
     _found.clear()
+    expect()
 
 
 def _kept(memory: OrderedDict[Hashable, _Kept], most: int, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
@@ -116,7 +143,7 @@ def _solids(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, 
     light_from_world[:3] *= depsgraph.scene_eval.unit_settings.scale_length
     for each in depsgraph.object_instances:
         thing = each.object
-        if thing.type not in _SOLID or not thing.visible_shadow or not each.show_self or stand_ins.MARK in thing:
+        if thing.type not in SOLID or not thing.visible_shadow or not each.show_self or armature.STAND_IN in thing:
             continue
         matrix = light_from_world @ np.array(each.matrix_world)
         corners = np.array(thing.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]

@@ -19,7 +19,7 @@ from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands, stand_ins
-from ..render import lamps, probe, rendering, scene_light, worlds
+from ..render import lamps, probe, rendering, scene_light, scene_shadows, worlds
 from ..renderer import runtime
 from . import drawing, views
 
@@ -171,6 +171,7 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
     if rendering.now() or not _on_main_thread() or depsgraph is None or depsgraph.mode != "VIEWPORT":
         return
     lamps.notice(depsgraph)
+    scene_shadows.notice(depsgraph)
     worlds.notice(depsgraph)
     views.begin_step()
     resting = [view for view in views.all_views() if pacing.camera_rests(view.pace)]
@@ -198,6 +199,7 @@ def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = N
         seen_hands.notice(depsgraph)
         stand_ins.notice(depsgraph)
         lamps.notice(depsgraph)
+        scene_shadows.notice(depsgraph)
         worlds.notice(depsgraph)
 
 
@@ -208,6 +210,7 @@ def on_undo(*_: Any) -> None:
         seen_hands.forget()
         stand_ins.expect()
         lamps.forget()
+        scene_shadows.expect()
 
 
 @persistent
@@ -231,6 +234,7 @@ def on_render_end(*_: Any) -> None:
     rendering.end()
     seen_hands.forget()
     lamps.forget()
+    scene_shadows.expect()
 
 
 # the one table of handlers: list of bpy.app.handlers, function

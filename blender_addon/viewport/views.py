@@ -208,7 +208,8 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     if view.part is None:
         _rest(view)
         return
-    view.light = scene_light.in_view(depsgraph, context.space_data, things)
+    light = scene_light.in_view(depsgraph, context.space_data, things)
+    view.light = scene_light.shaded_in_view(light, view.hands, depsgraph)
     moment = moment_of(context.scene)
     _turn.draws(view.slot)
     look(view, moment, drawing=True)
@@ -321,9 +322,10 @@ def read_again(
     space: bpy.types.SpaceView3D | None = None,
 ) -> None:
     """Reads the hands of a view that is not drawn yet, from where it looked last; and, of its `space`, their light."""
-    if space is not None:
-        view.light = scene_light.in_view(depsgraph, space, things)
     view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=view.kind == SOLID)
+    if space is not None:
+        light = scene_light.in_view(depsgraph, space, things)
+        view.light = scene_light.shaded_in_view(light, view.hands, depsgraph)
     view.part = part_with(view.camera.whole, view.hands) if view.camera is not None else None
 
 

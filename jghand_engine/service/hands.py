@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -16,11 +17,12 @@ from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
-from jghand_engine.avatar.scene_light import SceneLight, World
+from jghand_engine.avatar.scene_light import SceneLight, Shades, World
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
+from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.json_files import JsonObject
 from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
@@ -30,7 +32,15 @@ from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, never
-from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedLight
+from jghand_engine.service.image_request import (
+    Exposure,
+    ImageRequest,
+    ImageSettings,
+    RequestedHand,
+    RequestedLight,
+)
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import posed_vertices
 
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
@@ -86,6 +96,9 @@ class HandImages:
         self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
+        # the last light that a scene took a part of: the whole of it, on which hands, what was left, and both together
+        self._shaded_last: tuple[SceneLight, tuple[RequestedHand, ...], np.ndarray, SceneLight] | None = None
+        self._points: dict[tuple[_Version, bytes], np.ndarray] = {}
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
@@ -105,7 +118,7 @@ class HandImages:
         is the one of the renderer, in which trained hands have their light."""
         moments = [_moment(exposure, request) for exposure in request.exposures]
         weights = [exposure.weight for exposure in request.exposures]
-        light = None if request.light is None else self._light(request.light)
+        light = None if request.light is None else self._shaded(self._light(request.light), request)
         renderer = self._renderer(request, light)
 
         def check() -> None:
@@ -152,6 +165,38 @@ class HandImages:
             self._lights[words] = light_of(lamps_of(record), world)
         self._lights.move_to_end(words)
         return self._lights[words]
+
+    def _shaded(self, light: SceneLight, request: ImageRequest) -> SceneLight:
+        """The light, less what the scene's things take of it; the very same one for the same of both."""
+        wanted = request.light
+        if wanted is None or wanted.left is None or wanted.left_at is None:
+            return light
+        last = self._shaded_last
+        if last is None or last[0] is not light or last[1] != request.hands or not np.array_equal(last[2], wanted.left):
+            at_anchors = [
+                part[:, self._nearest(hand, wanted.left_at)] / np.float32(255)
+                for hand, part in zip(request.hands, wanted.left, strict=True)
+            ]
+            shaded = replace(light, shades=Shades(tuple(at_anchors)))
+            last = self._shaded_last = light, request.hands, wanted.left, shaded
+        return last[3]
+
+    def _nearest(self, hand: RequestedHand, points_m: np.ndarray) -> np.ndarray:
+        """(anchors,) which of the points (P, 3) on the template are nearest to an avatar's anchors, at rest."""
+        key = _Version.now(hand.avatar), hashlib.blake2b(points_m.tobytes()).digest()
+        if key not in self._points:
+            if len(self._points) >= RENDERERS_MAX:
+                self._points.clear()
+            avatar = self._avatar(key[0], hand.handedness)
+            cast = None if avatar.learned is None else avatar.learned.cast
+            anchors_m = np.zeros((0, 3)) if cast is None else cast.anchors.position_m
+            # where they are on the avatar's own hand: each goes with the vertex that is nearest
+            template = load_template()
+            skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
+            moved_m = posed_vertices(template, skeleton, avatar.canonical_joints_m) - template.vertices_m
+            points_m = points_m + moved_m[_nearest(template.vertices_m, points_m)]
+            self._points[key] = _nearest(points_m, anchors_m)
+        return self._points[key]
 
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
         wanted = replace(request.settings, **{name: getattr(ImageSettings, name) for name in _LIVE})
@@ -203,6 +248,11 @@ class HandImages:
         idle = [version for version in self._avatars if version not in shown]
         for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]
+
+
+def _nearest(points: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """(N,) which of the points (P, 3) is nearest to each of (N, 3)."""
+    return np.array([np.square(points - place).sum(-1).argmin() for place in to], np.intp)
 
 
 def _wrong(name: str, wanted: str, came: object) -> InputError:

@@ -147,10 +147,15 @@ class RequestedLight:
     record:   lamps, how the world lies, and a key of its picture, see `avatar.light_records`: what is the same in all
               of them is the same light
     radiance: (rows, columns, 3) float32, the world's picture; None for a black world
+    left:     (hands, lamps, P) uint8, what the scene's things leave of each lamp at points of each hand, 255 all; None
+              where nothing stands in the light
+    left_at:  (P, 3) these points on the right hand of the built-in template at rest, meters
     """
 
     record: dict[str, Any]
     radiance: np.ndarray | None
+    left: np.ndarray | None = None
+    left_at: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -202,7 +207,7 @@ def read_request(message: Message) -> tuple[ImageRequest, list[str]]:
         orthographic,
         depth="depth" in outputs or "depth_covered" in outputs,
         ids="ids" in outputs,
-        light=_light(message),
+        light=_light(message, len(hands)),
     )
     if orthographic and any(exposure.aperture_m > 0 for exposure in request.exposures):
         raise InputError("lenses", wanted="an aperture of 0 for an orthographic camera", came="an open lens")
@@ -311,23 +316,36 @@ def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
     return values
 
 
-def _light(message: Message) -> RequestedLight | None:
-    """The object `light`: a list of lamps, and a world with the key of its picture, which is the array `world`."""
+def _light(message: Message, hands: int) -> RequestedLight | None:
+    """The object `light`: a list of lamps, and a world with the key of its picture, which is the array `world`; the
+    arrays `left` and `left_at` where things of the scene stand in the light."""
     record = message.header.get("light")
     if record is None:
         return None
     world = record.get("world") if isinstance(record, dict) else record
     if world is not None and not isinstance(world, dict):
         raise InputError("light", wanted="an object with lamps and world", came=repr(record)[:80])
+    left, left_at = _left(message, record, hands)
     if world is None:
-        return RequestedLight(record, None)
+        return RequestedLight(record, None, left, left_at)
     text_of(world, "key")
     came = message.arrays.get("world")
     shape = (0,) if came is None else came.shape
     if len(shape) != 3 or shape[0] > WORLD_ROWS_MAX or shape[1] > WORLD_COLUMNS_MAX:
         wanted = f"rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
         raise InputError("array world", wanted=wanted, came="nothing" if came is None else str(shape))
-    return RequestedLight(record, _numbers(message, "world", (*shape[:2], 3)).astype(np.float32))
+    return RequestedLight(record, _numbers(message, "world", (*shape[:2], 3)).astype(np.float32), left, left_at)
+
+
+def _left(message: Message, record: dict[str, Any], hands: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    array, lamps = message.arrays.get("left"), record.get("lamps")
+    if array is None:
+        return None, None
+    rows = len(lamps) if isinstance(lamps, list) else 0
+    if array.dtype != "|u1" or len(array.shape) != 3 or array.shape[:2] != (hands, rows):
+        wanted = f"bytes of shape ({hands}, {rows}, points)"
+        raise InputError("array left", wanted=wanted, came=f"{array.dtype} {array.shape}")
+    return np.array(array.view()), _numbers(message, "left_at", (array.shape[2], 3))
 
 
 def _whole(header: dict[str, Any], name: str, largest: int) -> int:

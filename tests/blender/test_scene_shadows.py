@@ -8,8 +8,9 @@ import pytest
 from mathutils import Matrix
 
 from blender_addon.core import posing, stand_in
-from blender_addon.core.view import LIGHT_FROM_WORLD
-from blender_addon.render import lamps, scene_shadows
+from blender_addon.core.view import LIGHT_FROM_WORLD, Pinhole, picture_request
+from blender_addon.hand import sources
+from blender_addon.render import composite, lamps, scene_light, scene_shadows
 
 SUN = {"kind": "sun", "rgb": [1, 1, 1], "place_m": [0, 1, 0]}
 POINT = {"kind": "point", "rgb": [1, 1, 1], "place_m": [0, 1, 0]}
@@ -149,3 +150,76 @@ def test_blenders_lamps_are_read_into_what_it_takes(context):
     seen = left(points, normals, *found.lamps)[0]
     assert seen[len(seen) // 2] == 0
     assert seen[0] == seen[-1] == 1
+
+
+def lit_hand(context: bpy.types.Context) -> bpy.types.Object:
+    """In the light of a scene with a sun above, level, with its palm up."""
+    bpy.ops.jghand.add_hand()
+    hand = context.object
+    hand.rotation_euler.zero()
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    context.scene.collection.objects.link(sun)
+    context.scene.jghand.light = "SCENE"
+    return hand
+
+
+def shaded(context: bpy.types.Context, hand: bpy.types.Object) -> tuple:
+    """The light on a hand and its joints."""
+    depsgraph = context.evaluated_depsgraph_get()
+    seen = sources.read_hands(hand, depsgraph)
+    return scene_light.shaded_in_view(scene_light.of_render(depsgraph, [hand]), seen, depsgraph), seen
+
+
+def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
+    """Behind it all is dark that faces the sun; where nothing is, nothing is said."""
+    hand = lit_hand(extension)
+    light, _ = shaded(extension, hand)
+    assert light.left is None
+    plane = card(0.2, up=0.2)  # above the half of the hand that is nearer than 0.1 m
+    scene_shadows.expect()
+    light, seen = shaded(extension, hand)
+    points, normals = stand_in.points_on(stand_in.surface_at(seen[0].joints_world_m, "right"))
+    towards, left_of_it = normals[:, 2] > 0.3, light.left[0, 0]
+    assert light.left.shape == (1, 1, stand_in.POINTS)
+    assert left_of_it[towards & (points[:, 1] < 0.095)].max() == 0
+    assert left_of_it[points[:, 1] > 0.105].min() == 255
+    header, arrays = picture_request(Pinhole(16, 16, 20, 20, 8, 8, np.eye(4)), seen, outputs=["rgba_f32"], light=light)
+    assert arrays["left"].shape == light.left.shape
+    assert arrays["left_at"].shape == (stand_in.POINTS, 3)
+    before = light.key
+    plane.location.z = -0.2
+    scene_shadows.expect()
+    light, _ = shaded(extension, hand)
+    assert light.left is None
+    assert light.key != before
+    assert header["light"] == light.record
+
+
+def test_points_on_a_hand_are_even_and_those_of_the_template(extension):
+    surface = stand_in.surface_at(posing.rest_joints_m("right"), "right")
+    points, normals = stand_in.points_on(surface)
+    np.testing.assert_allclose(points, stand_in.points_m(), atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-9)
+    apart = np.sort(np.linalg.norm(points[::10, None] - points[None], axis=-1), axis=-1)
+    assert 0.0015 < np.median(apart[:, 1]) < 0.004
+    assert apart[:, 6].max() < 0.012
+
+
+def test_what_may_shade_hands_is_in_the_scene_that_draws_them(extension):
+    lit_hand(extension)
+    wall = card(0.5, up=1.0)
+    scene = extension.scene
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(eye)
+    scene.camera, scene.render.engine = eye, "CYCLES"
+    bpy.ops.jghand.combine_with_scene()
+    there = composite.hands_scene_of(scene).collection.objects
+    assert wall.name in there
+    assert not [thing for thing in there if "jghand_stand_in" in thing]
+    assert composite.out_of_date(scene) == []
+    for _ in range(2):
+        card(0.5, up=2.0)
+    assert composite.out_of_date(scene) == ["2 things that may shade hands are missing"]
+    scene.jghand.light = "CAPTURE"
+    bpy.ops.jghand.combine_with_scene()
+    assert wall.name not in there

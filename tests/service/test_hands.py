@@ -451,6 +451,19 @@ def test_the_same_light_again_draws_nothing(source, tmp_path):
     assert {"skin", "gloss", "raster"}.isdisjoint(stage["name"] for stage in stages if stage["ran"])
 
 
+def test_what_a_scene_takes_of_a_lamp_is_dark_on_the_hand_and_known_again(source, tmp_path):
+    hand, lamps = trained_hand(tmp_path), lit(SUN, SUN | {"rgb": [1, 1, 1]})
+    bare = source.render(asked([hand, hand], light=lit(SUN)))
+    left, left_at = np.full((2, 2, 9), 255, np.uint8), np.random.default_rng(0).uniform(-0.1, 0.1, (9, 3))
+    left[:, 1] = 0
+    shaded = source.render(asked([hand, hand], light=replace(lamps, left=left, left_at=left_at)))
+    assert np.allclose(shaded.rgba, bare.rgba, rtol=1e-4, atol=1e-6)
+    stages = source.render(asked([hand, hand], light=replace(lamps, left=left.copy(), left_at=left_at))).report[
+        "stages"
+    ]
+    assert {"skin", "gloss", "raster"}.isdisjoint(stage["name"] for stage in stages if stage["ran"])
+
+
 @pytest.mark.parametrize(
     ("lamp", "name"),
     [
