@@ -339,10 +339,10 @@ def test_a_sky_has_its_sun_as_a_lamp_and_turns_with_its_strength():
 
 
 def test_until_a_world_is_measured_anew_it_lights_as_it_did():
-    of_a_sky()
+    of_a_turned_sky_without_a_sun()
     update()
     before = reading().light
-    nodes().nodes["Sky Texture"].sun_elevation = 0.7
+    nodes().nodes["Sky Texture"].turbidity = 7.0
     found = reading()
     assert found.stale
     assert found.light.key == before.key
@@ -352,7 +352,7 @@ def test_until_a_world_is_measured_anew_it_lights_as_it_did():
 
 def test_what_another_way_measured_lights_nothing_meanwhile():
     """A sky is measured without the strength of its world, which may be a twentieth."""
-    of_a_sky()
+    of_a_turned_sky_without_a_sun()
     background().inputs["Strength"].default_value = 0.05
     update()
     sky = reading().light
@@ -365,8 +365,8 @@ def test_what_another_way_measured_lights_nothing_meanwhile():
 
 
 def test_measuring_leaves_the_file_as_it_was(context):
-    of_a_gradient()
-    kinds = ("scenes", "worlds", "objects", "meshes", "materials", "node_groups")
+    of_a_turned_sky_without_a_sun()
+    kinds = ("scenes", "worlds", "objects", "collections", "meshes", "materials", "node_groups")
     chosen = bpy.data.objects.new("chosen", None)
     context.scene.collection.objects.link(chosen)
     context.view_layer.objects.active = chosen
