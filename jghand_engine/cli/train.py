@@ -92,6 +92,7 @@ class Train:
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, hand_template, material, train_options
         from jghand_engine.cli.machine import JsonTraining, json_lines
+        from jghand_engine.learn.options import in_known_light
         from jghand_engine.learn.progress import display
         from jghand_engine.learn.run import check_places, train
         from jghand_engine.learn.step import HandTraining
@@ -109,6 +110,9 @@ class Train:
         capture = self.pictures.open(self.folder, template)
         split = split_capture(capture)
         split = split.all_learned() if self.all_pictures else split
+        if split.train and split.train[0].light is not None:
+            options = in_known_light(options)
+            say("The light of every picture is known: the hand learns how it answers light.")
         stamp = stamp_of(options, split.train)
         if self.template is not None:
             stamp["template"] = template.identifier

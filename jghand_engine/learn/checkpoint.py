@@ -73,7 +73,8 @@ def check_stamp(found: Stamp, wanted: Stamp, thing: str) -> None:
     """InputError that names the first option in which the checkpoint `thing` differs from this run."""
     before, now = dict(_flat(found)), dict(_flat(wanted))
     for name in [*now, *(name for name in before if name not in now)]:
-        if before.get(name) != now.get(name):
+        # an option that an older JGHand did not know was off
+        if (before.get(name) or False) != (now.get(name) or False):
             raise InputError(
                 f"{thing}: {name}", wanted=f"{before.get(name)!r}, as this training began", came=repr(now.get(name)),
                 remedy="Resume with the options it began with, or restart with --fresh.",

@@ -25,12 +25,14 @@ from jghand_engine.avatar.avatar import (
 )
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, ShadowLook, own_flesh
+from jghand_engine.avatar.relighting import AMBIENT, BOUNCE, REFLECTANCE, SHADE_GAIN, SOFTNESS
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.canonical_points import CanonicalPoints
 from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
 from jghand_engine.learn.light import LightTensors, unit
 from jghand_engine.learn.planes import IdentityPlanes
 from jghand_engine.learn.pose_net import PoseNet
+from jghand_engine.learn.scene_light import CORNER_MAX, CORNER_MIN, ResponseTensors
 from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors, LearnedTensors, mapped
 from jghand_engine.native import contract
 
@@ -55,6 +57,12 @@ ANCHORS = 2048
 LAMP_RATE = 10.0
 # light that reaches skin which sees no lamp, from other skin, over that of all lamps together, at the start
 BOUNCED_START = 0.03
+
+# of a response: logarithms of how far the spread and the reflectance of a Gaussian leave those of the hand; the GGX
+# roughness of skin; no skin mirrors more at right angles
+SOFTNESS_SPREAD, REFLECTANCE_SPREAD = 0.7, 1.5
+ROUGHNESS_LEAST, ROUGHNESS_SPAN = 0.25, 0.4
+REFLECTANCE_MAX = 0.1
 
 # towards the corners of a cube: where the lobes of the gloss begin
 _LOBES = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
@@ -89,6 +97,7 @@ class ModelOptions:
     lit:              whether the light of the capture is learned apart from the colors
     glossy:           whether reflections are learned
     cast_shadow:      whether the lamps are learned that the fingers hide from the palm
+    known_light:      whether it is learned how skin answers light that is known, instead of one light with the skin
     """
 
     gaussians: int = 40_000
@@ -109,6 +118,7 @@ class ModelOptions:
     lit: bool = True
     glossy: bool = True
     cast_shadow: bool = True
+    known_light: bool = False
 
 
 class LearnedHand(nn.Module):
@@ -127,8 +137,8 @@ class LearnedHand(nn.Module):
     def _make_parameters(self) -> None:
         options, points = self.options, self.points
         self.planes = IdentityPlanes(points.uvd, texels=options.plane_texels, depth_texels=options.depth_texels)
-        # offset 3, color 3, opacity 1, normal 3, shine 1
-        widths = (11,) if options.one_decoder else (3, 3, 1)
+        # offset 3, color 3, opacity 1, normal 3, shine or reflectance 1, spread 1, roughness 1
+        widths = (13 if options.known_light else 11,) if options.one_decoder else (3, 3, 1)
         self.decoders = nn.ModuleList(_decoder(self.planes.width, options.hidden, width) for width in widths)
         self.log_sigma = nn.Parameter(points.sigma_m.log())
         if options.anisotropic:
@@ -143,6 +153,11 @@ class LearnedHand(nn.Module):
         if options.cast_shadow:
             self.raw_lamps = nn.Parameter(torch.zeros(LAMPS, 3))
             self.raw_bounced = nn.Parameter(torch.logit(torch.full((3,), BOUNCED_START)))
+        if options.known_light:
+            self.log_softness = nn.Parameter(torch.tensor(SOFTNESS).log())
+            self.raw_bounce = nn.Parameter(torch.logit(torch.tensor(BOUNCE)))
+            self.raw_ambient = nn.Parameter(torch.logit(torch.tensor(AMBIENT)))
+            self.log_reflectance = nn.Parameter(torch.tensor(math.log(REFLECTANCE)))
         low, high = SHADOW_GAIN_RANGE
         self.raw_shadow_gain = nn.Parameter(torch.logit(torch.tensor(math.log(contract.SHADOW_GAIN / low, high / low))))
         self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(contract.SHADOW_TINT)))
@@ -157,10 +172,10 @@ class LearnedHand(nn.Module):
         self.keep_in_range()
 
     def _decoded(self, count: int) -> Tensor:
-        """(count, 11) what the identity is made of. Networks apart predict neither normal nor shine: those are 0."""
+        """(count, 13) what the identity is made of. Networks apart predict nothing behind the opacity: that is 0."""
         features = self.planes(count)
         out = torch.cat([decoder(features) for decoder in self.decoders], 1)
-        return nn.functional.pad(out, (0, 11 - out.shape[1]))
+        return nn.functional.pad(out, (0, 13 - out.shape[1]))
 
     def avatar(self, info: AvatarInfo, *, handedness: Handedness, count: int = 0) -> HandTensors:
         """The hand as it is now, with gradients. count: of its Gaussians, a prefix whose radii grow as
@@ -183,6 +198,7 @@ class LearnedHand(nn.Module):
             learned=LearnedTensors(
                 normal=unit(points.normal[:count] + NORMAL_BEND * out[:, 7:10]),
                 shine=torch.exp(SHINE_SPREAD * torch.tanh(out[:, 10])) if options.glossy else out.new_zeros(count),
+                response=self.response(out) if options.known_light else None,
                 light=self.light(),
                 correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
                 shadow=self.shadow_look(),
@@ -212,6 +228,8 @@ class LearnedHand(nn.Module):
         """What the light is made of: few numbers that every pixel speaks for."""
         few = [self.irradiance, self.lobe_direction, self.lobe_log_sharpness, self.lobe_raw_rgb, self.raw_rim]
         few += [self.raw_shadow_gain, self.raw_shadow_tint]
+        if self.options.known_light:
+            few += [self.log_softness, self.raw_bounce, self.raw_ambient, self.log_reflectance]
         return [*few, self.raw_lamps, self.raw_bounced] if self.options.cast_shadow else few
 
     def cast_shadow(self, count: int) -> CastTensors | None:
@@ -220,6 +238,18 @@ class LearnedHand(nn.Module):
             return None
         lamp_rgb = torch.softmax(LAMP_RATE * self.raw_lamps, 0)
         return CastTensors(lamp_rgb, torch.sigmoid(self.raw_bounced), self._anchors.prefix(count), self._own)
+
+    def response(self, out: Tensor) -> ResponseTensors:
+        """How the skin answers light, with gradients. out: (N, 13) of the decoder"""
+        return ResponseTensors(
+            spread=torch.exp(SOFTNESS_SPREAD * torch.tanh(out[:, 11])),
+            roughness=ROUGHNESS_LEAST + ROUGHNESS_SPAN * torch.sigmoid(out[:, 12]),
+            reflectance=torch.exp(self.log_reflectance + REFLECTANCE_SPREAD * torch.tanh(out[:, 10])),
+            softness=self.log_softness.exp(),
+            bounce=torch.sigmoid(self.raw_bounce),
+            ambient=torch.sigmoid(self.raw_ambient),
+            shade_gain=SHADE_GAIN,
+        )
 
     def light(self) -> LightTensors:
         """The light as it is now, with gradients."""
@@ -253,6 +283,9 @@ class LearnedHand(nn.Module):
         with torch.no_grad():
             self.log_sigma.clamp_(math.log(SIGMA_MIN_M), math.log(SIGMA_MAX_M))
             self.lobe_log_sharpness.clamp_(max=math.log(LOBE_SHARPNESS_MAX))
+            if self.options.known_light:
+                self.log_softness.clamp_(math.log(CORNER_MIN), math.log(CORNER_MAX))
+                self.log_reflectance.clamp_(max=math.log(REFLECTANCE_MAX))
             if self.options.anisotropic:
                 self.log_stretch.clamp_(-LOG_STRETCH_MAX, LOG_STRETCH_MAX)
 

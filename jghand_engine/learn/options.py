@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from jghand_engine.avatar.correctives import PoseNetShape
+from jghand_engine.errors import InputError
 from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.model import ModelOptions, OffsetFrame
 from jghand_engine.template.sampling import SHELL_DEPTH_MAX_M
@@ -116,6 +117,16 @@ PAPER_FAITHFUL = TrainOptions(
     shadow_samples=64,
     joint_noise_m=0.0,
 )  # fmt: skip
+
+
+def in_known_light(options: TrainOptions) -> TrainOptions:
+    """The same for pictures whose light is known: how skin answers it is learned, and no light with the skin.
+    InputError for options without the shadows that fingers cast."""
+    if not options.model.cast_shadow:
+        raise InputError("pictures in known light", wanted="the preset default", came="one without shadows of fingers",
+                         remedy="Take --preset default, or pictures of a hand in one light.")  # fmt: skip
+    return replace(options, shadow=False, model=replace(options.model, known_light=True, lit=False, glossy=False))
+
 
 PRESETS = {"default": TrainOptions(), "paper-faithful": PAPER_FAITHFUL}
 

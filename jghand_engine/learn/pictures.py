@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 import torch
 from torch.nn import functional
 
+from jghand_engine.captures.known_light import KnownLight, LitPicture, load_groups, mix, random_weights
 from jghand_engine.captures.sample import Sample, load_image
+from jghand_engine.color import SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
 from jghand_engine.errors import InputError
 from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
 from jghand_engine.native.tasks import SSIM_WINDOW_PX
@@ -24,17 +27,29 @@ PICTURE_CACHE_BYTES = 1_000_000_000
 
 
 @dataclass(frozen=True)
+class MixedLight:
+    """image: of a picture · light: all of it · weight: (G, 3) of its groups · exposure: as in MixedPicture"""
+
+    image: Path
+    light: KnownLight
+    weight: np.ndarray
+    exposure: float
+
+
+@dataclass(frozen=True)
 class View:
     """One picture to compare with.
 
     rgb:    (H, W, 3) float32 over black
     mask:   (H, W) float32
     camera: of that cut
+    lit:    what lights it where that is known; then rgb is `tone` of it, exposed
     """
 
     rgb: torch.Tensor
     mask: torch.Tensor
     camera: Camera
+    lit: MixedLight | None = None
 
 
 @dataclass(frozen=True)
@@ -44,21 +59,57 @@ class _CachedView:
     camera: Camera
 
 
-class Pictures:
-    """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES."""
+@dataclass(frozen=True)
+class _CutGroups:
+    """The lights of a picture apart, as of one that is no larger than the cut. camera: of that"""
 
-    def __init__(self) -> None:
+    groups: LitPicture
+    camera: Camera
+
+
+class Pictures:
+    """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES.
+    known_light: whether their lights are taken apart, which are known then"""
+
+    def __init__(self, *, known_light: bool = False) -> None:
+        self._known_light = known_light
         self._cache: LruCache[_CachedView] = LruCache(
             PICTURE_CACHE_BYTES, lambda view: view.rgb.nbytes + view.mask.nbytes
         )
+        self._groups: LruCache[_CutGroups] = LruCache(PICTURE_CACHE_BYTES, lambda cut: cut.groups.groups.nbytes)
 
-    def view(self, sample: Sample, stride: int = 1) -> View:
-        """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_image`, or when no
-        pixel of it shows the hand."""
+    def view(self, sample: Sample, stride: int = 1, seed: Sequence[int] | None = None) -> View:
+        """The picture of a sample; stride 2 averages 2 x 2 pixels into one. seed: of a mix of its lights, where they
+        are known; None: all of them as they are. InputError as `load_image`, or when no pixel of it shows the hand."""
+        if self._known_light and sample.light is not None:
+            return self._lit(sample, sample.light, stride, seed)
         cached = self._cache.get(sample.image, lambda: _cut(sample))
         rgb, mask = torch.from_numpy(cached.rgb).float() / 255.0, torch.from_numpy(cached.mask).float() / 255.0
         view = View(rgb, mask, cached.camera)
         return view if stride == 1 else coarser(view, stride)
+
+    def _lit(self, sample: Sample, light: KnownLight, stride: int, seed: Sequence[int] | None) -> View:
+        picture = self._groups.get(sample.image, lambda: _cut_groups(sample))
+        weight = np.ones((light.groups, 3))
+        if seed is not None:
+            weight = random_weights(light, np.random.default_rng([*seed]))
+        one = mix(picture.groups, weight)
+        view = View(torch.from_numpy(one.rgb), torch.from_numpy(one.alpha), picture.camera)
+        if stride > 1:
+            view = coarser(view, stride)
+        lit = MixedLight(sample.image, light, weight, one.exposure)
+        return replace(view, rgb=tone(view.rgb * one.exposure), lit=lit)
+
+
+def tone(linear: torch.Tensor) -> torch.Tensor:
+    """Scene-linear light as losses compare it: sRGB's curve up to 1, and its logarithm beyond with the same slope, so
+    that highlights count and do not rule."""
+    dark = SRGB_SLOPE * linear
+    # the power's gradient is not finite at 0
+    power = linear.clamp(SRGB_TOE / SRGB_SLOPE, 1) ** (1 / SRGB_EXPONENT)
+    middle = (1 + SRGB_OFFSET) * power - SRGB_OFFSET
+    bright = 1 + (1 + SRGB_OFFSET) / SRGB_EXPONENT * linear.clamp_min(1).log()
+    return torch.where(linear <= SRGB_TOE / SRGB_SLOPE, dark, torch.where(linear <= 1, middle, bright))
 
 
 def coarser(view: View, stride: int) -> View:
@@ -90,6 +141,18 @@ def _cut(sample: Sample) -> _CachedView:
     cut = slice(top, bottom), slice(left, right)
     rgb, mask = (np.round(255 * plane[cut]).astype(np.uint8) for plane in (picture.rgb, picture.mask))
     return _CachedView(rgb, mask, camera)
+
+
+def _cut_groups(sample: Sample) -> _CutGroups:
+    whole = load_groups(sample)
+    (left, top), (rows, columns) = whole.corner_px, whole.alpha.shape
+    least = max(2 * SSIM_WINDOW_PX + 2, METRIC_BOX_MIN_PX)
+    first_row, last_row = _span(top + np.arange(rows), whole.size_px[1], least)
+    first_column, last_column = _span(left + np.arange(columns), whole.size_px[0], least)
+    size_px = last_column - first_column, last_row - first_row
+    camera = sample.camera
+    camera = replace(camera, width=size_px[0], height=size_px[1], cx=camera.cx - first_column, cy=camera.cy - first_row)
+    return _CutGroups(replace(whole, corner_px=(left - first_column, top - first_row), size_px=size_px), camera)
 
 
 def _span(filled: np.ndarray, size: int, least: int) -> tuple[int, int]:

@@ -12,8 +12,8 @@ the far side. phi takes skin that faces away, which is seen through gaps between
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -56,13 +56,14 @@ class ResponseTensors:
     bounce: Tensor
     ambient: Tensor
     shade_gain: float
+    trained_on: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, response: SkinResponse, dtype: torch.dtype = torch.float64) -> ResponseTensors:
         """A copy, without gradients."""
         names = ("spread", "roughness", "reflectance", "softness", "bounce", "ambient")
         arrays = {name: torch.tensor(getattr(response, name), dtype=dtype) for name in names}
-        return cls(**arrays, shade_gain=response.shade_gain)
+        return cls(**arrays, shade_gain=response.shade_gain, trained_on=response.trained_on)
 
 
 @dataclass(frozen=True)
@@ -209,34 +210,59 @@ def past_flesh(skin: Skin, flesh: Flesh, towards: Tensor, softness: float, half_
     return visible
 
 
-def reached(
-    cast: CastTensors,
-    anchors: Skin,
-    skin: Skin,
-    flesh: Flesh,
-    light: SceneLight,
-    lamps: LampRows,
-    response: ResponseTensors,
-) -> Reached:
-    """What reaches the skin of one pose. anchors, skin: posed, root-relative"""
-    given, seen = torch.zeros_like(anchors.normal), []
+@dataclass(frozen=True)
+class Shadows:
+    """What is seen past the flesh of one pose: nothing of it is learned.
+
+    visible:    (A, CELLS) part of the world's cells at the anchors
+    at_anchors: (slots, A) part of each lamp
+    at_skin:    (slots, N) the same at the Gaussians
+    """
+
+    visible: Tensor
+    at_anchors: Tensor
+    at_skin: Tensor
+
+    def nbytes(self) -> int:
+        """Memory, bytes."""
+        return self.visible.nbytes + self.at_anchors.nbytes + self.at_skin.nbytes
+
+    def prefix(self, count: int) -> Shadows:
+        """The same for the first `count` Gaussians."""
+        return replace(self, at_skin=self.at_skin[:, :count])
+
+
+def shadows(cast: CastTensors, anchors: Skin, skin: Skin, flesh: Flesh, light: SceneLight, lamps: LampRows) -> Shadows:
+    """anchors, skin: posed, root-relative"""
+    seen = anchors.position_m.new_zeros(0, len(anchors.position_m))
     for row in lamps.casting:
         direction, _, sine = lamp_at(row, anchors.position_m)
         towards, half_width = direction[:, None], sine[:, None]
-        seen.append(past_flesh(anchors, flesh, towards, FLESH_SOFTNESS, half_width)[:, 0])
-    for row in lamps.rows:
-        direction, strength, _ = lamp_at(row, anchors.position_m)
-        part = _drawn(seen, row)
-        got = (anchors.normal * direction).sum(-1).clamp_min(0) * strength * part * float(row[NUMBER["on_matt"]])
-        given = given + got[:, None] * given.new_tensor(row[6:9])
+        seen = torch.cat([seen, past_flesh(anchors, flesh, towards, FLESH_SOFTNESS, half_width).T])
     spread = cast.anchors.spread
-    of_lamps = spread(torch.stack(seen, 1)).T if seen else given.new_zeros(0, len(cast.anchors.nearest))
+    of_lamps = spread(seen.T).T if len(seen) else seen.new_zeros(0, len(cast.anchors.nearest))
     near = replace(flesh, hides=spread(flesh.hides))
     for slot, row in enumerate(lamps.casting):
         direction, _, sine = lamp_at(row, skin.position_m)
         own = past_flesh(skin, near, direction[:, None], FLESH_SOFTNESS, sine[:, None])[:, 0]
         edge = (EDGE_GAIN * of_lamps[slot] * (1 - of_lamps[slot])).clamp_max(1)
         of_lamps = torch.cat([of_lamps[:slot], torch.lerp(of_lamps[slot], own, edge)[None], of_lamps[slot + 1 :]])
+    directions = seen.new_tensor((BLACK if light.world is None else light.world).terms.direction)
+    half_width = seen.new_full((1, 1), LAMP_HALF_WIDTH)
+    visible = past_flesh(anchors, flesh, directions[None], DISTANT_FLESH_SOFTNESS, half_width)
+    return Shadows(visible, seen, of_lamps)
+
+
+def reached(
+    cast: CastTensors, anchors: Skin, fallen: Shadows, light: SceneLight, lamps: LampRows, response: ResponseTensors
+) -> Reached:
+    """What reaches the skin of one pose. anchors: posed, root-relative"""
+    given, visible = torch.zeros_like(anchors.normal), fallen.visible
+    for row in lamps.rows:
+        direction, strength, _ = lamp_at(row, anchors.position_m)
+        part = _drawn(fallen.at_anchors, row)
+        got = (anchors.normal * direction).sum(-1).clamp_min(0) * strength * part * float(row[NUMBER["on_matt"]])
+        given = given + got[:, None] * given.new_tensor(row[6:9])
     terms = (BLACK if light.world is None else light.world).terms
     cells, directions = given.new_tensor(terms.light), given.new_tensor(terms.direction)
     turned = (-directions @ anchors.normal.T).clamp_min(0).square()
@@ -244,15 +270,14 @@ def reached(
     thrown = thrown + turned @ given / (turned.sum(1, keepdim=True) + DISTANCE2_MIN)
     thrown = thrown * response.bounce * (4 / CELLS)
     cosine = (anchors.normal @ directions.T).clamp_min(0)
-    half_width = cosine.new_full((1, 1), LAMP_HALF_WIDTH)
-    visible = past_flesh(anchors, flesh, directions[None], DISTANT_FLESH_SOFTNESS, half_width)
     ambient = (response.ambient * given.new_tensor(terms.mean_irradiance)).clamp_min(AMBIENT_MIN)
     part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
     bounced = (cosine * (1 - visible)) @ thrown
     sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
-    at_skin = spread(torch.cat([part, bounced, sky], 1))
+    at_skin = cast.anchors.spread(torch.cat([part, bounced, sky], 1))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
-    return Reached(1 - shade * (1 - at_skin[:, :3]), shade * at_skin[:, 3:6], 1 - shade * (1 - at_skin[:, 6]), of_lamps)
+    part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
+    return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
 
 
 def matt(
@@ -318,7 +343,7 @@ def towards_eye(
     return rgb * smooth((facing - AWAY_FROM) / AWAY_WIDTH)[:, None]
 
 
-def _drawn(seen: Sequence[Tensor] | Tensor, row: np.ndarray) -> Tensor | float:
+def _drawn(seen: Tensor, row: np.ndarray) -> Tensor | float:
     """(N,) part of a lamp that reaches points, by what they see of each slot: its shadow may have faded."""
     slot = int(row[NUMBER["slot"]])
     return 1 - float(row[NUMBER["shade"]]) * (1 - seen[slot]) if slot >= 0 else 1.0

@@ -112,11 +112,13 @@ class PosedSkin:
     matt:   Gaussians with the color that is the same from everywhere
     normal: (N, 3) unit, world, of a trained avatar
     shine:  (N,) of a trained avatar
+    shade:  (N, 3) that the pose adds to an albedo that a scene lights (`known_light`); matt has that albedo then
     """
 
     matt: Gaussians
     normal: torch.Tensor | None = None
     shine: torch.Tensor | None = None
+    shade: torch.Tensor | None = None
 
 
 def see_lamps(
@@ -172,10 +174,11 @@ def pose_skin(
             position_m = position_m + (
                 _of_hand(avatar.handedness, offset_m) if in_world else bones.scale * apply(maps.turning, offset_m)
             )
-        rgb, normal, shine = avatar.rgb.to(dtype), None, None
+        rgb, normal, shine, shade = avatar.rgb.to(dtype), None, None, None
         if learned is not None:
             normal = unit(apply(maps.turning, learned.normal.to(dtype)))
             shade = None if correction is None else correction.shade.to(dtype)
+        if learned is not None and normal is not None and learned.response is None:
             if learned.cast is not None:
                 fallen = exponent(learned.cast, seen or see_lamps(learned.cast, avatar.canonical_joints_m, bones))
                 shade = fallen if shade is None else shade + fallen
@@ -187,7 +190,7 @@ def pose_skin(
             rgb=rgb,
             covariance_m2=None if learned is None else _covariance(avatar.sigma_m, learned.ellipsoid, maps.linear),
         )
-        return PosedSkin(gaussians, normal, shine)
+        return PosedSkin(gaussians, normal, shine, shade)
 
 
 def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandTensors) -> Gaussians:

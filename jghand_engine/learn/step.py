@@ -21,18 +21,20 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNetwork
+from jghand_engine.avatar.learned import no_light
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
-from jghand_engine.learn.cast_shadow import LampsSeen
+from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen
 from jghand_engine.learn.frames import HandFrames
+from jghand_engine.learn.known_light import LitHand, Pose, trained_on
 from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss
 from jghand_engine.learn.model import LearnedHand
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
-from jghand_engine.learn.pictures import LruCache, Pictures, View
+from jghand_engine.learn.pictures import LruCache, Pictures, View, tone
 from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
@@ -119,7 +121,7 @@ class HandTraining:
         hand = LearnedHand(points, model, options.seed)
         # of the CPU, where bones and what they do to the skin are computed, once a pose
         with torch.no_grad():
-            self._points, self._cast = points, hand.cast_shadow(1)
+            self._points, self._cast = points, hand.cast_shadow(len(points))
         self.hand = hand.on(device)
         self._info = replace(material.info, transform=options.transform)
         self._transform = transform_called(
@@ -135,7 +137,8 @@ class HandTraining:
         steps = [-(-len(self._poses[name]) // options.schedule.views) for name in self._names]
         self._rounds = [[pose for pose, own in enumerate(steps) if own > turn] for turn in range(max(steps))]
         self._known: LruCache[_PosedBones] = LruCache(POSE_CACHE_BYTES, _PosedBones.nbytes)
-        self._pictures = Pictures()
+        self._pictures = Pictures(known_light=model.known_light)
+        self._relit = None if not model.known_light else _lit_hand(material, self._cast, points.joints_m)
         self._settings = RenderSettings()
         self._library = load_native("auto")
         self._octave = octave_of_wave(model.pose.octaves).to(device)
@@ -168,7 +171,8 @@ class HandTraining:
         self._refine(part)
         stride = int(at_part(self.options.schedule.strides, part))
         samples = self._draw(number)
-        views = [self._pictures.view(sample, stride) for sample in samples]
+        seeds = [(self.options.seed, number, index) for index in range(len(samples))]
+        views = [self._pictures.view(sample, stride, seed) for sample, seed in zip(samples, seeds, strict=True)]
         self._set_rates(number, part)
         terms = self._terms(samples[0], views, part, self._read_frames(samples[0], number))
         loss = torch.stack([term.cpu() for term in terms.values()]).sum()
@@ -231,6 +235,12 @@ class HandTraining:
         assert learned is not None
         if waves is not None and isinstance(learned.correctives, PoseNetwork):
             learned.correctives.weights["encoding_in.weight"] *= waves.cpu().numpy()
+        if learned.response is not None and learned.cast is not None:
+            cast = replace(learned.cast, lamp_rgb=np.zeros_like(learned.cast.lamp_rgb))
+            response = replace(learned.response, trained_on=trained_on(self._material.train))
+            return replace(
+                avatar, learned=replace(learned, light=no_light(), shadow=None, cast=cast, response=response)
+            )
         look = replace(self.hand.shadow_look(), printed=self.options.printed_shadow) if self.options.shadow else None
         return replace(avatar, learned=replace(learned, shadow=look))
 
@@ -280,7 +290,7 @@ class HandTraining:
         skin, offset_m = self._pose(avatar, posed, part, read)
         terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
         for view in views:
-            rgb, alpha = self._draw_view(avatar, skin, posed.shadow, view.camera)
+            rgb, alpha = self._draw_in_light(avatar, skin, posed, view)
             terms["l1"].append(weights.l1 * l1_loss(rgb, view.rgb))
             terms["mask"].append(weights.mask * mask_loss(alpha, view.mask))
             if weights.ssim:
@@ -326,6 +336,18 @@ class HandTraining:
         progress = (part - waves[0]) / (waves[1] - waves[0]) * (float(self._octave.max()) + 1)
         return 0.5 - 0.5 * torch.cos(torch.pi * (progress - self._octave).clamp(0, 1))
 
+    def _draw_in_light(
+        self, avatar: HandTensors, skin: PosedSkin, posed: _PosedBones, view: View
+    ) -> tuple[Tensor, Tensor]:
+        """As `_draw_view`; in known light as `View.rgb` has it."""
+        if self._relit is None or view.lit is None:
+            return self._draw_view(avatar, skin, posed.shadow, view.camera)
+        points = self.hand.points
+        pose = Pose(posed.bones, posed.maps, points.position_m, points.normal)
+        gaussians = self._relit.gaussians(avatar, skin, pose, view.lit, torch.from_numpy(view.camera.eye_m))
+        picture = rasterize(mapped(gaussians, Tensor.cpu), view.camera, self._settings)
+        return tone(view.lit.exposure * picture.rgb), picture.alpha
+
     def _draw_view(self, avatar: HandTensors, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
         """Color (H, W, 3) and alpha (H, W) of one view, with gradients."""
         gaussians = mapped(seen_from(skin, torch.from_numpy(camera.eye_m), avatar), Tensor.cpu)
@@ -351,7 +373,8 @@ class HandTraining:
         bones = self._transform.bones(torch.from_numpy(joints_m).float())
         maps = skin_maps(self._points.bone_weights, bones)
         with torch.no_grad():
-            seen = None if self._cast is None else see_lamps(self._cast, self._points.joints_m, bones)
+            cast = None if self._relit is not None else self._cast
+            seen = None if cast is None else see_lamps(cast, self._points.joints_m, bones)
         gate = 1.0 if self.options.printed_shadow else fade(self._gate.score(joints_m, float(bones.scale)))
         posed = _PosedBones(bones, maps, gate, seen)
         return mapped(posed, lambda tensor: tensor.to(self._device))
@@ -362,8 +385,8 @@ class HandTraining:
             view, avatar = self._pictures.view(sample), self._live()
             posed = self._posed_bones(sample)
             skin, _ = self._pose(avatar, posed, self._part)
-            rgb, _ = self._draw_view(avatar, skin, posed.shadow, view.camera)
-            return view, rgb.clamp(0, 1)
+            rgb, _ = self._draw_in_light(avatar, skin, posed, view)
+            return replace(view, rgb=view.rgb.clamp(0, 1)), rgb.clamp(0, 1)
 
     def _joints_m(self) -> Tensor:
         """(P, 21, 3) joints of all poses that are learned from."""
@@ -381,6 +404,14 @@ class HandTraining:
             state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         return state
+
+
+def _lit_hand(material: Material, cast: CastTensors | None, joints_m: Tensor) -> LitHand:
+    """InputError for pictures of unknown light, or a hand that learns no shadows of its fingers."""
+    trained_on([*material.train, *material.judged])
+    if cast is None:
+        raise InputError("hand in known light", wanted="shadows of its fingers to learn", came="none")
+    return LitHand(cast, joints_m)
 
 
 def _check_joints(material: Material) -> None:

@@ -15,11 +15,12 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
-from jghand_engine.avatar.learned import Anchors, CastShadow, Ellipsoid, Learned, Light, ShadowLook
+from jghand_engine.avatar.learned import Anchors, CastShadow, Ellipsoid, Learned, Light, ShadowLook, SkinResponse
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import AnchorTensors, CastTensors
 from jghand_engine.learn.light import LightTensors
 from jghand_engine.learn.pose_net import LinearNet, PoseNet
+from jghand_engine.learn.scene_light import ResponseTensors
 
 Record = TypeVar("Record")
 
@@ -44,6 +45,7 @@ class LearnedTensors:
     world_offsets: bool = False
     ellipsoid: EllipsoidTensors | None = None
     cast: CastTensors | None = None
+    response: ResponseTensors | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ _TENSORS_OF = {
     Ellipsoid: EllipsoidTensors,
     CastShadow: CastTensors,
     Anchors: AnchorTensors,
+    SkinResponse: ResponseTensors,
 }
 _ARRAYS_OF = {tensors: arrays for arrays, tensors in _TENSORS_OF.items()}
 

@@ -121,7 +121,9 @@ def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsule
     root = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
     lamps = torch_light.LampRows.of(light, bones.root_m, bones.linear_offset, root)
     flesh = torch_light.Flesh.of(hand.learned.cast, joints_m, wide.scale, others)
-    got = torch_light.reached(hand.learned.cast, torch_light.Skin(*anchors), skin, flesh, light, lamps, response)
+    cast, anchored = hand.learned.cast, torch_light.Skin(*anchors)
+    fallen = torch_light.shadows(cast, anchored, skin, flesh, light, lamps)
+    got = torch_light.reached(cast, anchored, fallen, light, lamps, response)
     matt = torch_light.matt(hand.rgb.double(), skin, got, light, lamps, response, correction.shade.double())
     return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - shift_m), got, light, lamps, response)
 

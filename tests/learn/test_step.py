@@ -159,9 +159,9 @@ def test_pictures_get_finer(build):
     training.plan(10)
     strides, view = [], training._pictures.view
 
-    def noted(sample, stride=1):
+    def noted(sample, stride=1, seed=None):
         strides.append(stride)
-        return view(sample, stride)
+        return view(sample, stride, seed)
 
     training._pictures.view = noted  # type: ignore[method-assign]
     for number in (0, 3, 4, 9):
