@@ -98,20 +98,28 @@ def lamp_rows(
 def irradiance_at(rows: np.ndarray, points_m: np.ndarray) -> np.ndarray:
     """(n, K, 3) W/m2 that surfaces get which face the lamps of rows (n, LAMP_NUMBERS), at points (K, 3) of their
     frame."""
-    number = {name: rows[:, place, None] for name, place in NUMBER.items()}
-    kind = number["kind"]
+    kind = rows[:, NUMBER["kind"]]
     way_m = rows[:, None, :3] - points_m
     distance2 = np.maximum(np.square(way_m).sum(-1), DISTANCE2_MIN_M2)
-    cosine = -(way_m * rows[:, None, 3:6]).sum(-1) / np.sqrt(distance2)
-    t = np.clip((cosine - number["cone"]) * number["cone_scale"], 0, 1)
-    tangent = np.sqrt(np.maximum(1 - cosine * cosine, 0)) / np.maximum(cosine, COSINE_MIN)
-    gain = number["spread_gain"]
-    beam = np.where(gain > 0, np.maximum(number["spread"] - tangent, 0) * gain, 1.0)
-    strength = 1 / (distance2 + number["softening"])
-    strength *= np.where(kind == LampKind.SPOT, t * t * (3 - 2 * t), 1.0)
-    strength *= np.where(kind == LampKind.AREA, np.maximum(cosine, 0) * beam, 1.0)
-    strength = np.where(kind == LampKind.SUN, 1.0, strength)
+    strength = 1 / (distance2 + rows[:, NUMBER["softening"], None])
+    strength[kind == LampKind.SUN] = 1
+    spots, areas = kind == LampKind.SPOT, kind == LampKind.AREA
+    if spots.any() or areas.any():
+        cosine = -(way_m * rows[:, None, 3:6]).sum(-1) / np.sqrt(distance2)
+        strength[spots] *= _in_cone(rows[spots], cosine[spots])
+        strength[areas] *= np.maximum(cosine[areas], 0) * _in_spread(rows[areas], cosine[areas])
     return strength[..., None] * rows[:, None, 6:9]
+
+
+def _in_cone(rows: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    t = np.clip((cosine - rows[:, NUMBER["cone"], None]) * rows[:, NUMBER["cone_scale"], None], 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def _in_spread(rows: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    gain = rows[:, NUMBER["spread_gain"], None]
+    tangent = np.sqrt(np.maximum(1 - cosine * cosine, 0)) / np.maximum(cosine, COSINE_MIN)
+    return np.where(gain > 0, np.maximum(rows[:, NUMBER["spread"], None] - tangent, 0) * gain, 1.0)
 
 
 def _rows(light: SceneLight, root_m: np.ndarray) -> np.ndarray:
@@ -124,6 +132,8 @@ def _rows(light: SceneLight, root_m: np.ndarray) -> np.ndarray:
 def _widened(rows: np.ndarray, middle_m: np.ndarray) -> np.ndarray:
     """Narrow areas, of which each point shines into a cone, as points at their middles: their cones hold all of their
     light and are as wide as the areas where the hand is."""
+    if not rows[:, NUMBER["spread_gain"]].any():
+        return rows
     radius_m = np.sqrt(rows[:, NUMBER["radius2"]])
     distance_m = np.maximum(((middle_m - rows[:, :3]) * rows[:, 3:6]).sum(1), np.maximum(radius_m, 1e-6))
     cone = rows[:, NUMBER["spread"]] ** 3
