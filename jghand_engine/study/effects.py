@@ -1,6 +1,7 @@
 """`jghand study effects`: what skipping effects saves and costs.
 
-Frames of a motion as the scene calls for them stand beside frames on which one effect is forced.
+Frames of a motion as the scene calls for them stand beside frames on which one effect is forced, and in the light of
+scenes beside frames on which all are.
 
 Both are drawn in turn by one process, so that a busy machine hits both alike.
 """
@@ -21,6 +22,7 @@ from jghand_engine.render.effect_plan import OF_SCENE, Choice, Decision, Effect
 from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.subject import Subject
+from jghand_engine.study.effects_in_light import LightRow, light_table, measure_lights
 
 POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")
 # effects that can be forced on every frame of a hand
@@ -73,6 +75,8 @@ class EffectsStudy:
     effects: list[EffectRow]
     # what ran on each frame
     strip: dict[Effect, list[bool]]
+    # in the light of scenes
+    lights: list[LightRow] = field(default_factory=list)
 
     @property
     def headline(self) -> str:
@@ -97,7 +101,8 @@ class EffectsStudy:
             "the effect, from the same frames with it; - where it has nothing to do on them, even when it is forced.",
             "ms: median over those frames, the whole frame with the effect minus the whole frame without it.",
         )
-        return [Table("Effects skipped", columns, tuple(rows), notes)]
+        skipped = Table("Effects skipped", columns, tuple(rows), notes)
+        return [skipped, light_table(self.lights)] if self.lights else [skipped]
 
 
 def named_motion(avatar: HandAvatar, poses: Sequence[str] = POSES) -> np.ndarray:
@@ -114,7 +119,8 @@ def measure_effects(subject: Subject, settings: RenderSettings, tick: Callable[[
     rows, strip = effects_of_motion(subject, settings, tick)
     rows += [opened(effect, subject, settings) for effect in (Effect.MOTION, Effect.FOCUS)]
     size = f"{len(subject.poses)} frames of {subject.camera.width} x {subject.camera.height}"
-    return EffectsStudy(f"{subject.avatar.info.name}, {subject.name}, {size}", rows, strip)
+    name = f"{subject.avatar.info.name}, {subject.name}, {size}"
+    return EffectsStudy(name, rows, strip, measure_lights(subject, settings))
 
 
 def effects_of_motion(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -15,6 +16,8 @@ from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.subject import Subject
 from jghand_engine.study import effects as study
+from jghand_engine.study import effects_in_light
+from jghand_engine.study.effects_in_light import light_table, measure_lights
 from jghand_engine.study.report import plain
 
 AVATAR = trained_avatar(1500)
@@ -52,8 +55,28 @@ def test_tables_and_figures_say_the_same():
     assert len(table.rows) == len(rows) == len(plain(made)["effects"])
 
 
+def test_in_the_light_of_a_scene_what_is_left_out_is_told_and_not_seen(monkeypatch):
+    monkeypatch.setattr(effects_in_light, "FRAMES", 3)
+    rows = {row.name: row for row in measure_lights(subject(), RenderSettings(threads=1))}
+    world, lamps, weak, dragged = rows.values()
+    assert "lamps: the scene has no lamps" in world.skipped
+    assert lamps.skipped == []
+    assert [told.split(":")[0] for told in weak.skipped] == ["lamps"]
+    assert "1 lamp left out" in weak.skipped[0]
+    assert dragged.skipped == ["world-shadow: pose and world are kept"]
+    assert all(len(row.errors) == len(row.ms) == len(row.all_ms) for row in rows.values())
+    # what the hand's box, drawn alone, rounds elsewhere; a weak lamp beside
+    assert max(max(row.errors) for row in rows.values()) < 1.5 / 255
+    assert len(light_table(list(rows.values())).rows) == 4
+
+
+def test_a_hand_that_no_scene_lights_is_measured_in_its_own_light_alone():
+    assert measure_lights(replace(subject(), avatar=replace(AVATAR, learned=None)), RenderSettings(threads=1)) == []
+
+
 def test_the_command_measures_tells_and_writes(tmp_path, capsys, monkeypatch):
     few = subject(9).poses
+    monkeypatch.setattr(effects_in_light, "FRAMES", 2)
     monkeypatch.setattr(study, "named_motion", lambda avatar: few)
     save_avatar(tmp_path / "hand.jghand", AVATAR)
     out = tmp_path / "study"
@@ -65,3 +88,4 @@ def test_the_command_measures_tells_and_writes(tmp_path, capsys, monkeypatch):
     assert rows["motion-blur"]["skipped"] == rows["motion-blur"]["frames"] > 0
     assert (out / "effects.png").stat().st_size > 10_000
     assert (out / "effects_effects_skipped.csv").is_file()
+    assert (out / "effects_in_the_light_of_a_scene.csv").is_file()
