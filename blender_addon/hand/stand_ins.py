@@ -158,8 +158,9 @@ def _renew(
             _remove(thing)
         return
     mine: bpy.types.Object = _new(hand, side, mesh) if thing is None else thing
-    before, mine.data = mine.data, mesh
-    _drop(before)
+    if mine.data != mesh:  # what is written tells Blender of a change, also the same again
+        before, mine.data = mine.data, mesh
+        _drop(before)
     name = f"{hand.name} Shadow"
     if not mine.name.startswith(name):
         mine.name = name

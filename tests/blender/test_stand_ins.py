@@ -217,6 +217,25 @@ def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_pat
     assert len([thing for thing in bpy.data.objects if stand_ins.MARK in thing and thing.parent == made]) == 1
 
 
+def test_what_is_up_to_date_is_left_alone(extension):
+    """Whoever wrote anything would hear of a change, and bring all up to date again, for ever."""
+    add_hand()
+    hands.mixamo_rig(extension)
+    bpy.ops.jghand.use_armature()
+    stand_ins.update()
+    extension.view_layer.update()
+    changed = []
+
+    def record(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        changed.extend(update.id.name for update in depsgraph.updates)
+
+    bpy.app.handlers.depsgraph_update_post.append(record)
+    stand_ins.update()
+    extension.view_layer.update()
+    bpy.app.handlers.depsgraph_update_post.remove(record)
+    assert not changed
+
+
 def test_undo_takes_both_away(extension):
     bpy.ops.ed.undo_push(message="before")
     add_hand()
