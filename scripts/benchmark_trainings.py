@@ -30,7 +30,7 @@ from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli.console import err, say, say_whole_table
 from jghand_engine.cli.learning import material
 from jghand_engine.files import writing
-from jghand_engine.learn.evaluate import avatar_picturer
+from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.learn.options import TrainOptions
 from jghand_engine.learn.progress import display
 from jghand_engine.learn.run import RunOptions, train
@@ -132,7 +132,7 @@ def measured(cells: Sequence[Cell], capture: Path, folder: Path) -> list[Cell]:
     avatars = [load_avatar(cell.file(folder)) for cell in finished]
     settings = replace(PRESETS[PRESET], reuse=False)
     truth = held_out_truth(avatars[0], capture, say)
-    psnr_db = pictures_psnr_db([avatar_picturer(avatar, settings) for avatar in avatars], truth)
+    psnr_db = pictures_psnr_db([AvatarPicturer(avatar, settings) for avatar in avatars], truth)
     subjects = [moving_subject("hand", avatar, 512, 334) for avatar in avatars]
     cases = [frame_case(subject, settings, str(place)) for place, subject in enumerate(subjects)]
     times = {one.section: one for one in measure(cases, rounds=ROUNDS, warm_up=WARM_UP) if not one.name.startswith(" ")}

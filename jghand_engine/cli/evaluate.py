@@ -164,10 +164,10 @@ class Evaluate:
 def _drawer(avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Picturer:
     """The renderer that users have; of an avatar that learned what the renderer does not know, what training draws."""
     from jghand_engine.learn.ablation import LiveHand, drawn_as_learned
-    from jghand_engine.learn.evaluate import avatar_picturer
+    from jghand_engine.learn.evaluate import AvatarPicturer
 
     if drawn_as_learned(avatar):
-        return avatar_picturer(avatar, settings)
+        return AvatarPicturer(avatar, settings)
     say(f"{avatar.info.name} is drawn as it was learned, with a transform or a shadow that the renderer does not have.")
     return LiveHand(avatar.for_hand(capture.handedness), settings)
 

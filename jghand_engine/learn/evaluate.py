@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import time
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -17,16 +18,19 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.captures.captures import Capture
-from jghand_engine.captures.sample import Sample, image_digest, load_image
+from jghand_engine.captures.known_light import load_groups, mixed
+from jghand_engine.captures.sample import Sample, TrainingImage, image_digest, load_image
 from jghand_engine.captures.splits import Split
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.metrics import compare, mask_box
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
 
@@ -43,18 +47,47 @@ class Picturer(Protocol):
         ...
 
 
-def avatar_picturer(avatar: HandAvatar, settings: RenderSettings) -> Picturer:
+class AvatarPicturer:
     """Draws `avatar` with the renderer that users have, of hands as large as they were learned."""
-    settings = replace(settings, antialias=False)
 
-    @cache
-    def renderer(handedness: Handedness) -> HandRenderer:
-        return HandRenderer(avatar.for_hand(handedness), settings)
+    def __init__(self, avatar: HandAvatar, settings: RenderSettings) -> None:
+        self._avatar, self._settings = avatar, replace(settings, antialias=False)
+        self._renderers: dict[tuple[Handedness, bool], SceneRenderer] = {}
 
-    def draw(joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
-        return renderer(handedness).render(joints_m, camera).rgba
+    def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
+        return self._rgba(joints_m, handedness, camera, None)
 
-    return draw
+    def in_light(self, sample: Sample, light: SceneLight) -> np.ndarray:
+        """(H, W, 4) float32, premultiplied, scene-linear: the hand of a sample in a light."""
+        return self._rgba(sample.joints_m, sample.handedness, sample.camera, light)
+
+    def _rgba(
+        self, joints_m: np.ndarray, handedness: Handedness, camera: Camera, light: SceneLight | None
+    ) -> np.ndarray:
+        key = handedness, light is not None
+        if key not in self._renderers:
+            self._renderers[key] = SceneRenderer([self._avatar.for_hand(handedness)], self._settings, light)
+        self._renderers[key].light = light
+        return self._renderers[key].render([joints_m], camera).rgba
+
+
+def pictured(sample: Sample, draw: Picturer) -> tuple[np.ndarray, TrainingImage, float]:
+    """A sample as it is drawn (H, W, 4), as it is, and the milliseconds of drawing it.
+
+    A picture of known light is drawn in it: in a mix of its lights that is the same every time, and both are exposed
+    alike before sRGB's curve.
+    """
+    if sample.light is None or not isinstance(draw, AvatarPicturer):
+        truth, started = load_image(sample), time.perf_counter()
+        rgba = draw(sample.joints_m, sample.handedness, sample.camera)
+        return rgba, truth, 1e3 * (time.perf_counter() - started)
+    seed = zlib.crc32(f"{sample.sequence}/{sample.frame}/{sample.camera_name}".encode())
+    one = mixed(load_groups(sample), np.random.default_rng(seed))
+    started = time.perf_counter()
+    rgba = draw.in_light(sample, one.light)
+    render_ms = 1e3 * (time.perf_counter() - started)
+    ours, truth = (linear_to_srgb(np.clip(one.exposure * rgb, 0, 1)) for rgb in (rgba[..., :3], one.rgb))
+    return np.concatenate([ours, rgba[..., 3:]], -1), TrainingImage(truth, one.alpha), render_ms
 
 
 @dataclass(frozen=True)
@@ -171,10 +204,7 @@ def measure_pictures(
 
 
 def _measure(sample: Sample, category: str, draw: Picturer, perceptual: Sequence[PerceptualMetric]) -> PictureScore:
-    truth = load_image(sample)
-    started = time.perf_counter()
-    rgba = draw(sample.joints_m, sample.handedness, sample.camera)
-    render_ms = 1e3 * (time.perf_counter() - started)
+    rgba, truth, render_ms = pictured(sample, draw)
     # premultiplied: over black it is the picture
     scores = compare(rgba[..., :3], truth.rgb, truth.mask)
     scores |= _perceptual_scores(rgba[..., :3], truth.rgb, truth.mask, perceptual)

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jghand_engine.captures.sample import Sample, load_image
+from jghand_engine.captures.sample import Sample
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, write_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import palm_frames, poses_between
-from jghand_engine.learn.evaluate import Evaluation, Picturer, PictureScore, spread
+from jghand_engine.learn.evaluate import Evaluation, Picturer, PictureScore, pictured, spread
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.framing import framing_camera
@@ -81,8 +81,8 @@ def comparison_sheet(pictures: Sequence[PictureScore], draw: Picturer, title: st
     """Truth, ours and difference of each picture, two pictures a row; (H, W, 3) uint8. InputError without pictures."""
     cells: list[Cell] = []
     for picture in pictures:
-        sample, truth = picture.sample, load_image(picture.sample)
-        rgba = draw(sample.joints_m, sample.handedness, sample.camera)
+        sample = picture.sample
+        rgba, truth, _ = pictured(sample, draw)
         square = _Square.around(truth.mask)
         unlike = np.abs(np.clip(rgba[..., :3], 0, 1) - truth.rgb).mean(-1)
         cells += [
@@ -98,11 +98,11 @@ def variant_sheet(samples: Sequence[Sample], drawers: Mapping[str, Picturer], ti
     """Each sample in a row of its own: the truth, then what each drawer makes of it; (H, W, 3) uint8."""
     cells: list[Cell] = []
     for sample in samples:
-        truth = load_image(sample)
+        _, truth, _ = pictured(sample, next(iter(drawers.values())))
         square = _Square.around(truth.mask)
         cells.append(Cell(f"truth · {_where(sample)}", square.hand(truth.rgb, truth.mask)))
         for name, draw in drawers.items():
-            rgba = draw(sample.joints_m, sample.handedness, sample.camera)
+            rgba, truth, _ = pictured(sample, draw)
             label = f"{name} · {psnr(np.clip(rgba[..., :3], 0, 1), truth.rgb):.1f} dB"
             cells.append(Cell(label, square.hand(rgba[..., :3], rgba[..., 3])))
     return _with_head(_sheet(cells, 1 + len(drawers)), title, "PSNR of the full picture on black")

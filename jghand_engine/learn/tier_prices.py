@@ -25,7 +25,7 @@ from jghand_engine.color import decibels
 from jghand_engine.errors import InputError
 from jghand_engine.hand.poses import MotionOptions, pose_names, pose_sequence_of_names
 from jghand_engine.learn.baselines import transform_of
-from jghand_engine.learn.evaluate import avatar_picturer, categories_of, means, measure_pictures
+from jghand_engine.learn.evaluate import AvatarPicturer, categories_of, means, measure_pictures
 from jghand_engine.learn.pose_features import flat_angles
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, preset
@@ -76,7 +76,7 @@ def held_out_measure(avatar: HandAvatar, capture: Capture, split: Split, limit: 
 
     def psnr_db(variant: HandAvatar) -> float:
         """Mean over whole pictures, over black."""
-        return means(measure_pictures(categories, avatar_picturer(variant, preset(PRESET))))["psnr_full"]
+        return means(measure_pictures(categories, AvatarPicturer(variant, preset(PRESET))))["psnr_full"]
 
     subject = Subject(capture.name, hand, capture.joints_m(), capture.samples[0].camera)
     known = flat_poses(hand, np.stack(list(learned.values())))

@@ -13,7 +13,7 @@ from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.learn.evaluate import Picturer, avatar_picturer, categories_of, held_out
+from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, held_out
 from jghand_engine.learn.metrics import checked_picture, psnr
 from jghand_engine.render.budget import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.render.renderer import HandRenderer
@@ -207,7 +207,7 @@ def pictures_of_each(sizes: Sequence[int], wanted: int) -> int:
 
 def truth_scores(compared: Sequence[Variant], avatar: HandAvatar, truth: Truth) -> list[TruthScore | None]:
     """Of every variant; what it gains is against preset `reference`, picture by picture."""
-    drawers = [avatar_picturer(variant.avatar or avatar, variant.settings) for variant in compared]
+    drawers = [AvatarPicturer(variant.avatar or avatar, variant.settings) for variant in compared]
     psnr_db = pictures_psnr_db(drawers, truth)
     exact = next(n for n, one in enumerate(compared) if (one.axis, one.name) == (TOGETHER, "reference"))
     return [TruthScore.of(own, psnr_db[exact]) for own in psnr_db]

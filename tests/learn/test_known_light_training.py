@@ -17,6 +17,7 @@ from jghand_engine.avatar.relighting import estimated
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn import scene_light as torch_light
+from jghand_engine.learn.evaluate import AvatarPicturer, measure_pictures
 from jghand_engine.learn.options import Schedule, TrainOptions
 from jghand_engine.learn.pictures import Pictures, tone
 from jghand_engine.learn.skinning import apply, posed_anchors, skin_maps
@@ -147,3 +148,17 @@ def test_gradients_of_light_are_those_of_finite_differences():
         ]
         slope = float(brightness(*ends[0]) - brightness(*ends[1])) / (2 * step)
         assert slope == pytest.approx(float((gradient * way).sum()), rel=2e-4)
+
+
+def test_a_hand_is_measured_in_the_light_of_each_picture(samples):
+    hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(3000)
+    blue = replace(hand, rgb=np.broadcast_to(np.float32(BLUE), hand.rgb.shape).copy())
+    # lights are kept apart as half-floats, and lamps below a limit fade where they are drawn together
+    scores = [
+        measure_pictures({"all": samples}, AvatarPicturer(avatar, RenderSettings()))
+        for avatar in (blue, hand, load_builtin(handedness=Handedness.RIGHT))
+    ]
+    itself, other, guessed = (np.mean([one.scores["psnr_box"] for one in each]) for each in scores)
+    assert itself > 35
+    assert 5 < other < 20
+    assert 5 < guessed < 20

@@ -11,7 +11,7 @@ from learn.small_capture import write_small_capture
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.captures.sample import load_image
-from jghand_engine.learn.evaluate import avatar_picturer
+from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.renderer import HandRenderer
@@ -256,7 +256,7 @@ def test_every_setting_is_compared_with_the_same_pictures_of_a_capture(tmp_path,
     )
     assert (scores["reference"].gain_db, scores["reference"].gain_error_db) == (0, 0)
     pictures = [load_image(sample) for sample in truth.samples]
-    draw = avatar_picturer(avatar, next(one.settings for one in compared if one.name == "draft"))
+    draw = AvatarPicturer(avatar, next(one.settings for one in compared if one.name == "draft"))
     drawn = [draw(one.joints_m, one.handedness, one.camera)[..., :3] for one in truth.samples]
     own_db = [psnr(ours.clip(0, 1), picture.rgb) for ours, picture in zip(drawn, pictures, strict=True)]
     assert scores["draft"].psnr_db == pytest.approx(np.mean(own_db))
