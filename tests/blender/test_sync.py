@@ -593,7 +593,11 @@ def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_
     monkeypatch.setattr(views, "_draw", lambda _: None)
     region = SimpleNamespace(as_pointer=lambda: 1)
     drawing = SimpleNamespace(
-        region=region, region_data=None, scene=context.scene, view_layer=context.view_layer, space_data=None
+        region=region,
+        region_data=None,
+        scene=context.scene,
+        view_layer=context.view_layer,
+        space_data=SimpleNamespace(shading=SimpleNamespace(type="SOLID")),
     )
     monkeypatch.setattr(views.shown_bones, "keep_visible", lambda *_: None)
     hand.location.x = 50.0
