@@ -27,6 +27,8 @@ from jghand_engine.native.tasks import LANES
 
 # edge of a lamp's shadow on skin, as a part of the capsule's radius
 FLESH_SOFTNESS = 0.12
+# and where anchors, 4 mm apart, look for an edge that runs between them
+WIDE_SOFTNESS = 0.6
 # concentration of a spherical Gaussian that is as wide as GGX mirrors, over 1 / roughness^4: half the angle in the
 # half vector is a quarter of it in the mirrored direction
 MIRROR_SHARPNESS = 0.5
@@ -55,6 +57,7 @@ class SceneLightStep:
             "visible": aligned_zeros((rows, CELLS)),
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             "seen": aligned_zeros((LAMPS_MAX, rows)),
+            "wide_seen": aligned_zeros((LAMPS_MAX, rows)),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
             "reached": aligned_zeros((rows, 8)),
@@ -65,7 +68,10 @@ class SceneLightStep:
             "casting": aligned_zeros((LAMPS_MAX, len(LAMP_NUMBERS))),
         }
         self._task = SceneLightTask(
-            shade_gain=response.shade_gain, flesh_softness=FLESH_SOFTNESS, sine2_min=CAPSULE_SINE2_MIN
+            shade_gain=response.shade_gain,
+            flesh_softness=FLESH_SOFTNESS,
+            wide_softness=WIDE_SOFTNESS,
+            sine2_min=CAPSULE_SINE2_MIN,
         )
         set_pointers(self._task, self._arrays)
         task.scene = ctypes.addressof(self._task)

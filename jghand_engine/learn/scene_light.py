@@ -31,7 +31,7 @@ from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTN
 from jghand_engine.avatar.lamp_rows import LIMITS, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
 from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
-from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, mirrored
+from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
 from jghand_engine.learn.cast_shadow import CastTensors, capsules, soft_edge
 from jghand_engine.learn.light import harmonics, unit
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
@@ -42,7 +42,7 @@ DISTANCE2_MIN = 1e-12
 FACING_MIN = 1e-3
 AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
 GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
-EDGE_GAIN = 10.0
+EDGE_GAIN = 100.0
 
 
 @dataclass(frozen=True)
@@ -234,18 +234,20 @@ class Shadows:
 
 def shadows(cast: CastTensors, anchors: Skin, skin: Skin, flesh: Flesh, light: SceneLight, lamps: LampRows) -> Shadows:
     """anchors, skin: posed, root-relative"""
-    seen = anchors.position_m.new_zeros(0, len(anchors.position_m))
+    seen = wide = anchors.position_m.new_zeros(0, len(anchors.position_m))
     for row in lamps.casting:
         direction, _, sine = lamp_at(row, anchors.position_m)
         towards, half_width = direction[:, None], sine[:, None]
         seen = torch.cat([seen, past_flesh(anchors, flesh, towards, FLESH_SOFTNESS, half_width).T])
+        wide = torch.cat([wide, past_flesh(anchors, flesh, towards, WIDE_SOFTNESS, half_width).T])
     spread = cast.anchors.spread
     of_lamps = spread(seen.T).T if len(seen) else seen.new_zeros(0, len(cast.anchors.nearest))
     near = replace(flesh, hides=spread(flesh.hides))
     for slot, row in enumerate(lamps.casting):
         direction, _, sine = lamp_at(row, skin.position_m)
         own = past_flesh(skin, near, direction[:, None], FLESH_SOFTNESS, sine[:, None])[:, 0]
-        edge = (EDGE_GAIN * of_lamps[slot] * (1 - of_lamps[slot])).clamp_max(1)
+        near_edge = spread(wide[slot][:, None])[:, 0]
+        edge = (EDGE_GAIN * near_edge * (1 - near_edge)).clamp(0, 1)
         of_lamps = torch.cat([of_lamps[:slot], torch.lerp(of_lamps[slot], own, edge)[None], of_lamps[slot + 1 :]])
     directions = seen.new_tensor((BLACK if light.world is None else light.world).terms.direction)
     half_width = seen.new_full((1, 1), LAMP_HALF_WIDTH)

@@ -17,7 +17,7 @@ constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, 
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
-constexpr float EDGE_GAIN = 10.f;                         // how fast anchors stop counting where they see part of a lamp
+constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
 constexpr int POSED = 9, REACHED = 8, MATERIAL = 3;
 
 JG_INLINE vf smooth(vf x) {
@@ -60,27 +60,28 @@ JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& st
 // What of a lamp sixteen anchors see past one capsule.
 template <bool far>
 JG_INLINE bool lamp_past(const CastTask& c, const SceneLightTask& s, int k, const vf p[3], const vf direction[3], vf sine,
-                         vf& part) {
+                         float softness, vf& part) {
   const float *capsule = c.capsule + CAPSULE * k, *axis = capsule + 3;
   const float length2 = 1.f / capsule[6];
   vf from_start[3];
   for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
   const vf axis_along = direction[0] * axis[0] + direction[1] * axis[1] + direction[2] * axis[2];
   const vf inverse_sine2 = 1.f / max(length2 - axis_along * axis_along, all(s.sine2_min * length2));
-  return past_capsule<far>(c, capsule, from_start, direction, axis_along, inverse_sine2, s.flesh_softness, sine, part);
+  return past_capsule<far>(c, capsule, from_start, direction, axis_along, inverse_sine2, softness, sine, part);
 }
 
 // And past all capsules; `past_capsules` in learn/scene_light.py.
 vf lamp_seen(const CastTask& c, const SceneLightTask& s, const float* foreign, const vf p[3], const vf direction[3],
-             vf sine) {
+             vf sine, float softness) {
   vf visible = all(1.f), part;
   for (int bone = 0; bone < BONES; bone++) {
     const vf hides = load(foreign + LANES * bone);
-    if (bit_mask(hides > 0) && lamp_past<false>(c, s, bone, p, direction, sine, part))
+    if (bit_mask(hides > 0) && lamp_past<false>(c, s, bone, p, direction, sine, softness, part))
       visible *= 1.f - hides * (1.f - part);
   }
   for (int k = BONES; k < c.capsules; k++)
-    if (lamp_past<true>(c, s, k, p, direction, sine, part)) visible *= 1.f - c.other[OTHER * (k - BONES)] * (1.f - part);
+    if (lamp_past<true>(c, s, k, p, direction, sine, softness, part))
+      visible *= 1.f - c.other[OTHER * (k - BONES)] * (1.f - part);
   return visible;
 }
 
@@ -138,9 +139,10 @@ JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t
   float foreign[BONES * LANES];
   bool has_foreign = false;
   for (int j = 0; j < s.slots; j++) {
-    vf part[1];
+    vf part[1], wide[1];
     spread<1>(t, block, s.seen + LANES * (int64_t)c.blocks * j, 1, part);
-    vf edge = min(EDGE_GAIN * part[0] * (1.f - part[0]), all(1.f));
+    spread<1>(t, block, s.wide_seen + LANES * (int64_t)c.blocks * j, 1, wide);
+    vf edge = min(EDGE_GAIN * max(wide[0] * (1.f - wide[0]), vf{}), all(1.f));
     if (bit_mask(edge > 0)) edge = where_lit(s, j, p, normal, spread_of_skin, edge);
     if (bit_mask(edge > 0)) {
       for (int bone = 0; bone < BONES && !has_foreign; bone++) {
@@ -157,7 +159,7 @@ JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t
       has_foreign = true;
       vf direction[3], strength, sine;
       lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
-      part[0] += edge * (lamp_seen(c, s, foreign, p, direction, sine) - part[0]);
+      part[0] += edge * (lamp_seen(c, s, foreign, p, direction, sine, s.flesh_softness) - part[0]);
     }
     vf left[1] = {all(1.f)};
     if (s.left) spread<1>(t, block, s.left + LANES * (int64_t)c.blocks * j, 1, left);
@@ -188,7 +190,10 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
   vf direction[3], strength, sine;
   for (int j = 0; j < s.slots; j++) {
     lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
-    store(seen + rows * j, lamp_seen(t.cast, s, t.cast.foreign + BONES * LANES * (int64_t)block, p, direction, sine));
+    const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block;
+    store(seen + rows * j, lamp_seen(t.cast, s, foreign, p, direction, sine, s.flesh_softness));
+    store(s.wide_seen + LANES * (int64_t)block + rows * j,
+          lamp_seen(t.cast, s, foreign, p, direction, sine, s.wide_softness));
   }
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;

@@ -37,6 +37,7 @@ struct SceneLightTask {
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (16 anchor blocks, groups, 16): part of each cell of the world that an anchor sees
   float* seen;               // (slots, 16 anchor blocks): part of a lamp that an anchor sees
+  float* wide_seen;          // (slots, 16 anchor blocks): the same, as if edges were as wide as anchors are apart
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
   float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
@@ -47,6 +48,7 @@ struct SceneLightTask {
   float least[3];            // W/m2 of the world, at least
   float shade_gain;          // of the pose's shade, in logarithms of linear color
   float flesh_softness;      // edge of a lamp's shadow, as a part of a capsule's radius
+  float wide_softness;       // the same for `wide_seen`
   float sine2_min;           // floor of a squared sine between ray and capsule
   float shade;               // how much of what skin hides of the world, and throws back, is drawn, 0..1
   int32_t lamps, slots, lobes;
