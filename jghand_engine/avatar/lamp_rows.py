@@ -9,13 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.scene_light import Lamp, SceneLight
+from jghand_engine.hand.joints import PARENTS
 from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, LampKind
 
 # lamps of a scene that are drawn, of which each casts its own shadow
 LAMPS_MAX = 32
 # an area that is larger, by the sine of its half angle, is four lamps
 WHOLE_SINE_MAX = 0.12
+# ... and they are drawn apart from four in one place up to that many times larger ones
+APART_SINE = 1.25
+# where lamps are compared: at the ends of the bones and at these parts of their lengths, a few centimeters apart
+BONE_PARTS = (1 / 3, 2 / 3)
 # radii of a narrow area, or of a part of it, that its beam is wider by: where beams of four parts meet is light, too
 BEAM_RADII = 1.7
 # floors against division by zero
@@ -43,6 +49,14 @@ LIMITS = Limits()
 def fade(part: np.ndarray, limit: float) -> np.ndarray:
     """How much is drawn of what is such a part of the light, 0..1."""
     return np.clip(part / max(limit, TINY) - 1, 0, 1)
+
+
+def compared_at(linear_offset: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
+    """(61, 3) points of a hand at which lamps are compared, root-relative. linear_offset: (21, 3, 4) of its bones ·
+    joints_m: (21, 3) of the canonical hand, root-relative"""
+    ends = posed_joints_m(linear_offset, joints_m)
+    starts = ends[list(PARENTS[1:])]
+    return np.concatenate([ends, *(starts + part * (ends[1:] - starts) for part in BONE_PARTS)])
 
 
 def light_shares(light: SceneLight, root_m: np.ndarray, points_m: np.ndarray) -> np.ndarray:
@@ -154,13 +168,18 @@ def _parts(lamp: Lamp, row: np.ndarray, middle_m: np.ndarray) -> list[np.ndarray
     side = side - (side @ row[3:6]) * row[3:6]
     side /= max(float(np.linalg.norm(side)), 1e-12)
     across = np.cross(row[3:6], side)
+    # four in one place, of the whole size, are the one: they part, and shrink, as the lamp grows
+    grown = np.sqrt(radius2 / (distance2 + radius2)) / WHOLE_SINE_MAX - 1
+    apart = min(float(grown) / (APART_SINE - 1), 1.0)
     # the middle of a quarter, as a part of the size
-    quarter = 2 / (3 * np.pi) if lamp.is_ellipse else 0.25
+    quarter = apart * (2 / (3 * np.pi) if lamp.is_ellipse else 0.25)
     parts = []
     for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         part = row.copy()
         part[:3] += quarter * (a * lamp.size_m[0] * side + b * lamp.size_m[1] * across)
-        for name in ("red", "green", "blue", "softening", "radius2"):
+        for name in ("red", "green", "blue"):
             part[NUMBER[name]] /= 4
+        for name in ("softening", "radius2"):
+            part[NUMBER[name]] *= 1 - 0.75 * apart
         parts.append(part)
     return parts

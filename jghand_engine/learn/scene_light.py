@@ -25,10 +25,9 @@ from jghand_engine.avatar.cast_task import (
     CAPSULE_WIDTH_MIN_M,
     LAMP_HALF_WIDTH,
     Capsules,
-    posed_joints_m,
 )
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
-from jghand_engine.avatar.lamp_rows import LIMITS, lamp_rows, light_shares, world_shade
+from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
 from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
 from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
@@ -106,7 +105,7 @@ class LampRows:
     @classmethod
     def of(cls, light: SceneLight, root_m: np.ndarray, linear_offset: np.ndarray, joints_m: np.ndarray) -> LampRows:
         """Those that matter to a pose. joints_m: (21, 3) canonical, root-relative"""
-        points_m = posed_joints_m(linear_offset, joints_m)
+        points_m = compared_at(linear_offset, joints_m)
         shares = light_shares(light, root_m, points_m)
         return cls(shares, *lamp_rows(light, shares, root_m, points_m, LIMITS)[:2])
 

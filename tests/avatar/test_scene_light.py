@@ -14,7 +14,7 @@ from test_trained_posing import RootRelative
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.cast_task import Capsules
-from jghand_engine.avatar.lamp_rows import LIMITS, irradiance_at, lamp_rows, light_shares
+from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, irradiance_at, lamp_rows, light_shares
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import estimated
@@ -388,6 +388,28 @@ def test_a_lamp_that_grows_out_of_nothing_and_its_shadow_appear_in_no_step():
     strong, place = Lamp(LampKind.SUN, (3, 3, 3), (0, 0.2, -1), has_shadow=False), (0.6, 0.2, 1)
     lights = [SceneLight(None, (strong, Lamp(LampKind.SUN, (p, p, p), place))) for p in powers]
     assert steps(hand, lights).max() <= 1
+
+
+def test_an_area_that_comes_near_is_four_lamps_in_no_step():
+    """From one lamp to four in one place, and from there to four that stand as far apart as they do."""
+    distances_m = np.linspace(0.35, 0.55, 300)
+    areas = (Lamp(LampKind.AREA, (30, 30, 30), (0, 0.09, z), size_m=(0.1, 0.1)) for z in distances_m)
+    assert steps(AVATAR, [SceneLight(None, (area,)) for area in areas]).max() <= 1
+
+
+@pytest.mark.parametrize("pose", ["open", "fist"])
+def test_a_spot_on_any_part_of_the_hand_is_not_left_out(pose):
+    bones = bones_of(AVATAR, pose)
+    root = AVATAR.canonical_joints_m - AVATAR.canonical_joints_m[0]
+    points_m = compared_at(bones.linear_offset, root)
+    skin_m = Poser(native_library.load(), AVATAR)
+    skin_m.prepare(bones, np.zeros(3))
+    skin_m.run()
+    for place_m in skin_m.into.position_m[: len(AVATAR) : 20].astype(np.float64):
+        # 6 cm across where it shines
+        away_m = place_m + bones.root_m + [0, 0, 0.5]
+        spot = Lamp(LampKind.SPOT, (1, 1, 1), tuple(away_m), cone_rad=2 * np.arctan(0.03 / 0.5))
+        assert light_shares(SceneLight(EVEN, (spot,)), bones.root_m, points_m)[0] > 0.5
 
 
 def test_the_shadow_of_a_world_that_grows_out_of_nothing_appears_in_no_step():
