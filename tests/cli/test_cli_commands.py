@@ -169,6 +169,24 @@ def test_long_headings_go_on_in_the_next_line_of_a_narrow_screen(capsys, monkeyp
     assert head[1:] == list(names)
 
 
+def test_render_shows_the_hand_in_the_light_of_a_file(tmp_path):
+    sky = np.zeros((8, 16, 3), np.float32)
+    sky[:4, :, 0] = 3.0
+    np.save(tmp_path / "red.npy", sky)
+    words = ("render", "--poses", "open", "--frames", "0", *SMALL)
+    assert run(*words, "--out", tmp_path / "lit", "--light", tmp_path / "red.npy") == 0
+    assert run(*words, "--out", tmp_path / "captured") == 0
+    (lit,), (captured,) = (sorted((tmp_path / name).glob("*.png")) for name in ("lit", "captured"))
+    red, green, blue, _ = np.moveaxis(read_png(lit), -1, 0)
+    assert red.max() > 0.2
+    assert max(green.max(), blue.max()) < 0.02
+    assert read_png(captured)[..., 1].max() > 0.3
+    # another light is another render
+    np.save(tmp_path / "red.npy", 2 * sky)
+    again = ("--out", tmp_path / "lit", "--light", tmp_path / "red.npy", "--skip-existing")
+    assert run(*words, *again) == 2
+
+
 def test_the_camera_that_render_wrote_makes_the_same_picture_again(tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     assert run("render", "--poses", "point", "--frames", "0", "--out", first, *SMALL) == 0
