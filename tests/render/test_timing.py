@@ -78,8 +78,10 @@ def test_control_sees_about_as_many_cores_as_it_uses():
     control = FreeCores(1)
     seen = [control() for _ in range(5)]
     control.close()
-    # one thread is at most one core, but for the clock of processor time, which may tick coarsely
-    assert 0 < min(seen) <= max(seen) < 1.5
+    # one thread is at most one core, but for the clock of processor time, which may tick coarsely; on a busy machine it
+    # may get none for a while
+    assert 0 <= min(seen) <= max(seen) < 1.5
+    assert max(seen) > 0
 
 
 def test_head_of_the_table_names_the_machine():
