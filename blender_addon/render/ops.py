@@ -3,14 +3,20 @@
 
 from __future__ import annotations
 
+import io
+import json
+from pathlib import Path
+
 import bpy
+import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
+from ..core.files import write_whole
 from ..errors import JGHandFailure
 from ..hand import armature, instances
 from ..hand.ops import add_camera
-from ..ops import PLUMBING, UNDOABLE, Reporting, missing
-from . import ENGINE, composite
+from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
+from . import ENGINE, composite, scene_light
 
 
 class UseEngine(Reporting, bpy.types.Operator):
@@ -174,12 +180,52 @@ class RemoveCombination(Reporting, bpy.types.Operator):
         self.tell(rpt_("This scene is not combined with hands any more."))
 
 
+class SaveLight(Reporting, bpy.types.Operator):
+    """Operator: writes the light of the scene for `jghand render --light`."""
+
+    bl_idname = "jghand.save_light"
+    bl_label = "Save Light"
+    bl_description = "Write the lamps and the world of this scene, as they light hands, for renders outside Blender"
+    bl_options = REGISTERED
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    # Blender's file browser asks before it overwrites
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not scene_light.is_chosen(context.scene):
+            return missing(cls, "Hands are in the light of their captures: choose Scene first")
+        return True
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        self.filepath = self.filepath or str(Path(context.blend_data.filepath or "light").with_suffix(".json"))
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def run(self, context: bpy.types.Context) -> None:
+        depsgraph, path = context.evaluated_depsgraph_get(), Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
+        scene_light.measure(depsgraph)
+        light = scene_light.of_render(depsgraph, instances.evaluated_sources(depsgraph))
+        assert light is not None  # `poll` has asked
+        record = {"format": "jghand-light", "version": 1, **light.record}
+        if light.world is not None and light.picture is not None:
+            content, picture = io.BytesIO(), path.with_suffix(".npy")
+            np.save(content, light.picture)
+            write_whole(picture, content.getvalue())
+            record["world"] = {"picture": picture.name, "env_from_world": light.world["env_from_world"]}
+        write_whole(path, json.dumps(record, indent=1).encode())
+        self.tell(rpt_("Wrote {path}.").format(path=path), *scene_light.warnings())
+
+
 CLASSES = (
     UseEngine,
     UseStandard,
     AddCamera,
     CombineWithScene,
     RemoveCombination,
+    SaveLight,
     OpenPreferences,
     Explain,
 )

@@ -55,6 +55,7 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
         hand = ui.active(context)
         if hand is not None and hand.type == "ARMATURE":
             layout.prop(hand.jghand, "cast_shadow")
+        layout.operator("jghand.save_light", icon="FILE_TICK")
 
 
 def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

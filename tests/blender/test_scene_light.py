@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -168,3 +169,15 @@ def test_nodes_that_do_not_tell_their_light_are_measured_once(scene):
     assert light.picture is not None
     assert 0.3 < light.picture.mean() < 0.8
     assert scene_light.warnings() == ()
+
+
+def test_a_light_that_is_saved_renders_outside_blender(scene, engine_python, tmp_path):
+    scene.world = even_world((0.1, 0.3, 0.2))
+    assert bpy.ops.jghand.save_light(filepath=str(tmp_path / "light.json")) == {"FINISHED"}
+    script = (
+        "import sys; from pathlib import Path; from jghand_engine.export.light_file import read_light; "
+        "light = read_light(Path(sys.argv[1])); print(len(light.lamps), light.world.terms.mean_irradiance.round(3))"
+    )
+    words = [engine_python, "-c", script, str(tmp_path / "light.json")]
+    told = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert told == f"1 {np.round(np.pi * np.array([0.1, 0.3, 0.2]), 3)}\n"
