@@ -161,3 +161,12 @@ def test_tensors_of_another_model_are_named(change, said, snapshot):
     change(tensors)
     with pytest.raises(InputError, match=said):
         check_fits(tensors, StandIn(), "the checkpoint")
+
+
+def test_an_option_that_an_older_jghand_did_not_know_was_off(tmp_path, snapshot):
+    save_checkpoint(tmp_path / "step_00000003.safetensors", snapshot, STAMP)
+    found, damaged = CheckpointFolder(tmp_path, {**STAMP, "known_light": False}).newest()
+    assert found is not None
+    assert not damaged
+    with pytest.raises(InputError, match="known_light"):
+        CheckpointFolder(tmp_path, {**STAMP, "known_light": True}).newest()
