@@ -18,8 +18,8 @@ from jghand_engine.avatar.world_suns import averaged, take_suns
 from jghand_engine.json_files import JsonObject
 from jghand_engine.native.scene_light_task import LampKind
 
-# lamps of a scene; the brightest of them light the hand
-LAMPS_MAX = 256
+# lamps of a record; the brightest 32 light the hand
+RECORDS_MAX = 256
 # rows and columns that are enough to light skin, and to mirror in it, once suns are out
 ROWS_MAX, COLUMNS_MAX = 32, 64
 # meters, watts and radiance: beyond any scene, and far from where float32 overflows
@@ -46,17 +46,15 @@ def light_of(lamps: tuple[Lamp, ...], world: World | None) -> SceneLight:
 def lamps_of(record: JsonObject) -> tuple[Lamp, ...]:
     """The lamps of a light. InputError names what is wrong."""
     lamps = record.fields.get("lamps", [])
-    if not isinstance(lamps, list) or len(lamps) > LAMPS_MAX:
-        raise record.wrong("lamps", f"a list of at most {LAMPS_MAX}")
+    if not isinstance(lamps, list) or len(lamps) > RECORDS_MAX:
+        raise record.wrong("lamps", f"a list of at most {RECORDS_MAX}")
     return tuple(lamp_of(record.inner(lamp, f"lamp {number}")) for number, lamp in enumerate(lamps, 1))
 
 
 def lamp_of(record: JsonObject) -> Lamp:
     """A lamp from its record."""
     known = {field.name: field for field in fields(Lamp)}
-    for name in record.fields:
-        if name not in known:
-            raise record.wrong(name, f"nothing of that name, only {', '.join(known)}")
+    refuse_others(record, tuple(known))
     values: dict[str, Any] = {"kind": _KINDS[record.one_of("kind", tuple(_KINDS))]}
     for name, field in known.items():
         if name == "kind" or (name not in record.fields and field.default is not MISSING):
@@ -84,3 +82,10 @@ def record_of(lamp: Lamp) -> dict[str, Any]:
 def turn_of(record: JsonObject) -> np.ndarray:
     """env_from_world (3, 3) of a world's record; no turn where it is left out."""
     return np.eye(3) if record.fields.get("env_from_world") is None else record.array("env_from_world", (3, 3))
+
+
+def refuse_others(record: JsonObject, known: tuple[str, ...]) -> None:
+    """InputError for an entry of another name: what is misspelled would be left out without a word."""
+    for name in record.fields:
+        if name not in known:
+            raise record.wrong(name, f"nothing of that name, only {', '.join(known)}")

@@ -60,7 +60,7 @@ class World:
         if not np.isfinite(self.radiance).all() or (self.radiance < 0).any():
             raise InputError("world", wanted="finite radiance, 0 and up", came="something else")
         turn = np.asarray(self.env_from_world, np.float64)
-        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4):
+        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
             raise InputError("world", wanted="a rotation env_from_world", came=str(turn.tolist()))
 
     @cached_property

@@ -57,6 +57,7 @@ class Ablate:
 
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
+        from jghand_engine.captures.known_light import refuse_known_light
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, material, train_options
         from jghand_engine.learn.ablation import LiveHand, chosen_variants
@@ -71,6 +72,7 @@ class Ablate:
         variants = chosen_variants(full, self.variants)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
+        refuse_known_light(split.train, "an ablation")
         categories = categories_of(split, "test", self.limit)
         learned_from = material("ablation", capture.name, split, perceptual)
         drawers, results = {}, {}

@@ -120,8 +120,6 @@ class Train:
             stamp["perceptual"] = f"{perceptual.name}, {perceptual.note}"
         run = replace(run, stamp=stamp, budget=self._budget(len(split.train)))
         say(f"{capture.name}: {len(split.train)} of {len(capture)} pictures to learn from ({split.origin})")
-        if any(sample.light is not None for sample in split.train):
-            say("Every picture has a light of its own, and this hand learns one for all: their mean.")
 
         def build() -> HandTraining:
             say("Placing the Gaussians …")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jghand_engine.avatar.light_records import NUMBER_MAX, lamps_of, light_of, turn_of
+from jghand_engine.avatar.light_records import NUMBER_MAX, lamps_of, light_of, refuse_others, turn_of
 from jghand_engine.avatar.scene_light import SceneLight, World
 from jghand_engine.export.world_picture import read_world_picture
 from jghand_engine.json_files import JsonObject
@@ -30,6 +30,7 @@ def read_light(path: Path) -> SceneLight:
     record = JsonObject.of_file(path, _REMEDY)
     if record.fields.get("format") != FORMAT or record.fields.get("version") != VERSION:
         raise record.wrong("format", f"{FORMAT} of version {VERSION}")
+    refuse_others(record, ("format", "version", "lamps", "world"))
     return light_of(lamps_of(record), _world(record.object("world"), path.parent))
 
 
@@ -45,6 +46,9 @@ def files_of(path: Path) -> list[Path]:
 def _world(record: JsonObject | None, folder: Path) -> World | None:
     if record is None:
         return None
+    refuse_others(record, ("picture", "rgb", "env_from_world"))
+    if "picture" in record.fields and "rgb" in record.fields:
+        raise record.wrong("rgb", "nothing beside a picture")
     turn = ENV_FROM_WORLD if record.fields.get("env_from_world") is None else turn_of(record)
     if "picture" in record.fields:
         name = record.value("picture", lambda value: isinstance(value, str) and value != "", "the name of a picture")

@@ -136,14 +136,18 @@ class Commands:
         request, outputs = read_request(message)
         size = (request.height, request.width)
         image = self.source.render(request, canceled) if request.hands else RenderedImage(np.zeros((*size, 4)), {})
-        rgba, shown = image.rgba, displayed(image.rgba) if image.linear else image.rgba
+        rgba = image.rgba
+
+        def shown() -> np.ndarray:
+            return displayed(rgba) if image.linear else rgba
+
         makers = {
             "rgba_f32": lambda: _array(rgba, np.float32),
-            "rgba_u8": lambda: _array(np.rint(np.clip(shown, 0.0, 1.0) * 255.0), np.uint8),
+            "rgba_u8": lambda: _array(np.rint(np.clip(shown(), 0.0, 1.0) * 255.0), np.uint8),
             "depth": lambda: _array(_or_nothing(image.depth_m, size), np.float32),
             "depth_covered": lambda: _array(_or_nothing(image.covered_depth_m, size), np.float32),
             "ids": lambda: _array(_or_nothing(image.ids, size), np.uint8),
-            "png": lambda: Array.of(self.source.encode_png(np.asarray(shown, np.float32))),
+            "png": lambda: Array.of(self.source.encode_png(np.asarray(shown(), np.float32))),
         }
         reports = [image.report] if request.hands else []
         return Reply({"reports": reports, "linear": image.linear}, {name: makers[name]() for name in outputs})

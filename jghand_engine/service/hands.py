@@ -85,6 +85,15 @@ class _Key(NamedTuple):
     lit: bool
 
 
+class _Shaded(NamedTuple):
+    """A light, and what is left of it: at points of these hands."""
+
+    light: SceneLight
+    hands: list[tuple[_Version, str]]
+    left: tuple[np.ndarray, np.ndarray]
+    shaded: SceneLight
+
+
 class HandImages:
     """An ImageSource (commands.py). The last few renderers are kept, and the avatars that they show, each as its file
     was: one that changed meanwhile is read anew."""
@@ -97,7 +106,7 @@ class HandImages:
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
         # the last light that a scene took a part of: the whole of it, on which hands, what was left, and both together
-        self._shaded_last: tuple[SceneLight, tuple[RequestedHand, ...], np.ndarray, SceneLight] | None = None
+        self._shaded_last: _Shaded | None = None
         self._points: dict[tuple[_Version, bytes], np.ndarray] = {}
 
     def load(self, avatar: str) -> LoadedAvatar:
@@ -171,15 +180,20 @@ class HandImages:
         wanted = request.light
         if wanted is None or wanted.left is None or wanted.left_at is None:
             return light
-        last = self._shaded_last
-        if last is None or last[0] is not light or last[1] != request.hands or not np.array_equal(last[2], wanted.left):
+        last, hands = self._shaded_last, [(_Version.now(hand.avatar), hand.handedness) for hand in request.hands]
+        left = wanted.left, wanted.left_at
+        if (
+            last is None
+            or last.light is not light
+            or last.hands != hands
+            or not all(map(np.array_equal, last.left, left))
+        ):
             at_anchors = [
                 part[:, self._nearest(hand, wanted.left_at)] / np.float32(255)
                 for hand, part in zip(request.hands, wanted.left, strict=True)
             ]
-            shaded = replace(light, shades=Shades(tuple(at_anchors)))
-            last = self._shaded_last = light, request.hands, wanted.left, shaded
-        return last[3]
+            last = self._shaded_last = _Shaded(light, hands, left, replace(light, shades=Shades(tuple(at_anchors))))
+        return last.shaded
 
     def _nearest(self, hand: RequestedHand, points_m: np.ndarray) -> np.ndarray:
         """(anchors,) which of the points (P, 3) on the template are nearest to an avatar's anchors, at rest."""

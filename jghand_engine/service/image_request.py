@@ -334,7 +334,10 @@ def _light(message: Message, hands: int) -> RequestedLight | None:
     if len(shape) != 3 or shape[0] > WORLD_ROWS_MAX or shape[1] > WORLD_COLUMNS_MAX:
         wanted = f"rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
         raise InputError("array world", wanted=wanted, came="nothing" if came is None else str(shape))
-    return RequestedLight(record, _numbers(message, "world", (*shape[:2], 3)).astype(np.float32), left, left_at)
+    if came is None or shape[2] != 3 or came.dtype != "<f4":
+        raise InputError("array world", wanted="three float32 colors", came="nothing" if came is None else came.dtype)
+    # its numbers are checked where it is new: it comes with every image
+    return RequestedLight(record, np.asarray(came.view()), left, left_at)
 
 
 def _left(message: Message, record: dict[str, Any], hands: int) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -11,6 +11,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.known_light import refuse_known_light
 from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, held_out
@@ -188,6 +189,7 @@ def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None],
     """About so many pictures that a capture's split holds out, of every kind as many as of the others, or all. say:
     called with doubts about them."""
     capture = open_capture(folder)
+    refuse_known_light(capture.samples, "pictures to compare with")
     told = held_out(avatar, capture, split_capture(capture, to_learn=False))
     if told.warning:
         say(told.warning)

@@ -39,6 +39,7 @@ from jghand_engine.learn.skinning import apply, posed_anchors, skin_maps
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import library as native_library
 from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.native.threads import shared_pool
 
 EYE_M = np.array([0.1, 0.25, 0.5])
 EVEN = World(np.broadcast_to(np.array([0.2, 0.5, 1.0], np.float32), (16, 32, 3)))
@@ -180,9 +181,13 @@ def test_another_hand_casts_its_shadow_in_the_kernel_as_in_training(others):
 
 
 def test_threads_do_not_change_a_bit():
-    bones = bones_of(AVATAR)
-    first = natively(AVATAR, bones, LIGHTS["all"])
-    assert np.array_equal(first, natively(AVATAR, bones, LIGHTS["all"]))
+    bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
+    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=LIGHTS["all"])
+    shared_pool(4).run(lambda _thread: poser.run())
+    poser.prepare_gloss(EYE_M)
+    shared_pool(4).run(lambda _thread: poser.run_gloss())
+    rows = np.argsort(poser.blocks.order)
+    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, LIGHTS["all"]))
 
 
 def test_a_world_that_changes_is_seen_in_the_next_pose():

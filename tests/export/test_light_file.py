@@ -46,7 +46,9 @@ def test_the_sky_of_a_panorama_lights_what_looks_up(tmp_path):
 
 
 def test_a_world_of_one_color_lights_all_normals_alike(tmp_path):
-    terms = read_light(written(tmp_path, world={"rgb": [0.2, 0.5, 1.0]})).world.terms
+    world = read_light(written(tmp_path, world={"rgb": [0.2, 0.5, 1.0]})).world
+    assert world is not None
+    terms = world.terms
     normals = np.random.default_rng(0).standard_normal((200, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     lit = harmonics(normals) @ terms.irradiance(np.full(3, 0.02))
@@ -63,6 +65,8 @@ def test_a_world_of_one_color_is_as_bright_everywhere(tmp_path):
     "content",
     [
         {"version": 2},
+        {"lamp": []},
+        {"world": {"rgb": [1, 1, 1], "strength": 2}},
         {"lamps": "sun"},
         {"world": {}},
         {"world": {"picture": "no.hdr"}},
