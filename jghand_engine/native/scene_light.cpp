@@ -4,6 +4,7 @@
 
 #include "capsule.h"
 #include "constants.h"
+#include "export.h"
 
 namespace jg {
 namespace {
@@ -352,3 +353,5 @@ void seen_block(const LearnedTask& t, int32_t block) {
 }
 
 }  // namespace jg
+
+JG_API int32_t jg_scene_light_task_bytes() { return sizeof(jg::SceneLightTask); }

@@ -21,6 +21,7 @@ from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.mean import MeanTask, NativeMean
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View, job_bytes
+from jghand_engine.native.scene_light_task import SceneLightTask
 from jghand_engine.native.ssim import SSIM_K1, SSIM_K2, NativeSsim, window
 from jghand_engine.native.tasks import LANES, EnlargeTask, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
 
@@ -70,6 +71,7 @@ def check(library: Library) -> None:
     tasks = (
         (call.jg_skin_task_bytes, SkinTask),
         (call.jg_learned_task_bytes, LearnedTask),
+        (call.jg_scene_light_task_bytes, SceneLightTask),
         (call.jg_shade_task_bytes, ShadeTask),
         (call.jg_ssim_task_bytes, SsimTask),
         (call.jg_enlarge_task_bytes, EnlargeTask),
