@@ -24,6 +24,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from .. import clock, versions
+from ..core.bone_maps import BoneMap
 from ..core.joints import NAMES
 from ..core.stand_in import surface_at
 from ..errors import JGHandFailure
@@ -47,13 +48,19 @@ _REST_S = 0.3
 # shadings in which something is traced
 _TRACED = {"MATERIAL", "RENDERED"}
 
+# a hand: its side, (21, 3) joints at rest in the armature's space and unit, and the bone that moves what hangs on each
+_Shape = tuple[str, np.ndarray, list[str]]
+
+# the stand-ins that the last update left, as `bpy.data.objects` finds them, and their session_uid
+_there: list[tuple[tuple[str, str | None], int]] = []
 # when something was changed last that can concern a hand, on the clock of time.monotonic(); None: nothing since
 _changed_s: float | None = None
 
 
 def update() -> None:
-    """Gives each hand of the file the stand-in that it should have as it is now, and takes away what no hand has."""
-    global _changed_s
+    """Gives each hand of the file the stand-in that it should have as it is now, and takes away what no hand has. Of a
+    hand in Edit Mode, or that cannot be read, it stays as it is: the artist may have set things on it."""
+    global _changed_s, _there
     _changed_s = None
     left = {}
     for thing in [thing for thing in bpy.data.objects if MARK in thing]:
@@ -63,11 +70,20 @@ def update() -> None:
         else:
             left[key] = thing
     for hand in [thing for thing in bpy.data.objects if armature.is_any_hand(thing)]:
-        for side, joints, bones in _shapes(hand):
+        shapes = _shapes(hand)
+        if shapes is None:
+            left = {key: thing for key, thing in left.items() if key[0] != hand}
+            continue
+        for side, joints, bones in shapes:
             _renew(hand, side, left.pop((hand, side), None), joints, bones)
     for thing in left.values():
         if _is_own(thing):
             _remove(thing)
+    _there = [
+        ((thing.name, thing.library and thing.library.filepath), thing.session_uid)
+        for thing in bpy.data.objects
+        if MARK in thing
+    ]
 
 
 def of(hand: bpy.types.Object) -> list[bpy.types.Object]:
@@ -101,10 +117,11 @@ def tend() -> None:
 
 
 def show(traced: bool) -> None:
-    """Shows stand-ins to views that trace, those of hands that are seen; or to none."""
+    """Shows the stand-ins of the last update to views that trace, those of hands that are seen; or to none."""
     seen = bpy.context.view_layer
-    for thing in bpy.data.objects:
-        if MARK in thing:
+    for key, uid in _there:
+        thing = bpy.data.objects.get(key)
+        if thing is not None and thing.session_uid == uid:
             hand = thing.parent
             hidden = not traced or hand is None or hand.hide_viewport or hand.hide_get(view_layer=seen)
             if thing.hide_viewport != hidden:
@@ -118,25 +135,28 @@ def _views() -> Iterator[bpy.types.SpaceView3D]:
                 yield area.spaces.active
 
 
-def _shapes(hand: bpy.types.Object) -> Iterator[tuple[str, np.ndarray, list[str]]]:
-    """The hands of an armature that throw shadows: their side, (21, 3) joints at rest in the armature's space and unit,
-    and the bone that moves what hangs on each joint."""
-    if not hand.jghand.cast_shadow or hand.type != "ARMATURE" or hand.mode == "EDIT" or not _homes(hand):
-        return
+def _shapes(hand: bpy.types.Object) -> list[_Shape] | None:
+    """The hands of an armature that throw shadows; None: not to be told now."""
+    if not hand.jghand.cast_shadow or hand.type != "ARMATURE" or not _homes(hand):
+        return []
+    if hand.mode == "EDIT":
+        return None
     try:
         if armature.is_hand(hand):
-            yield armature.handedness_of(hand), armature.rest_matrices_of(hand)[:, :3, 3], list(NAMES)
-            return
-        for bone_map in sources.stored_maps(hand):
-            found = sources.whole_sources(bone_map, hand.data.bones)
-            bones = [hand.data.bones[source.bone] for source in found]
-            ends = [
-                bone.head_local if source.end == "head" else bone.tail_local
-                for bone, source in zip(bones, found, strict=True)
-            ]
-            yield bone_map.handedness, np.array(ends, np.float64), [bone.name for bone in bones]
+            return [(armature.handedness_of(hand), armature.rest_matrices_of(hand)[:, :3, 3], list(NAMES))]
+        return [_mapped(bone_map, hand.data.bones) for bone_map in sources.stored_maps(hand)]
     except JGHandFailure:
-        return  # a hand that cannot be read is not drawn either, and the panel says why
+        return None  # a hand that cannot be read is not drawn either, and the panel says why
+
+
+def _mapped(bone_map: BoneMap, of_rig: bpy.types.ArmatureBones) -> _Shape:
+    """The hand of a bone map. Raises JGHandFailure as `sources.whole_sources`."""
+    found = sources.whole_sources(bone_map, of_rig)
+    bones = [of_rig[source.bone] for source in found]
+    ends = [
+        bone.head_local if source.end == "head" else bone.tail_local for bone, source in zip(bones, found, strict=True)
+    ]
+    return bone_map.handedness, np.array(ends, np.float64), [bone.name for bone in bones]
 
 
 def _homes(hand: bpy.types.Object) -> list[bpy.types.Collection]:
@@ -153,9 +173,7 @@ def _renew(
         return
     try:
         mesh = _mesh(joints, side, bones)
-    except JGHandFailure:  # joints that no hand has at rest
-        if thing is not None:
-            _remove(thing)
+    except JGHandFailure:  # joints that no hand has at rest: not to be told now
         return
     mine: bpy.types.Object = _new(hand, side, mesh) if thing is None else thing
     if mine.data != mesh:  # what is written tells Blender of a change, also the same again

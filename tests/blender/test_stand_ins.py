@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import hands
@@ -178,6 +179,23 @@ def test_it_goes_with_its_hand(extension):
     assert not [mesh for mesh in bpy.data.meshes if stand_ins.MADE_FROM in mesh]
 
 
+def test_of_a_hand_in_edit_mode_or_that_cannot_be_read_it_stays_with_what_the_artist_set(extension):
+    hand, (rig, _) = add_hand(), hands.mixamo_rig(extension)
+    bpy.ops.jghand.use_armature()
+    stand_ins.update()
+    things = [only(hand), *stand_ins.of(rig)]
+    with armature.edit_mode(extension, hand):
+        stand_ins.update()
+        assert only(hand) == things[0]
+        hand.data.edit_bones["index4"].head = hand.data.edit_bones["index4"].tail
+    rig[armature.MAP_PROPERTIES["right"]] = "?"
+    stand_ins.update()
+    assert [only(hand), *stand_ins.of(rig)] == things
+    with armature.edit_mode(extension, hand):
+        hand.jghand.cast_shadow = False
+        assert not stand_ins.of(hand)
+
+
 def test_files_without_stand_ins_get_them_and_linked_hands_too(extension, tmp_path):
     armature.build_armature(extension, "Old", posing.rest_joints_m("right"), "right")
     path = str(tmp_path / "old.blend")
@@ -255,6 +273,15 @@ def test_views_show_it_only_where_they_trace(extension):
     assert thing.hide_viewport
     assert thing.hide_select
     assert not thing.visible_camera
+
+
+def test_at_a_tick_of_the_timer_the_other_objects_are_not_looked_at(extension, monkeypatch):
+    thing = only(add_hand())
+    objects = SimpleNamespace(get=bpy.data.objects.get)  # to go through them all would raise
+    monkeypatch.setattr(stand_ins, "bpy", SimpleNamespace(data=SimpleNamespace(objects=objects), context=bpy.context))
+    for traced in (True, False):
+        stand_ins.show(traced)
+        assert thing.hide_viewport != traced
 
 
 def test_the_scene_of_the_hands_has_none(floor):
