@@ -47,9 +47,10 @@ def tick() -> float:
     _follow_status()
     _follow_problems()
     _redraw(views.try_again())
-    stand_ins.tend()
-    if scene_light.tend():
-        _redraw({view.region for view in views.all_views()})
+    if not rendering.is_blender_busy():
+        stand_ins.tend()
+        if scene_light.tend():
+            _redraw({view.region for view in views.all_views()})
     shown = views.all_views()
     if not shown:
         return clock.IDLE_TICK_S

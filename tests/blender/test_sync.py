@@ -151,6 +151,19 @@ def test_a_render_that_ended_without_a_word_does_not_stop_the_views_for_ever(ext
     assert not rendering.now()
 
 
+def test_while_blender_renders_or_bakes_the_timer_adds_and_removes_nothing(link, monkeypatch):
+    """That would end Blender (5.2.2), also in a render of Cycles alone."""
+    tended = []
+    for each in (handlers.stand_ins, handlers.scene_light):
+        monkeypatch.setattr(each, "tend", lambda: tended.append(1))
+    for job in ("RENDER", "OBJECT_BAKE", None):
+        assert job is None or bpy.app.is_job_running(job) is False  # Blender knows it
+        running = SimpleNamespace(is_job_running=lambda asked, job=job: asked == job)
+        monkeypatch.setattr(rendering, "bpy", SimpleNamespace(app=running))
+        handlers.tick()
+        assert len(tended) == (2 if job is None else 0)
+
+
 # ---- which hands -----------------------------------------------------------------------------------------------------
 
 
