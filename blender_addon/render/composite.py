@@ -67,11 +67,15 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
     shading = sum(map(_may_shade, missing))
     if shading:
         found.append(rpt_("{count} things that may shade hands are missing").format(count=shading))
-    found += [rpt_("{name} is too much").format(name=thing.name) for thing in there if thing not in wanted]
-    for owner, of, names in _shared(scene, ours):
-        for name in names:
-            if name not in _FOLLOWS and getattr(owner, name) != getattr(of, name):
-                found.append(rpt_("{name} differs").format(name=of.bl_rna.properties[name].name))
+    unneeded = len(there.difference(wanted))
+    if unneeded:
+        found.append(rpt_("{count} objects are no longer needed").format(count=unneeded))
+    found += [
+        rpt_("{name} differs").format(name=of.bl_rna.properties[name].name)
+        for owner, of, names in _shared(scene, ours)
+        for name in names
+        if name not in _FOLLOWS and getattr(owner, name) != getattr(of, name)
+    ]
     return found
 
 

@@ -346,7 +346,7 @@ def test_a_picture_says_in_what_its_hands_are_not_up_to_date(scene, capfd):
     f12()
     assert "not up to date" not in capfd.readouterr().err  # once
     bpy.data.objects["right"].hide_render = True
-    assert "right is too much" in composite.out_of_date(scene)
+    assert "1 objects are no longer needed" in composite.out_of_date(scene)
     bpy.ops.jghand.combine_with_scene()
     assert composite.out_of_date(scene) == []
 
@@ -372,7 +372,7 @@ def test_the_lamps_and_the_world_of_the_scene_light_its_hands_as_its_engine_take
         assert found[engine, scene.name] == found[engine, ours.name]
     assert [len(each) for each in found.values()] == [2, 2, 3, 3]
     placed.hide_render = True
-    assert composite.out_of_date(scene) == ["placed is too much"]
+    assert composite.out_of_date(scene) == ["1 objects are no longer needed"]
 
 
 def test_a_linked_hand_of_the_same_name_is_combined_too(scene, tmp_path):
