@@ -176,7 +176,9 @@ ADVICE = {
         "The image of the world is missing", "Choose another one in World Properties, or put the file back", BAD_INPUT
     ),
     "world_not_measured": Advice(
-        "The light of the world's nodes is not measured yet", "Show the hand in a 3D view for a moment", TRY_AGAIN
+        "The light of the world's nodes is not measured yet",
+        "Show the hand in a view of the scene for a moment",
+        TRY_AGAIN,
     ),
     "no_cycles": Advice(
         "The world's nodes are measured by Cycles, which is disabled",

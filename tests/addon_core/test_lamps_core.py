@@ -129,5 +129,5 @@ def test_of_many_lamps_the_engine_gets_as_many_as_it_takes_and_those_that_light_
     kept = brightest(lamps, np.zeros(3))
     assert [lamp["kind"] for lamp in kept] == ["sun", *["point"] * (LAMPS_MAX - 1)]
     assert kept[-1]["place_m"][0] == LAMPS_MAX - 1
-    assert LAMPS_MAX + world_suns.SUNS_MAX <= light_records.LAMPS_MAX
+    assert LAMPS_MAX + world_suns.SUNS_MAX <= light_records.RECORDS_MAX
     assert brightest(lamps[:9], np.zeros(3)) == lamps[:9]
