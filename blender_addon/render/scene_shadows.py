@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shadows that a scene throws on hands: what its things leave of each lamp, at points of the skin, by rays.
 
-A thing is asked only where its box can lie between hand and lamp. Its triangles are looked up in a tree that is kept
-until they change; what was found for a lamp is kept as long as hand, lamp and things stay. What throws a shadow is
-opaque here: glass and leaves that are cut out by their alpha shade as a whole.
+A thing is asked only where it can lie between hand and lamp, and by rays that meet its box. Where things stand is read
+once per edit, triangles once per evaluation, for all instances, into trees that are kept by their content; what was
+found for a lamp is kept as long as hand, lamp and things stay. What throws a shadow is opaque here: glass and leaves
+that are cut out by their alpha shade as a whole.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import bpy
 import numpy as np
@@ -33,30 +33,66 @@ _WAY = 0.999
 _FAR_M = 1000.0
 # cosine of skin and light below which no light falls on it, however round the corner is
 _FACING_MIN = -0.3
-# trees of things, and what was found for lamps, that are kept
-_TREES, _FOUND = 64, 256
+# what is kept beyond what was used last: lights found, triangles in trees (about 300 bytes each), and scenes
+_FOUND, _TRIANGLES, _SCENES = 256, 4_000_000, 4
 # what has triangles
 SOLID = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
-_Kept = TypeVar("_Kept")
-_trees: OrderedDict[Hashable, BVHTree] = OrderedDict()
-_found: OrderedDict[Hashable, np.ndarray] = OrderedDict()
-# how often something was edited that may throw a shadow
-_edits = 0
+
+@dataclass(frozen=True)
+class _Shape:
+    """Triangles in their own space.
+
+    digest: of them
+    tree:   None where there are none
+    box:    (2, 3) around them
+    size:   how many
+    """
+
+    digest: bytes
+    tree: BVHTree | None
+    box: np.ndarray
+    size: int
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """What may throw shadows in an evaluated scene, N with each instance.
+
+    edits:    when it was read
+    meshes:   N evaluated meshes, by numbers that Blender gives anew at each evaluation
+    matrices: (N, 4, 4) to the axes of the lamps, meters
+    middles:  (N, 3) and
+    radii:    (N,) of a ball around each, in the axes of the lamps, meters
+    shapes:   digests of the meshes that were read so far
+    """
+
+    edits: int
+    meshes: list[int]
+    matrices: np.ndarray
+    middles: np.ndarray
+    radii: np.ndarray
+    shapes: dict[int, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class _Thing:
     """Something that may stand in the light.
 
-    tree:   of its triangles in its own space
-    digest: of the triangles
+    shape:  its triangles
     matrix: (4, 4) to the axes of the lamps, meters
     """
 
-    tree: BVHTree
-    digest: bytes
+    shape: _Shape
     matrix: np.ndarray
+
+
+# by scene and view layer; by digest, the last used at the end, as what was found for lamps
+_standing: dict[Hashable, _Standing] = {}
+_shapes: OrderedDict[bytes, _Shape] = OrderedDict()
+_found: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+# how often something was edited that may throw a shadow
+_edits = 0
 
 
 def left_of_lamps(
@@ -72,23 +108,24 @@ def left_of_lamps(
     wanted = [place for place, lamp in enumerate(lamps) if lamp.get("has_shadow", True)]
     if not wanted or not len(points_m):
         return left
-    hand = np.stack([points_m.min(0), points_m.max(0)])
-    hulls = [_hull_of(hand, lamps[place]) for place in wanted]
-    things: dict[int, list[_Thing]] = {place: [] for place in wanted}
-    for thing, matrix, box in _solids(depsgraph):
-        between = [place for place, hull in zip(wanted, hulls, strict=True) if _meet(box, hull)]
-        if between:
-            digest, tree = _tree_of(thing)
-            for place in between:
-                if tree is not None:
-                    things[place].append(_Thing(tree, digest, matrix))
+    standing = _standing_in(depsgraph)
+    between = {place: _between(points_m, lamps[place], standing) for place in wanted}
+    _read({standing.meshes[row] for rows in between.values() for row in rows}, standing, depsgraph)
     skin = hashlib.blake2b(points_m.tobytes() + normals.tobytes()).digest()
-    for place in wanted:
-        standing = things[place]
-        if standing:
-            key = (skin, repr(lamps[place]), *((thing.digest, thing.matrix.tobytes()) for thing in standing))
-            look = functools.partial(_look, points_m, normals, lamps[place], standing)
-            left[place] = _kept(_found, _FOUND, key, look)
+    for place, rows in between.items():
+        things = [
+            _Thing(_shapes[digest], standing.matrices[row])
+            for row in rows
+            if (digest := standing.shapes.get(standing.meshes[row])) is not None and _shapes[digest].tree is not None
+        ]
+        if things:
+            key = (skin, repr(lamps[place]), *((thing.shape.digest, thing.matrix.tobytes()) for thing in things))
+            if key not in _found:
+                _found[key] = _look(points_m, normals, lamps[place], things)
+                if len(_found) > _FOUND:
+                    _found.popitem(last=False)
+            _found.move_to_end(key)
+            left[place] = _found[key]
     return left
 
 
@@ -118,44 +155,77 @@ def _may_shade(thing: bpy.types.ID) -> bool:
 
 def forget() -> None:
     """Gives the memory of trees and shadows back."""
-    _trees.clear()
+    _standing.clear()
+    _shapes.clear()
     _found.clear()
     expect()
-
-
-def _kept(memory: OrderedDict[Hashable, _Kept], most: int, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
-    """What is known by this key, or is made now; what was wanted longest ago goes."""
-    if key not in memory:
-        memory[key] = make()
-        if len(memory) > most:
-            memory.popitem(last=False)
-    memory.move_to_end(key)
-    return memory[key]
 
 
 # ---- what may stand in the light -------------------------------------------------------------------------------------
 
 
-def _solids(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, np.ndarray, np.ndarray]]:
-    """What throws shadows, each instance too, its matrix and its box in the axes of the lamps, meters. Of an instance
-    nothing is there after its turn."""
-    light_from_world = LIGHT_FROM_WORLD.copy()
-    light_from_world[:3] *= depsgraph.scene_eval.unit_settings.scale_length
+def _solids(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, bpy.types.DepsgraphObjectInstance]]:
+    """What throws shadows, each instance too; Blender gives curves, texts and balls as meshes beside themselves. Of an
+    instance nothing is there after its turn."""
     for each in depsgraph.object_instances:
         thing = each.object
-        if thing.type not in SOLID or not thing.visible_shadow or not each.show_self or armature.STAND_IN in thing:
-            continue
-        matrix = light_from_world @ np.array(each.matrix_world)
-        corners = np.array(thing.bound_box) @ matrix[:3, :3].T + matrix[:3, 3]
-        yield thing, matrix, np.stack([corners.min(0), corners.max(0)])
+        if thing.type == "MESH" and thing.visible_shadow and each.show_self and armature.STAND_IN not in thing:
+            yield thing, each
 
 
-def _tree_of(thing: bpy.types.Object) -> tuple[bytes, BVHTree | None]:
-    """The triangles of an evaluated object, and what they are known by."""
+def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
+    """Where things stand; a render reads it each time, as edits are not told of there."""
+    key = (depsgraph.scene.session_uid, depsgraph.view_layer.name)
+    last = _standing.get(key) if depsgraph.mode == "VIEWPORT" else None
+    if last is not None and last.edits == _edits:
+        return last
+    meshes, places = [], []
+    boxes: dict[int, np.ndarray] = {}
+    for thing, each in _solids(depsgraph):
+        mesh = thing.data.session_uid
+        meshes.append(mesh)
+        places.append([tuple(row) for row in each.matrix_world])
+        if mesh not in boxes:
+            corners = np.array([tuple(corner) for corner in thing.bound_box])
+            boxes[mesh] = np.stack([corners.min(0), corners.max(0)])
+    light_from_world = LIGHT_FROM_WORLD.copy()
+    light_from_world[:3] *= depsgraph.scene_eval.unit_settings.scale_length
+    matrices = light_from_world @ np.array(places).reshape(-1, 4, 4)
+    box = np.array([boxes[mesh] for mesh in meshes]).reshape(-1, 2, 3)
+    turns = matrices[:, :3, :3]
+    middles = (turns @ box.mean(1)[:, :, None])[..., 0] + matrices[:, :3, 3]
+    radii = np.linalg.norm((np.abs(turns) @ (box[:, 1] - box[:, 0])[:, :, None])[..., 0], axis=-1) / 2
+    known = {mesh: last.shapes[mesh] for mesh in boxes if mesh in last.shapes} if last is not None else {}
+    standing = _Standing(_edits, meshes, matrices, middles, radii, known)
+    if depsgraph.mode == "VIEWPORT":
+        if len(_standing) >= _SCENES:
+            _standing.clear()
+        _standing[key] = standing
+    return standing
+
+
+def _read(meshes: set[int], standing: _Standing, depsgraph: bpy.types.Depsgraph) -> None:
+    """Has the shapes of these meshes at hand."""
+    missing = {mesh for mesh in meshes if standing.shapes.get(mesh) not in _shapes}
+    for thing, _ in _solids(depsgraph) if missing else ():
+        mesh = thing.data.session_uid
+        if mesh in missing:
+            standing.shapes[mesh] = _shape_of(thing)
+            missing.discard(mesh)
+            if not missing:
+                break
+    used = {standing.shapes[mesh] for mesh in meshes if mesh in standing.shapes}
+    for digest in used:
+        _shapes.move_to_end(digest)
+    size = sum(shape.size for shape in _shapes.values())
+    while size > _TRIANGLES and len(_shapes) > len(used):
+        size -= _shapes.popitem(last=False)[1].size
+
+
+def _shape_of(thing: bpy.types.Object) -> bytes:
+    """Reads the triangles of an evaluated object; what they are known by."""
     mesh = thing.to_mesh()
     try:
-        if mesh is None or not mesh.polygons:
-            return b"", None
         places = np.empty((len(mesh.vertices), 3), np.float32)
         mesh.vertices.foreach_get("co", places.ravel())
         mesh.calc_loop_triangles()
@@ -164,25 +234,34 @@ def _tree_of(thing: bpy.types.Object) -> tuple[bytes, BVHTree | None]:
     finally:
         thing.to_mesh_clear()
     digest = hashlib.blake2b(places.tobytes() + triangles.tobytes()).digest()
+    if digest not in _shapes:
+        tree, box = None, np.zeros((2, 3))
+        if len(triangles):
+            tree = BVHTree.FromPolygons(places.tolist(), triangles.tolist(), all_triangles=True)
+            box = np.stack([places.min(0), places.max(0)]).astype(np.float64)
+        _shapes[digest] = _Shape(digest, tree, box, len(triangles))
+    return digest
 
-    def build() -> BVHTree:
-        return BVHTree.FromPolygons(places.tolist(), triangles.tolist(), all_triangles=True)
 
-    return digest, _kept(_trees, _TREES, digest, build)
-
-
-def _hull_of(hand: np.ndarray, lamp: Mapping[str, Any]) -> np.ndarray:
-    """(2, 3) the box of a hand's box and a lamp; of a sun, which has no place, it has no end."""
+def _between(points: np.ndarray, lamp: Mapping[str, Any], standing: _Standing) -> list[int]:
+    """The rows of what can lie between points and a lamp: whose ball meets the hull of the balls around both, which is
+    made of balls from one to the other."""
+    start = (points.min(0) + points.max(0)) / 2
+    radius = float(np.linalg.norm(points - start, axis=-1).max()) + LIFT_M
     if lamp["kind"] == "sun":
-        towards, widest = _unit(lamp["place_m"]), math.sin(lamp.get("angle_rad", 0.0) / 2)
-        low, high = hand
-        return np.stack([np.where(towards < widest, -np.inf, low), np.where(towards > -widest, np.inf, high)])
-    place, size = np.asarray(lamp["place_m"]), _radius(lamp)
-    return np.stack([np.minimum(hand[0], place - size), np.maximum(hand[1], place + size)])
-
-
-def _meet(box: np.ndarray, hull: np.ndarray) -> bool:
-    return bool((box[0] <= hull[1]).all() and (box[1] >= hull[0]).all())
+        axis, length = _unit(lamp["place_m"]), _FAR_M
+        slope = math.tan(lamp.get("angle_rad", 0.0) / 2)
+    else:
+        way = np.asarray(lamp["place_m"]) - start
+        length = max(float(np.linalg.norm(way)), 1e-9)
+        axis, slope = way / length, (_radius(lamp) - radius) / length
+    off = standing.middles - start
+    along = off @ axis
+    aside = np.linalg.norm(off - along[:, None] * axis, axis=-1) + 1e-9
+    # where on the axis the ball that comes nearest has its middle; a hull with a wide slope is its larger ball
+    nearest = np.clip(along + aside * slope / math.sqrt(max(1 - slope * slope, 1e-30)), 0.0, length)
+    apart = np.hypot(along - nearest, aside) - (radius + slope * nearest)
+    return np.flatnonzero(apart <= standing.radii).tolist()
 
 
 def _radius(lamp: Mapping[str, Any]) -> float:
@@ -257,19 +336,30 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
     """(N,) whether a thing is met on the way from each point."""
     hit = np.zeros(len(starts), bool)
     for thing in things:
-        if not np.linalg.det(thing.matrix[:3, :3]):
+        if thing.shape.tree is None or not np.linalg.det(thing.matrix[:3, :3]):
             continue
         back = np.linalg.inv(thing.matrix)
         rows = np.flatnonzero(~hit)
         origins = starts[rows] @ back[:3, :3].T + back[:3, 3]
         along = ways[rows] @ back[:3, :3].T
+        near = np.flatnonzero(_meet_box(origins, along, thing.shape.box))
+        rows, origins, along = rows[near], origins[near], along[near]
         lengths = np.linalg.norm(along, axis=-1)
-        cast = thing.tree.ray_cast
+        cast = thing.shape.tree.ray_cast
         hit[rows] = [
             cast(origin, way, length)[0] is not None
             for origin, way, length in zip(origins.tolist(), along.tolist(), lengths.tolist(), strict=True)
         ]
     return hit
+
+
+def _meet_box(origins: np.ndarray, ways: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """(N,) whether the way from each point comes through a box, with a margin for numbers of 32 bits."""
+    margin = 1e-5 * np.abs(box).max() + 1e-9
+    one_over = 1 / np.where(np.abs(ways) < 1e-30, 1e-30, ways)
+    low, high = (box[0] - margin - origins) * one_over, (box[1] + margin - origins) * one_over
+    enters, leaves = np.minimum(low, high).max(-1), np.maximum(low, high).min(-1)
+    return (enters <= leaves) & (leaves >= 0) & (enters <= 1)
 
 
 def _unit(vector: Any) -> np.ndarray:

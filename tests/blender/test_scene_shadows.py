@@ -21,7 +21,15 @@ AREA = {
 
 @pytest.fixture(autouse=True)
 def fresh(context):
+    """Nothing is known yet, and edits are told as by the handler of the extension."""
+
+    def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        scene_shadows.notice(depsgraph)
+
     scene_shadows.forget()
+    bpy.app.handlers.depsgraph_update_post.append(on_change)
+    yield
+    bpy.app.handlers.depsgraph_update_post.remove(on_change)
 
 
 def card(size: float, *, up: float, aside: float = 0.0) -> bpy.types.Object:
@@ -137,6 +145,59 @@ def test_a_thing_that_changes_is_looked_at_again(context):
     plane.data.update()
     plane.visible_shadow = False
     assert left(points, normals, POINT).min() == 1
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, name: str) -> list[object]:
+    """What a function of the module was called with, from now on."""
+    calls, real = [], getattr(scene_shadows, name)
+    monkeypatch.setattr(scene_shadows, name, lambda *args: (calls.append(args), real(*args))[1])
+    return calls
+
+
+def test_a_hand_that_moves_reads_no_thing_again_however_many_there_are(context, monkeypatch):
+    points, normals = line(length=0.1)
+    for number in range(70):
+        card(0.01 + 0.001 * number, up=0.5)
+    read, scenes = counted(monkeypatch, "_shape_of"), counted(monkeypatch, "_solids")
+    for step in range(3):
+        left(points + np.array([0.001 * step, 0, 0]), normals, POINT)
+    assert (len(read), len(scenes)) == (70, 2)  # where they stand, and what they are
+    bpy.context.object.location.x = 0.01
+    left(points, normals, POINT)
+    assert (len(read), len(scenes)) == (70, 3)
+    bpy.context.object.data.vertices[0].co.x -= 0.01
+    bpy.context.object.data.update()
+    left(points, normals, POINT)
+    assert len(read) == 71
+
+
+def test_instances_of_one_thing_are_read_once(context, monkeypatch):
+    """As vertices of a ring that each carry a card, which shade what lies under them."""
+    points, normals = line(length=0.1)
+    plane = card(0.02, up=0.0)
+    bpy.ops.mesh.primitive_circle_add(vertices=500, radius=0.03, location=(0, 0, 0.2))
+    ring = bpy.context.object
+    ring.instance_type, plane.parent = "VERTS", ring
+    read = counted(monkeypatch, "_shape_of")
+    seen = left(points, normals, SUN)[0]
+    assert len(read) == 2  # the card, and the ring, which has no surface
+    assert seen[np.abs(np.abs(points[:, 0]) - 0.03) < 0.008].max() == 0
+    assert seen[np.abs(np.abs(points[:, 0]) - 0.0145) < 0.002].min() == 1  # between the ring and the card itself
+
+
+@pytest.mark.parametrize("lamp", [SUN, {**POINT, "radius_m": 0.3}, AREA], ids=["sun", "point", "area"])
+def test_what_is_left_out_before_rays_are_cast_is_met_by_none(context, lamp, monkeypatch):
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        bpy.ops.mesh.primitive_cube_add(size=0.05, location=rng.uniform(-0.4, 0.4, 3), rotation=rng.uniform(0, 3, 3))
+        bpy.context.object.scale = rng.uniform(0.1, 4, 3)
+    points, normals = line(300, length=0.2)
+    seen = left(points, normals, lamp)
+    assert 0.05 < seen.mean() < 0.95
+    scene_shadows.forget()
+    monkeypatch.setattr(scene_shadows, "_between", lambda _points, _lamp, standing: list(range(len(standing.meshes))))
+    monkeypatch.setattr(scene_shadows, "_meet_box", lambda origins, *_: np.ones(len(origins), bool))
+    np.testing.assert_array_equal(seen, left(points, normals, lamp))
 
 
 def test_blenders_lamps_are_read_into_what_it_takes(context):

@@ -52,6 +52,20 @@ def step_a_red_lamp_makes_it_red(window):
     yield 0.5
 
 
+def step_a_cube_between_lamp_and_hand_shades_it(window):
+    before = _colors(window).mean()
+    bpy.ops.mesh.primitive_cube_add(size=0.15, location=tuple(np.array((0.0, 0.0, 0.09)) / 2 + _lamp().location / 2))
+    cube = bpy.context.object
+    yield 0.5  # shadows are looked for after a rest
+    yield lambda: _is_sharp(window)
+    window.picture("cube_before_lamp")
+    assert _colors(window).mean() < before - 2 * STEP
+    bpy.data.objects.remove(cube)
+    yield 0.5
+    yield lambda: _is_sharp(window)
+    assert abs(_colors(window).mean() - before) < 2
+
+
 def step_the_world_lights_it(window):
     world = bpy.context.scene.world
     _lamp().hide_set(True)
