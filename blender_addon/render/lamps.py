@@ -180,6 +180,16 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
     if len({_lights_any(receivers, [hand]) for hand in hands}) > 1:
         text = rpt_("{name}: light linking leaves out some of the hands, but it lights them all; link all or none")
         yield text.format(name=name)
+    blockers = thing.light_linking.blocker_collection
+    if light.use_shadow and blockers is not None and (blockers.children or blockers.objects):
+        yield _warning_of_blockers(_lights_any(blockers, hands)).format(name=name)
+
+
+def _warning_of_blockers(has_hands: bool) -> str:
+    """A light's blockers say whether hands shade themselves; things that they pick are not told from others."""
+    if has_hands:
+        return rpt_("{name}: all things shade hands despite shadow linking; turn off Shadow in their Ray Visibility")
+    return rpt_("{name}: nothing shades hands, as its shadow linking leaves them out; link them too")
 
 
 # ---- light linking ---------------------------------------------------------------------------------------------------

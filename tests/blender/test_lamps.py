@@ -303,9 +303,19 @@ def test_hands_do_not_shade_themselves_from_lamps_whose_shadows_they_do_not_thro
     assert not read(card).lamps[0]["has_shadow"]
     thing.data.use_shadow = True
     blockers = thing.light_linking.blocker_collection = bpy.data.collections.new("blockers")
-    assert read(card).lamps[0]["has_shadow"]
+    found = read(card)
+    assert found.lamps[0]["has_shadow"]
+    assert not found.warnings
     blockers.objects.link(bpy.context.scene.camera)
-    assert not read(card).lamps[0]["has_shadow"]
+    found = read(card)
+    assert not found.lamps[0]["has_shadow"]
+    assert found.warnings == (
+        f"{thing.name}: nothing shades hands, as its shadow linking leaves them out; link them too",
+    )
+    blockers.collection_objects[0].light_linking.link_state = "EXCLUDE"
+    found = read(card)
+    assert found.lamps[0]["has_shadow"]
+    assert "all things shade hands" in found.warnings[0]
 
 
 def test_ray_visibility_chooses_what_skin_takes_of_a_lamp(card):
