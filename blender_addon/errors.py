@@ -176,8 +176,13 @@ ADVICE = {
         "The image of the world is missing", "Choose another one in World Properties, or put the file back", BAD_INPUT
     ),
     "world_not_measured": Advice(
-        "The light of the world's nodes is not measured yet",
-        "Show the hand in a view of the scene for a moment",
+        "The light of the world is not measured at this frame",
+        "Show the hand in a view of the scene at this frame for a moment, or render without a window",
+        TRY_AGAIN,
+    ),
+    "world_bake": Advice(
+        "Cycles could not measure the light of the world",
+        "Let other renders and bakes end, then change the world or render without a window",
         TRY_AGAIN,
     ),
     "no_cycles": Advice(

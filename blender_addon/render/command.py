@@ -30,7 +30,7 @@ from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS
 from ..errors import BAD_INPUT, JGHandFailure
 from ..hand import armature, instances
 from ..renderer import runtime
-from . import ENGINE, composite, samples, scene_light
+from . import ENGINE, composite, samples
 from .properties import PRESETS
 
 _FRAMES = re.compile(r"(-?\d+)(?:-(-?\d+))?(?:,([1-9]\d*))?")
@@ -136,7 +136,6 @@ def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
             each.camera = eye
             for marker in each.timeline_markers:
                 marker.camera = None  # which else would choose the camera
-        scene_light.measure(bpy.context.evaluated_depsgraph_get())
         _render_camera(current, eye.name, options.out.resolve() / name, report)
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ..core import film, panel_text
 from ..core.view import Moment, Part, SceneLight, moments_request
@@ -213,6 +214,21 @@ def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene, *, linear: bo
 CLASSES = (JGHandRenderEngine,)
 
 
+@persistent
+def on_frame(scene: bpy.types.Scene, *_: Any) -> None:
+    """A frame is about to be rendered. In a window that is said on another thread; without one its world is measured
+    now: to do so within `render` ends Blender (run, 5.2.3)."""
+    if not bpy.app.background:
+        return
+    for each in (scene, composite.hands_scene_of(scene)):
+        if each is None or each.render.engine != ENGINE or not scene_light.is_chosen(each):
+            continue
+        each.frame_set(scene.frame_current, subframe=scene.frame_subframe)  # evaluates what is keyed
+        for layer in each.view_layers:
+            if layer.use:
+                scene_light.measure(layer.depsgraph)
+
+
 def _panels() -> Iterator[set[str]]:
     """The sets in which Blender's panels say for which engines they show themselves."""
     for name in _PANELS_OF_OTHERS:
@@ -222,12 +238,14 @@ def _panels() -> Iterator[set[str]]:
 
 
 def register() -> None:
-    """Has Blender's own panels of cameras and output shown for the engine."""
+    """Has Blender's own panels of cameras and output shown for the engine, and worlds measured before frames."""
     for engines in _panels():
         engines.add(JGHandRenderEngine.bl_idname)
+    bpy.app.handlers.render_pre.append(on_frame)
 
 
 def unregister() -> None:
     """As it was before."""
     for engines in _panels():
         engines.discard(JGHandRenderEngine.bl_idname)
+    bpy.app.handlers.render_pre.remove(on_frame)

@@ -28,6 +28,11 @@ NAME = "JGHand Light Probe"
 _SHADERS = ("ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfDiffuse")
 
 
+def is_possible() -> bool:
+    """Whether Cycles is there."""
+    return "cycles" in bpy.types.Scene.bl_rna.properties
+
+
 def is_own(scene: bpy.types.Scene) -> bool:
     """Whether a scene is there for a probe alone: what is said of it is no edit of the artist's."""
     return scene.name.startswith(NAME)
@@ -49,8 +54,8 @@ def measure(
     sun: worlds.Sun | None = None,
     around: Around | None = None,
 ) -> worlds.WorldLight:
-    """The light of a world at the frame of a scene, scene-linear, in Blender's axes. Raises JGHandFailure
-    (no_cycles)."""
+    """The light of a world at the frame of a scene, scene-linear, in Blender's axes. Raises JGHandFailure (no_cycles,
+    world_bake)."""
     looks = worlds.probe(sun)
     made: list[Any] = []
     try:
@@ -167,7 +172,12 @@ def _bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
     with bpy.context.temp_override(
         scene=scene, view_layer=layer, active_object=ball, object=ball, selected_objects=[ball]
     ):
-        bpy.ops.object.bake(type="COMBINED")
+        try:
+            end = bpy.ops.object.bake(type="COMBINED")
+        except RuntimeError as error:  # an error report of Blender's
+            raise JGHandFailure("world_bake", str(error)) from error
+    if end != {"FINISHED"}:  # nothing was written: that would be black
+        raise JGHandFailure("world_bake", ", ".join(end))
     attribute = ball.data.color_attributes[NAME]
     values = np.empty(4 * len(attribute.data), np.float32)
     attribute.data.foreach_get("color", values)

@@ -3,8 +3,8 @@
 
 light = in_view(depsgraph, space, hands)    None: hands are shown in the light of their captures
 
-Worlds whose nodes do not tell their light are measured by `tend`, which the timer calls, and before frames are rendered
-without a window.
+Worlds whose nodes do not tell their light are measured by `tend`, which the timer calls, and in a Blender without a
+window before each frame that is rendered.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -20,7 +21,7 @@ from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
 from ..hand import instances
-from . import lamps, scene_shadows, studio, worlds
+from . import lamps, probe, scene_shadows, studio, worlds
 from .lamps import SceneLamps
 from .worlds import Reading
 
@@ -33,11 +34,20 @@ _SHADED_MAX = 8
 _warnings: tuple[str, ...] = ()
 # seconds for which a world rests before it is measured: nothing while somebody turns a knob of it
 _REST_S = 0.3
-# the world that is to be measured, and since when, on the clock of time.monotonic()
-_BLACK = Reading(None)
-_stale, _stale_since_s = _BLACK, 0.0
-# worlds that cannot be measured, and why
-_unmeasured: dict[str, str] = {}
+
+
+class _Stale(NamedTuple):
+    """What is to be measured, of which view layer, and since when, on the clock of time.monotonic()."""
+
+    reading: Reading
+    scene_uid: int
+    layer: str
+    since_s: float
+
+
+_stale: _Stale | None = None
+# worlds that could not be measured, with or without Cycles, and why
+_unmeasured: dict[tuple[str, bool], JGHandFailure] = {}
 
 
 def in_view(
@@ -58,10 +68,15 @@ def in_view(
 
 
 def of_render(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> SceneLight | None:
-    """What lights hands in a render."""
+    """What lights hands in a render. Raises JGHandFailure (world_not_measured, world_bake, no_cycles, no_world_image)
+    where the world's light is not known."""
     if not is_chosen(depsgraph.scene):
         return None
-    return _together(lamps.lamps_of(depsgraph, hands), _world(depsgraph, hands))
+    world = _world(depsgraph, hands)
+    light = _together(lamps.lamps_of(depsgraph, hands), world)
+    if world.failures:
+        raise _unmeasured.get(_attempt(world.stale), world.failures[0])
+    return light
 
 
 def shaded(light: SceneLight | None, hands: Sequence[HandInSpace], depsgraph: bpy.types.Depsgraph) -> SceneLight | None:
@@ -110,25 +125,46 @@ def tend() -> bool:
     """For the timer: measures the world of the views, where that is due; says whether anything is new."""
     if studio.tend():
         return True
-    if not _stale.stale or _stale.stale in _unmeasured or time.monotonic() - _stale_since_s < _REST_S:
+    if _stale is None or time.monotonic() - _stale.since_s < _REST_S:
         return False
-    _measure(bpy.context.evaluated_depsgraph_get(), _stale.place)
-    return True
+    reading, uid, name, _ = _stale
+    if _attempt(reading.stale) in _unmeasured:
+        return False
+    scene = next((each for each in bpy.data.scenes if each.session_uid == uid), None)
+    layer = scene.view_layers.get(name) if scene is not None else None
+    if layer is None or layer.depsgraph is None:  # deleted, or shown nowhere any more
+        _forget_stale()
+        return False
+    return _measure(layer.depsgraph, reading)
 
 
 def measure(depsgraph: bpy.types.Depsgraph) -> None:
-    """Measures the world of a scene that lights its hands, where that is stale. On the main thread, in no handler."""
+    """Measures the world of a scene that lights its hands, where that is stale. On the main thread; of handlers only
+    in render_pre."""
     if is_chosen(depsgraph.scene):
-        _measure(depsgraph, worlds.place_of(depsgraph, instances.evaluated_sources(depsgraph)))
+        reading = _world(depsgraph, instances.evaluated_sources(depsgraph))
+        if reading.stale:
+            _measure(depsgraph, reading)
 
 
-def _measure(depsgraph: bpy.types.Depsgraph, place: worlds.Place | None) -> None:
-    global _stale
-    _stale = _BLACK
+def _measure(depsgraph: bpy.types.Depsgraph, stale: Reading) -> bool:
+    """Says whether anything is new. What failed is tried again for a render, and when Cycles is switched on or off."""
+    _forget_stale()
+    _unmeasured.pop(_attempt(stale.stale), None)
     try:
-        worlds.update(depsgraph, place)
+        return worlds.update(depsgraph, stale.place)
     except JGHandFailure as failure:
-        _unmeasured[worlds.world_of(depsgraph, place).stale] = str(failure)
+        _unmeasured[_attempt(stale.stale)] = failure
+        return True
+
+
+def _attempt(stale: str) -> tuple[str, bool]:
+    return stale, probe.is_possible()
+
+
+def _forget_stale() -> None:
+    global _stale
+    _stale = None
 
 
 def forget() -> None:
@@ -138,21 +174,25 @@ def forget() -> None:
     scene_shadows.forget()
     _made.clear()
     _unmeasured.clear()
+    _forget_stale()
 
 
 def _world(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> Reading:
     """The world of a scene; where it is stale `tend` sees to it."""
-    global _stale, _stale_since_s
+    global _stale
     reading = worlds.world_of(depsgraph, worlds.place_of(depsgraph, hands))
-    if reading.stale != _stale.stale:
-        _stale, _stale_since_s = reading, time.monotonic()
+    if not reading.stale:
+        return reading
+    of = depsgraph.scene.session_uid, depsgraph.view_layer.name
+    if _stale is None or (_stale.reading.stale, _stale.scene_uid, _stale.layer) != (reading.stale, *of):
+        _stale = _Stale(reading, *of, time.monotonic())
     return reading
 
 
 def _together(found: SceneLamps, world: Reading) -> SceneLight:
     global _warnings
-    of_world = [_unmeasured[world.stale]] if world.stale in _unmeasured else map(str, world.failures)
-    _warnings = (*found.warnings, *of_world)
+    known = _unmeasured.get(_attempt(world.stale)) if world.stale else None
+    _warnings = (*found.warnings, *map(str, world.failures if known is None else [known]))
     around = world.light
     key = (found.key, "" if around is None else repr((around.record, around.suns)))
     if key not in _made:

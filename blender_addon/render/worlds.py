@@ -95,7 +95,7 @@ def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Read
 def update(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> bool:
     """Measures the world of a scene where that is stale; says whether anything is new.
 
-    Takes from a tenth of a second to some. Raises JGHandFailure (no_cycles).
+    Takes from a tenth of a second to some. Raises JGHandFailure (no_cycles, world_bake).
     """
     name = world_of(depsgraph, place).stale
     if not name:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,8 +16,9 @@ from test_render_engine import layers, with_link
 
 from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
+from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature
-from blender_addon.render import camera, composite, scene_light
+from blender_addon.render import camera, composite, probe, scene_light
 from blender_addon.renderer.link import EngineLink
 
 pytestmark = pytest.mark.usefixtures("linked_extension")
@@ -36,7 +38,8 @@ def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
 
 @pytest.fixture
 def scene(context) -> bpy.types.Scene:
-    """A hand, a camera, and a lamp in a black world."""
+    """A hand, a camera, and a lamp in a black world; nothing is known of light."""
+    scene_light.forget()
     armature.build_armature(context, "right", posing.rest_joints_m("right"), "right")
     scene = context.scene
     scene.camera = hands.camera_on(context, (0, 0.09, 0), 0.5)
@@ -153,22 +156,144 @@ def test_material_preview_without_the_world_of_the_scene_lights_by_its_hdri(scen
     assert len(bpy.data.images) == before
 
 
-def test_nodes_that_do_not_tell_their_light_are_measured_once(scene):
+def untold(scene: bpy.types.Scene) -> bpy.types.NodeSocketColor:
+    """A world whose nodes do not tell its light, which is the color of the socket that is returned."""
     scene.world = even_world((1, 1, 1))
     tree = scene.world.node_tree
-    noise = tree.nodes.new("ShaderNodeTexNoise")
-    tree.links.new(noise.outputs["Color"], tree.nodes["Background"].inputs["Color"])
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    dark = scene_light.of_render(depsgraph, [scene.objects[0]])
-    assert dark is not None
-    assert dark.picture is None
-    assert "not measured" in " ".join(scene_light.warnings())
-    scene_light.measure(depsgraph)
+    gamma = tree.nodes.new("ShaderNodeGamma")
+    gamma.inputs["Color"].default_value = (0.5, 0.5, 0.5, 1)
+    tree.links.new(gamma.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    return gamma.inputs["Color"]
+
+
+def of_render(scene: bpy.types.Scene) -> SceneLight:
     light = scene_light.of_render(bpy.context.evaluated_depsgraph_get(), [scene.objects[0]])
     assert light is not None
-    assert light.picture is not None
-    assert 0.3 < light.picture.mean() < 0.8
+    return light
+
+
+@pytest.fixture
+def measured(monkeypatch) -> list[str]:
+    """The scenes whose worlds are measured, by name."""
+    names: list[str] = []
+    measure = probe.measure
+    monkeypatch.setattr(probe, "measure", lambda scene, *more: names.append(scene.name) or measure(scene, *more))
+    return names
+
+
+def test_nodes_that_do_not_tell_their_light_are_measured_once_before_they_light_a_render(scene, measured):
+    untold(scene)
+    for _ in range(2):
+        scene_light.measure(bpy.context.evaluated_depsgraph_get())
+        assert of_render(scene).picture == pytest.approx(0.5, abs=0.02)
+    assert measured == [scene.name]
     assert scene_light.warnings() == ()
+
+
+def test_a_keyed_world_that_is_measured_lights_each_frame_as_it_is_there(scene, real_engine, tmp_path, measured):
+    color = untold(scene)
+    scene.objects["Lamp"].hide_render = True
+    for frame, gray in ((1, 0.2), (2, 0.4)):
+        color.default_value = (gray, gray, gray, 1)
+        color.keyframe_insert("default_value", frame=frame)
+    scene.frame_set(1)
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.render.image_settings.file_format, scene.render.filepath = "PNG", str(tmp_path / "picture")
+    scene.view_settings.view_transform = "Raw"
+    bpy.ops.render.render(animation=True)
+    means = []
+    for frame in (1, 2):
+        image = bpy.data.images.load(str(tmp_path / f"picture{frame:04d}.png"))
+        image.colorspace_settings.name = "Non-Color"
+        means.append(np.reshape(image.pixels[:], (-1, 4))[:, :3].mean())
+    assert means[1] == pytest.approx(2 * means[0], rel=0.05)
+    assert len(measured) == 2
+
+
+def test_a_window_renders_no_world_that_is_not_measured(scene, monkeypatch, tmp_path):
+    untold(scene)
+    scene.render.filepath = str(tmp_path / "picture.png")
+    monkeypatch.setattr(scene_light, "measure", lambda _: None)
+    with pytest.raises(RuntimeError, match="not measured at this frame"):
+        bpy.ops.render.render(write_still=True)
+    assert not (tmp_path / "picture.png").exists()
+    assert "not measured" in " ".join(scene_light.warnings())
+
+
+def test_a_world_without_its_image_fails_the_render(scene, tmp_path):
+    scene.world = even_world((1, 1, 1))
+    tree = scene.world.node_tree
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = bpy.data.images.new("gone", 4, 2)
+    node.image.source, node.image.filepath = "FILE", str(tmp_path / "gone.hdr")
+    tree.links.new(node.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    with pytest.raises(JGHandFailure, match="image of the world is missing"):
+        of_render(scene)
+
+
+def test_a_bake_that_fails_is_no_black_world_and_is_tried_again(scene, monkeypatch):
+    untold(scene)
+    with monkeypatch.context() as broken:
+        broken.setattr(probe, "bpy", SimpleNamespace(**{**vars(bpy), "ops": SimpleNamespace(
+            object=SimpleNamespace(bake=lambda **_: {"CANCELLED"}))}))  # fmt: skip
+        scene_light.measure(bpy.context.evaluated_depsgraph_get())
+        with pytest.raises(JGHandFailure) as failed:
+            of_render(scene)
+        assert failed.value.kind == "world_bake"
+
+        def refuse(**_: str) -> None:
+            raise RuntimeError("No valid selected objects")
+
+        probe.bpy.ops.object.bake = refuse
+        scene_light.measure(bpy.context.evaluated_depsgraph_get())
+        with pytest.raises(JGHandFailure, match="No valid selected objects"):
+            of_render(scene)
+    scene_light.measure(bpy.context.evaluated_depsgraph_get())
+    assert of_render(scene).picture == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_view_has_its_world_measured_once_cycles_is_there(scene, monkeypatch):
+    import addon_utils  # Blender's own, which is there once bpy is
+
+    untold(scene)
+    monkeypatch.setattr(scene_light, "_REST_S", 0.0)
+    scene.objects["Lamp"].hide_viewport = True  # a view of a test has no eyes for it
+    light = partial(scene_light.in_view, space=view("RENDERED"), hands=[scene.objects[0]])
+    addon_utils.disable("cycles")
+    try:
+        light(bpy.context.evaluated_depsgraph_get())
+        assert scene_light.tend()
+        light(bpy.context.evaluated_depsgraph_get())
+        assert "Cycles, which is disabled" in " ".join(scene_light.warnings())
+        assert not scene_light.tend()
+    finally:
+        addon_utils.enable("cycles")
+    light(bpy.context.evaluated_depsgraph_get())
+    assert scene_light.tend()
+    assert light(bpy.context.evaluated_depsgraph_get()).picture == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_world_of_the_view_that_wants_it_is_measured_whatever_window_is_active(scene, monkeypatch, measured):
+    monkeypatch.setattr(scene_light, "_REST_S", 0.0)
+    other = bpy.data.scenes.new("Other")
+    other.collection.objects.link(scene.objects[0])
+    other.jghand.light = "SCENE"
+    untold(other)
+    layer = other.view_layers[0]
+    layer.update()
+    things, space = [scene.objects[0]], view("RENDERED")
+    scene.objects["Lamp"].hide_viewport = True  # a view of a test has no eyes for it
+    scene_light.in_view(layer.depsgraph, space, things)
+    scene_light.in_view(bpy.context.evaluated_depsgraph_get(), space, things)
+    assert scene_light.tend()
+    assert measured == ["Other"]
+    assert scene_light.in_view(layer.depsgraph, space, things).picture == pytest.approx(0.5, abs=0.02)
+    assert not scene_light.tend()
+    other.world.node_tree.nodes["Gamma"].inputs["Color"].default_value = (0.7, 0.7, 0.7, 1)
+    layer.update()
+    scene_light.in_view(layer.depsgraph, space, things)
+    bpy.data.scenes.remove(other)
+    assert not scene_light.tend()
 
 
 def test_a_light_that_is_saved_renders_outside_blender(scene, engine_python, tmp_path):
