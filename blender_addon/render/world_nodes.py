@@ -236,7 +236,10 @@ def _values(struct: Any, without: set[str], depth: int) -> Iterator[str]:
         if isinstance(value, bpy.types.NodeTree):
             yield from values_of_tree(value)
         elif isinstance(value, bpy.types.ID):
-            yield f"{name} {value.session_uid}"
+            # an evaluated data-block has no session_uid
+            yield f"{name} {value.name_full}"
+            if isinstance(value, bpy.types.Object):  # whose place counts
+                yield repr([*map(tuple, value.matrix_world)])
         elif known.type not in ("COLLECTION", "POINTER"):
             yield f"{name} {value[:] if getattr(known, 'is_array', False) else value}"
         elif depth:

@@ -36,6 +36,8 @@ _SKIES_WITH_SUN = ("NISHITA", "SINGLE_SCATTERING", "MULTIPLE_SCATTERING")
 _ALL = SimpleNamespace(diffuse=True)
 
 _pictures: OrderedDict[str, np.ndarray] = OrderedDict()
+# pictures as worlds have them, multiplied and in the colors of the engine
+_products: OrderedDict[str, np.ndarray] = OrderedDict()
 _measured: OrderedDict[str, WorldLight] = OrderedDict()
 # session_uid of images, and _AROUND for all else around hands -> how often that was changed
 _changes: dict[int, int] = {}
@@ -142,7 +144,7 @@ def _count(what: int) -> None:
 
 def forget() -> None:
     """Another file."""
-    for kept in (_pictures, _measured, _changes):
+    for kept in (_pictures, _products, _measured, _changes):
         kept.clear()
 
 
@@ -173,13 +175,12 @@ def _of_picture(shine: Shine) -> WorldLight:
     parts += [image.generated_type, image.generated_color[:], image.is_dirty, _changes.get(image.session_uid, 0)]
     name = digest([repr(parts), _space()])
     picture = _pictures.get(name)
-    if picture is None:
-        picture = _keep(_pictures, name, _read(image))
+    picture = _keep(_pictures, name, _read(image) if picture is None else picture)
     key = digest([name, repr([shine.gain.tolist(), shine.even.tolist()])])
-    radiance = _pictures.get(key)
+    radiance = _products.get(key)
     if radiance is None:
         light = picture * shine.gain.astype(np.float32) + shine.even.astype(np.float32)
-        radiance = _keep(_pictures, key, _rec709(light))
+        radiance = _keep(_products, key, _rec709(light))
     return WorldLight(radiance, shine.turn, key=key)
 
 
@@ -192,9 +193,11 @@ def _read(image: bpy.types.Image) -> np.ndarray:
     """(H, W, 3) scene-linear, averaged. Raises Unread where only Blender knows its colors, JGHandFailure
     (no_world_image)."""
     space, (width, height), channels = image.colorspace_settings.name, image.size, image.channels
+    if image.source not in ("FILE", "GENERATED"):
+        raise Unread
     if not width * height:
         raise JGHandFailure("no_world_image", image.filepath)
-    if image.source not in ("FILE", "GENERATED") or channels < 3:
+    if channels < 3:
         raise Unread
     is_encoded = not image.is_float and space not in _LINEAR_BYTES
     if is_encoded and (space != "sRGB" or not _is_rec709()):
@@ -248,6 +251,7 @@ def _found(kind: str, parts: Iterable[str]) -> Reading:
 
 def _keep(kept: OrderedDict[str, Any], name: str, value: Any) -> Any:
     kept[name] = value
+    kept.move_to_end(name)
     while len(kept) > KEPT:
         kept.popitem(last=False)
     return value

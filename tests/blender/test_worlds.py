@@ -314,6 +314,47 @@ def test_what_nodes_do_not_tell_is_measured(made: Callable[[], None], rms: float
     assert not update()
 
 
+def test_a_picture_is_read_once_however_often_its_strength_is_changed(monkeypatch):
+    reads: list[bpy.types.Image] = []
+    read = worlds._read
+    monkeypatch.setattr(worlds, "_read", lambda image: reads.append(image) or read(image))
+    new("TexEnvironment", background().inputs["Color"], image=image(smooth()))
+    for strength in range(1, 3 * worlds.KEPT):
+        background().inputs["Strength"].default_value = strength
+        assert reading().light is not None
+    assert len(reads) == 1
+
+
+def test_an_environment_that_an_object_turns_is_measured_again_when_that_turns():
+    node = new("TexEnvironment", background().inputs["Color"], image=image(smooth()))
+    coordinates = new("TexCoord")
+    coordinates.object = bpy.data.objects.new("Empty", None)
+    bpy.context.scene.collection.objects.link(coordinates.object)
+    nodes().links.new(coordinates.outputs["Object"], node.inputs["Vector"])
+    before = reading().stale
+    assert before
+    assert reading().stale == before
+    coordinates.object.rotation_euler.z = 1.0
+    assert reading().stale not in ("", before)
+
+
+def test_each_picture_of_a_sequence_is_measured(tmp_path):
+    for frame in (1, 2):
+        made = image(smooth(8), is_float=False)
+        made.filepath_raw, made.file_format = str(tmp_path / f"sky_{frame:04d}.png"), "PNG"
+        made.save()
+    node = new(
+        "TexEnvironment", background().inputs["Color"], image=bpy.data.images.load(str(tmp_path / "sky_0001.png"))
+    )
+    node.image.source, node.image_user.frame_duration, node.image_user.use_auto_refresh = "SEQUENCE", 2, True
+    names = []
+    for frame in (1, 2, 1):
+        bpy.context.scene.frame_set(frame)
+        names.append(reading().stale)
+    assert "" not in names
+    assert names[0] == names[2] != names[1]
+
+
 def test_a_sun_behind_nodes_that_do_not_tell_is_measured():
     """A sun of three pixels, which mirrors miss: white facets have it within a part of the sphere."""
     as_it_is = new("Gamma", background().inputs["Color"], Gamma=1.0)
