@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import bpy
 import numpy as np
 
+from ..core.pacing import SETTLE_S
 from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
@@ -27,8 +28,7 @@ from .worlds import Reading
 
 # the last light of each set of lamps and world: one that does not change is not put together anew at each draw
 _made: dict[tuple[str, str], SceneLight] = {}
-# and the last lights with what things take of them, of some views
-_shaded: dict[tuple[object, ...], SceneLight | None] = {}
+# views whose last light with what things take of it is kept, by their place at the link
 _SHADED_MAX = 8
 # sentences about what of the light of the last render, or view, is not honored
 _warnings: tuple[str, ...] = ()
@@ -48,6 +48,23 @@ class _Stale(NamedTuple):
 _stale: _Stale | None = None
 # worlds that could not be measured, with or without Cycles, and why
 _unmeasured: dict[tuple[str, bool], JGHandFailure] = {}
+
+
+@dataclass
+class _Shaded:
+    """What a view shows. key: state of light, hands and things that it was looked for · shape: lamps and hands that it
+    has · light: with what things take · wanted: the state of now, since_s on the clock of time.monotonic() · is_told:
+    whether the timer had it drawn after a rest"""
+
+    key: tuple[object, ...]
+    shape: tuple[object, ...]
+    light: SceneLight
+    wanted: tuple[object, ...]
+    since_s: float
+    is_told: bool = False
+
+
+_shaded: dict[str, _Shaded] = {}
 
 
 def in_view(
@@ -97,18 +114,43 @@ def _left(hand: HandInSpace, light: SceneLight, depsgraph: bpy.types.Depsgraph) 
 
 
 def shaded_in_view(
-    light: SceneLight | None, hands: Sequence[HandInSpace], depsgraph: bpy.types.Depsgraph
+    light: SceneLight | None, hands: Sequence[HandInSpace], depsgraph: bpy.types.Depsgraph, view: str
 ) -> SceneLight | None:
-    """The same in a 3D view, kept between two draws."""
-    if light is None:
-        return None
+    """The same in a 3D view, kept between two draws. While somebody poses, plays or moves lamps, hands keep the shadows
+    that they have: rays take longer than a frame may."""
+    if light is None or not light.lamps or not hands:
+        return light
     key: tuple[object, ...] = (light.key, scene_shadows.edits(), depsgraph.scene.session_uid, depsgraph.view_layer.name)
     key += tuple((hand.handedness, hand.joints_world_m.tobytes()) for hand in hands)
-    if key not in _shaded:
-        if len(_shaded) >= _SHADED_MAX:
-            _shaded.clear()
-        _shaded[key] = shaded(light, hands, depsgraph)
-    return _shaded[key]
+    shape = (len(light.lamps), *(hand.handedness for hand in hands))
+    last, now_s = _shaded.get(view), time.monotonic()
+    if last is not None and last.key == key:
+        last.wanted = key
+        return last.light
+    if last is not None and last.shape == shape:
+        if last.wanted != key:
+            last.wanted, last.since_s, last.is_told = key, now_s, False
+        if now_s - last.since_s < SETTLE_S:
+            return replace(light, left=last.light.left)
+    seen = shaded(light, hands, depsgraph)
+    assert seen is not None  # as light is
+    if len(_shaded) >= _SHADED_MAX:
+        _shaded.clear()
+    _shaded[view] = _Shaded(key, shape, seen, key, now_s)
+    return seen
+
+
+def _rested() -> bool:
+    """Whether a view keeps shadows of another state, which now rests: said once, as the view may be gone."""
+    now_s = time.monotonic()
+    due = [
+        each
+        for each in _shaded.values()
+        if each.wanted != each.key and not each.is_told and now_s - each.since_s >= SETTLE_S
+    ]
+    for each in due:
+        each.is_told = True
+    return bool(due)
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
@@ -122,8 +164,8 @@ def warnings() -> tuple[str, ...]:
 
 
 def tend() -> bool:
-    """For the timer: measures the world of the views, where that is due; says whether anything is new."""
-    if studio.tend():
+    """For the timer: measures the world of the views, where that is due; says whether views are to be drawn."""
+    if _rested() or studio.tend():
         return True
     if _stale is None or time.monotonic() - _stale.since_s < _REST_S:
         return False
@@ -173,6 +215,7 @@ def forget() -> None:
     worlds.forget()
     scene_shadows.forget()
     _made.clear()
+    _shaded.clear()
     _unmeasured.clear()
     _forget_stale()
 

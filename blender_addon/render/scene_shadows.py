@@ -60,7 +60,7 @@ class _Standing:
     """What may throw shadows in an evaluated scene, N with each instance.
 
     edits:    when it was read
-    meshes:   N evaluated meshes, by numbers that Blender gives anew at each evaluation
+    meshes:   N evaluated meshes, see `_mesh_of`
     matrices: (N, 4, 4) to the axes of the lamps, meters
     middles:  (N, 3) and
     radii:    (N,) of a ball around each, in the axes of the lamps, meters
@@ -68,11 +68,11 @@ class _Standing:
     """
 
     edits: int
-    meshes: list[int]
+    meshes: list[tuple[int, int]]
     matrices: np.ndarray
     middles: np.ndarray
     radii: np.ndarray
-    shapes: dict[int, bytes] = field(default_factory=dict)
+    shapes: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,12 @@ def _solids(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, 
             yield thing, each
 
 
+def _mesh_of(thing: bpy.types.Object) -> tuple[int, int]:
+    """What an evaluated mesh is known by: its address, and the number that it gets anew at each evaluation; where
+    Blender gives it none, it is another after each edit."""
+    return thing.data.session_uid or -_edits - 1, thing.data.as_pointer()
+
+
 def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     """Where things stand; a render reads it each time, as edits are not told of there."""
     key = (depsgraph.scene.session_uid, depsgraph.view_layer.name)
@@ -180,9 +186,9 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     if last is not None and last.edits == _edits:
         return last
     meshes, places = [], []
-    boxes: dict[int, np.ndarray] = {}
+    boxes: dict[tuple[int, int], np.ndarray] = {}
     for thing, each in _solids(depsgraph):
-        mesh = thing.data.session_uid
+        mesh = _mesh_of(thing)
         meshes.append(mesh)
         places.append([tuple(row) for row in each.matrix_world])
         if mesh not in boxes:
@@ -204,11 +210,11 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     return standing
 
 
-def _read(meshes: set[int], standing: _Standing, depsgraph: bpy.types.Depsgraph) -> None:
+def _read(meshes: set[tuple[int, int]], standing: _Standing, depsgraph: bpy.types.Depsgraph) -> None:
     """Has the shapes of these meshes at hand."""
     missing = {mesh for mesh in meshes if standing.shapes.get(mesh) not in _shapes}
     for thing, _ in _solids(depsgraph) if missing else ():
-        mesh = thing.data.session_uid
+        mesh = _mesh_of(thing)
         if mesh in missing:
             standing.shapes[mesh] = _shape_of(thing)
             missing.discard(mesh)

@@ -209,7 +209,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
         _rest(view)
         return
     light = scene_light.in_view(depsgraph, context.space_data, things)
-    view.light = scene_light.shaded_in_view(light, view.hands, depsgraph)
+    view.light = scene_light.shaded_in_view(light, view.hands, depsgraph, view.slot)
     moment = moment_of(context.scene)
     _turn.draws(view.slot)
     look(view, moment, drawing=True)
@@ -325,7 +325,7 @@ def read_again(
     view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=view.kind == SOLID)
     if space is not None:
         light = scene_light.in_view(depsgraph, space, things)
-        view.light = scene_light.shaded_in_view(light, view.hands, depsgraph)
+        view.light = scene_light.shaded_in_view(light, view.hands, depsgraph, view.slot)
     view.part = part_with(view.camera.whole, view.hands) if view.camera is not None else None
 
 

@@ -18,8 +18,9 @@ from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature
-from blender_addon.render import camera, composite, probe, scene_light
+from blender_addon.render import camera, composite, lamps, probe, scene_light
 from blender_addon.renderer.link import EngineLink
+from blender_addon.viewport import handlers
 
 pytestmark = pytest.mark.usefixtures("linked_extension")
 
@@ -34,6 +35,15 @@ def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
     yield link
     runtime._link = before
     link.close()
+
+
+@pytest.fixture
+def told_of_edits() -> Iterator[None]:
+    """As where Blender has a window."""
+    edits = bpy.app.handlers.depsgraph_update_post
+    edits.append(handlers.on_change)
+    yield
+    edits.remove(handlers.on_change)
 
 
 @pytest.fixture
@@ -110,9 +120,35 @@ def view(shading: str, **more: bool) -> SimpleNamespace:
     )
 
 
-def test_a_view_keeps_its_light_until_something_changes_it(scene):
-    depsgraph, things = bpy.context.evaluated_depsgraph_get(), [scene.objects[0]]
-    assert scene_light.in_view(depsgraph, view("SOLID"), things) is None
+def test_a_view_keeps_its_light_until_something_changes_it(scene, told_of_edits, monkeypatch):
+    hand, lamp = scene.objects[0], scene.objects["Lamp"]
+    reads, read = [], lamps.lamps_of
+    # without the view, which only a window has
+    monkeypatch.setattr(lamps, "lamps_of", lambda *args: (reads.append(args), read(*args[:2]))[1])
+
+    def light(shading: str = "RENDERED") -> SceneLight | None:
+        return scene_light.in_view(bpy.context.evaluated_depsgraph_get(), view(shading), [hand])
+
+    lamps.forget()
+    assert light("SOLID") is None
+    assert reads == []
+    first = light()
+    assert first is not None
+    assert light() is first
+    hand.location.x = 0.1
+    assert light() is first
+    assert len(reads) == 1
+    lamp.location.x += 0.1
+    moved = light()
+    assert moved is not None
+    assert moved.lamps[0]["place_m"][0] == pytest.approx(first.lamps[0]["place_m"][0] + 0.1)
+    assert light() is moved
+    assert len(reads) == 2
+    scene.world = even_world((0.1, 0.3, 0.2))
+    around = light()
+    assert around is not None
+    assert around.world is not None
+    assert light() is around
 
 
 def test_material_preview_without_the_world_of_the_scene_lights_by_its_hdri(scene):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -224,21 +226,20 @@ def lit_hand(context: bpy.types.Context) -> bpy.types.Object:
     return hand
 
 
-def shaded(context: bpy.types.Context, hand: bpy.types.Object) -> tuple:
-    """The light on a hand and its joints."""
+def shaded(context: bpy.types.Context, hand: bpy.types.Object, view: str) -> tuple:
+    """The light on a hand as a view has it, and its joints."""
     depsgraph = context.evaluated_depsgraph_get()
     seen = sources.read_hands(hand, depsgraph)
-    return scene_light.shaded_in_view(scene_light.of_render(depsgraph, [hand]), seen, depsgraph), seen
+    return scene_light.shaded_in_view(scene_light.of_render(depsgraph, [hand]), seen, depsgraph, view), seen
 
 
 def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
     """Behind it all is dark that faces the sun; where nothing is, nothing is said."""
     hand = lit_hand(extension)
-    light, _ = shaded(extension, hand)
+    light, _ = shaded(extension, hand, "before")
     assert light.left is None
     plane = card(0.2, up=0.2)  # above the half of the hand that is nearer than 0.1 m
-    scene_shadows.expect()
-    light, seen = shaded(extension, hand)
+    light, seen = shaded(extension, hand, "with a card")
     points, normals = stand_in.points_on(stand_in.surface_at(seen[0].joints_world_m, "right"))
     towards, left_of_it = normals[:, 2] > 0.3, light.left[0, 0]
     assert light.left.shape == (1, 1, stand_in.POINTS)
@@ -249,11 +250,36 @@ def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
     assert arrays["left_at"].shape == (stand_in.POINTS, 3)
     before = light.key
     plane.location.z = -0.2
-    scene_shadows.expect()
-    light, _ = shaded(extension, hand)
+    light, _ = shaded(extension, hand, "with a card below")
     assert light.left is None
     assert light.key != before
     assert header["light"] == light.record
+
+
+def test_a_hand_that_is_posed_keeps_its_shadows_until_it_rests(extension, monkeypatch):
+    hand, looks = lit_hand(extension), counted(monkeypatch, "left_of_lamps")
+    card(0.2, up=0.2)
+    now_s = 100.0
+    monkeypatch.setattr(scene_light, "time", SimpleNamespace(monotonic=lambda: now_s))
+    first, _ = shaded(extension, hand, "view")
+    assert len(looks) == 1
+    for _ in range(4):
+        hand.location.x += 0.01
+        now_s += 0.1
+        assert not scene_light.tend()
+        light, _ = shaded(extension, hand, "view")
+        np.testing.assert_array_equal(light.left, first.left)
+    assert len(looks) == 1
+    now_s += 0.2
+    assert scene_light.tend()
+    assert not scene_light.tend()  # a view that is gone is not drawn again and again
+    light, _ = shaded(extension, hand, "view")
+    assert len(looks) == 2
+    assert (light.left != first.left).any()
+    assert shaded(extension, hand, "view")[0] is light
+    sun = bpy.data.objects["sun"]
+    extension.scene.collection.objects.link(bpy.data.objects.new("second sun", sun.data))
+    assert len(shaded(extension, hand, "view")[0].left[0]) == 2  # at once: those of one lamp do not fit two
 
 
 def test_points_on_a_hand_are_even_and_those_of_the_template(extension):
