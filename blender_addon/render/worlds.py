@@ -10,6 +10,7 @@ Pictures are averaged once and kept; what was measured is kept until something e
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -24,7 +25,7 @@ from ..core import film, worlds
 from ..core.pacing import digest
 from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
-from ..hand import stand_ins
+from ..hand import armature, stand_ins
 from . import lamps, probe
 from .world_nodes import Shine, Unread, shine_of, values_of, values_of_tree
 
@@ -42,6 +43,8 @@ _measured: OrderedDict[str, WorldLight] = OrderedDict()
 # session_uid of images, and _AROUND for all else around hands -> how often that was changed
 _changes: dict[int, int] = {}
 _AROUND = -1
+# what stood around hands last, by session_uid of scenes and names of view layers
+_stood: dict[tuple[int, str], str] = {}
 # light is measured at the middle of the hands, anew where they left such a part of space
 CELL_M = 0.05
 Place = tuple[int, int, int]
@@ -74,7 +77,7 @@ def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Read
     if place is not None:
         tree = world and versions.world_tree(world)
         parts = [*values_of_tree(tree)] if tree else [repr(world and world.color[:])]
-        found = _found("around", [*parts, repr((_changes, place))])
+        found = _found("around", [*parts, repr((_changes, place)), _known_standing(depsgraph)])
         # until then the world alone
         return found._replace(place=place, light=found.light if found.light is not None else world_of(depsgraph).light)
     # where Cycles is disabled there is no Ray Visibility
@@ -112,8 +115,9 @@ def update(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> bool:
     sun = _sun_of(sky) if sky is not None else None
     if place is not None:
         at = np.array(place) * CELL_M / scene.unit_settings.scale_length
-        things = tuple(thing for thing in layer.objects if _is_around(thing))
-        lamps_there = tuple(thing for thing in layer.objects if thing.type == "LIGHT" and not thing.hide_render)
+        found = _standing(layer)
+        lamps_there = tuple(thing for thing in found if thing.type == "LIGHT")
+        things = tuple(thing for thing in found if thing.type != "LIGHT")
         around = probe.Around(tuple(at.tolist()), things, lamps_there)
         turned = sun and Sun(shine.turn.T @ sun.towards, sun.angle_rad)
         light = probe.measure(scene, _world(scene, layer), turned, around)
@@ -144,12 +148,28 @@ def _count(what: int) -> None:
 
 def forget() -> None:
     """Another file."""
-    for kept in (_pictures, _products, _measured, _changes):
+    for kept in (_pictures, _products, _measured, _changes, _stood):
         kept.clear()
 
 
 def _world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
     return getattr(layer, "world_override", None) or scene.world
+
+
+def _standing(layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """What is rendered of what is around hands, and lamps."""
+    found = armature.rendered_at_any_frame(layer, lambda thing: thing.type == "LIGHT" or _is_around(thing))
+    return [thing for thing in found if not thing.hide_render]
+
+
+def _known_standing(depsgraph: bpy.types.Depsgraph) -> str:
+    """The same as text, with their places; on the thread of a render as it was last, for the artist may delete some."""
+    scene, layer = depsgraph.scene, depsgraph.view_layer
+    key = scene.session_uid, layer.name
+    if threading.current_thread() is threading.main_thread():
+        parts = [(thing.name_full, thing.session_uid, *map(tuple, thing.matrix_world)) for thing in _standing(layer)]
+        _stood[key] = digest([repr(parts)])
+    return _stood.get(key, "")
 
 
 def _is_around(thing: bpy.types.Object) -> bool:

@@ -491,6 +491,27 @@ def test_what_is_around_hands_lights_them_as_in_cycles():
     assert errors(reading().light, np.tile(np.pi * np.array([0.05, 0.07, 0.1]), (60, 1)))[1] < 2e-3
 
 
+def test_what_is_hidden_deleted_or_excluded_is_not_around(context):
+    room()
+    collection = bpy.data.collections.new("panels")
+    context.scene.collection.children.link(collection)
+    for thing in [*context.scene.collection.objects]:
+        context.scene.collection.objects.unlink(thing)
+        collection.objects.link(thing)
+    names = [reading((0, 0, 0)).stale]
+    bpy.data.objects["wall"].hide_render = True
+    names.append(reading((0, 0, 0)).stale)
+    bpy.data.objects.remove(bpy.data.objects["wall.001"])
+    names.append(reading((0, 0, 0)).stale)
+    collection.hide_render = True
+    names.append(reading((0, 0, 0)).stale)
+    assert len(set(names)) == 4
+    assert update((0, 0, 0))
+    assert errors(reading((0, 0, 0)).light, np.tile(np.pi * np.array([0.05, 0.07, 0.1]), (60, 1)))[1] < 0.02
+    collection.hide_render = False
+    assert reading((0, 0, 0)).stale == names[2]
+
+
 def test_measuring_is_no_change_that_is_measured_again(context):
     room()
     bpy.context.view_layer.update()
