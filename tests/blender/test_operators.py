@@ -38,6 +38,7 @@ SETTINGS = (*hand_properties.CLASSES, *scene_properties.CLASSES)
 _ENGINE = "the engine is none of the file"
 # what is not undone, and why
 NOT_UNDONE = {
+    "save_light": "writes files",
     **dict.fromkeys(("explain", "open_preferences", "show_log", "show_job_log"), _SHOWS),
     "restart_engine": _ENGINE,
     "preview_movie": "writes pictures, and leaves the scene as it is",
