@@ -120,17 +120,14 @@ class Backend:
         the same view
         """
         camera, settings, light = canvas.camera, self._settings, canvas.light
-        posed = self._hands if poses is not None else []
-        lights = [None if light is None else light.on_hand(place) for place in range(len(self._hands))]
-        for hand, pose, mine in zip(posed, poses or (), lights, strict=False):
-            keeps = pose.keep_correctives
-            hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
-        relit = light is not None and poses is None and light != self.light
-        lit = [
-            hand
-            for hand, mine in zip(self._hands, lights, strict=True)
-            if relit and mine is not None and hand.prepare_light(mine)
-        ]
+        skins: list[Poser] = []
+        if poses is not None:
+            skins = self._hands
+            for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
+                keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
+                hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
+        elif light is not None and light != self.light:
+            skins = [hand for place, hand in enumerate(self._hands) if hand.prepare_light(light.on_hand(place))]
         self.light = light
         if not keep_image:
             self._planes = self._rasterizer.prepare(
@@ -141,14 +138,14 @@ class Backend:
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
         work = _Work(
-            skins=[*posed, *lit],
+            skins=skins,
             # an image that is kept is of the same camera
             shining=[] if keep_image else [hand for hand in self._hands if hand.prepare_gloss(canvas.camera.eye_m)],
             rasterizer=None if keep_image else self._rasterizer,
             shade=shade,
         )
         work.run(shared_pool(self.threads))
-        work.report_to(report, SKIN if posed else LIGHT, COMPOSE if canvas.style is None else SHADOW)
+        work.report_to(report, LIGHT if poses is None else SKIN, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasterizer.visible
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
         return rgba, depth_m

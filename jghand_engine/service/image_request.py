@@ -330,14 +330,15 @@ def _light(message: Message, hands: int) -> RequestedLight | None:
         return RequestedLight(record, None, left, left_at)
     text_of(world, "key")
     came = message.arrays.get("world")
-    shape = (0,) if came is None else came.shape
-    if len(shape) != 3 or shape[0] > WORLD_ROWS_MAX or shape[1] > WORLD_COLUMNS_MAX:
-        wanted = f"rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
-        raise InputError("array world", wanted=wanted, came="nothing" if came is None else str(shape))
-    if came is None or shape[2] != 3 or came.dtype != "<f4":
-        raise InputError("array world", wanted="three float32 colors", came="nothing" if came is None else came.dtype)
+    if came is None or came.dtype != "<f4" or not _is_world(came.shape):
+        wanted = f"float32 of rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
+        raise InputError("array world", wanted=wanted, came="nothing" if came is None else f"{came.dtype} {came.shape}")
     # its numbers are checked where it is new: it comes with every image
     return RequestedLight(record, np.asarray(came.view()), left, left_at)
+
+
+def _is_world(shape: tuple[int, ...]) -> bool:
+    return len(shape) == 3 and shape[0] <= WORLD_ROWS_MAX and shape[1] <= WORLD_COLUMNS_MAX and shape[2] == 3
 
 
 def _left(message: Message, record: dict[str, Any], hands: int) -> tuple[np.ndarray | None, np.ndarray | None]:
