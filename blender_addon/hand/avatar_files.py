@@ -37,6 +37,7 @@ class Card:
     accuracy:     in words; "" when nothing was learned
     gaussians:    how many there are
     learned:      whether its colors change with the pose
+    known_light:  whether it learned in known light, so that it answers any; of another learned one that is estimated
     """
 
     name: str
@@ -46,6 +47,14 @@ class Card:
     accuracy: str
     gaussians: int
     learned: bool
+    known_light: bool = False
+
+    @property
+    def in_scene_light(self) -> str:
+        """How it answers the light of a scene, in a sentence."""
+        if not self.learned:
+            return "Painted: shines with its own colors"
+        return "Learned in known light" if self.known_light else "Estimated: learned in an unknown light"
 
     def lines(self) -> list[tuple[str, str]]:
         """For a panel: what, and its value."""
@@ -154,6 +163,7 @@ def _card(about: Mapping[str, Any], written: str) -> Card:
         accuracy=_accuracy(learned.get("baked") or {}) if learned else "",
         gaussians=int(about["gaussians"]),
         learned=bool(learned),
+        known_light=(learned.get("light") or {}).get("kind") == "known",
     )
 
 

@@ -20,6 +20,7 @@ from ..core.bone_maps import BoneMap, Recognition
 from ..core.joints import HANDEDNESSES, NAMES, RIGHT
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
+from ..render import scene_light
 from . import armature, controls, framing, sources, stand_ins
 from .properties import HANDS
 
@@ -98,6 +99,7 @@ class AddHand(Reporting, bpy.types.Operator):
             controls.add_controls(context, hand)
         versions.select_bones(hand)
         common.make_active(context, hand)
+        scene_light.follow(context.scene, [hand])
         stand_ins.update()
         context.view_layer.update()
         camera = add_camera(context, hand) if self.use_camera and context.scene.camera is None else None
@@ -108,7 +110,10 @@ class AddHand(Reporting, bpy.types.Operator):
             _look_at(context, hand)
         around = next(_meshes_around(context, hand.location), None)
         if around is not None:
-            self.warn(told, rpt_("It is inside {name}, which hides it in the viewport.").format(name=around.name))
+            text = rpt_("It is inside {name}, which hides it in the viewport.")
+            if scene_light.is_chosen(context.scene):
+                text = rpt_("It is inside {name}, which hides it in the viewport and keeps lamps from it.")
+            self.warn(told, text.format(name=around.name))
         else:
             self.tell(told)
 
@@ -181,6 +186,7 @@ class UseArmature(Reporting, bpy.types.Operator):
             sources.store_map(rig, bone_map)
         sources.prepare(rig)
         rig.jghand.map_hand = maps[0].handedness
+        scene_light.follow(context.scene, [rig])
         if nothing:
             self.warn(rpt_("No bones of a hand were recognized: choose them in the list."))
         elif doubts or not all(bone_map.complete for bone_map in maps):
@@ -223,6 +229,7 @@ class UseObjects(Reporting, bpy.types.Operator):
             raise JGHandFailure("bad_bone_map", " ".join(near.sentences))
         holders = [self._holder(context, bone_map, things) for bone_map in maps]
         common.make_active(context, holders[0])
+        scene_light.follow(context.scene, holders)
         names = ", ".join(holder.name for holder in holders)
         self.tell(rpt_("Added {names}: it holds the hand's settings; the objects move it.").format(names=names))
 
@@ -391,6 +398,7 @@ class LoadAvatar(Reporting, bpy.types.Operator):
         for thing in hands:
             thing.jghand.avatar = kept
             thing.update_tag()
+        scene_light.follow(context.scene, hands)
         if len(hands) < len(_any_hands(context)):
             self.warn(rpt_("Hands that are linked from another file keep their avatar."))
 

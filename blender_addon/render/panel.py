@@ -9,6 +9,8 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
+from ..errors import JGHandFailure
+from ..hand import avatar_files, seen_hands
 from . import ENGINE, composite, scene_light
 
 
@@ -46,6 +48,7 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene = self.layout, context.scene
         layout.row().prop(scene.jghand, "light", expand=True)
+        _draw_kinds(layout, context)
         is_chosen = scene_light.is_chosen(scene)
         around = layout.row()
         around.active = is_chosen
@@ -56,6 +59,19 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
         if hand is not None and hand.type == "ARMATURE":
             layout.prop(hand.jghand, "cast_shadow")
         layout.operator("jghand.save_light", icon="FILE_TICK")
+
+
+def _draw_kinds(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """How the hands answer the light of a scene; by their names, where they differ."""
+    kinds: dict[str, list[str]] = {}
+    for hand in ui.hands_of(context):
+        try:
+            text = iface_(avatar_files.card_of(seen_hands.avatar_of(hand)).in_scene_light)
+        except JGHandFailure:  # told beside the hands
+            continue
+        kinds.setdefault(text, []).append(hand.name)
+    for text, names in kinds.items():
+        ui.paragraph(layout, context, text if len(kinds) == 1 else f"{', '.join(names)}: {text}", icon="LIGHT")
 
 
 def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -21,15 +21,27 @@ PRESETS = (
 )
 # what hands are lit by, as PRESETS
 LIGHTS = (
-    ("CAPTURE", "Capture", "As hands were lit when they were captured", "NONE", 0),
+    (
+        "CAPTURE",
+        "Capture",
+        "As hands were lit when they were captured; in a studio, where they learned in known light",
+        "NONE",
+        0,
+    ),
     ("SCENE", "Scene", "By the lamps and the world of the scene", "NONE", 1),
 )
+# custom property of a scene whose light was chosen by the kind of its hands, not by an artist
+LIGHT_OF_HANDS = "jghand_light_of_hands"
 # a viewport image at sixty frames a second
 BUDGET_MS = 16.0
 # below this part of its splats a hand has holes
 DENSITY_MIN = 0.1
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES, MOTION_SAMPLES_MAX = 8, 64
+
+
+def _choose_light(settings: JGHandSceneSettings, _context: bpy.types.Context) -> None:
+    settings.id_data.pop(LIGHT_OF_HANDS, None)
 
 
 class JGHandSceneSettings(bpy.types.PropertyGroup):
@@ -85,6 +97,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         description="What lights hands in Material Preview, Rendered and renders; Solid has no lamps",
         items=LIGHTS,
         default="CAPTURE",
+        update=_choose_light,
     )
     use_surroundings: bpy.props.BoolProperty(
         name="Surroundings",

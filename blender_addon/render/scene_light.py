@@ -10,7 +10,7 @@ window before each frame that is rendered.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,9 +21,10 @@ from ..core.pacing import SETTLE_S
 from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
-from ..hand import instances
+from ..hand import armature, avatar_files, instances, seen_hands
 from . import lamps, probe, scene_shadows, studio, worlds
 from .lamps import SceneLamps
+from .properties import LIGHT_OF_HANDS
 from .worlds import Reading
 
 # the last light of each set of lamps and world: one that does not change is not put together anew at each draw
@@ -156,6 +157,22 @@ def _rested() -> bool:
 def is_chosen(scene: bpy.types.Scene) -> bool:
     """Whether a scene lights its hands."""
     return scene.jghand.light == "SCENE"
+
+
+def follow(scene: bpy.types.Scene, given: Collection[bpy.types.Object]) -> None:
+    """Hands were given their avatars: where these are all hands of a scene, and no artist chose its light, that follows
+    what they learned in. Known light answers the scene's."""
+    is_free = LIGHT_OF_HANDS in scene or not scene.jghand.is_property_set("light")
+    if is_free and scene.is_editable and all(hand in given for hand in filter(armature.is_any_hand, scene.objects)):
+        scene.jghand.light = "SCENE" if all(map(_learned_in_known_light, given)) else "CAPTURE"
+        scene[LIGHT_OF_HANDS] = True
+
+
+def _learned_in_known_light(hand: bpy.types.Object) -> bool:
+    try:
+        return avatar_files.card_of(seen_hands.avatar_of(hand)).known_light
+    except JGHandFailure:  # the panel of hands says why
+        return False
 
 
 def warnings() -> tuple[str, ...]:

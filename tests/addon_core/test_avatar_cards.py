@@ -31,12 +31,27 @@ def test_the_cards_of_avatars_that_come_with_jghand_are_those_of_their_files(nam
     read = read_card(ASSETS / file)
     assert read.written
     assert [line for line in read.lines() if line[0] != "Written"] == card_of(name).lines()
-    assert (read.gaussians, read.learned) == (SHIPPED_CARDS[name].gaussians, SHIPPED_CARDS[name].learned)
+    for fact in ("gaussians", "learned", "known_light"):
+        assert getattr(read, fact) == getattr(SHIPPED_CARDS[name], fact)
 
 
 def test_a_painted_avatar_says_that_nothing_was_learned():
     assert not card_of("painted").learned
     assert ("Learned From", "nothing: it is painted") in card_of("painted").lines()
+
+
+@pytest.mark.parametrize(
+    ("learnt", "wanted"),
+    [
+        ({"light": {"kind": "known"}}, "Learned in known light"),
+        ({"light": {"kind": "learnt"}}, "Estimated"),
+        ({"lobes": 8}, "Estimated"),  # as files were written before light could be known
+        (None, "Painted"),
+    ],
+)
+def test_a_card_says_how_its_hand_answers_the_light_of_a_scene(tmp_path, learnt, wanted):
+    card = read_card(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7, learnt=learnt))
+    assert card.in_scene_light.startswith(wanted)
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,9 @@ def test_add_hand_warns_of_a_thing_that_hides_it(extension, capfd):
     extension.scene.cursor.location = (5, 0, 0)
     add()
     assert "inside" not in capfd.readouterr().out
+    extension.scene.cursor.location, extension.scene.jghand.light = (0, 0, 0), "SCENE"
+    add()
+    assert "keeps lamps from it" in capfd.readouterr().out
 
 
 def test_undo_takes_a_hand_away_and_redo_brings_it_back_whole(extension):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
 import hands
 import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
+from test_avatar_cards import write_avatar
 
 from blender_addon import registration
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls, seen_hands
+from blender_addon.hand import armature, avatar_files, controls, seen_hands
 from blender_addon.hand import panel as hand_panel
 from blender_addon.hand import poses as pose_library
 from blender_addon.render import pages
@@ -292,6 +294,20 @@ def test_render_says_what_the_view_transform_does_and_offers_standard(extension,
     assert "jghand.use_standard" not in draw(picture.RenderPanel, extension).operators
     extension.scene.view_settings.exposure = 1.0
     assert "exposure" in text_of(draw(picture.RenderPanel, extension))
+
+
+def test_the_light_panel_says_how_each_hand_answers_the_light_of_the_scene(extension, engine, monkeypatch, tmp_path):
+    light = picture.LightPanel
+    add()
+    monkeypatch.setitem(
+        avatar_files.SHIPPED_CARDS, "builtin", replace(avatar_files.SHIPPED_CARDS["builtin"], known_light=True)
+    )
+    assert "Learned in known light" in text_of(draw(light, extension))
+    add("left").jghand.avatar = str(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7, learnt={"lobes": 8}))
+    seen_hands.forget()
+    seen = text_of(draw(light, extension))
+    assert "Right Hand: Learned in known light" in seen
+    assert "Left Hand: Estimated: learned in an unknown light" in seen
 
 
 def test_a_camera_that_cannot_be_used_is_told(extension, engine):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,12 +13,13 @@ import bpy
 import hands
 import numpy as np
 import pytest
+from test_avatar_cards import write_avatar
 from test_render_engine import layers, with_link
 
 from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature
+from blender_addon.hand import armature, avatar_files
 from blender_addon.render import camera, composite, lamps, probe, scene_light
 from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers
@@ -107,6 +109,50 @@ def test_the_scene_of_the_hands_has_the_lamps_and_the_world(scene):
     assert ours.jghand.light == "SCENE"
     assert scene.objects["Lamp"].name in ours.collection.objects
     assert composite.out_of_date(scene) == []
+
+
+@pytest.fixture
+def avatars(tmp_path) -> dict[str, str]:
+    """Files of one that learned in known light, of one that learned in an unknown one, and of a painted one."""
+    learnt = {"known": {"light": {"kind": "known"}}, "unknown": {"light": {"kind": "learnt"}}, "painted": None}
+    return {
+        kind: str(write_avatar(tmp_path / f"{kind}.jghand", name=kind, gaussians=3, learnt=about))
+        for kind, about in learnt.items()
+    }
+
+
+def test_the_first_hand_is_lit_by_the_scene_if_it_learned_in_known_light(context, monkeypatch):
+    for known in (True, False):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        card = replace(avatar_files.SHIPPED_CARDS["builtin"], known_light=known)
+        monkeypatch.setitem(avatar_files.SHIPPED_CARDS, "builtin", card)
+        bpy.ops.jghand.add_hand()
+        assert scene_light.is_chosen(bpy.context.scene) == known
+
+
+def test_a_loaded_avatar_decides_on_the_light_until_an_artist_has(context, avatars):
+    bpy.ops.jghand.add_hand()
+    settings = context.scene.jghand
+    for kind, light in (("known", "SCENE"), ("unknown", "CAPTURE"), ("known", "SCENE"), ("painted", "CAPTURE")):
+        bpy.ops.jghand.load_avatar(filepath=avatars[kind])
+        assert settings.light == light
+    settings.light = "CAPTURE"
+    bpy.ops.jghand.load_avatar(filepath=avatars["known"])
+    assert settings.light == "CAPTURE"
+    settings.light = "SCENE"
+    bpy.ops.jghand.load_avatar(filepath=avatars["unknown"])
+    assert settings.light == "SCENE"
+
+
+def test_a_scene_with_hands_keeps_its_light_when_another_is_added_or_its_file_is_opened(context, avatars, tmp_path):
+    armature.build_armature(context, "old", posing.rest_joints_m("right"), "right")
+    bpy.context.scene.objects[0].jghand.avatar = avatars["known"]
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
+    assert not scene_light.is_chosen(bpy.context.scene)
+    bpy.ops.jghand.add_hand()
+    bpy.ops.jghand.load_avatar(filepath=avatars["known"])
+    assert not scene_light.is_chosen(bpy.context.scene)
 
 
 def view(shading: str, **more: bool) -> SimpleNamespace:
