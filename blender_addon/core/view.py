@@ -127,12 +127,14 @@ class Moment:
 class SceneLight:
     """The light that a scene throws on its hands. lamps: records, see the engine's `Lamp`, in the axes of
     LIGHT_FROM_WORLD; world: {key, env_from_world}, None for a black one; picture: (rows, columns, 3) float32 of it;
-    left: (hands, lamps, POINTS) uint8 what things leave of the lamps at `stand_in.points_on` hands, None for all."""
+    left: (hands, lamps, POINTS) uint8 what things leave of the lamps at `stand_in.points_on` hands, None for all.
+    baked: (hands, POINTS, 4, 3) all light at these points, see the engine's `Baked`, None where nobody baked it."""
 
     lamps: Sequence[Mapping[str, Any]] = ()
     world: Mapping[str, Any] | None = None
     picture: np.ndarray | None = None
     left: np.ndarray | None = None
+    baked: np.ndarray | None = None
 
     @property
     def record(self) -> dict[str, Any]:
@@ -202,7 +204,11 @@ def moments_request(
         if light.picture is not None:
             arrays["world"] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
         if light.left is not None:
-            arrays["left"], arrays["left_at"] = map(protocol.Array.of, (light.left, points_m()))
+            arrays["left"] = protocol.Array.of(light.left)
+        if light.baked is not None:
+            arrays["baked"] = protocol.Array.of(np.ascontiguousarray(light.baked, "<f4"))
+        if light.left is not None or light.baked is not None:
+            arrays["skin_at"] = protocol.Array.of(points_m())
     return header, arrays
 
 

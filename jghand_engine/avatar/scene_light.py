@@ -204,17 +204,37 @@ class Shades:
     left: tuple[np.ndarray, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Baked:
+    """All light that reaches the matt skin of the hands of an image, as a path tracer found it in their scene: in place
+    of world and lamps, which skin still mirrors. One is equal to itself alone.
+
+    field: for each hand (anchors, 4, 3) W/m2 in the order of the anchors of the avatar's cast shadow: a surface of unit
+           normal n gets [0] + n @ [1:], and nothing where that is negative
+    """
+
+    field: tuple[np.ndarray, ...]
+
+
 @dataclass(frozen=True)
 class SceneLight:
-    """All light of a scene. world: None for a black one. shades: None where nothing stands in the light."""
+    """All light of a scene. world: None for a black one. shades: None where nothing stands in the light. baked: None
+    where skin is lit by lamps and world."""
 
     world: World | None = None
     lamps: tuple[Lamp, ...] = ()
     shades: Shades | None = None
+    baked: Baked | None = None
 
     def on_hand(self, place: int) -> SceneLight:
         """As it falls on one hand of an image."""
-        return self if self.shades is None else replace(self, shades=Shades(self.shades.left[place : place + 1]))
+        if self.shades is None and self.baked is None:
+            return self
+        return replace(
+            self,
+            shades=self.shades and Shades(self.shades.left[place : place + 1]),
+            baked=self.baked and Baked(self.baked.field[place : place + 1]),
+        )
 
 
 def harmonics(direction: np.ndarray) -> np.ndarray:

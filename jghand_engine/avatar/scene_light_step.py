@@ -63,6 +63,7 @@ class SceneLightStep:
             "reached": aligned_zeros((rows, 8)),
             "irradiance": aligned_zeros((16, 3)),
             "left": aligned_zeros((LAMPS_MAX, rows)),
+            "baked": aligned_zeros((rows, 12)),
             "lobe": aligned_zeros((LOBES, 7)),
             "lamp": aligned_zeros((4 * LAMPS_MAX, len(LAMP_NUMBERS))),
             "casting": aligned_zeros((LAMPS_MAX, len(LAMP_NUMBERS))),
@@ -94,6 +95,15 @@ class SceneLightStep:
         self._task.lamps, self._task.slots = len(rows), len(casting)
         self._task.shade, _ = world_shade(shares, self._response.bounce, self._limits)
         self._set_left(None if light.shades is None else light.shades.left[0], sources)
+        self._set_baked(None if light.baked is None else light.baked.field[0])
+
+    def _set_baked(self, field: np.ndarray | None) -> None:
+        """Sets what lights matt skin in place of the lamps, (anchors, 4, 3) as `Baked` has it, and of the world."""
+        baked = self._arrays["baked"]
+        self._task.baked = None if field is None else baked.ctypes.data
+        if field is not None:
+            baked[self._cast.row_of_anchor] = field.reshape(-1, 12)
+            self._arrays["lamp"][:, NUMBER["on_matt"]] = 0
 
     def _set_left(self, of_lamp: np.ndarray | None, sources: list[int]) -> None:
         """Sets what a scene leaves of the lamps (lamps, anchors), as `Shades` has it; sources: the lamps by slot."""

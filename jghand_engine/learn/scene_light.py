@@ -6,6 +6,8 @@ part V, what the anchors say of the world (its part that is seen, what hidden sk
     matt  = rho / pi * exp(shade) * (E(n) * part + bounced + sum_i e_i f(n.l_i) V_i)
     color = phi(n.v) * (matt + sum_i GGX_i e_i (n.l_i) V_i + world's lobes * (F0 A + B) * open sky)
 
+Light that was baked stands for all that is in the parentheses.
+
 f is a cosine whose corner is rounded: light that goes through skin reaches a little beyond the terminator, and never
 the far side. phi takes skin that faces away, which is seen through gaps between Gaussians only.
 """
@@ -81,12 +83,14 @@ class Reached:
     bounced: (N, 3) W/m2 from skin onto skin
     sky:     (N,) part of the directions that are open
     seen:    (slots, N) part of each lamp
+    field:   (N, 12) of a light that was baked, see `scene_light.Baked`
     """
 
     part: Tensor
     bounced: Tensor
     sky: Tensor
     seen: Tensor
+    field: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -278,7 +282,10 @@ def reached(
     at_skin = cast.anchors.spread(torch.cat([part, bounced, sky], 1))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
-    return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
+    field = None
+    if light.baked is not None:
+        field = cast.anchors.spread(given.new_tensor(light.baked.field[0]).reshape(-1, 12))
+    return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin, field)
 
 
 def matt(
@@ -291,8 +298,12 @@ def matt(
     shade: Tensor | None,
 ) -> Tensor:
     """(N, 3) radiance that is the same from everywhere."""
-    irradiance = world_irradiance(light, response, skin.normal) * got.part + got.bounced
-    for row in lamps.rows:
+    if got.field is None:
+        irradiance = world_irradiance(light, response, skin.normal) * got.part + got.bounced
+    else:
+        turned = got.field[:, 3:].reshape(-1, 3, 3)
+        irradiance = (got.field[:, :3] + torch.einsum("na,nac->nc", skin.normal, turned)).clamp_min(0)
+    for row in lamps.rows if got.field is None else ():
         direction, strength, sine = lamp_at(row, skin.position_m)
         corner = (response.spread[:, None] * response.softness).square() + sine.square()[:, None]
         corner = corner.sqrt().clamp(CORNER_MIN, CORNER_MAX)

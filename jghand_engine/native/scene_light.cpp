@@ -19,7 +19,7 @@ constexpr float GRAZING_FROM = 50.f;                      // what reflects less 
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
-constexpr int POSED = 9, REACHED = 8, MATERIAL = 3;
+constexpr int POSED = 9, REACHED = 8, MATERIAL = 3, BAKED = 12;
 
 JG_INLINE vf smooth(vf x) {
   const vf t = clamped(x);
@@ -284,9 +284,16 @@ void light_block(const LearnedTask& t, int32_t block) {
   load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
   for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
   lamps_seen(t, s, block, p, normal, spread_of_skin);
-  world_irradiance(s, normal, light);
-  spread<6>(t, block, s.reached, REACHED, reached);
-  for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
+  if (s.baked) {
+    vf field[BAKED];
+    spread<BAKED>(t, block, s.baked, BAKED, field);
+    for (int i = 0; i < 3; i++)
+      light[i] = max(field[i] + normal[0] * field[3 + i] + normal[1] * field[6 + i] + normal[2] * field[9 + i], vf{});
+  } else {
+    world_irradiance(s, normal, light);
+    spread<6>(t, block, s.reached, REACHED, reached);
+    for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
+  }
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;
     if (!(lamp[ON_MATT] > 0)) continue;

@@ -30,7 +30,7 @@ class SceneLightTask(ctypes.Structure):
     """SceneLightTask of native/scene_light.h."""
 
     _fields_ = (
-        *((name, _P) for name in ("material", "lamp", "casting", "irradiance", "left", "lobe")),
+        *((name, _P) for name in ("material", "lamp", "casting", "irradiance", "left", "baked", "lobe")),
         *(
             (name, _P)
             for name in ("posed", "visible", "seen", "wide_seen", "skin_seen", "thrown", "reflecting", "reached")

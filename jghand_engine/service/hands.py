@@ -17,7 +17,7 @@ from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
-from jghand_engine.avatar.scene_light import SceneLight, Shades, World
+from jghand_engine.avatar.scene_light import Baked, SceneLight, Shades, World
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -48,6 +48,9 @@ RENDERERS_MAX = 8
 IDLE_AVATARS_MAX = 4
 # lights that are kept: of some views and their last light
 LIGHTS_MAX = 16
+# light that was baked is the mean of so many points around an anchor, weighted by a Gaussian as wide as two thirds of
+# their distance from each other, meters: a sixth of the paths' noise variance is left, and edges stay 6 mm wide
+POINTS_AROUND, SMOOTHED_M = 12, 2.5e-3
 # sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
@@ -85,13 +88,13 @@ class _Key(NamedTuple):
     lit: bool
 
 
-class _Shaded(NamedTuple):
-    """A light, and what is left of it: at points of these hands."""
+class _OnHands(NamedTuple):
+    """A light, what is left of it and was baked at points of these hands, and both together."""
 
     light: SceneLight
     hands: list[tuple[_Version, str]]
-    left: tuple[np.ndarray, np.ndarray]
-    shaded: SceneLight
+    at_points: tuple[np.ndarray | None, ...]
+    both: SceneLight
 
 
 class HandImages:
@@ -105,9 +108,9 @@ class HandImages:
         self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
-        # the last light that a scene took a part of: the whole of it, on which hands, what was left, and both together
-        self._shaded_last: _Shaded | None = None
-        self._points: dict[tuple[_Version, bytes], np.ndarray] = {}
+        # the last light of which more is known at points of hands
+        self._last_on_hands: _OnHands | None = None
+        self._points: dict[tuple[_Version, bytes], tuple[np.ndarray, np.ndarray]] = {}
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
@@ -127,7 +130,7 @@ class HandImages:
         is the one of the renderer, in which trained hands have their light."""
         moments = [_moment(exposure, request) for exposure in request.exposures]
         weights = [exposure.weight for exposure in request.exposures]
-        light = None if request.light is None else self._shaded(self._light(request.light), request)
+        light = None if request.light is None else self._on_hands(self._light(request.light), request)
         renderer = self._renderer(request, light)
 
         def check() -> None:
@@ -175,28 +178,36 @@ class HandImages:
         self._lights.move_to_end(words)
         return self._lights[words]
 
-    def _shaded(self, light: SceneLight, request: ImageRequest) -> SceneLight:
-        """The light, less what the scene's things take of it; the very same one for the same of both."""
+    def _on_hands(self, light: SceneLight, request: ImageRequest) -> SceneLight:
+        """The light, less what the scene's things take of it, and with what was baked; the very same one for the same
+        of all."""
         wanted = request.light
-        if wanted is None or wanted.left is None or wanted.left_at is None:
+        if wanted is None or wanted.skin_at is None:
             return light
-        last, hands = self._shaded_last, [(_Version.now(hand.avatar), hand.handedness) for hand in request.hands]
-        left = wanted.left, wanted.left_at
+        last, hands = self._last_on_hands, [(_Version.now(hand.avatar), hand.handedness) for hand in request.hands]
+        at_points = wanted.left, wanted.baked, wanted.skin_at
         if (
             last is None
             or last.light is not light
             or last.hands != hands
-            or not all(map(np.array_equal, last.left, left))
+            or not all(map(np.array_equal, last.at_points, at_points))
         ):
-            at_anchors = [
-                part[:, self._nearest(hand, wanted.left_at)] / np.float32(255)
-                for hand, part in zip(request.hands, wanted.left, strict=True)
-            ]
-            last = self._shaded_last = _Shaded(light, hands, left, replace(light, shades=Shades(tuple(at_anchors))))
-        return last.shaded
+            around, both = [self._around(hand, wanted.skin_at) for hand in request.hands], light
+            if wanted.left is not None:
+                pairs = zip(wanted.left, around, strict=True)
+                both = replace(
+                    both, shades=Shades(tuple(part[:, at[:, 0]] / np.float32(255) for part, (at, _) in pairs))
+                )
+            if wanted.baked is not None:
+                pairs = zip(wanted.baked, around, strict=True)
+                smooth = tuple(np.einsum("ak,akij->aij", share, field[at]) for field, (at, share) in pairs)
+                both = replace(both, baked=Baked(smooth))
+            last = self._last_on_hands = _OnHands(light, hands, at_points, both)
+        return last.both
 
-    def _nearest(self, hand: RequestedHand, points_m: np.ndarray) -> np.ndarray:
-        """(anchors,) which of the points (P, 3) on the template are nearest to an avatar's anchors, at rest."""
+    def _around(self, hand: RequestedHand, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(anchors, K) which of the points (P, 3) on the template are around each anchor of an avatar at rest, the
+        nearest first, and the share of each, which sum to 1."""
         key = _Version.now(hand.avatar), hashlib.blake2b(points_m.tobytes()).digest()
         if key not in self._points:
             if len(self._points) >= RENDERERS_MAX:
@@ -208,8 +219,8 @@ class HandImages:
             template = load_template()
             skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
             moved_m = posed_vertices(template, skeleton, avatar.canonical_joints_m) - template.vertices_m
-            points_m = points_m + moved_m[_nearest(template.vertices_m, points_m)]
-            self._points[key] = _nearest(points_m, anchors_m)
+            points_m = points_m + moved_m[_around(template.vertices_m, points_m)[0][:, 0]]
+            self._points[key] = _around(points_m, anchors_m)
         return self._points[key]
 
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
@@ -264,9 +275,17 @@ class HandImages:
             del self._avatars[version]
 
 
-def _nearest(points: np.ndarray, to: np.ndarray) -> np.ndarray:
-    """(N,) which of the points (P, 3) is nearest to each of (N, 3)."""
-    return np.array([np.square(points - place).sum(-1).argmin() for place in to], np.intp)
+def _around(points: np.ndarray, to: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, K) which of the points (P, 3) are around each of (N, 3), the nearest first, and their shares."""
+    count = min(POINTS_AROUND, len(points))
+    at, distance2 = np.empty((len(to), count), np.intp), np.empty((len(to), count))
+    for row, place in enumerate(to):
+        each = np.square(points - place).sum(-1)
+        near = np.argpartition(each, count - 1)[:count]
+        at[row] = near[np.argsort(each[near], kind="stable")]
+        distance2[row] = each[at[row]]
+    share = np.exp((distance2[:, :1] - distance2) / (2 * SMOOTHED_M**2))
+    return at, share / share.sum(1, keepdims=True)
 
 
 def _wrong(name: str, wanted: str, came: object) -> InputError:

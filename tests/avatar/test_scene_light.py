@@ -19,6 +19,7 @@ from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.avatar.scene_light import (
+    Baked,
     Lamp,
     SceneLight,
     Shades,
@@ -46,6 +47,13 @@ EVEN = World(np.broadcast_to(np.array([0.2, 0.5, 1.0], np.float32), (16, 32, 3))
 
 
 AVATAR = known_avatar(601)
+
+
+def baked_field(seed: int = 0) -> np.ndarray:
+    """(anchors, 4, 3) of which some normals get nothing."""
+    assert AVATAR.learned is not None
+    assert AVATAR.learned.cast is not None
+    return np.random.default_rng(seed).normal(size=(len(AVATAR.learned.cast.anchors.position_m), 4, 3))
 
 
 def response_of(avatar: HandAvatar) -> SkinResponse:
@@ -81,6 +89,7 @@ LIGHTS = {name: SceneLight(None, (lamp,)) for name, lamp in LAMPS.items()} | {
     "world": SceneLight(world()),
     "all": SceneLight(world(1), tuple(LAMPS.values())),
     "nothing": SceneLight(),
+    "baked": SceneLight(world(1), tuple(LAMPS.values()), baked=Baked((baked_field(),))),
     # lamps, and shadows of lamps, that are drawn in part
     "fading": SceneLight(None, (LAMPS["sun"], *(Lamp(LampKind.SUN, (r, r, r), (1, 0.3, 0)) for r in (0.006, 0.016)))),
 }
@@ -281,6 +290,41 @@ def test_the_shadow_of_a_thing_falls_where_its_anchors_are():
     up_m = hand.position_m[:, 1] - edge_m
     assert second[up_m > 0.01].mean() < 0.02 * bare[up_m > 0.01].mean()
     assert second[up_m < -0.01].mean() > 0.98 * bare[up_m < -0.01].mean()
+
+
+def test_light_that_was_baked_takes_the_place_of_lamps_and_world_on_matt_skin_alone():
+    """Of two hands each has its own; what skin mirrors stays that of the lamps, and so does the next light."""
+    bones, hand = bones_of(AVATAR), with_response(AVATAR, reflectance=np.zeros(len(AVATAR), np.float32))
+    lit, dark = LIGHTS["all"], Baked((baked_field(), np.zeros_like(baked_field())))
+    black, first = (replace(lit, baked=dark).on_hand(place) for place in (1, 0))
+    gloss_alone = replace(lit, lamps=tuple(replace(lamp, on_matt=False) for lamp in lit.lamps), world=None)
+    assert natively(hand, bones, black).max() == 0
+    assert natively(hand, bones, first).max() > 0
+    mirrored = natively(AVATAR, bones, replace(black, world=None))
+    assert mirrored.max() > 0
+    assert np.abs(mirrored - natively(AVATAR, bones, gloss_alone)).max() < 1e-5 * mirrored.max()
+
+
+def test_a_baked_light_turns_with_the_normal():
+    """A field from above lights what looks up, and as much as it says."""
+    hand = white(estimated(load_builtin(handedness=Handedness.RIGHT)), 0.0)
+    assert hand.learned is not None
+    assert hand.learned.cast is not None
+    field = np.zeros((len(hand.learned.cast.anchors.position_m), 4, 3))
+    field[:, 0], field[:, 2] = 1.0, [2.0, 1.0, 0.5]
+    bones, poser = bones_of(hand, "open"), Poser(native_library.load(), hand)
+    poser.prepare(bones, np.zeros(3), light=SceneLight(baked=Baked((field,))))
+    poser.run()
+    # every Gaussian faces one of these
+    seen = []
+    for eye_m in np.concatenate([np.eye(3), -np.eye(3)]):
+        poser.prepare_gloss(eye_m)
+        poser.run_gloss()
+        seen.append(poser.into.rgb[: len(hand)][np.argsort(poser.blocks.order)])
+    up = np.max(seen, 0) * np.pi - 1
+    assert up[:, 1].max() == pytest.approx(1, abs=0.02)
+    assert np.abs(up[:, 0] - np.maximum(2 * up[:, 1], -1)).max() < 1e-3
+    assert np.abs(up[:, 2] - 0.5 * up[:, 1]).max() < 1e-3
 
 
 def test_twice_the_light_is_twice_as_bright():

@@ -143,6 +143,29 @@ def test_a_wrong_array_is_bad_input(changes):
         run(request(arrays=changes))
 
 
+AT_POINTS = {
+    "left": np.full((1, 2, 7), 255, np.uint8),
+    "baked": np.zeros((1, 7, 4, 3), np.float32),
+    "skin_at": np.zeros((7, 3), np.float32),
+}
+WRONG_AT_POINTS = {
+    "points that are not said": {"skin_at": None},
+    "points on a plane": {"skin_at": np.zeros((7, 2))},
+    "fewer points": {"skin_at": np.zeros((6, 3))},
+    "parts of another lamp": {"left": np.full((1, 3, 7), 255, np.uint8)},
+    "light of another hand": {"baked": np.zeros((2, 7, 4, 3))},
+    "light that does not turn": {"baked": np.zeros((1, 7, 3))},
+    "light that is no number": {"baked": np.full((1, 7, 4, 3), np.nan)},
+}
+
+
+@pytest.mark.parametrize("changes", [*WRONG_AT_POINTS.values(), {}], ids=[*WRONG_AT_POINTS.keys(), "nothing wrong"])
+def test_light_at_points_of_the_skin_fits_hands_lamps_and_points(changes):
+    message = request(light={"lamps": [{}, {}], "world": None}, arrays=AT_POINTS | changes)
+    with pytest.raises(InputError, match=r"left|baked|skin_at") if changes else contextlib.nullcontext():
+        run(message)
+
+
 def test_parallel_rays_go_through_no_lens():
     with pytest.raises(InputError, match="orthographic"):
         run(request(orthographic=True, arrays={"lenses": np.array([(0.01, 1.0)])}))
