@@ -14,8 +14,10 @@ import numpy as np
 
 from .view import LIGHT_FROM_WORLD
 
+# as many light each hand: the engine's own number, and it finds the brightest of those that are sent
+LAMPS_LIT = 32
 # the engine takes 256, and a world brings a few of its own
-LAMPS_MAX = 240
+LAMPS_SENT = 240
 # an area smaller than that is a point anyway, and its radiance grows beyond any number
 SIZE_MIN_M = 1e-3
 
@@ -91,9 +93,9 @@ def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
 
 
 def brightest(lamps: list[dict[str, Any]], place_m: np.ndarray) -> list[dict[str, Any]]:
-    """As many lamps as the engine takes: those that light a place (3,), in Blender's axes, most if it is in their
+    """As many lamps as are sent: those that light a place (3,), in Blender's axes, most if it is in their
     beams."""
-    if len(lamps) <= LAMPS_MAX:
+    if len(lamps) <= LAMPS_SENT:
         return lamps
     middle = LIGHT_FROM_WORLD[:3, :3] @ place_m
 
@@ -103,7 +105,7 @@ def brightest(lamps: list[dict[str, Any]], place_m: np.ndarray) -> list[dict[str
         distance2 = float(np.square(middle - lamp["place_m"]).sum())
         return sum(lamp["rgb"]) * math.prod(lamp.get("size_m", (1.0,))) / max(distance2, 1e-6)
 
-    return sorted(lamps, key=light, reverse=True)[:LAMPS_MAX]
+    return sorted(lamps, key=light, reverse=True)[:LAMPS_SENT]
 
 
 # of a light of power 1: what a lamp of its kind has for it, and the lamp's other fields

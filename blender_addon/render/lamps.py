@@ -95,11 +95,11 @@ def lamps_of(
                 continue
             found += lamps.lamps_of(_read(thing, matrix, hands, eevee=eevee), unit_m)
             warnings.update(dict.fromkeys(_warnings(thing, hands, eevee=eevee)))
-        if len(found) > lamps.LAMPS_MAX:
-            text = rpt_("{count} lamps: the {most} brightest light hands; hide some of them")
-            warnings[text.format(count=len(found), most=lamps.LAMPS_MAX)] = None
-            place = hands[0].matrix_world.translation if hands else (0.0, 0.0, 0.0)
-            found = lamps.brightest(found, np.array(place) * unit_m)
+        if len(found) > lamps.LAMPS_LIT:
+            text = rpt_("{count} lamps: the {most} brightest light each hand; hide some of them")
+            warnings[text.format(count=len(found), most=lamps.LAMPS_LIT)] = None
+        place = hands[0].matrix_world.translation if hands else (0.0, 0.0, 0.0)
+        found = lamps.brightest(found, np.array(place) * unit_m)
     return SceneLamps(tuple(found), tuple(warnings))
 
 

@@ -38,7 +38,7 @@ _VALUES_DEPTH = 3
 
 
 class Unread(Exception):  # noqa: N818 - no error: there is another way
-    """These nodes have to be measured."""
+    """These nodes have to be measured: the one of this name, where it is one."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ def of_light(light: bpy.types.Light) -> tuple[np.ndarray, str]:
     for name, told in (("Color", _even), ("Strength", _value)):
         try:
             product = product * told(node.inputs[name])
-        except Unread:
-            unread = node.inputs[name].links[0].from_node.name
+        except Unread as found:
+            unread = str(found) or node.inputs[name].links[0].from_node.name
     return product, unread
 
 
@@ -170,7 +170,7 @@ def _color(socket: bpy.types.NodeSocket) -> Shine:
                 return one.times(1 - factor + factor * other.even)
             if one.source is None:
                 return Shine(one.even * (1 - factor)).plus(other.times(factor * one.even))
-    raise Unread
+    raise Unread(node.name)
 
 
 def _value(socket: bpy.types.NodeSocket) -> float:
@@ -185,7 +185,7 @@ def _value(socket: bpy.types.NodeSocket) -> float:
     if node.type == "MATH" and node.operation in _SUMS:
         result = _SUMS[node.operation](_value(node.inputs[0]), _value(node.inputs[1]))
         return min(max(result, 0.0), 1.0) if node.use_clamp else result
-    raise Unread
+    raise Unread(node.name)
 
 
 def _vector(socket: bpy.types.NodeSocket) -> np.ndarray:

@@ -354,13 +354,18 @@ def test_what_cannot_be_read_of_a_light_says_so(card):
     thing = add_light("POINT", **POINT)
     node, tree = emission(thing), thing.data.node_tree
     node.inputs["Strength"].default_value = 2
-    texture = tree.nodes.new("ShaderNodeTexNoise")
-    tree.links.new(texture.outputs[1], node.inputs["Color"])
-    found = read(card)
-    assert found.warnings == (
-        'lamp: "Noise Texture" of its nodes is left out on hands; give its Emission plain values',
-    )
-    np.testing.assert_allclose(found.lamps[0]["rgb"], 2 * 10 / (4 * math.pi), rtol=1e-4)
+    for kind, name in (("ShaderNodeTexNoise", "Noise Texture"), ("ShaderNodeTexImage", "Image Texture")):
+        tree.links.new(tree.nodes.new(kind).outputs["Color"], node.inputs["Color"])
+        found = read(card)
+        assert found.warnings == (f'lamp: "{name}" of its nodes is left out on hands; give its Emission plain values',)
+        np.testing.assert_allclose(found.lamps[0]["rgb"], 2 * 10 / (4 * math.pi), rtol=1e-4)
+    tree.links.remove(node.inputs["Color"].links[0])
+    times = tree.nodes.new("ShaderNodeMath")
+    times.operation = "MULTIPLY"
+    tree.links.new(tree.nodes.new("ShaderNodeTexIES").outputs[0], times.inputs[0])
+    tree.links.new(times.outputs[0], node.inputs["Strength"])
+    (warning,) = read(card).warnings
+    assert '"IES Texture" of its nodes' in warning
     tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs["Is Diffuse Ray"], node.inputs["Strength"])
     assert '"Light Path" of its nodes' in read(card).warnings[0]
     thing.data.energy = -1
@@ -369,15 +374,17 @@ def test_what_cannot_be_read_of_a_light_says_so(card):
     assert "negative" in found.warnings[0]
 
 
-def test_more_lamps_than_the_engine_takes_are_the_brightest_and_say_so(card):
+def test_more_lamps_than_light_a_hand_are_the_brightest_and_say_so(card):
     data = add_light("POINT", **POINT).data
     for place in range(300):
         thing = bpy.data.objects.new("lamp", data)
         thing.location.x = 2 + place
         bpy.context.scene.collection.objects.link(thing)
+        if place == 31:
+            assert read(card).warnings == ("33 lamps: the 32 brightest light each hand; hide some of them",)
     found = read(card)
-    assert max(lamp["place_m"][0] for lamp in found.lamps) < len(found.lamps) + 2
-    assert found.warnings == (f"301 lamps: the {len(found.lamps)} brightest light hands; hide some of them",)
+    assert max(lamp["place_m"][0] for lamp in found.lamps) < len(found.lamps) + 2 < 256
+    assert found.warnings == ("301 lamps: the 32 brightest light each hand; hide some of them",)
 
 
 @pytest.mark.skipif(not hasattr(bpy.data, "colorspace"), reason="one working space alone")

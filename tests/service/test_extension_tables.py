@@ -11,11 +11,14 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from blender_addon.core import bone_maps, posing
+from blender_addon.core import bone_maps, lamps, posing
 from blender_addon.core import controls as control_numbers
 from blender_addon.core import joints as extension
 from blender_addon.errors import ADVICE
 from blender_addon.hand import motion_files, motion_jobs
+from jghand_engine.avatar.lamp_rows import LAMPS_MAX
+from jghand_engine.avatar.light_records import RECORDS_MAX
+from jghand_engine.avatar.world_suns import SUNS_MAX
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG
@@ -58,6 +61,11 @@ def test_every_kind_of_error_of_the_engine_has_a_sentence_and_the_engines_own_ex
 
 def test_the_preset_of_a_batch_run_exists():
     assert "final" in PRESETS
+
+
+def test_as_many_lamps_light_a_hand_and_the_suns_of_a_world_find_room_beside_those_that_are_sent():
+    assert lamps.LAMPS_LIT == LAMPS_MAX
+    assert lamps.LAMPS_SENT + SUNS_MAX <= RECORDS_MAX
 
 
 def test_joints_go_as_far():
