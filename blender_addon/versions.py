@@ -200,8 +200,8 @@ def combine_soft_edges(combine: bpy.types.Node) -> None:
         combine.inputs["Use Alpha"].default_value, combine.inputs["Anti-Alias"].default_value = True, False
 
 
-def world_tree(world: bpy.types.World) -> bpy.types.NodeTree | None:
-    """The nodes of a world that are used; None where it has only a color."""
+def world_tree(world: bpy.types.World | bpy.types.Material) -> bpy.types.NodeTree | None:
+    """The nodes of a world, or material, that are used; None where it has only a color."""
     # since 5.0 nodes are used wherever they are; asking `use_nodes` warns there
     always = bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is not None
     return world.node_tree if always or world.use_nodes else None

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.pacing import SETTLE_S
 from ..core.stand_in import POINTS, points_on, surface_at
@@ -253,6 +254,8 @@ def _together(found: SceneLamps, world: Reading) -> SceneLight:
     global _warnings
     known = _unmeasured.get(_attempt(world.stale)) if world.stale else None
     _warnings = (*found.warnings, *map(str, world.failures if known is None else [known]))
+    if world.for_cameras:
+        _warnings += (rpt_("The world shows to the camera alone and lights no hands; let diffuse rays see it"),)
     around = world.light
     key = (found.key, "" if around is None else repr((around.record, around.suns)))
     if key not in _made:

@@ -348,7 +348,7 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
         rows = np.flatnonzero(~hit)
         origins = starts[rows] @ back[:3, :3].T + back[:3, 3]
         along = ways[rows] @ back[:3, :3].T
-        near = np.flatnonzero(_meet_box(origins, along, thing.shape.box))
+        near = np.flatnonzero(meet_box(origins, along, thing.shape.box))
         rows, origins, along = rows[near], origins[near], along[near]
         lengths = np.linalg.norm(along, axis=-1)
         cast = thing.shape.tree.ray_cast
@@ -359,7 +359,7 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
     return hit
 
 
-def _meet_box(origins: np.ndarray, ways: np.ndarray, box: np.ndarray) -> np.ndarray:
+def meet_box(origins: np.ndarray, ways: np.ndarray, box: np.ndarray) -> np.ndarray:
     """(N,) whether the way from each point comes through a box, with a margin for numbers of 32 bits."""
     margin = 1e-5 * np.abs(box).max() + 1e-9
     one_over = 1 / np.where(np.abs(ways) < 1e-30, 1e-30, ways)

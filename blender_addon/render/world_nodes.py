@@ -77,6 +77,12 @@ def shine_of(world: bpy.types.World) -> Shine:
     return _shader(output.inputs["Surface"])
 
 
+def shows_cameras_more(world: bpy.types.World) -> bool:
+    """Whether a world asks for camera rays."""
+    tree = versions.world_tree(world)
+    return tree is not None and any(link.from_socket.name == "Is Camera Ray" for link in tree.links)
+
+
 def of_light(light: bpy.types.Light) -> tuple[np.ndarray, str]:
     """(3,) what a light's nodes multiply it with, where that is one color; and the name of a node that does not tell,
     whose part is 1 then, or ""."""

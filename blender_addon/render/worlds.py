@@ -27,7 +27,7 @@ from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
 from ..hand import armature, stand_ins
 from . import lamps, probe
-from .world_nodes import Shine, Unread, shine_of, values_of, values_of_tree
+from .world_nodes import Shine, Unread, shine_of, shows_cameras_more, values_of, values_of_tree
 
 # worlds whose light is kept, pictures as they were read and lights as they were measured: some MB each
 KEPT = 8
@@ -54,12 +54,14 @@ _SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META", "CURVES", "POINTCLOUD",
 
 class Reading(NamedTuple):
     """light: None for a black world. failures: what the panel says. stale: the name of what `update` has to measure,
-    "" for nothing; until then `light` is what was measured last. place: as of `place_of`."""
+    "" for nothing; until then `light` is what was measured last. place: as of `place_of`. for_cameras: whether the
+    world is black to hands alone."""
 
     light: WorldLight | None
     failures: tuple[JGHandFailure, ...] = ()
     stale: str = ""
     place: Place | None = None
+    for_cameras: bool = False
 
 
 def place_of(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> Place | None:
@@ -82,11 +84,12 @@ def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Read
         return found._replace(place=place, light=found.light if found.light is not None else world_of(depsgraph).light)
     # where Cycles is disabled there is no Ray Visibility
     if world is None or not getattr(world, "cycles_visibility", _ALL).diffuse:
-        return Reading(None)
+        return Reading(None, for_cameras=world is not None and world.cycles_visibility.camera)
     try:
         shine = shine_of(world)
         if shine.source is None:
-            return Reading(_of_color(shine.even))
+            light = _of_color(shine.even)
+            return Reading(light, for_cameras=light is None and shows_cameras_more(world))
         if isinstance(shine.source, bpy.types.Image):
             return Reading(_of_picture(shine))
         return _of_sky(shine)

@@ -302,6 +302,26 @@ def test_a_window_renders_no_world_that_is_not_measured(scene, monkeypatch, tmp_
     assert "not measured" in " ".join(scene_light.warnings())
 
 
+def test_a_world_that_shows_to_the_camera_alone_says_that_it_lights_no_hands(scene):
+    def told() -> str:
+        scene_light.of_render(bpy.context.evaluated_depsgraph_get(), [scene.objects[0]])
+        return " ".join(scene_light.warnings())
+
+    scene.world = even_world((1, 1, 1))
+    tree = scene.world.node_tree
+    shown, background = tree.nodes.new("ShaderNodeMixShader"), tree.nodes["Background"]
+    tree.links.new(tree.nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"], shown.inputs[0])
+    tree.links.new(background.outputs[0], shown.inputs[2])
+    tree.links.new(shown.outputs[0], tree.nodes["World Output"].inputs["Surface"])
+    assert "The world shows to the camera alone" in told()
+    tree.links.new(background.outputs[0], shown.inputs[1])
+    assert told() == ""
+    scene.world.cycles_visibility.diffuse = False
+    assert "The world shows to the camera alone" in told()
+    scene.world.cycles_visibility.camera = False  # nobody sees it
+    assert told() == ""
+
+
 def test_a_world_without_its_image_fails_the_render(scene, tmp_path):
     scene.world = even_world((1, 1, 1))
     tree = scene.world.node_tree
