@@ -38,7 +38,7 @@ _KINDS = {"str": str, "int": int, "float": float}
 _MOVES = "the hand moves in another way"
 # custom property of a playing object: the folder of its bake, relative where the bake's settings are so
 BAKE_PROPERTY = "jghand_bake"
-MATERIAL = "JGHand Points"
+MATERIAL, LIT_MATERIAL = "JGHand Points", "JGHand Lit Points"
 # prims of the stage that are drawn: what the variants hold
 _PATHS = "/Hand/Points,/Hand/Splats"
 # a joint that is further from where it was baked has moved: above Blender's rounding, below what is seen, meters
@@ -351,20 +351,25 @@ def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
     ]
 
 
-def points_material() -> bpy.types.Material:
-    """Shows the colors of the points as they are: no light falls on them, as on a photograph."""
-    known = bpy.data.materials.get(MATERIAL)
+def points_material(*, lit: bool = False) -> bpy.types.Material:
+    """Shows the colors of the points as they are: no light falls on them, as on a photograph. lit: it does, and the
+    colors are their albedo."""
+    name = LIT_MATERIAL if lit else MATERIAL
+    known = bpy.data.materials.get(name)
     if known is not None and known.library is None:
         return known
-    material = bpy.data.materials.new(MATERIAL)
+    material = bpy.data.materials.new(name)
     material.diffuse_color = _SOLID_RGBA  # Solid mode knows no colors of points
     tree = versions.ensure_tree(material)
     tree.nodes.clear()
-    color = tree.nodes.new("ShaderNodeAttribute")
-    color.attribute_name, color.location = "displayColor", (-300, 0)
-    glow = tree.nodes.new("ShaderNodeEmission")
+    surface = tree.nodes.new("ShaderNodeBsdfPrincipled" if lit else "ShaderNodeEmission")
     output = tree.nodes.new("ShaderNodeOutputMaterial")
     output.location = (300, 0)
-    tree.links.new(color.outputs["Color"], glow.inputs["Color"])
-    tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
+    read = [("displayColor", "Color", "Base Color" if lit else "Color")]
+    read += [("roughness", "Fac", "Roughness"), ("ior", "Fac", "IOR")] if lit else []
+    for row, (attribute, result, wanted) in enumerate(read):
+        reader = tree.nodes.new("ShaderNodeAttribute")
+        reader.attribute_name, reader.location = attribute, (-300, -200 * row)
+        tree.links.new(reader.outputs[result], surface.inputs[wanted])
+    tree.links.new(surface.outputs[0], output.inputs["Surface"])
     return material

@@ -46,6 +46,13 @@ SIZES = (
 RADIANCES = (
     ("srgb", "sRGB", "Colors as a screen shows them, for most viewers", "NONE", 0),
     ("linear", "Linear", "Colors as light, for path tracers", "NONE", 1),
+    (
+        "albedo",
+        "Albedo",
+        "Colors without light: other programs light splats and points, as they do the mesh",
+        "NONE",
+        2,
+    ),
 )
 AXES = (
     ("rdf", "Viewers", "X right, Y down, Z forward, as splat viewers expect it", "NONE", 0),

@@ -71,10 +71,11 @@ class JGHandUsdHook(_Hook):
 
 
 def color_points(things: Iterable[bpy.types.ID]) -> None:
-    """Gives point clouds without a material that of a bake's points."""
+    """Gives point clouds without a material that of a bake's points, or one that lamps light where they have what that
+    needs: they then carry no light."""
     for cloud in things:
         if isinstance(cloud, bpy.types.PointCloud) and not cloud.materials and "displayColor" in cloud.attributes:
-            cloud.materials.append(bakes.points_material())
+            cloud.materials.append(bakes.points_material(lit="roughness" in cloud.attributes))
 
 
 def left_out() -> list[str]:

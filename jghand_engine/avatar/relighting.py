@@ -3,7 +3,7 @@ learned in known light, where no scene lights it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -37,6 +37,35 @@ STUDIO_KEY, STUDIO_KEY_SHARPNESS, STUDIO_KEY_TOWARDS = 3.0, 8.0, (-0.45, 0.65, 0
 ALBEDO_MAX = 0.95
 
 
+@dataclass(frozen=True)
+class Material:
+    """What light of other programs falls on.
+
+    albedo:      (N, 3) linear
+    roughness:   (N,) of GGX, whose alpha is its square
+    reflectance: (N,) at right angles
+    """
+
+    albedo: np.ndarray
+    roughness: np.ndarray
+    reflectance: np.ndarray
+
+
+def material_of(avatar: HandAvatar) -> Material:
+    """Of the avatar's Gaussians, without any light: what it learned in known light; else a guess from its colors."""
+    learned, count = avatar.learned, len(avatar)
+    if learned is not None and learned.response is not None:
+        return Material(avatar.rgb, learned.response.roughness, learned.response.reflectance)
+    albedo = srgb_to_linear(np.clip(avatar.rgb, 0, 1).astype(np.float64))
+    if learned is not None:
+        # brought to the mean of skin, each Gaussian as much as it covers
+        weight = (avatar.opacity * np.square(avatar.sigma_m)).astype(np.float64)
+        mean = weight @ albedo / weight.sum()
+        albedo = np.minimum(albedo * (np.array(MEAN_ALBEDO) / np.maximum(mean, 1e-6)), ALBEDO_MAX)
+    guesses = (np.full(count, guess, np.float32) for guess in (ROUGHNESS, REFLECTANCE))
+    return Material(albedo.astype(np.float32), *guesses)
+
+
 def relightable(avatar: HandAvatar) -> HandAvatar:
     """The avatar as the light of a scene lights it: as it is, if it learned in known light; else `estimated`. A painted
     hand has no skin that light falls on: it shines with its own colors, made linear."""
@@ -61,16 +90,11 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
             came="a painted one" if learned is None else "one without",
             remedy="Show it in the light of its capture.",
         )
-    albedo = srgb_to_linear(np.clip(avatar.rgb, 0, 1).astype(np.float64))
-    # as much as each covers
-    weight = (avatar.opacity * np.square(avatar.sigma_m)).astype(np.float64)
-    mean = weight @ albedo / weight.sum()
-    albedo = np.minimum(albedo * (np.array(MEAN_ALBEDO) / np.maximum(mean, 1e-6)), ALBEDO_MAX)
-    count = len(avatar)
+    material = material_of(avatar)
     response = SkinResponse(
-        spread=np.ones(count, np.float32),
-        roughness=np.full(count, ROUGHNESS, np.float32),
-        reflectance=np.full(count, REFLECTANCE, np.float32),
+        spread=np.ones(len(avatar), np.float32),
+        roughness=material.roughness,
+        reflectance=material.reflectance,
         softness=np.array(SOFTNESS),
         bounce=np.array(BOUNCE),
         ambient=np.array(AMBIENT),
@@ -81,7 +105,7 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
     shine = np.zeros_like(learned.shine)
     relit = replace(learned, light=no_light(), shine=shine, cast=cast, response=response, shadow=None)
     sigma_m = (GAP_FILL * avatar.sigma_m).astype(np.float32)
-    return replace(avatar, rgb=albedo.astype(np.float32), sigma_m=sigma_m, learned=relit)
+    return replace(avatar, rgb=material.albedo, sigma_m=sigma_m, learned=relit)
 
 
 @cache

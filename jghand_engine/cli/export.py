@@ -35,7 +35,8 @@ is shown first, and how large points are. Only --package usdc and --precision ha
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
 carry the skin between them. A trained avatar has colors of its own in every frame, in the light that it was
-learned in; what its skin mirrors depends on the camera, and is left out.
+learned in; what its skin mirrors depends on the camera, and is left out. The mesh of a USD stage has no light in it,
+but albedo and roughness, which other programs light.
 
 Examples:
   jghand export --poses open,fist --hand right --out usd
@@ -69,8 +70,9 @@ class UsdStageOptions:
     sizes: Literal["constant", "per_frame"] = "constant"
     """Radii of the splats: of the mean hand, or of every frame. A frame is then 2.3 times as large; of a trained hand,
     whose colors are in every frame anyway, 1.4 times."""
-    radiance: Literal["srgb", "linear"] = "srgb"
-    """Colors of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers."""
+    radiance: Literal["srgb", "linear", "albedo"] = "srgb"
+    """Colors of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers; albedo
+    without any light: then other programs light splats and points, as they always do the mesh."""
     width_factor: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Size of the points: 1 is two standard deviations of a splat, 2 closes the gaps between them. Left out: 2 for
     blender and usdview, else 1."""

@@ -32,14 +32,15 @@ def exported(tmp_path_factory):
         pytest.skip("there is no engine environment: run scripts/test.py")
     made = {}
 
-    def make(variant: str, handedness: str) -> tuple[Path, dict[str, np.ndarray]]:
-        if (variant, handedness) not in made:
+    def make(variant: str, handedness: str, radiance: str = "srgb") -> tuple[Path, dict[str, np.ndarray]]:
+        if (variant, handedness, radiance) not in made:
             folder = tmp_path_factory.mktemp(f"{variant}_{handedness}")
             script = Path(__file__).with_name("usd_for_blender.py")
             variables = {**environments.clean_variables(), "PYTHONPATH": str(ROOT)}
-            subprocess.run([python, script, folder, variant, handedness], check=True, env=variables, timeout=300)
-            made[variant, handedness] = folder / "hand.usda", dict(np.load(folder / "truth.npz"))
-        return made[variant, handedness]
+            words = [variant, handedness, radiance]
+            subprocess.run([python, script, folder, *words], check=True, env=variables, timeout=300)
+            made[variant, handedness, radiance] = folder / "hand.usda", dict(np.load(folder / "truth.npz"))
+        return made[variant, handedness, radiance]
 
     return make
 
@@ -125,8 +126,9 @@ def test_mesh_follows_the_armature_as_the_engine_skins_it(exported, handedness):
         assert np.abs(position - vertices).max() <= MESH_ERROR_M
 
 
-def drawn_by_cycles() -> np.ndarray:
-    """(H, W, 4) linear, of what was imported, lit evenly from everywhere, seen from where all of it is in sight."""
+def drawn_by_cycles(sun_towards=None) -> np.ndarray:
+    """(H, W, 4) linear, of what was imported, seen from where all of it is in sight; lit evenly from everywhere, or
+    by a sun in a direction (3) of Blender's world."""
     scene = bpy.context.scene
     scene.frame_set(0)
     thing = next(each for each in bpy.data.objects if each.type in ("MESH", "POINTCLOUD"))
@@ -138,7 +140,11 @@ def drawn_by_cycles() -> np.ndarray:
     scene.collection.objects.link(scene.camera)
     world = scene.world = bpy.data.worlds.new("World")
     world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (*3 * (float(sun_towards is None),), 1)
+    if sun_towards is not None:
+        sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+        sun.rotation_euler = mathutils.Vector(sun_towards).to_track_quat("Z", "Y").to_euler()
+        scene.collection.objects.link(sun)
     scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 4, False
     scene.render.resolution_x = scene.render.resolution_y = 64
     scene.render.resolution_percentage, scene.render.film_transparent = 100, True
@@ -157,13 +163,28 @@ def test_an_imported_hand_has_its_colors(exported, extension, variant):
     imported(stage)
     thing = only("POINTCLOUD" if variant == "points" else "MESH")
     (material,) = thing.data.materials
-    (node,) = [each for each in material.node_tree.nodes if each.bl_idname == "ShaderNodeAttribute"]
+    links = material.node_tree.links
+    (node,) = [each.from_node for each in links if each.to_socket.name in ("Base Color", "Color")]
     assert node.attribute_name == "displayColor"
-    assert node.outputs["Color"].links
     picture = drawn_by_cycles()
     seen = picture[picture[..., 3] > 0.99][:, :3]
     assert len(seen) > 10
     assert np.median(np.ptp(seen, axis=1)) > 0.05, "gray"
+
+
+@pytest.mark.parametrize("variant", ["points", "mesh"])
+def test_the_sun_lights_the_side_of_an_imported_hand_that_faces_it(exported, extension, variant):
+    stage, _ = exported(variant, "right", "albedo")
+    seen = []
+    for towards in ((0, 0, 1), (0, 0, -1)):
+        imported(stage)
+        (material,) = only("POINTCLOUD" if variant == "points" else "MESH").data.materials
+        read = {each.to_socket.name: each.from_node for each in material.node_tree.links}
+        names = {socket: read[socket].attribute_name for socket in ("Base Color", "Roughness", "IOR")}
+        assert names == {"Base Color": "displayColor", "Roughness": "roughness", "IOR": "ior"}
+        seen.append(drawn_by_cycles(towards)[..., :3].sum())
+    # the camera is on the side of the first sun
+    assert seen[0] > 5 * seen[1]
 
 
 def test_frame_range_comes_with_the_stage(exported):

@@ -1,6 +1,6 @@
 """Run by the engine's Python: writes a stage and what the engine says about it, for `test_usd_import`.
 
-usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS
+usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS RADIANCE
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.render.camera import Camera
 
 
-def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
+def main(folder: Path, variant: Variant, handedness: Handedness, radiance: str) -> None:
     avatar, motion = small_avatar(), lively_motion(handedness, frames=12)
     up, eye_m = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([0.1, 0.2, 0.6])
     camera = Camera.looking_at(eye_m, torch.zeros(3), up, width=640, height=480, focal_px=900)
-    export_usd(folder, avatar, motion, [camera], UsdOptions(default_variant=variant, sizes="per_frame"))
+    options = UsdOptions(default_variant=variant, sizes="per_frame", radiance=radiance)
+    export_usd(folder, avatar, motion, [camera], options)
     centers, radii = engine_gaussians(avatar, motion)
     np.savez(
         folder / "truth.npz",
@@ -44,4 +45,4 @@ def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Variant(sys.argv[2]), Handedness(sys.argv[3]))
+    main(Path(sys.argv[1]), Variant(sys.argv[2]), Handedness(sys.argv[3]), sys.argv[4])

@@ -8,7 +8,8 @@
 
 or one file of all that. The colors of a trained avatar change with the pose, as its light falls on it: every frame then
 has its own, and the file is three times as large. What its skin mirrors depends on the camera, and is left out, as is
-the self-shadow.
+the self-shadow. The mesh carries no light, but a material that other programs light; so do splats and points where
+that is asked for.
 
 Everything is written into a temporary folder beside the target and renamed into place when it is complete.
 """
@@ -24,7 +25,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +35,8 @@ from pxr import Sdf, Usd
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import PosedHand
+from jghand_engine.avatar.relighting import material_of
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
 from jghand_engine.export.mesh import template_of
@@ -42,7 +45,7 @@ from jghand_engine.export.splats.cloud import SteadyAxes
 from jghand_engine.export.usd.rig import (
     build_skeleton,
     in_motion,
-    vertex_colors,
+    vertex_material,
     write_rig,
     write_skinned,
 )
@@ -66,7 +69,7 @@ IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 CREATOR = "JGHand"
 Package = Literal["layers", "usdc", "usdz"]
 PACKAGES: tuple[Package, ...] = ("layers", "usdc", "usdz")
-IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light"}
+IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light", "albedo": "linear albedo"}
 # what Omniverse, usdview and Blender draw points as is a ball without a soft edge: two standard deviations close the
 # skin (as the extension has it)
 BALL_WIDTH_FACTOR = 2.0
@@ -85,7 +88,8 @@ class UsdOptions:
 
     name: stem of the files
     default_variant: what a reader shows that cannot choose (Blender)
-    radiance: "srgb" keeps the avatar's display-referred colors in the splats, "linear" writes light
+    radiance: "srgb" keeps the avatar's display-referred colors in the splats, "linear" writes light, "albedo" no light:
+        other programs light splats and points as they do the mesh
     sizes: "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, in larger files.
         Gaussians that are no balls have theirs in every frame
     width_factor: diameter of the points of all variants, in two standard deviations
@@ -100,7 +104,7 @@ class UsdOptions:
 
     name: str = "hand"
     default_variant: Variant = Variant.SPLATS
-    radiance: Literal["srgb", "linear"] = "srgb"
+    radiance: Literal["srgb", "linear", "albedo"] = "srgb"
     sizes: Literal["constant", "per_frame"] = "constant"
     width_factor: float = 1.0
     template: HandTemplate | None = None
@@ -115,7 +119,7 @@ class UsdOptions:
             raise InputError("name of the USD files", wanted="letters, digits and _", came=repr(self.name))
         for option, value, wanted in (
             ("default variant", self.default_variant, tuple(Variant)),
-            ("radiance", self.radiance, ("srgb", "linear")),
+            ("radiance", self.radiance, tuple(IMAGE_STATES)),
             ("sizes", self.sizes, ("constant", "per_frame")),
             ("up", self.up, ("y", "z")),
             ("precision", self.precision, ("float", "half")),
@@ -135,6 +139,11 @@ class UsdOptions:
                 "precision half of package usdc", wanted="the variant splats, which it is of",
                 came=str(self.default_variant), remedy="Leave it out: it would change nothing in this file.",
             )  # fmt: skip
+
+    @property
+    def is_lit(self) -> bool:
+        """Whether other programs light splats and points."""
+        return self.radiance == "albedo"
 
     @property
     def is_half(self) -> bool:
@@ -284,6 +293,7 @@ def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) ->
     """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
     learned = avatar.learned
     still = learned is None or learned.correctives is None
+    still_colored = learned is None or options.is_lit
     return {
         "gaussians": len(avatar),
         "handedness": str(handedness),
@@ -292,7 +302,8 @@ def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) ->
         # learned pose offsets are in the per-frame positions; what is skinned shows plain skinning
         "offsets": "none" if still else "in the positions of the splats",
         "skinnedOffsets": "none",
-        "colors": "constant" if learned is None else "per frame, in the light of the capture",
+        "colors": "constant" if still_colored else "per frame, in the light of the capture",
+        "material": "painted" if learned is None else "estimated" if learned.response is None else "known",
         "gloss": "none" if learned is None else "left out: it depends on the camera",
         "sizes": options.sizes,
         "precision": options.precision,
@@ -311,13 +322,16 @@ class _Writer:
     ) -> None:
         self.names, self._motion, self._options, self._span = LayerNames(options.name), motion, options, span
         self._progress = progress or (lambda done, frames: None)
-        self._look = Look(options.radiance, options.width_factor, options.is_half)
+        self._look = Look(options.radiance != "srgb", options.width_factor, options.is_half)
         self._axes = SteadyAxes()
         self.seconds: dict[str, float] = {}
         self.sigma_error = 0.0
         self.half_error_m: float | None = None
         with self._clock("rig"):
+            self._material = material_of(motion.avatar)
             self._cloud = Cloud(*motion.rest_arrays())
+            if options.is_lit:
+                self._cloud = replace(self._cloud, rgb=linear_to_srgb(self._material.albedo), material=self._material)
 
     @property
     def expected_bytes(self) -> int:
@@ -326,7 +340,7 @@ class _Writer:
         each = 0
         if self._options.package != "usdc" or Variant(self._options.default_variant).has_frames:
             # positions, colors, sizes and turns of splats; widths and colors of points; equal arrays are stored once
-            colored, sized, turned = self._motion.colors_move, self._has_sizes, self._motion.has_ellipsoids
+            colored, sized, turned = self._colors_move, self._has_sizes, self._motion.has_ellipsoids
             numbers = 3 + 3 * colored + 3 * sized + 4 * turned
             each = 2 * numbers if self._options.is_half else 4 * (numbers + sized + 3 * colored)
         return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
@@ -336,8 +350,8 @@ class _Writer:
         options, motion, names, span = self._options, self._motion, self.names, self._span
         with self._clock("rig"):
             skeleton = build_skeleton(motion.rest_poses())
-            colors = vertex_colors(template.vertices_m, self._cloud)
-            write_rig(layers / names.rig, skeleton, in_motion(skeleton, motion.poses()), template, colors, span)
+            material = vertex_material(template.vertices_m, self._cloud.rest_m, self._material)
+            write_rig(layers / names.rig, skeleton, in_motion(skeleton, motion.poses()), template, material, span)
         with self._clock("skinned points"):
             weights = np.asarray(motion.avatar.bone_weights)
             write_skinned(layers / names.skinned, self._cloud, weights, options.width_factor, span)
@@ -352,7 +366,7 @@ class _Writer:
             write_interface(
                 layers, names, span, asset=motion.avatar.info.name,
                 about=describe(motion.avatar, motion.handedness, options),
-                variants=options.variants, default=Variant(options.default_variant),
+                variants=options.variants, default=Variant(options.default_variant), lit=options.is_lit,
             )  # fmt: skip
             if options.package == "layers":
                 write_shot(layers, names, cameras, motion.sequence.joints_m, span)
@@ -414,9 +428,12 @@ class _Writer:
         scales_m, turns_xyzw = None, None
         if posed.covariance_m2 is not None:
             scales_m, turns_xyzw = self._axes(posed.covariance_m2)
-        return Sample(
-            posed.position_m, posed.sigma_m if self._has_sizes else None, posed.rgb, scales_m, turns_xyzw, wrist_m
-        )
+        rgb = posed.rgb if self._colors_move else None
+        return Sample(posed.position_m, posed.sigma_m if self._has_sizes else None, rgb, scales_m, turns_xyzw, wrist_m)
+
+    @property
+    def _colors_move(self) -> bool:
+        return self._motion.colors_move and not self._options.is_lit
 
     @property
     def _has_sizes(self) -> bool:

@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
+from jghand_engine.avatar.relighting import Material
 from jghand_engine.export.motion import BonePoses
 from jghand_engine.export.usd.splats import Cloud
 from jghand_engine.export.usd.stage import (
@@ -61,8 +62,14 @@ PROXY_STEP = 10
 # bones that a Gaussian of the skinned variants follows at most: the hands that ship have 7. With 4, as many real-time
 # clients have it, Gaussians of the palm are up to 3.8 mm off
 SKIN_BONES = 8
-# Gaussians around a vertex whose mean color the mesh gets
-COLOR_NEIGHBORS = 8
+# Gaussians around a vertex whose mean the mesh gets
+NEIGHBORS = 8
+# inputs of the material: of which kind, as input and as read, and the primvar that is read
+_READ = {
+    "diffuseColor": ("float3", TYPES.Color3f, TYPES.Float3, "displayColor"),
+    "roughness": ("float", TYPES.Float, TYPES.Float, "roughness"),
+    "ior": ("float", TYPES.Float, TYPES.Float, "ior"),
+}
 
 
 @dataclass(frozen=True)
@@ -203,15 +210,15 @@ def write_rig(
     skeleton: UsdSkeleton,
     motion: Iterable[LocalPoses],
     skin: HandTemplate,
-    rgb: np.ndarray,
+    material: Material,
     time: TimeRange,
 ) -> None:
     """Writes /Rig with Skeleton, Skeleton/Anim, Mesh and its material Look. One prim at the root, so that one
     reference brings everything: separate references would drop skel:skeleton with a mere warning.
 
-    motion: of the skeleton, in parts that are saved one by one
-    skin:   the surface of the hand itself, mirrored for a left one
-    rgb:    (V, 3) display-referred sRGB of its vertices
+    motion:   of the skeleton, in parts that are saved one by one
+    skin:     the surface of the hand itself, mirrored for a left one
+    material: of its vertices
     """
     stage = new_layer(path, time)
     root = UsdSkel.Root.Define(stage, RIG_PATH).GetPrim()
@@ -222,7 +229,7 @@ def write_rig(
     prim.CreateRestTransformsAttr(_matrices(skeleton.rest))
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
     UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    _add_mesh(stage, skin, rgb, prim)
+    _add_mesh(stage, skin, material, prim)
     animation.CreateJointsAttr(skeleton.tokens)
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
@@ -243,7 +250,7 @@ def write_rig(
     stage.Save()
 
 
-def _add_mesh(stage: Usd.Stage, template: HandTemplate, rgb: np.ndarray, skeleton: UsdSkel.Skeleton) -> None:
+def _add_mesh(stage: Usd.Stage, template: HandTemplate, material: Material, skeleton: UsdSkel.Skeleton) -> None:
     mesh = UsdGeom.Mesh.Define(stage, f"{RIG_PATH}/Mesh")
     mesh.CreatePointsAttr(vec3f(template.vertices_m))
     mesh.CreateFaceVertexIndicesAttr(ints(template.faces))
@@ -252,7 +259,7 @@ def _add_mesh(stage: Usd.Stage, template: HandTemplate, rgb: np.ndarray, skeleto
     mesh.CreateNormalsAttr(vec3f(vertex_normals(template.vertices_m, template.faces)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
-    set_display(mesh.GetPrim(), rgb)
+    set_display(mesh.GetPrim(), material.albedo, material=material)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_add_look(stage, f"{RIG_PATH}/Look"))
     corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
@@ -267,27 +274,28 @@ def _add_mesh(stage: Usd.Stage, template: HandTemplate, rgb: np.ndarray, skeleto
 
 
 def _add_look(stage: Usd.Stage, path: str) -> UsdShade.Material:
-    """A surface in the mesh's displayColor, which importers (Blender's) show of materials alone."""
+    """A surface that light falls on, with the albedo, roughness and index of refraction of what has it."""
     look = UsdShade.Material.Define(stage, path)
-    reader = UsdShade.Shader.Define(stage, f"{path}/Color")
-    reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", TYPES.String).Set("displayColor")
     surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
     surface.CreateIdAttr("UsdPreviewSurface")
-    color = reader.CreateOutput("result", TYPES.Float3)
-    surface.CreateInput("diffuseColor", TYPES.Color3f).ConnectToSource(color)
+    for name, (kind, input_kind, read_kind, primvar) in _READ.items():
+        reader = UsdShade.Shader.Define(stage, f"{path}/{name}")
+        reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
+        reader.CreateInput("varname", TYPES.String).Set(primvar)
+        surface.CreateInput(name, input_kind).ConnectToSource(reader.CreateOutput("result", read_kind))
     look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
     return look
 
 
-def vertex_colors(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
-    """(V, 3) display-referred sRGB: mean of the nearest Gaussians of a cloud in the same pose."""
-    neighbors = min(COLOR_NEIGHBORS, len(cloud.rgb))
+def vertex_material(vertices_m: np.ndarray, rest_m: np.ndarray, material: Material) -> Material:
+    """Of vertices (V, 3): means of the Gaussians, whose centers (N, 3) are in the same pose, that are nearest."""
+    values = np.column_stack([material.albedo, material.roughness, material.reflectance]).astype(np.float64)
+    neighbors = min(NEIGHBORS, len(values))
     # along the longest axis in blocks, each against the Gaussians that are near it there
     axis, margin_m = int(np.ptp(vertices_m, axis=0).argmax()), 0.006
-    points_m, order = cloud.rest_m.astype(np.float64), np.argsort(cloud.rest_m[:, axis], kind="stable")
+    points_m, order = rest_m.astype(np.float64), np.argsort(rest_m[:, axis], kind="stable")
     along = points_m[order, axis]
-    colors = np.empty_like(vertices_m)
+    means = np.empty((len(vertices_m), 5))
     for block in np.array_split(np.argsort(vertices_m[:, axis]), max(1, len(vertices_m) // 64)):
         low, high = vertices_m[block, axis].min() - margin_m, vertices_m[block, axis].max() + margin_m
         near = order[np.searchsorted(along, low) : np.searchsorted(along, high, "right")]
@@ -297,9 +305,9 @@ def vertex_colors(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
                 len(near) > neighbors and np.partition(squares_m2, neighbors - 1)[:, neighbors - 1].max() <= margin_m**2
             ):
                 nearest = np.argpartition(squares_m2, neighbors - 1)[:, :neighbors]
-                colors[block] = cloud.rgb[candidates[nearest]].mean(axis=1)
+                means[block] = values[candidates[nearest]].mean(axis=1)
                 break
-    return colors
+    return Material(means[:, :3], means[:, 3], means[:, 4])
 
 
 def write_skinned(path: Path, cloud: Cloud, bone_weights: np.ndarray, width_factor: float, time: TimeRange) -> None:
@@ -313,9 +321,9 @@ def write_skinned(path: Path, cloud: Cloud, bone_weights: np.ndarray, width_fact
     stage = new_layer(path, time)
     stage.SetDefaultPrim(_add_points(stage, SKINNED_PATH, cloud, bone_weights, width_factor))
     some = slice(None, None, PROXY_STEP)
-    tenth = Cloud(cloud.rest_m[some], cloud.sigma_m[some], cloud.opacity[some], cloud.rgb[some])
     # fewer points are larger, as their distance on a surface grows
-    proxy = _add_points(stage, PROXY_PATH, tenth, bone_weights[some], width_factor * np.sqrt(PROXY_STEP), PROXY_STEP)
+    wider = width_factor * np.sqrt(PROXY_STEP)
+    proxy = _add_points(stage, PROXY_PATH, cloud.every(PROXY_STEP), bone_weights[some], wider, PROXY_STEP)
     set_uniform(proxy, "purpose", TYPES.Token, UsdGeom.Tokens.proxy)
     stage.Save()
 
@@ -332,7 +340,7 @@ def _add_points(
     prim.CreateExtentAttr(bound(cloud.rest_m, radii_m))
     # which of the splats it is: skinning tools may sort
     prim.CreateIdsAttr(Vt.Int64Array.FromNumpy(step * np.arange(len(cloud.sigma_m))))
-    set_display(prim.GetPrim(), cloud.rgb, cloud.opacity)
+    set_display(prim.GetPrim(), *cloud.display)
     joints, weights = skin_influences(bone_weights.astype(np.float64), most=SKIN_BONES, fine=False)
     # not applied yet: alone, without a skeleton, these are points
     binding = UsdSkel.BindingAPI(prim)

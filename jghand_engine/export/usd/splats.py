@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, Vt
 
+from jghand_engine.avatar.relighting import Material
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.export.splats.cloud import SH_C0
 from jghand_engine.export.usd.stage import (
@@ -58,12 +59,26 @@ class Cloud:
     sigma_m: (N,) radii, meters
     opacity: (N,) 0..1
     rgb: (N, 3) display-referred sRGB 0..1
+    material: what light of other programs falls on, whose albedo is `rgb` then; None where colors carry their light
     """
 
     rest_m: np.ndarray
     sigma_m: np.ndarray
     opacity: np.ndarray
     rgb: np.ndarray
+    material: Material | None = None
+
+    @property
+    def display(self) -> tuple[np.ndarray, np.ndarray, Material | None]:
+        """What `set_display` takes."""
+        return srgb_to_linear(self.rgb), self.opacity, self.material
+
+    def every(self, step: int) -> Cloud:
+        """Every so many-th of them."""
+        some, material = slice(None, None, step), self.material
+        if material is not None:
+            material = Material(material.albedo[some], material.roughness[some], material.reflectance[some])
+        return Cloud(self.rest_m[some], self.sigma_m[some], self.opacity[some], self.rgb[some], material)
 
 
 @dataclass(frozen=True)
@@ -89,12 +104,12 @@ class Sample:
 class Look:
     """How Gaussians are written.
 
-    radiance: "srgb" keeps the avatar's colors, "linear" writes light
+    linear: whether the splats' colors are, too
     width_factor: diameter of the points in two standard deviations
     half: in half precision
     """
 
-    radiance: str = "srgb"
+    linear: bool = False
     width_factor: float = 1.0
     half: bool = False
 
@@ -152,7 +167,7 @@ class SplatLayer:
         if not look.half:
             points = stage.CreateClassPrim(POINTS_PATH)
             points.SetTypeName("Points")
-            set_display(points, cloud.rgb, cloud.opacity)
+            set_display(points, *cloud.display)
         layer._put_sizes(rest, cloud.sigma_m, DEFAULT)
         layer._put_positions(rest, cloud.sigma_m, DEFAULT)
         for path_ in layer._point_paths:
@@ -220,7 +235,7 @@ class SplatLayer:
             self._set(path, "primvars:displayColor", TYPES.Color3fArray, display, time)
 
     def _put_harmonics(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
-        color = srgb_to_linear(rgb) if self._look.radiance == "linear" else rgb
+        color = srgb_to_linear(rgb) if self._look.linear else rgb
         self._set_stored(HARMONICS, (color - 0.5) / SH_C0, time)
 
     def _set_stored(self, name: str, array: np.ndarray, time: Usd.TimeCode) -> Any:
@@ -250,11 +265,11 @@ class SplatLayer:
         harmonics = prim.GetAttribute(f"{HARMONICS}h" if self._look.half else HARMONICS)
         harmonics.SetMetadata("interpolation", "vertex")
         harmonics.SetMetadata("elementSize", 1)
-        Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if self._look.radiance == "linear" else SRGB)
+        Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if self._look.linear else SRGB)
         if self._look.half:
             # not by its schema: a USD that does not know the prim's type does not know that it can be moved
             set_uniform(prim, "xformOpOrder", TYPES.TokenArray, Vt.TokenArray([WRIST]))
         if not turned:
             self._set_stored("orientations", np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1)), DEFAULT)
         self._set_stored("opacities", cloud.opacity, DEFAULT)
-        set_display(prim, cloud.rgb, cloud.opacity)
+        set_display(prim, *cloud.display)

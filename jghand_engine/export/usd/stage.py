@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from jghand_engine import __version__
-from jghand_engine.color import srgb_to_linear
+from jghand_engine.avatar.relighting import Material
 from jghand_engine.errors import RetryError
 from jghand_engine.files import file_error
 from jghand_engine.motion.usd import usd_reason
@@ -28,6 +28,8 @@ TYPES: Any = Sdf.ValueTypeNames
 VARIANT_SET = "representation"
 HAND_PATH = "/Hand"
 RIG_PATH = f"{HAND_PATH}/Rig"
+# the material of the rig's layer, as other layers find it
+LOOK_PATH = f"{RIG_PATH}/Look"
 # in the layer of the splats: the splats, and a class prim of points from the same numbers
 SPLATS_PATH, POINTS_PATH = "/Splats", "/_Points"
 # in the layer of points that follow the skeleton: all Gaussians, and the tenth that stands in for splats
@@ -109,14 +111,26 @@ def set_uniform(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: 
     prim.CreateAttribute(name, type_name, False, Sdf.VariabilityUniform).Set(value)
 
 
-def set_display(prim: Usd.Prim, rgb: np.ndarray, opacity: np.ndarray | None = None) -> None:
-    """Viewport colors from display-referred sRGB (N, 3), one per point; displayColor is linear by convention."""
+def set_display(
+    prim: Usd.Prim, rgb: np.ndarray, opacity: np.ndarray | None = None, material: Material | None = None
+) -> None:
+    """Viewport colors (N, 3), linear by convention, one per point. material: what the material Look reads beside its
+    albedo, which is the colors then."""
     api = UsdGeom.PrimvarsAPI(prim)
     color = api.CreatePrimvar("displayColor", TYPES.Color3fArray, UsdGeom.Tokens.vertex)
-    color.Set(vec3f(srgb_to_linear(rgb)))
+    color.Set(vec3f(rgb))
     color.GetAttr().SetColorSpace(LINEAR)
-    if opacity is not None:
-        api.CreatePrimvar("displayOpacity", TYPES.FloatArray, UsdGeom.Tokens.vertex).Set(floats(opacity))
+    numbers = {} if opacity is None else {"displayOpacity": opacity}
+    if material is not None:
+        numbers |= {"roughness": material.roughness, "ior": refractive_index(material.reflectance)}
+    for name, values in numbers.items():
+        api.CreatePrimvar(name, TYPES.FloatArray, UsdGeom.Tokens.vertex).Set(floats(values))
+
+
+def refractive_index(reflectance: np.ndarray) -> np.ndarray:
+    """Of what reflects this part of the light at right angles (Fresnel)."""
+    root = np.sqrt(reflectance)
+    return (1 + root) / (1 - root)
 
 
 def bound(positions_m: np.ndarray, radius_m: np.ndarray) -> Vt.Vec3fArray:
@@ -169,6 +183,7 @@ def write_interface(
     about: Mapping[str, Any],
     variants: Sequence[Variant],
     default: Variant,
+    lit: bool,
 ) -> None:
     """/Hand with the rig and the variants, heavy layers as payloads.
 
@@ -176,6 +191,7 @@ def write_interface(
     about:    customData `jghand` of the hand, by name
     variants: those it offers
     default:  the one that is chosen
+    lit:      whether points have the rig's material, too
     """
     stage = new_layer(folder / names.interface, time)
     # an Xform: a SkelRoot here would stop the bounds at what is skinned, and the splats would have none
@@ -195,12 +211,12 @@ def write_interface(
         offered.AddVariant(variant)
         offered.SetVariantSelection(variant)
         with offered.GetVariantEditContext():
-            _fill_variant(stage, variant, names)
+            _fill_variant(stage, variant, names, lit=lit)
     offered.SetVariantSelection(default)
     stage.Save()
 
 
-def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None:
+def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames, *, lit: bool) -> None:
     if variant is not Variant.MESH:
         set_uniform(stage.OverridePrim(f"{RIG_PATH}/Mesh"), "purpose", TYPES.Token, UsdGeom.Tokens.guide)
     if variant is Variant.SPLATS:
@@ -209,22 +225,30 @@ def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None
         # no payload: it stands in for what is not loaded too
         proxy = stage.OverridePrim(f"{RIG_PATH}/Proxy")
         proxy.GetReferences().AddReference(f"./{names.skinned}", PROXY_PATH)
-        _bind(proxy)
+        _bind(proxy, lit=lit)
         set_uniform(splats, "purpose", TYPES.Token, UsdGeom.Tokens.render)
         splats.CreateRelationship("proxyPrim", False).SetTargets([proxy.GetPath()])
     if variant is Variant.POINTS:
         # the data is a class prim; here it becomes a real one
         points = stage.DefinePrim(f"{HAND_PATH}/Points")
         points.GetPayloads().AddPayload(f"./{names.splats}", POINTS_PATH)
+        _bind_look(points, lit=lit)
     if variant is Variant.POINTS_SKINNED:
         points = stage.OverridePrim(f"{RIG_PATH}/Points")
         points.GetPayloads().AddPayload(f"./{names.skinned}", SKINNED_PATH)
-        _bind(points)
+        _bind(points, lit=lit)
 
 
-def _bind(points: Usd.Prim) -> None:
+def _bind(points: Usd.Prim, *, lit: bool) -> None:
     """To the skeleton of the rig: the points come from another file, which cannot know it."""
     UsdSkel.BindingAPI.Apply(points).CreateSkeletonRel().SetTargets([Sdf.Path(f"{RIG_PATH}/Skeleton")])
+    _bind_look(points, lit=lit)
+
+
+def _bind_look(points: Usd.Prim, *, lit: bool) -> None:
+    if lit:
+        binding = UsdShade.MaterialBindingAPI.Apply(points).GetDirectBindingRel()
+        binding.SetTargets([Sdf.Path(LOOK_PATH)])
 
 
 # ---- errors ----------------------------------------------------------------------------------------------------------
