@@ -232,7 +232,7 @@ def test_a_world_that_gives_no_light_is_none(context):
     background().inputs["Strength"].default_value = 1.0
     assert reading().light is not None
     context.scene.world.cycles_visibility.diffuse = False
-    assert reading() == worlds.Reading(None)
+    assert reading() == worlds.Reading(None, for_cameras=True)
     context.scene.world = None
     assert reading() == worlds.Reading(None)
 
