@@ -21,7 +21,17 @@ from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.light import unit
 from jghand_engine.learn.pictures import LruCache, MixedLight
-from jghand_engine.learn.scene_light import Flesh, LampRows, Shadows, Skin, matt, reached, shadows, towards_eye
+from jghand_engine.learn.scene_light import (
+    Flesh,
+    LampRows,
+    Shadows,
+    Skin,
+    by_column,
+    matt,
+    reached,
+    shadows,
+    towards_eye,
+)
 from jghand_engine.learn.skeleton import BoneTransforms
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, apply, posed_anchors
 from jghand_engine.learn.tensors import HandTensors, mapped
@@ -88,11 +98,15 @@ class LitHand:
         # what is weak in the mix has not faded: it is learned from, too
         on = LampRows(np.ones(1), rows[rows[:, RED : BLUE + 1].any(1)], rows[:0])
         root_m = pose.bones.root_m.to(skin.normal)
-        posed = Skin(skin.matt.position_m - root_m, skin.normal)
+        # where the skin lies decides how lamps stand to it, but it is not pulled about by that
+        posed = Skin(by_column(skin.matt.position_m.detach() - root_m), by_column(skin.normal))
         got = reached(learned.cast, lit.anchors, lit.fallen.prefix(len(avatar)), light, on, learned.response)
-        rgb = matt(skin.matt.rgb, posed, got, light, on, learned.response, skin.shade)
-        eye = eye_m.to(root_m) - root_m
-        return replace(skin.matt, rgb=towards_eye(rgb, posed, eye, got, light, on, learned.response))
+        shade = None if skin.shade is None else by_column(skin.shade)
+        rgb = matt(by_column(skin.matt.rgb), posed, got, light, on, learned.response, shade)
+        rgb = towards_eye(rgb, posed, eye_m.to(root_m) - root_m, got, light, on, learned.response)
+        if rgb.requires_grad:
+            rgb.register_hook(by_column)
+        return replace(skin.matt, rgb=rgb)
 
     @torch.no_grad()
     def _all_lit(self, pose: Pose, known: KnownLight, light: SceneLight) -> _Lit:

@@ -48,9 +48,8 @@ def harmonics(normal: Tensor) -> Tensor:
             x * y, y * z, z * x, xx - yy, 3 * zz - 1,
             y * (3 * xx - yy), x * y * z, y * (5 * zz - 1), z * (5 * zz - 3), x * (5 * zz - 1), z * (xx - yy),
             x * (xx - 3 * yy),
-        ],
-        -1,
-    )  # fmt: skip
+        ]
+    ).T  # fmt: skip
 
 
 def unit(vector: Tensor) -> Tensor:

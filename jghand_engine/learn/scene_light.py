@@ -137,10 +137,16 @@ def lamp_at(row: np.ndarray, position_m: Tensor) -> tuple[Tensor, Tensor, Tensor
     return direction, strength, sine
 
 
+def by_column(rows: Tensor) -> Tensor:
+    """The same (N, C) with columns that are contiguous, as results made of it will be: sums over the three channels,
+    and products of rows with numbers, are several times as fast on the CPU."""
+    return rows.T.contiguous().T
+
+
 def soft_cosine(cosine: Tensor, width: Tensor) -> Tensor:
     """max(cosine, 0) with its corner rounded over |cosine| < width; 0 below."""
-    rounded = (cosine + width).square() / (4 * width)
-    return torch.where(cosine >= width, cosine, torch.where(cosine <= -width, torch.zeros_like(rounded), rounded))
+    within = torch.minimum(torch.maximum(cosine, -width), width)
+    return (within + width).square() / (4 * width) + (cosine - width).clamp_min(0)
 
 
 def smooth(part: Tensor) -> Tensor:
@@ -193,18 +199,21 @@ def past_flesh(skin: Skin, flesh: Flesh, towards: Tensor, softness: float, half_
     """(A, K) part that is seen past all flesh. towards: (A or 1, K, 3) unit · half_width: (A or 1, K) of a lamp per
     distance"""
     visible = torch.ones(len(skin.position_m), towards.shape[1]).to(towards)
+    x, y, z = (part.contiguous() for part in towards.unbind(-1))
     each = zip(flesh.start_m, flesh.end_m, flesh.radius_m, flesh.hides.T, flesh.far, strict=True)
     for start, end, radius_m, hides, far in each:
         axis, from_start = end - start, skin.position_m - start
         length2 = (axis * axis).sum().clamp_min(CAPSULE_LENGTH2_MIN)
         axis_along, point_along_axis = towards @ axis, (from_start @ axis)[:, None]
-        along = (towards * from_start[:, None]).sum(-1)
+        along = x * from_start[:, :1] + y * from_start[:, 1:2] + z * from_start[:, 2:]
         sine2 = (length2 - axis_along * axis_along).clamp_min(CAPSULE_SINE2_MIN * length2)
         s = ((point_along_axis - axis_along * along) / sine2).clamp(0, 1)
         way = (s * axis_along - along).clamp_min(0)
         s = ((point_along_axis + way * axis_along) / length2).clamp(0, 1)
-        between = from_start[:, None] + way[..., None] * towards - s[..., None] * axis
-        distance = (between * between).sum(-1).clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
+        # |from_start + way towards - s axis|^2, without any (A, K, 3)
+        distance2 = (from_start * from_start).sum(-1, keepdim=True) + way * (way + 2 * (along - s * axis_along))
+        distance2 = distance2 + s * (s * length2 - 2 * point_along_axis)
+        distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
         width = (softness * radius_m + half_width * way).clamp_min(CAPSULE_WIDTH_MIN_M)
         behind = 1 - soft_edge(distance, radius_m, width)
         if far:
@@ -279,7 +288,7 @@ def reached(
     part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
     bounced = (cosine * (1 - visible)) @ thrown
     sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
-    at_skin = cast.anchors.spread(torch.cat([part, bounced, sky], 1))
+    at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, sky], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
     field = None
@@ -299,14 +308,14 @@ def matt(
 ) -> Tensor:
     """(N, 3) radiance that is the same from everywhere."""
     if got.field is None:
-        irradiance = world_irradiance(light, response, skin.normal) * got.part + got.bounced
+        irradiance = by_column(world_irradiance(light, response, skin.normal)) * got.part + got.bounced
     else:
         turned = got.field[:, 3:].reshape(-1, 3, 3)
         irradiance = (got.field[:, :3] + torch.einsum("na,nac->nc", skin.normal, turned)).clamp_min(0)
+    corner2 = by_column((response.spread[:, None] * response.softness).square())
     for row in lamps.rows if got.field is None else ():
         direction, strength, sine = lamp_at(row, skin.position_m)
-        corner = (response.spread[:, None] * response.softness).square() + sine.square()[:, None]
-        corner = corner.sqrt().clamp(CORNER_MIN, CORNER_MAX)
+        corner = (corner2 + sine.square()[:, None]).sqrt().clamp(CORNER_MIN, CORNER_MAX)
         cosine = (skin.normal * direction).sum(-1, keepdim=True)
         strength = strength * _drawn(got.seen, row) * float(row[NUMBER["on_matt"]])
         irradiance = irradiance + soft_cosine(cosine, corner) * strength[:, None] * albedo.new_tensor(row[6:9])
@@ -345,7 +354,8 @@ def towards_eye(
     if light.world is not None:
         lobes = rgb.new_tensor(mirrored(light.world, response.roughness.detach().double().cpu().numpy()))
         to_mirror = 2 * facing[:, None] * skin.normal - eye
-        sky = torch.exp(lobes[:, 3] * (to_mirror @ lobes[:, :3].T - 1)) @ lobes[:, 4:]
+        sharp = lobes[:, 3:4]
+        sky = (lobes[:, 4:].T @ torch.exp(sharp * lobes[:, :3] @ to_mirror.T - sharp)).T
         rough = response.roughness
         r0, r1 = 1 - rough, 0.0425 - 0.0275 * rough
         r2, r3 = 1.04 - 0.572 * rough, 0.022 * rough - 0.04
