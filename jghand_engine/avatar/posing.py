@@ -19,10 +19,11 @@ from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
 from jghand_engine.avatar.lamp_rows import LIMITS, Limits
 from jghand_engine.avatar.learned import Learned
-from jghand_engine.avatar.relighting import in_studio
+from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
@@ -30,7 +31,7 @@ from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
 from jghand_engine.native.rasterizer import GaussianArrays
-from jghand_engine.native.tasks import SkinTask
+from jghand_engine.native.tasks import LANES, SkinTask
 from jghand_engine.native.threads import shared_pool
 
 
@@ -51,14 +52,19 @@ class PosedHand:
 
 
 class Posing:
-    """Poses one avatar again and again for nobody's eye, and in no scene's light. Its own correctives are used, never
-    a cheaper tier of them.
+    """Poses one avatar again and again for nobody's eye. Its own correctives are used, never a cheaper tier of them.
 
     threads: 0 takes as many as is sensible
+    light:   of a scene, in the frame of the joints, through sRGB's curve; None: what the avatar carries, or a studio's.
+             A painted hand shines with its own colors in any
+    InputError for an avatar that no scene can light.
     """
 
-    def __init__(self, avatar: HandAvatar, threads: int = 0, library: Library | None = None) -> None:
-        avatar = in_studio(avatar)
+    def __init__(
+        self, avatar: HandAvatar, threads: int = 0, library: Library | None = None, light: SceneLight | None = None
+    ) -> None:
+        self._scene = light if avatar.learned is not None else None
+        avatar = in_studio(avatar) if self._scene is None else relightable(avatar)
         learned, self._skeleton = avatar.learned, avatar.skeleton()
         self._relit = learned is not None
         if learned is not None:
@@ -72,14 +78,15 @@ class Posing:
     def __call__(self, joints_m: np.ndarray) -> PosedHand:
         """The Gaussians of joints (21, 3), level order, meters; all of them have to be finite."""
         bones, poser = self._skeleton.bones(joints_m), self._poser
-        poser.prepare(bones, np.zeros(3))
+        poser.prepare(bones, np.zeros(3), light=self._scene)
         self._pool.run(lambda _thread: poser.run())
         into, row = poser.into, self._row
+        rgb = into.rgb if self._scene is None else linear_to_srgb(poser.matt_rgb)
         # centers are added to the wrist in double precision
         return PosedHand(
             (into.position_m[row].astype(np.float64) + bones.root_m).astype(np.float32),
             into.sigma_m[row],
-            np.clip(into.rgb[row], 0, 1) if self._relit else None,
+            np.clip(rgb[row], 0, 1) if self._relit else None,
             None if into.covariance_m2 is None else into.covariance_m2[row],
         )
 
@@ -182,6 +189,13 @@ class Poser:
         else:
             self._call.jg_learned_pose(self._team.ctypes.data, ctypes.addressof(self._light.task))
 
+    @property
+    def matt_rgb(self) -> np.ndarray:
+        """(rows, 3) linear colors that are the same from everywhere, of what was run in the light of a scene."""
+        if self._light is None or not self._light.is_lit:
+            raise InputError("colors without gloss", wanted="an avatar with a response", came="one without")
+        return self._light.matt_rgb
+
     def prepare_gloss(self, eye_m: np.ndarray) -> bool:
         """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
         when nothing is reflected or the pose was seen from there last."""
@@ -216,6 +230,10 @@ class _Light:
         if learned.response is not None and self._cast is not None:
             self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task, limits)
         self.is_lit = self._scene is not None
+
+    @property
+    def matt_rgb(self) -> np.ndarray:
+        return self._arrays["matt"][:, 3:].reshape(-1, 3, LANES).swapaxes(1, 2).reshape(-1, 3)
 
     def prepare_scene(self, light: SceneLight | None, bones: Bones, *, keep_pose: bool = False) -> None:
         if self._scene is not None:

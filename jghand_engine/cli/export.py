@@ -45,6 +45,7 @@ Examples:
   jghand export --poses open,fist --for usdview --package usdz --out usd
   jghand export ply --poses open,fist --out splats
   jghand export glb --poses fist --frames 0 --out splats
+  jghand export ply --poses open --light studio.hdr --out splats
   jghand export web --poses open,fist,ok --out page
   jghand export mesh --poses fist --frames 0 --out meshes"""
 
@@ -90,6 +91,9 @@ class SplatFileOptions:
     axes: Annotated[Literal["rdf", "rub"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Axes of the numbers. Left out: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or
     rub (y up), which is glTF's and SPZ's own."""
+    light: File = None
+    """Show the hand in this light, not in that of its capture: lamps and a world as JSON, as Blender writes them, or
+    the panorama of a world (.hdr, .exr, .npy); docs/LIGHT.md. Without what its skin mirrors, through sRGB's curve."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +102,6 @@ class WebPageOptions:
 
     camera: CameraName = "quarter"
     """Side that is seen at first: front is the palm. Whoever looks at the page turns the hand as they like."""
-    title: Annotated[str, tyro.conf.arg(metavar="TEXT")] = ""
-    """Of the page. Left out: the avatar's name."""
     gaussians: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """How many of the avatar's Gaussians: fewer make a smaller page for slower phones. 0 is all of them."""
 
@@ -116,7 +118,7 @@ class Export:
     folder whose index.html any browser opens. mesh: the posed surface of every frame, colored, as GLB; or as OBJ or
     PLY. Meshes need the extra learn."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
-    """Stem of the files: letters, digits and _."""
+    """Stem of the files: letters, digits and _. Of a web page its title, any text; left out, the avatar's name."""
     first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Number of the first frame in the files; in the names of splat files that of the motion's first frame, also where
     --frames begins later."""
@@ -161,9 +163,8 @@ class Export:
             "ply": plain and self.splats != SplatFileOptions(),
             "usd or mesh": not self._is_mesh and self.format != "usd" and self.template is not None,
             "usd": self.format != "usd" and self.usd != UsdStageOptions(),
-            # a page has no names of files, no numbers of frames, and is turned as one likes
-            "usd or ply": self.format == "web"
-            and (self.name, self.first_frame, self.up, self.overwrite) != ("hand", 0, "y", False),
+            # a page has no numbers of frames, and is turned as one likes
+            "usd or ply": self.format == "web" and (self.first_frame, self.up, self.overwrite) != (0, "y", False),
             "web": self.format != "web" and self.web != WebPageOptions(),
         }
         for other in (other for other, given in unused.items() if given):
@@ -231,19 +232,22 @@ class Export:
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
+        from jghand_engine.export.light_file import read_light
         from jghand_engine.export.made_from import made_from
         from jghand_engine.export.splats.files import SplatOptions, export_splats
 
         axes, start = self.splats.axes, self.first_frame
-        options = SplatOptions(self.format, self.name, axes, start, self.up, self.overwrite)
+        light = None if self.splats.light is None else read_light(self.splats.light)
+        options = SplatOptions(self.format, self.name, axes, start, self.up, self.overwrite, light)
         with progress(f"Writing {options.format}", len(motion.frames)) as bar:
             task = bar.task_ids[0]
             report = export_splats(
                 self.out, avatar, motion.whole, options, frames=motion.frames,
                 progress=lambda done, _: bar.update(task, completed=done),
             )  # fmt: skip
-        figures = {"axes": report.axes, "gaussians": report.gaussians}
-        return self._told(report, f"axes {report.axes}", figures, made_from(avatar, motion.sequence))
+        figures = {"axes": report.axes, "light": report.light, "gaussians": report.gaussians}
+        about = f"axes {report.axes}, light: {report.light}"
+        return self._told(report, about, figures, made_from(avatar, motion.sequence))
 
     def _write_meshes(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.export.made_from import made_from
@@ -282,7 +286,8 @@ class Export:
 
         sequence = motion.sequence
         view = WebView.of_motion(sequence.joints_m, sequence.handedness, self.web.camera)
-        report = export_web(self.out, avatar, sequence, view, WebOptions(self.web.title, self.web.gaussians))
+        title = "" if self.name == Export.name else self.name
+        report = export_web(self.out, avatar, sequence, view, WebOptions(title, self.web.gaussians))
         size = sum(report.bytes.values())
         say(f"Wrote {report.page}: {report.frames} frames, {report.gaussians} Gaussians, {size / 1e6:.1f} MB. Open it.")
         if report.correctives == "network":

@@ -12,6 +12,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import PosedHand, Posing
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 
@@ -41,16 +42,21 @@ class HandMotion:
     """An avatar driven by a sequence, of the hand the sequence names.
 
     A trained avatar is posed with its offsets, light and shade; what it mirrors depends on the camera, and is left out.
-    Raises InputError for a sequence with gaps, and for an avatar whose bones do not end at the joints.
+    light: of a scene, as `Posing` has it; None: what the avatar carries. Raises InputError for a sequence with gaps,
+    and for an avatar whose bones do not end at the joints, or that no scene can light.
     """
 
-    def __init__(self, avatar: HandAvatar, sequence: PoseSequence) -> None:
+    def __init__(self, avatar: HandAvatar, sequence: PoseSequence, light: SceneLight | None = None) -> None:
         self.sequence = sequence.without_gaps()
         self.handedness = sequence.handedness
         self.avatar = avatar.for_hand(self.handedness)
         self._skeleton = self.avatar.skeleton()
         self._joints_m = sequence.joints_m
-        self._posing = Posing(self.avatar)
+        self._posing = Posing(self.avatar, light=light)
+        learned = avatar.learned
+        carried = "capture" if learned is None or learned.response is None else "studio"
+        # whose light the colors show; paint has none
+        self.light = "none" if learned is None else carried if light is None else "scene"
 
     def __len__(self) -> int:
         return len(self._joints_m)

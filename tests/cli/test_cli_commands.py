@@ -519,9 +519,26 @@ def test_a_single_frame_becomes_one_file_of_the_format_that_is_named(tmp_path, c
     assert "axes rub" in capsys.readouterr().out
 
 
+def test_splats_are_written_in_the_light_of_a_file(tmp_path, capsys):
+    world, figures = (
+        {"format": "jghand-light", "version": 1, "world": {"rgb": [0.1, 0.2, 0.4]}},
+        tmp_path / "figures.json",
+    )
+    (tmp_path / "blue.json").write_text(json.dumps(world))
+    words = ("--frames", "0", "--out", tmp_path / "lit", "--light", tmp_path / "blue.json", "--json", figures)
+    assert run("export", "ply", "--poses", "open", *words) == 0
+    assert json.loads(figures.read_text())["light"] == "scene"
+    assert "light: scene" in capsys.readouterr().out
+    (path,) = (tmp_path / "lit").iterdir()
+    header, _, body = path.read_bytes().partition(b"end_header\n")
+    red, blue = np.frombuffer(body, "<f4").reshape(-1, header.count(b"property float"))[:, [6, 8]].mean(0)
+    # skin is red: the light is blue
+    assert blue > red
+
+
 def test_export_writes_a_web_page(tmp_path, capsys):
     figures, page = tmp_path / "figures.json", tmp_path / "page"
-    words = ("--avatar", "painted", "--title", "My hand", "--gaussians", "500", "--camera", "back", "--json", figures)
+    words = ("--avatar", "painted", "--name", "My hand", "--gaussians", "500", "--camera", "back", "--json", figures)
     assert run("export", "web", "--poses", "open,fist", "--frames", "0:3", "--out", page, *words) == 0
     assert "<title>My hand</title>" in (page / "index.html").read_text()
     told = json.loads(figures.read_text())
@@ -538,9 +555,9 @@ def test_export_writes_a_web_page(tmp_path, capsys):
         ("glb", "--sizes", "per_frame"),
         ("web", "--sizes", "per_frame"),
         ("web", "--axes", "rub"),
-        ("web", "--name", "thumb"),
+        ("web", "--light", "sky.hdr"),
+        ("usd", "--light", "sky.hdr"),
         ("web", "--up", "z"),
-        ("usd", "--title", "Hand"),
         ("spz", "--camera", "back"),
     ],
 )

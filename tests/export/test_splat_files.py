@@ -12,19 +12,21 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from small_avatars import trained_avatar
+from small_avatars import known_avatar, trained_avatar
 from usd_samples import engine_gaussians, lively_motion, small_avatar
 
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 from jghand_engine.export.splats.files import SplatMotion, SplatOptions, export_splats
 from jghand_engine.export.splats.gltf import EXTENSION, glb_bytes
-from jghand_engine.export.splats.ply import splat_bytes
+from jghand_engine.export.splats.ply import ply_bytes, splat_bytes
 from jghand_engine.export.splats.spz import fractional_bits, spz_bytes
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.skinning import pose_gaussians
+from jghand_engine.native.scene_light_task import LampKind
 
 HALF_BYTE = 0.5 / 255 + 1e-6
 
@@ -153,6 +155,31 @@ def test_a_trained_hand_has_the_colors_of_every_frame(tmp_path):
         # worst observed 3e-6: the export poses in float32
         assert np.abs(clouds.cloud(index).rgb - rgb).max() < 5e-6
     assert np.abs(clouds.cloud(1).rgb - clouds.cloud(0).rgb).max() > 0.01
+
+
+def test_files_say_whose_light_their_colors_show_and_paint_has_none(tmp_path):
+    motion, light = lively_motion(Handedness.LEFT, 1), SceneLight(World(np.full((4, 8, 3), 0.3)))
+    for avatar, carried in ((trained_avatar(), "capture"), (known_avatar(), "studio"), (small_avatar(), "none")):
+        own, lit = (SplatMotion(avatar, motion, axes="rub", light=given).cloud(0) for given in (None, light))
+        for cloud, said in ((own, carried), (lit, "none" if carried == "none" else "scene")):
+            assert f" light={said}\n".encode() in ply_bytes(cloud)
+            assert f'"extras":{{"light":"{said}"}}'.encode() in glb_bytes(cloud)
+        assert np.array_equal(own.rgb, lit.rgb) == (carried == "none")
+
+
+def test_a_light_that_is_told_falls_on_the_splats(tmp_path):
+    avatar, motion = known_avatar(), lively_motion(Handedness.RIGHT, 1)
+    rgb = {}
+    for side in (-1, 1):
+        for strength in (0.5, 1):
+            lamp = Lamp(LampKind.SUN, (strength,) * 3, (side, 0, 0), angle_rad=0.1)
+            clouds = SplatMotion(avatar, motion, axes="rub", light=SceneLight(None, (lamp,)))
+            rgb[side, strength] = srgb_to_linear(clouds.cloud(0).rgb.astype(np.float64))
+        assert np.abs(2 * rgb[side, 0.5] - rgb[side, 1]).max() < 1e-5
+    # no Gaussian faces both but by its rounded corner
+    assert (np.minimum(rgb[-1, 1], rgb[1, 1]) < 0.1).all()
+    assert (rgb[-1, 1] > 0.05).any()
+    assert (rgb[1, 1] > 0.05).any()
 
 
 @pytest.mark.parametrize("format", ["splat", "glb", "spz"])

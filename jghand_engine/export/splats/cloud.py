@@ -36,6 +36,7 @@ class SplatCloud:
     opacity: (N,) 0..1
     rgb: (N, 3) display-referred sRGB 0..1
     axes: those of the numbers, a key of AXES_FROM_RUB
+    light: whose the colors show: capture, studio, or scene for one that was told; none of paint; empty: unknown
     """
 
     positions_m: np.ndarray
@@ -44,12 +45,13 @@ class SplatCloud:
     opacity: np.ndarray
     rgb: np.ndarray
     axes: str = "rub"
+    light: str = ""
 
     def __len__(self) -> int:
         return len(self.positions_m)
 
     @classmethod
-    def of_frame(cls, posed: PosedHand, avatar: HandAvatar, *, axes: str, up: str) -> SplatCloud:
+    def of_frame(cls, posed: PosedHand, avatar: HandAvatar, *, axes: str, up: str, light: str = "") -> SplatCloud:
         """The Gaussians of a frame, whose world has the axis `up` upwards, in `axes`. avatar: that was posed."""
         axes_from_world = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
         scales_m, rotations = _shapes(posed.sigma_m, posed.covariance_m2, axes_from_world)
@@ -61,6 +63,7 @@ class SplatCloud:
             np.asarray(avatar.opacity, np.float32),
             np.clip(np.asarray(avatar.rgb, np.float32) if posed.rgb is None else posed.rgb, 0, 1),
             axes,
+            light,
         )
 
 

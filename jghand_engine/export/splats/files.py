@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.errors import InputError
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.splats import gltf as gltf_splats
@@ -107,6 +108,7 @@ class SplatOptions:
     format: a key of FORMATS
     axes:   of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
     up:     the axis of the motion's world that points up
+    light:  of a scene, that falls on the hand; None: what the avatar carries
     name, first_frame, overwrite: as of FrameFiles
     """
 
@@ -116,6 +118,7 @@ class SplatOptions:
     first_frame: int = 0
     up: str = "y"
     overwrite: bool = False
+    light: SceneLight | None = None
 
     def __post_init__(self) -> None:
         choices = (("format", self.format, FORMATS), ("up", self.up, RUB_FROM_UP))
@@ -147,12 +150,14 @@ class SplatReport:
 
     files: one per frame written
     axes:  of their numbers
+    light: whose their colors show, as `SplatCloud` has it
     bytes: of all files together
     kept:  other frames of that name that were there and stay; nothing tells whether they are of the same motion
     """
 
     files: tuple[Path, ...]
     axes: str
+    light: str
     gaussians: int
     bytes: int
     kept: int
@@ -177,7 +182,7 @@ def export_splats(
     options = options or SplatOptions()
     kind = FORMATS[options.format]
     kind.check()
-    clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up)
+    clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up, light=options.light)
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(options.names.path(target, index) for index in frames)
@@ -190,14 +195,29 @@ def export_splats(
         size += len(content)
         if progress:
             progress(done, len(files))
-    return SplatReport(files, options.written_axes, len(avatar), size, kept)
+    return SplatReport(files, options.written_axes, clouds.light, len(avatar), size, kept)
 
 
 class SplatMotion:
-    """An avatar driven by a sequence, as clouds. axes: a key of AXES_FROM_RUB · up: the motion's axis upwards."""
+    """An avatar driven by a sequence, as clouds.
 
-    def __init__(self, avatar: HandAvatar, sequence: PoseSequence, *, axes: str, up: str = "y") -> None:
-        self._motion, self._axes, self._up = HandMotion(avatar, sequence), axes, up
+    axes:  a key of AXES_FROM_RUB
+    up:    the motion's axis upwards
+    light: of a scene; None: what the avatar carries
+    """
+
+    def __init__(
+        self,
+        avatar: HandAvatar,
+        sequence: PoseSequence,
+        *,
+        axes: str,
+        up: str = "y",
+        light: SceneLight | None = None,
+    ) -> None:
+        self._motion, self._axes, self._up = HandMotion(avatar, sequence, light), axes, up
+        self.light = self._motion.light
 
     def cloud(self, index: int) -> SplatCloud:
-        return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
+        posed, avatar = self._motion.frame(index), self._motion.avatar
+        return SplatCloud.of_frame(posed, avatar, axes=self._axes, up=self._up, light=self.light)

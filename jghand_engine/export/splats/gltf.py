@@ -29,7 +29,7 @@ def glb_bytes(cloud: SplatCloud) -> bytes:
     """The content of a file. The cloud's axes must be rub: glTF says that y is up."""
     arrays = _arrays(cloud)
     binary = b"".join(array.tobytes() for array in arrays.values())
-    text = json.dumps(_description(arrays), separators=(",", ":"), allow_nan=False).encode("ascii")
+    text = json.dumps(_description(arrays, cloud.light), separators=(",", ":"), allow_nan=False).encode("ascii")
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + len(binary)
     return b"".join((
@@ -52,7 +52,7 @@ def _arrays(cloud: SplatCloud) -> dict[str, np.ndarray]:
     return {"COLOR_0": fallback, **{name: np.ascontiguousarray(array, "<f4") for name, array in floats.items()}}
 
 
-def _description(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def _description(arrays: dict[str, np.ndarray], light: str) -> dict[str, Any]:
     views, accessors, start = [], [], 0
     for index, (name, array) in enumerate(arrays.items()):
         count, width = array.shape
@@ -76,7 +76,7 @@ def _description(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         "extensions": {EXTENSION: splats},
     }
     return {
-        "asset": {"version": "2.0", "generator": f"JGHand {__version__}"},
+        "asset": {"version": "2.0", "generator": f"JGHand {__version__}", "extras": {"light": light}},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

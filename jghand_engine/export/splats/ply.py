@@ -1,6 +1,6 @@
 """Gaussians in the two oldest layouts that splat viewers share (EXPORT 9), as they are and as SOG.
 
-PLY, binary_little_endian, `element vertex N`, all `property float`; no field for axes or units, a comment says them:
+PLY, binary_little_endian, `element vertex N`, all `property float`; no field for axes, units, light: a comment has them
 
     x y z · nx ny nz (0) · f_dc_0..2 = (rgb - 0.5) / SH_C0, display-referred sRGB · opacity as logit ·
     scale_0..2 as ln(sigma), meters · rot_0..3 = w, x, y, z
@@ -45,7 +45,7 @@ def ply_bytes(cloud: SplatCloud) -> bytes:
     lines = (
         "ply",
         "format binary_little_endian 1.0",
-        f"comment JGHand axes={cloud.axes} units=meters color=srgb",
+        f"comment JGHand axes={cloud.axes} units=meters color=srgb" + (f" light={cloud.light}" if cloud.light else ""),
         f"element vertex {len(cloud)}",
         *(f"property float {name}" for name in PROPERTIES),
         "end_header\n",

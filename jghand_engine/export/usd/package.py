@@ -60,7 +60,6 @@ from jghand_engine.export.usd.stage import (
     write_interface,
 )
 from jghand_engine.files import check_room, make_folder, sync
-from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.mesh import HandTemplate
@@ -289,20 +288,20 @@ def provenance(avatar: HandAvatar, stamp: Mapping[str, str]) -> dict[str, Any]:
     return {"creator": f"{CREATOR} {__version__}", "jghand": about}
 
 
-def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) -> dict[str, Any]:
+def describe(motion: HandMotion, options: UsdOptions) -> dict[str, Any]:
     """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
-    learned = avatar.learned
+    avatar, learned = motion.avatar, motion.avatar.learned
     still = learned is None or learned.correctives is None
     still_colored = learned is None or options.is_lit
     return {
         "gaussians": len(avatar),
-        "handedness": str(handedness),
+        "handedness": str(motion.handedness),
         "imageState": IMAGE_STATES[options.radiance],
         "licence": avatar.info.license,
         # learned pose offsets are in the per-frame positions; what is skinned shows plain skinning
         "offsets": "none" if still else "in the positions of the splats",
         "skinnedOffsets": "none",
-        "colors": "constant" if still_colored else "per frame, in the light of the capture",
+        "colors": "constant" if still_colored else f"per frame, in the light of the {motion.light}",
         "material": "painted" if learned is None else "estimated" if learned.response is None else "known",
         "gloss": "none" if learned is None else "left out: it depends on the camera",
         "sizes": options.sizes,
@@ -365,7 +364,7 @@ class _Writer:
         with self._clock("stage"):
             write_interface(
                 layers, names, span, asset=motion.avatar.info.name,
-                about=describe(motion.avatar, motion.handedness, options),
+                about=describe(motion, options),
                 variants=options.variants, default=Variant(options.default_variant), lit=options.is_lit,
             )  # fmt: skip
             if options.package == "layers":
