@@ -87,11 +87,13 @@ class CastStep:
 
     def _set_capsules(self, count: int) -> None:
         """Room for so many of them."""
-        self._capsule = aligned_zeros((count, 8))
+        self._capsule = aligned_zeros((-(-count // LANES) * LANES, 8))
+        self._capsule_lanes = aligned_zeros((len(self._capsule) // LANES, 8, LANES))
         self._capsule_lamp = aligned_zeros((count, self._groups, 2, LANES))
         self._other = aligned_zeros((max(count - BONE_COUNT, 1), 5))
         self._shadow.capsules = count
-        self.arrays |= {"capsule": self._capsule, "capsule_lamp": self._capsule_lamp, "other": self._other}
+        self.arrays |= {"capsule": self._capsule, "capsule_lanes": self._capsule_lanes}
+        self.arrays |= {"capsule_lamp": self._capsule_lamp, "other": self._other}
         set_pointers(self._shadow, self.arrays)
 
     def set_lamps(self, direction: np.ndarray, rgb: np.ndarray) -> None:
@@ -105,7 +107,7 @@ class CastStep:
             start, end = np.concatenate([start, others.start_m]), np.concatenate([end, others.end_m])
             radius_m = np.concatenate([radius_m, others.radius_m])
         count = len(start)
-        if count != len(self._capsule):
+        if count != self._shadow.capsules:
             self._set_capsules(count)
         if others is not None:
             half_m = 0.5 * (others.end_m - others.start_m)
@@ -115,8 +117,9 @@ class CastStep:
         length2 = np.maximum((axis * axis).sum(1), CAPSULE_LENGTH2_MIN)
         along = axis @ self.direction.T
         sine2 = np.maximum(length2[:, None] - along * along, CAPSULE_SINE2_MIN * length2[:, None])
-        self._capsule[:, :3], self._capsule[:, 3:6] = start, axis
-        self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m
+        self._capsule[:count, :3], self._capsule[:count, 3:6] = start, axis
+        self._capsule[:count, 6], self._capsule[:count, 7] = 1 / length2, radius_m
+        self._capsule_lanes[...] = self._capsule.reshape(-1, LANES, 8).transpose(0, 2, 1)
         self._capsule_lamp[:, :, 0] = along.reshape(count, -1, LANES)
         self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(count, -1, LANES)
 

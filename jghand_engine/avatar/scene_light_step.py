@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from jghand_engine.avatar.blocks import Blocks, set_pointers
+from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
 from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, CastStep
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, compared_at, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import SkinResponse
@@ -19,6 +19,7 @@ from jghand_engine.avatar.scene_light import (
     World,
     mirrored_lobes,
 )
+from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
@@ -32,6 +33,8 @@ WIDE_SOFTNESS = 0.6
 # concentration of a spherical Gaussian that is as wide as GGX mirrors, over 1 / roughness^4: half the angle in the
 # half vector is a quarter of it in the mirrored direction
 MIRROR_SHARPNESS = 0.5
+# what a bone may lack of standing before skin wholly: rounding
+WHOLLY = 1e-6
 # W/m2 that no shadow takes, at least: a black channel is not divided by
 AMBIENT_MIN = 1e-12
 # without a world its cells are black
@@ -56,14 +59,15 @@ class SceneLightStep:
             "posed": aligned_zeros((rows // LANES, 9, LANES)),
             "visible": aligned_zeros((rows, CELLS)),
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
-            "seen": aligned_zeros((LAMPS_MAX, rows)),
-            "wide_seen": aligned_zeros((LAMPS_MAX, rows)),
+            **_standing_before(cast),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
-            "reached": aligned_zeros((rows, 8)),
+            "sky": aligned_zeros((blocks.rows,)),
+            # 7 numbers of the world and 3 of each lamp, in whole vectors
+            "reached": aligned_zeros((rows, padded_rows(7 + 3 * LAMPS_MAX))),
             "irradiance": aligned_zeros((16, 3)),
             "left": aligned_zeros((LAMPS_MAX, rows)),
-            "baked": aligned_zeros((rows, 12)),
+            "baked": aligned_zeros((rows, LANES)),
             "lobe": aligned_zeros((LOBES, 7)),
             "lamp": aligned_zeros((4 * LAMPS_MAX, len(LAMP_NUMBERS))),
             "casting": aligned_zeros((LAMPS_MAX, len(LAMP_NUMBERS))),
@@ -102,7 +106,7 @@ class SceneLightStep:
         baked = self._arrays["baked"]
         self._task.baked = None if field is None else baked.ctypes.data
         if field is not None:
-            baked[self._cast.row_of_anchor] = field.reshape(-1, 12)
+            baked[self._cast.row_of_anchor, :12] = field.reshape(-1, 12)
             self._arrays["lamp"][:, NUMBER["on_matt"]] = 0
 
     def _set_left(self, of_lamp: np.ndarray | None, sources: list[int]) -> None:
@@ -130,6 +134,25 @@ class SceneLightStep:
         task.least = tuple((WORLD_FLOOR * mean).tolist())
         task.bounce = tuple((response.bounce / np.pi * (4 * np.pi / CELLS)).tolist())
         task.softness = tuple(response.softness.tolist())
+
+
+def _standing_before(cast: CastStep) -> dict[str, np.ndarray]:
+    """How much each bone counts for the Gaussians, the mean of the anchors around them: partly, hides_start, hides of
+    SceneLightTask."""
+    of_anchor = cast.arrays["foreign"].transpose(0, 2, 1).reshape(cast.rows, BONE_COUNT)
+    nearest, share = cast.around["nearest"], cast.around["share"]
+    # (blocks, 16, BONE_COUNT)
+    mean = np.sum([share[:, k, :, None] * of_anchor[nearest[:, k]] for k in range(nearest.shape[1])], 0)
+    partly = (mean < 1 - WHOLLY).any(1)
+    count = partly.sum(1)
+    hides = aligned_zeros((int(count.sum()), LANES))
+    hides[...] = mean.transpose(0, 2, 1)[partly]
+    bits = (partly << np.arange(BONE_COUNT)).sum(1)
+    return {
+        "partly": bits.astype(np.uint32),
+        "hides_start": (np.cumsum(count) - count).astype(np.int32),
+        "hides": hides,
+    }
 
 
 def mirrored(world: World, roughness: np.ndarray) -> np.ndarray:

@@ -6,6 +6,8 @@
 
 namespace jg {
 
+constexpr float ROUNDING_M = 1e-5f;  // that distances in single precision are good for
+
 JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
 
 JG_INLINE float sum_of(vf v) {
@@ -15,28 +17,66 @@ JG_INLINE float sum_of(vf v) {
   return sum;
 }
 
+// How far rays that begin in a ball and go nearly one way come from sixteen capsules, from `first` on: one bit for each
+// that any of them may come near enough to. What is left out takes nothing of them, which changes no bit.
+// turn: the largest difference of two of their unit directions · half_width: the largest of the lamp per distance
+struct Rays {
+  float middle[3], radius, direction[3], turn, half_width;
+};
+JG_INLINE uint32_t may_meet(const CastTask& t, const Rays& rays, int first, float softness) {
+  const float* c = t.capsule_lanes + CAPSULE * first;
+  vf along = {}, axis_along = {}, mixed = {}, from2 = {}, length2 = {};
+  for (int i = 0; i < 3; i++) {
+    const vf from = load(c + LANES * i) - rays.middle[i], axis = load(c + LANES * (3 + i));
+    along += from * rays.direction[i], axis_along += axis * rays.direction[i];
+    mixed += from * axis, from2 += from * from, length2 += axis * axis;
+  }
+  // the least distance from the line through the middle, and from its start where all of a capsule is behind that
+  const vf s = clamped((along * axis_along - mixed) / max(length2 - axis_along * axis_along, all(t.distance2_min)));
+  const vf to_line = along + s * axis_along, farthest = max(along, along + axis_along), behind = max(-farthest, vf{});
+  const vf distance2 = from2 + s * (2.f * mixed + s * length2) - to_line * to_line + behind * behind;
+  const vf way = max(farthest + rays.radius + (sqrt(2.f * (from2 + length2)) + rays.radius) * rays.turn, vf{});
+  const vf radius = load(c + LANES * 7), width = max(softness * radius + rays.half_width * way, all(t.width_min));
+  const vf clear = radius + width + rays.radius + way * rays.turn + ROUNDING_M;
+  const uint32_t some = 0xffffu & ~bit_mask(distance2 >= clear * clear);
+  return t.capsules - first < LANES ? some & ((1u << (t.capsules - first)) - 1) : some;
+}
+
+// The least distance between a capsule's axis and sixteen rays, squared, and how far along these it is.
+template <class Point>
+JG_INLINE void nearest_to(const float* capsule, const Point from_start[3], const vf direction[3], vf axis_along,
+                          vf inverse_sine2, vf& distance2, vf& way) {
+  const float* axis = capsule + 3;
+  const Point point_along_axis = from_start[0] * axis[0] + from_start[1] * axis[1] + from_start[2] * axis[2];
+  const vf along = direction[0] * from_start[0] + direction[1] * from_start[1] + direction[2] * from_start[2];
+  vf s = clamped((point_along_axis - axis_along * along) * inverse_sine2);
+  way = max(s * axis_along - along, vf{});
+  s = clamped((point_along_axis + way * axis_along) * capsule[6]);
+  distance2 = vf{};
+  for (int i = 0; i < 3; i++) {
+    const vf between = from_start[i] + way * direction[i] - s * axis[i];
+    distance2 += between * between;
+  }
+}
+
+// What passes at a distance from the axis of a capsule: 0 within it, 1 well beside it, smooth over 2 `width`.
+JG_INLINE vf soft_edge(vf distance, float radius, vf width) {
+  const vf edge = clamped(0.5f + 0.5f * (distance - radius) / width);
+  return edge * edge * (3.f - 2.f * edge);
+}
+
 // What shines past a capsule, from sixteen directions to a point or from a lamp to sixteen points, which lie
 // `from_start` of its start; see past_capsule in learn/cast_shadow.py, also for `far`. False: all of all.
 // half_width: of a lamp per distance
 template <bool far, class Point, class Width>
 JG_INLINE bool past_capsule(const CastTask& t, const float* capsule, const Point from_start[3], const vf direction[3],
                             vf axis_along, vf inverse_sine2, float softness, Width half_width, vf& part) {
-  const float* axis = capsule + 3;
-  const float inverse_length2 = capsule[6], radius = capsule[7];
-  const Point point_along_axis = from_start[0] * axis[0] + from_start[1] * axis[1] + from_start[2] * axis[2];
-  const vf along = direction[0] * from_start[0] + direction[1] * from_start[1] + direction[2] * from_start[2];
-  vf s = clamped((point_along_axis - axis_along * along) * inverse_sine2);
-  const vf way = max(s * axis_along - along, vf{});
-  s = clamped((point_along_axis + way * axis_along) * inverse_length2);
-  vf distance2 = {};
-  for (int i = 0; i < 3; i++) {
-    const vf between = from_start[i] + way * direction[i] - s * axis[i];
-    distance2 += between * between;
-  }
+  const float radius = capsule[7];
+  vf distance2, way;
+  nearest_to(capsule, from_start, direction, axis_along, inverse_sine2, distance2, way);
   const vf width = max(softness * radius + half_width * way, all(t.width_min)), clear = radius + width;
   if (!bit_mask(distance2 < clear * clear)) return false;
-  const vf edge = clamped(0.5f + 0.5f * (sqrt(max(distance2, all(t.distance2_min))) - radius) / width);
-  part = edge * edge * (3.f - 2.f * edge);
+  part = soft_edge(sqrt(max(distance2, all(t.distance2_min))), radius, width);
   if (far) part = 1.f - (1.f - part) * min(radius / max(half_width * way, all(t.width_min)), all(1.f));
   return true;
 }

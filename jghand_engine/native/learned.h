@@ -17,6 +17,7 @@ struct CastTask {
   const float* foreign;         // (blocks, BONES, 16): 1 - own
   const float* lamp;            // (groups, 6, 16): direction, rgb; those that fill up the last group are black
   const float* capsule;         // (capsules, 8): start, axis, 1 / squared length, radius; root-relative, meters
+  const float* capsule_lanes;   // (capsules / 16 and what is over, 8, 16): the same
   const float* capsule_lamp;    // (capsules, groups, 2, 16): axis . direction, 1 / (squared length sine^2)
   const float* other;           // (capsules - BONES, 5): those of other hands, behind the hand's own: how much each
                                 // counts, and the middle and radius of a ball around it

@@ -18,33 +18,40 @@ constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, 
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
+constexpr float LOBE_EXPONENT_MIN = -31.f;                // of 2: less of a lobe is not seen
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
-constexpr int POSED = 9, REACHED = 8, MATERIAL = 3, BAKED = 12;
+constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
+constexpr int POSED = 9, MATERIAL = 3;
+// what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
+// with wide edges and, where things of the scene stand in the light, what these leave
+constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_MAX * SLOTS_MAX + LANES - 1) / LANES * LANES;
 
 JG_INLINE vf smooth(vf x) {
   const vf t = clamped(x);
   return t * t * (3.f - 2.f * t);
 }
 
-// mu above w, 0 below -w, smooth between (C1): light does not leak to the far side.
-JG_INLINE vf soft_cosine(vf mu, vf w) {
-  const vf part = mu + w;
-  return select(mu >= w, mu, select(mu <= -w, vf{}, part * part / (4.f * w)));
+// mu above w, 0 below -w, smooth between (C1): light does not leak to the far side. Takes w^2.
+JG_INLINE vf soft_cosine(vf mu, vf w2) {
+  const vf inverse = inverse_sqrt(w2), part = mu + w2 * inverse;
+  return select(part <= 0, vf{}, select(mu * mu >= w2, mu, part * part * (0.25f * inverse)));
 }
 
-// A lamp from sixteen points: direction towards it, irradiance of what faces it over its rgb, sine of its half angle.
-JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& strength, vf& sine) {
+// A lamp from sixteen points: direction towards it, irradiance of what faces it over its rgb, squared sine of its half
+// angle.
+JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& strength, vf& sine2) {
   const int kind = (int)lamp[KIND];
   if (kind == SUN) {
     for (int i = 0; i < 3; i++) direction[i] = all(lamp[PLACE + i]);
-    strength = all(1.f), sine = all(lamp[SUN_SINE]);
+    strength = all(1.f), sine2 = all(lamp[SUN_SINE] * lamp[SUN_SINE]);
     return;
   }
   for (int i = 0; i < 3; i++) direction[i] = lamp[PLACE + i] - p[i];
-  const vf distance2 = max(dot(direction, direction), all(DISTANCE2_MIN)), inverse = 1.f / sqrt(distance2);
+  const vf distance2 = max(dot(direction, direction), all(DISTANCE2_MIN)), inverse = inverse_sqrt(distance2);
   for (int i = 0; i < 3; i++) direction[i] *= inverse;
   strength = 1.f / (distance2 + lamp[SOFTENING]);
-  sine = sqrt(lamp[RADIUS2] / (distance2 + lamp[RADIUS2]));
+  // what is large is soft, but for hard points
+  sine2 = lamp[RADIUS2] * (lamp[SOFTENING] == lamp[RADIUS2] ? strength : 1.f / (distance2 + lamp[RADIUS2]));
   if (kind == POINT) return;
   const vf cosine = -(direction[0] * lamp[AXIS] + direction[1] * lamp[AXIS + 1] + direction[2] * lamp[AXIS + 2]);
   if (kind == SPOT) {
@@ -58,32 +65,67 @@ JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& st
   }
 }
 
-// What of a lamp sixteen anchors see past one capsule.
-template <bool far>
-JG_INLINE bool lamp_past(const CastTask& c, const SceneLightTask& s, int k, const vf p[3], const vf direction[3], vf sine,
-                         float softness, vf& part) {
-  const float *capsule = c.capsule + CAPSULE * k, *axis = capsule + 3;
-  const float length2 = 1.f / capsule[6];
-  vf from_start[3];
-  for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
-  const vf axis_along = direction[0] * axis[0] + direction[1] * axis[1] + direction[2] * axis[2];
-  const vf inverse_sine2 = 1.f / max(length2 - axis_along * axis_along, all(s.sine2_min * length2));
-  return past_capsule<far>(c, capsule, from_start, direction, axis_along, inverse_sine2, softness, sine, part);
+// A ball around sixteen points.
+struct Ball {
+  float middle[3], radius;
+};
+JG_INLINE Ball ball_around(const vf p[3]) {
+  const auto sum = [](vf a, vf b) { return a + b; };
+  vf from[3], middle[3];
+  for (int i = 0; i < 3; i++) middle[i] = folded(p[i], sum) * (1.f / LANES), from[i] = p[i] - middle[i];
+  const vf radius2 = folded(dot(from, from), [](vf a, vf b) { return max(a, b); });
+  return {{middle[0][0], middle[1][0], middle[2][0]}, sqrtf(radius2[0])};
 }
 
-// And past all capsules; `past_capsules` in learn/scene_light.py.
-vf lamp_seen(const CastTask& c, const SceneLightTask& s, const float* foreign, const vf p[3], const vf direction[3],
-             vf sine, float softness) {
-  vf visible = all(1.f), part;
-  for (int bone = 0; bone < BONES; bone++) {
-    const vf hides = load(foreign + LANES * bone);
-    if (bit_mask(hides > 0) && lamp_past<false>(c, s, bone, p, direction, sine, softness, part))
-      visible *= 1.f - hides * (1.f - part);
+// All rays from points in a ball to a lamp.
+JG_INLINE Rays rays_to(const float* lamp, const Ball& ball) {
+  Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, lamp[SUN_SINE]};
+  if ((int)lamp[KIND] == SUN) {
+    for (int i = 0; i < 3; i++) rays.direction[i] = lamp[PLACE + i];
+    return rays;
   }
-  for (int k = BONES; k < c.capsules; k++)
-    if (lamp_past<true>(c, s, k, p, direction, sine, softness, part))
-      visible *= 1.f - c.other[OTHER * (k - BONES)] * (1.f - part);
-  return visible;
+  float distance2 = 0;
+  for (int i = 0; i < 3; i++) {
+    rays.direction[i] = lamp[PLACE + i] - ball.middle[i];
+    distance2 += rays.direction[i] * rays.direction[i];
+  }
+  const float distance = sqrtf(distance2), least = distance - ball.radius;
+  // a lamp among the points lies in all directions
+  const bool is_apart = least > ball.radius;
+  for (int i = 0; i < 3; i++) rays.direction[i] *= is_apart ? 1.f / distance : 0.f;
+  rays.turn = is_apart ? ball.radius / least : 1.f;
+  rays.half_width = is_apart ? sqrtf(lamp[RADIUS2] / (least * least + lamp[RADIUS2])) : 1.f;
+  return rays;
+}
+
+// What of a lamp sixteen points see past all capsules, `past_flesh` in learn/scene_light.py, and what they would if edges
+// were wider, where that is asked for. hides: how much each of the hand's own counts, by its number
+template <bool has_wide, class Hides>
+JG_INLINE void lamp_seen(const CastTask& c, const SceneLightTask& s, Hides hides, const Rays& rays, const vf p[3],
+                         const vf direction[3], vf sine, vf& seen, vf& wide) {
+  seen = wide = all(1.f);
+  const float softest = has_wide ? s.wide_softness : s.flesh_softness;
+  for (int first = 0; first < c.capsules; first += LANES) {
+    for (uint32_t some = may_meet(c, rays, first, softest); some; some &= some - 1) {
+      const int k = first + __builtin_ctz(some);
+      const bool far = k >= BONES;
+      const vf hiding = far ? all(c.other[OTHER * (k - BONES)]) : hides(k);
+      if (!bit_mask(hiding > 0)) continue;
+      const float *capsule = c.capsule + CAPSULE * k, *axis = capsule + 3, length2 = 1.f / capsule[6], radius = capsule[7];
+      vf from_start[3], distance2, way;
+      for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
+      const vf axis_along = direction[0] * axis[0] + direction[1] * axis[1] + direction[2] * axis[2];
+      const vf inverse_sine2 = 1.f / max(length2 - axis_along * axis_along, all(s.sine2_min * length2));
+      nearest_to(capsule, from_start, direction, axis_along, inverse_sine2, distance2, way);
+      const vf distance = sqrt(max(distance2, all(c.distance2_min))), at_capsule = sine * way;
+      const vf part = far ? min(radius / max(at_capsule, all(c.width_min)), all(1.f)) * hiding : hiding;
+      const auto behind = [&](float softness) {
+        return part * (1.f - soft_edge(distance, radius, max(softness * radius + at_capsule, all(c.width_min))));
+      };
+      seen *= 1.f - behind(s.flesh_softness);
+      if (has_wide) wide *= 1.f - behind(s.wide_softness);
+    }
+  }
 }
 
 JG_INLINE void world_irradiance(const SceneLightTask& s, const vf normal[3], vf out[3]) {
@@ -96,77 +138,34 @@ JG_INLINE void world_irradiance(const SceneLightTask& s, const vf normal[3], vf 
   }
 }
 
-// The anchors around sixteen Gaussians: sums of shares times values, `columns` of them, `stride` apart.
-template <int COLUMNS>
-JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* values, int stride, vf out[COLUMNS]) {
+// The anchors around sixteen Gaussians: sums of shares times sixteen columns of their rows, which are `stride` apart.
+JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* rows, int stride, vf out[LANES]) {
   const int64_t first = ANCHORS_AROUND * LANES * (int64_t)block;
-  for (int i = 0; i < COLUMNS; i++) out[i] = vf{};
-  for (int k = 0; k < ANCHORS_AROUND; k++) {
-    const int32_t* nearest = t.nearest + first + LANES * k;
-    const vf share = load(t.share + first + LANES * k);
-    float columns[COLUMNS][LANES];
-    for (int lane = 0; lane < LANES; lane++)
-      for (int i = 0; i < COLUMNS; i++) columns[i][lane] = values[stride * (int64_t)nearest[lane] + i];
-    for (int i = 0; i < COLUMNS; i++) out[i] += share * load(columns[i]);
-  }
-}
-
-// Half width of the rounded corner of a cosine, of one channel.
-JG_INLINE vf corner_of(const SceneLightTask& s, int channel, vf spread, vf sine) {
-  const vf own = spread * s.softness[channel];
-  return min(max(sqrt(own * own + sine * sine), all(CORNER_MIN)), all(CORNER_MAX));
-}
-
-// The same values where light of the lamps of a shadow falls on sixteen Gaussians, 0 where they face away from all.
-JG_INLINE vf where_lit(const SceneLightTask& s, int slot, const vf p[3], const vf normal[3], vf spread, vf values) {
-  vf lit = {};
-  for (int j = 0; j < s.lamps; j++) {
-    const float* lamp = s.lamp + LAMP * j;
-    if ((int)lamp[SLOT] != slot) continue;
-    vf direction[3], strength, sine;
-    lamp_at(lamp, p, direction, strength, sine);
-    const vf cosine = dot(normal, direction);
-    for (int i = 0; i < 3; i++) lit = select(cosine > -corner_of(s, i, spread, sine), values, lit);
-  }
-  return lit;
-}
-
-// What of each lamp reaches sixteen Gaussians: the mean of what the anchors around them see, and near the edge of a
-// shadow, which is sharper than anchors are apart, what is found for each.
-JG_INLINE void lamps_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const vf p[3],
-                          const vf normal[3], vf spread_of_skin) {
-  const CastTask& c = t.cast;
-  const int64_t first = ANCHORS_AROUND * LANES * (int64_t)block;
-  float foreign[BONES * LANES];
-  bool has_foreign = false;
-  for (int j = 0; j < s.slots; j++) {
-    vf part[1], wide[1];
-    spread<1>(t, block, s.seen + LANES * (int64_t)c.blocks * j, 1, part);
-    spread<1>(t, block, s.wide_seen + LANES * (int64_t)c.blocks * j, 1, wide);
-    vf edge = min(EDGE_GAIN * max(wide[0] * (1.f - wide[0]), vf{}), all(1.f));
-    if (bit_mask(edge > 0)) edge = where_lit(s, j, p, normal, spread_of_skin, edge);
-    if (bit_mask(edge > 0)) {
-      for (int bone = 0; bone < BONES && !has_foreign; bone++) {
-        vf sum = {};
-        for (int k = 0; k < ANCHORS_AROUND; k++) {
-          const int32_t* nearest = t.nearest + first + LANES * k;
-          float of_anchor[LANES];
-          for (int lane = 0; lane < LANES; lane++)
-            of_anchor[lane] = c.foreign[LANES * (BONES * (int64_t)(nearest[lane] / LANES) + bone) + nearest[lane] % LANES];
-          sum += load(t.share + first + LANES * k) * load(of_anchor);
-        }
-        store(foreign + LANES * bone, sum);
-      }
-      has_foreign = true;
-      vf direction[3], strength, sine;
-      lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
-      part[0] += edge * (lamp_seen(c, s, foreign, p, direction, sine, s.flesh_softness) - part[0]);
+  for (int lane = 0; lane < LANES; lane++) {
+    out[lane] = vf{};
+    for (int k = 0; k < ANCHORS_AROUND; k++) {
+      const int64_t at = first + LANES * k + lane;
+      out[lane] += t.share[at] * load(rows + stride * (int64_t)t.nearest[at]);
     }
-    vf left[1] = {all(1.f)};
-    if (s.left) spread<1>(t, block, s.left + LANES * (int64_t)c.blocks * j, 1, left);
-    const vf reaches = 1.f - s.casting[LAMP * j + SHADE] * (1.f - part[0] * left[0]);
-    store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * j + block), reaches);
   }
+  transpose(out);
+}
+
+JG_INLINE void store_column(float* rows, int stride, vf values) {
+  for (int lane = 0; lane < LANES; lane++) rows[stride * lane] = values[lane];
+}
+
+// Squared half width of the rounded corner of a cosine.
+JG_INLINE vf corner2_of(float softness, vf spread, vf sine2) {
+  const vf own = spread * softness;
+  return min(max(own * own + sine2, all(CORNER_MIN2)), all(CORNER_MAX2));
+}
+
+JG_INLINE int columns_per_slot(const SceneLightTask& s) { return s.left ? OF_SLOT_MAX : OF_SLOT_MAX - 1; }
+
+// Of a row of what anchors say; whole vectors.
+JG_INLINE int columns_of(const SceneLightTask& s) {
+  return (OF_WORLD + columns_per_slot(s) * s.slots + LANES - 1) / LANES * LANES;
 }
 
 JG_INLINE vf slot_seen(const LearnedTask& t, const SceneLightTask& s, int32_t block, const float* lamp) {
@@ -186,23 +185,26 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
     posed_anchors(t.cast, t.skin, t.volume_min, t.length2_min, block, p, normal);
     for (int i = 0; i < 3; i++) store(posed + LANES * i, p[i]), store(posed + LANES * (3 + i), normal[i]);
   }
-  float* seen = s.seen + LANES * (int64_t)block;
-  const int64_t rows = LANES * (int64_t)t.cast.blocks;
-  vf direction[3], strength, sine;
-  for (int j = 0; j < s.slots; j++) {
-    lamp_at(s.casting + LAMP * j, p, direction, strength, sine);
-    const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block;
-    store(seen + rows * j, lamp_seen(t.cast, s, foreign, p, direction, sine, s.flesh_softness));
-    store(s.wide_seen + LANES * (int64_t)block + rows * j,
-          lamp_seen(t.cast, s, foreign, p, direction, sine, s.wide_softness));
+  const int columns = columns_of(s), each = columns_per_slot(s);
+  float* row = s.reached + columns * LANES * (int64_t)block + OF_WORLD;
+  const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block;
+  const auto hides = [&](int bone) { return load(foreign + LANES * bone); };
+  const Ball ball = ball_around(p);
+  vf direction[3], strength, sine2, seen[SLOTS_MAX], wide;
+  for (int j = 0; j < s.slots; j++, row += each) {
+    const float* lamp = s.casting + LAMP * j;
+    lamp_at(lamp, p, direction, strength, sine2);
+    lamp_seen<true>(t.cast, s, hides, rays_to(lamp, ball), p, direction, sqrt(sine2), seen[j], wide);
+    store_column(row, columns, seen[j]), store_column(row + 1, columns, wide);
+    if (!s.left) continue;
+    const vf left = load(s.left + LANES * (t.cast.blocks * (int64_t)j + block));
+    store_column(row + 2, columns, left);
+    seen[j] *= left;
   }
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;
-    lamp_at(lamp, p, direction, strength, sine);
-    const int64_t slot = rows * (int)lamp[SLOT];
-    vf part = lamp[SLOT] < 0 ? all(1.f) : load(seen + slot);
-    if (s.left && lamp[SLOT] >= 0) part *= load(s.left + LANES * (int64_t)block + slot);
-    part = 1.f - lamp[SHADE] * (1.f - part);
+    lamp_at(lamp, p, direction, strength, sine2);
+    const vf part = lamp[SLOT] < 0 ? all(1.f) : 1.f - lamp[SHADE] * (1.f - seen[(int)lamp[SLOT]]);
     const vf got = max(dot(normal, direction), vf{}) * strength * part * lamp[ON_MATT];
     for (int i = 0; i < 3; i++) given[i] += got * lamp[LAMP_RGB + i];
   }
@@ -234,9 +236,9 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
   const float* posed = s.posed + POSED * LANES * (int64_t)block;
   for (int lane = 0; lane < LANES; lane++) {
-    float point[3], normal[3], *out = s.reached + REACHED * (LANES * (int64_t)block + lane);
+    float point[3], normal[3], *out = s.reached + columns_of(s) * (LANES * (int64_t)block + lane);
     if (!(s.shade > 0)) {
-      for (int i = 0; i < REACHED; i++) out[i] = i < 3 || i == 6;
+      for (int i = 0; i < OF_WORLD; i++) out[i] = i < 3 || i == 6;
       continue;
     }
     for (int i = 0; i < 3; i++) point[i] = posed[LANES * i + lane], normal[i] = posed[LANES * (3 + i) + lane];
@@ -280,29 +282,67 @@ void light_block(const LearnedTask& t, int32_t block) {
   const int64_t row = LANES * (int64_t)block;
   float* matt = t.matt + MATT * row;
   const vf spread_of_skin = load(s.material + MATERIAL * row);
-  vf p[3], normal[3], light[3], reached[6];
+  vf p[3], normal[3], light[3], reached[COLUMNS_MAX];
   load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
   for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
-  lamps_seen(t, s, block, p, normal, spread_of_skin);
+  const int columns = columns_of(s);
+  for (int i = 0; i < columns; i += LANES) spread(t, block, s.reached + i, columns, reached + i);
   if (s.baked) {
-    vf field[BAKED];
-    spread<BAKED>(t, block, s.baked, BAKED, field);
+    vf field[LANES];
+    spread(t, block, s.baked, LANES, field);
     for (int i = 0; i < 3; i++)
       light[i] = max(field[i] + normal[0] * field[3 + i] + normal[1] * field[6 + i] + normal[2] * field[9 + i], vf{});
   } else {
     world_irradiance(s, normal, light);
-    spread<6>(t, block, s.reached, REACHED, reached);
     for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
   }
-  for (int j = 0; j < s.lamps; j++) {
-    const float* lamp = s.lamp + LAMP * j;
-    if (!(lamp[ON_MATT] > 0)) continue;
-    vf direction[3], strength, sine;
-    lamp_at(lamp, p, direction, strength, sine);
-    const vf cosine = dot(normal, direction), got = strength * slot_seen(t, s, block, lamp);
-    for (int i = 0; i < 3; i++) {
-      light[i] += soft_cosine(cosine, corner_of(s, i, spread_of_skin, sine)) * got * lamp[LAMP_RGB + i];
+  store(s.sky + row, reached[6]);
+  const float softest = fmaxf(fmaxf(s.softness[0], s.softness[1]), s.softness[2]);
+  const uint32_t partly = s.partly[block];
+  const auto hides = [&](int bone) {
+    const uint32_t bit = 1u << bone;
+    return partly & bit ? load(s.hides + LANES * (s.hides_start[block] + __builtin_popcount(partly & (bit - 1)))) : all(1.f);
+  };
+  Ball ball = {{}, -1.f};
+  for (int j = 0; j < s.lamps;) {
+    const int slot = (int)s.lamp[LAMP * j + SLOT], first = j;
+    vf direction[3], strength, sine2, own[3] = {};
+    vi lit = {};
+    // parts of a large lamp share a shadow
+    do {
+      const float* lamp = s.lamp + LAMP * j++;
+      lamp_at(lamp, p, direction, strength, sine2);
+      const vf cosine = dot(normal, direction);
+      const vi at_corner = cosine * cosine < corner2_of(softest, spread_of_skin, sine2);
+      const vi falls = (strength > 0) & ((cosine > 0) | at_corner);
+      if (!bit_mask(falls)) continue;
+      lit |= falls;
+      const vf got = strength * lamp[ON_MATT];
+      const bool rounded = bit_mask(at_corner);
+      const vf straight = max(cosine, vf{});
+      for (int i = 0; i < 3; i++) {
+        const vf f = rounded ? soft_cosine(cosine, corner2_of(s.softness[i], spread_of_skin, sine2)) : straight;
+        own[i] += f * got * lamp[LAMP_RGB + i];
+      }
+    } while (slot >= 0 && j < s.lamps && (int)s.lamp[LAMP * j + SLOT] == slot);
+    vf reaches = all(1.f);
+    if (slot >= 0) {
+      const float* casting = s.casting + LAMP * slot;
+      const vf* of_slot = reached + OF_WORLD + columns_per_slot(s) * slot;
+      // near the edge of a shadow, which is sharper than anchors are apart, it is found for each
+      vf part = of_slot[0], near = select(lit, EDGE_GAIN * of_slot[1] * (1.f - of_slot[1]), vf{});
+      if (bit_mask(near > 0)) {
+        if (ball.radius < 0) ball = ball_around(p);
+        if (j - first > 1) lamp_at(casting, p, direction, strength, sine2);
+        vf seen, wide;
+        lamp_seen<false>(t.cast, s, hides, rays_to(casting, ball), p, direction, sqrt(sine2), seen, wide);
+        part += clamped(near) * (seen - part);
+      }
+      if (s.left) part *= of_slot[2];
+      reaches = 1.f - casting[SHADE] * (1.f - part);
+      store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + block), reaches);
     }
+    for (int i = 0; i < 3; i++) light[i] += reaches * own[i];
   }
   for (int i = 0; i < 3; i++) store(matt + LANES * (3 + i), load(s.reflecting + 3 * row + LANES * i) * light[i]);
 }
@@ -321,40 +361,41 @@ void seen_block(const LearnedTask& t, int32_t block) {
   }
   make_unit(eye, t.length2_min);
   const vf facing = dot(n, eye), cosine_eye = max(facing, all(FACING_MIN)), k = 0.5f * alpha;
+  // skin that faces away is seen through gaps only: in back light it would shine through them
+  const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
+  if (!bit_mask(fade > 0)) return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;
     if (!(lamp[ON_GLOSS] > 0)) continue;
-    vf direction[3], strength, sine, half[3];
-    lamp_at(lamp, p, direction, strength, sine);
-    for (int i = 0; i < 3; i++) half[i] = direction[i] + eye[i];
-    make_unit(half, t.length2_min);
-    const vf cosine = clamped(dot(n, direction)), middle = clamped(dot(n, half));
-    const vf wide = min(alpha + 0.5f * sine, all(1.f)), wide2 = wide * wide;
-    const vf bell = middle * middle * (wide2 - 1.f) + 1.f, grazing = 1.f - clamped(dot(direction, half));
-    const vf square = grazing * grazing;
+    vf direction[3], strength, sine2;
+    lamp_at(lamp, p, direction, strength, sine2);
+    const vf towards = dot(n, direction), cosine = clamped(towards), got = cosine * strength;
+    if (!bit_mask(got > 0)) continue;
+    // the half vector is the sum of two unit ones, whose angle says how long it is
+    const vf between = 1.f + dot(direction, eye), shorter = inverse_sqrt(max(2.f * between, all(t.length2_min)));
+    const vf middle = clamped((towards + facing) * shorter), grazing = 1.f - clamped(between * shorter);
+    const vf wide = min(alpha + 0.5f * sqrt(sine2), all(1.f)), wide2 = wide * wide;
+    const vf bell = middle * middle * (wide2 - 1.f) + 1.f, square = grazing * grazing;
     const vf fresnel = reflectance + (1.f - reflectance) * (rise * square * square * grazing);
     const vf masked = max((cosine * (1.f - k) + k) * (cosine_eye * (1.f - k) + k), all(MASKED_MIN));
-    const vf shine = wide2 / (PI * bell * bell) * fresnel * 0.25f * cosine / masked * strength * slot_seen(t, s, block, lamp);
+    const vf shine = wide2 * fresnel * got * slot_seen(t, s, block, lamp) / (4.f * PI * bell * bell * masked);
     for (int i = 0; i < 3; i++) rgb[i] += shine * lamp[LAMP_RGB + i];
   }
   if (s.lobes) {
     for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
-    vf sky[7], lobes[3] = {};
-    spread<7>(t, block, s.reached, REACHED, sky);
+    vf lobes[3] = {};
     for (int j = 0; j < s.lobes; j++) {
       const float* lobe = s.lobe + LOBE * j;
       const vf cosine = mirrored[0] * lobe[0] + mirrored[1] * lobe[1] + mirrored[2] * lobe[2];
-      const vf strength = exp2((cosine - 1.f) * lobe[3]);
+      const vf strength = exp2_of_negative<5>(max((cosine - 1.f) * lobe[3], all(LOBE_EXPONENT_MIN)));
       for (int i = 0; i < 3; i++) lobes[i] += strength * lobe[4 + i];
     }
     // how much of an even light GGX mirrors: Karis, "Physically Based Shading on Mobile", 2014
     const vf r0 = 1.f - rough, r1 = 0.0425f - 0.0275f * rough, r2 = 1.04f - 0.572f * rough, r3 = 0.022f * rough - 0.04f;
     const vf base = min(r0 * r0, exp2(-9.28f * cosine_eye)) * r0 + r1;
-    const vf gain = (reflectance * (r2 - 1.04f * base) + rise * (r3 + 1.04f * base)) * sky[6];
+    const vf gain = (reflectance * (r2 - 1.04f * base) + rise * (r3 + 1.04f * base)) * load(s.sky + row);
     for (int i = 0; i < 3; i++) rgb[i] += lobes[i] * gain;
   }
-  // skin that faces away is seen through gaps only: in back light it would shine through them
-  const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
   for (int i = 0; i < 3; i++) rgb[i] *= fade;
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
 }

@@ -24,25 +24,29 @@ enum LampNumber {
   SHADE = 20,          // how much of its shadow is drawn, 0..1
   LAMP = 21
 };
+constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
 // Mirrored field by field in native/scene_light_task.py.
 struct SceneLightTask {
   const float* material;     // (blocks, 3, 16): spread, roughness, reflectance
-  const float* lamp;         // (lamps, LAMP)
+  const uint32_t* partly;    // (blocks): bones, by their bits, that do not stand before all of its Gaussians wholly
+  const int32_t* hides_start;  // (blocks): where those of a block begin
+  const float* hides;        // (entries, 16): how much they do
+  const float* lamp;         // (lamps, LAMP), those of one slot together
   const float* casting;      // (slots, LAMP): those whose shadows are found
   const float* irradiance;   // (16, 3): of the world, W/m2, for `harmonics`
   const float* left;         // (slots, 16 anchor blocks): what the scene's things leave of a lamp at an anchor; null: all
-  const float* baked;        // (16 anchor blocks, 12): W/m2 instead of lamps and world: rgb, and how it turns; null: none
+  const float* baked;        // (16 anchor blocks, 16): W/m2 instead of lamps and world: rgb, how it turns, 4 unused; null: none
   const float* lobe;         // (lobes, 7): what the world mirrors: unit direction, sharpness / ln 2, radiance
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (16 anchor blocks, groups, 16): part of each cell of the world that an anchor sees
-  float* seen;               // (slots, 16 anchor blocks): part of a lamp that an anchor sees
-  float* wide_seen;          // (slots, 16 anchor blocks): the same, as if edges were as wide as anchors are apart
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
   float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
-  float* reached;            // (16 anchor blocks, 8): part of the world rgb, bounced W/m2 rgb, part of the sky, 0
+  float* sky;                // (16 blocks): part of it that a Gaussian sees
+  float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced
+                             // W/m2 rgb, part of the sky, and of each slot two or three; whole vectors
   float softness[3];         // half width of the rounded corner of a cosine
   float bounce[3];           // W/m2 that hidden skin throws back, per W/m2 that it gets, pi and solid angle included
   float ambient[3];          // W/m2 that no shadow takes

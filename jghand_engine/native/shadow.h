@@ -45,14 +45,8 @@ JG_INLINE vi to_int(vf a) { return __builtin_convertvector(a, vi); }
 JG_INLINE vf to_float(vi a) { return __builtin_convertvector(a, vf); }
 
 #if defined(__AVX512F__)
-// one Newton step from 14 bits to rounding
-JG_INLINE vf inverse_sqrt(vf a) {
-  const vf y = (vf)_mm512_rsqrt14_ps((__m512)a);
-  return y * (1.5f - 0.5f * a * y * y);
-}
 JG_INLINE vf gather(const float* p, vi index) { return (vf)_mm512_i32gather_ps((__m512i)index, p, 4); }
 #else
-JG_INLINE vf inverse_sqrt(vf a) { return 1.f / sqrt(a); }
 JG_INLINE vf gather(const float* p, vi index) {
   vf r;
   for (int i = 0; i < LANES; i++) r[i] = p[index[i]];

@@ -34,6 +34,17 @@ JG_INLINE vf sqrt(vf a) {
 #endif
 }
 
+// Of normal positive numbers.
+JG_INLINE vf inverse_sqrt(vf a) {
+#if defined(__AVX512F__)
+  // one Newton step from 14 bits to rounding
+  const vf y = (vf)_mm512_rsqrt14_ps((__m512)a);
+  return y * (1.5f - 0.5f * a * y * y);
+#else
+  return 1.f / sqrt(a);
+#endif
+}
+
 // memcpy is how an unaligned load is written without breaking aliasing rules; it becomes one instruction.
 JG_INLINE vf load(const float* p) {
   vf v;
@@ -176,6 +187,15 @@ JG_INLINE void load_sixes(const float* p, vf out[6]) {
     out[i] = JG_SHUFFLE(low[i], high[i], 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
     out[i + 3] = JG_SHUFFLE(low[i], high[i], 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
   }
+}
+
+// Every lane with all lanes: halves of what is left are put upon each other, four times.
+template <class Join>
+JG_INLINE vf folded(vf v, Join join) {
+  v = join(v, JG_SHUFFLE(v, v, 8, 9, 10, 11, 12, 13, 14, 15, 0, 1, 2, 3, 4, 5, 6, 7));
+  v = join(v, JG_SHUFFLE(v, v, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11));
+  v = join(v, JG_SHUFFLE(v, v, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13));
+  return join(v, JG_SHUFFLE(v, v, 1, 0, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14));
 }
 
 // Row i, lane j becomes row j, lane i. Interleaving rows that are half the height apart, four times, transposes.

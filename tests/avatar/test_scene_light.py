@@ -189,6 +189,19 @@ def test_another_hand_casts_its_shadow_in_the_kernel_as_in_training(others):
     assert np.abs(found - alone).max() > 0.05 * alone.max()
 
 
+def test_lamps_among_the_fingers_cast_the_shadows_that_training_finds():
+    """What is far from the rays of a lamp is left out of its shadow: near lamps have rays in all directions."""
+    g, bones = np.random.default_rng(5), bones_of(AVATAR, "spread")
+    places_m = bones.root_m + g.normal((0, 0.08, 0), 0.05, (24, 3))
+    lamps = tuple(
+        Lamp(LampKind.POINT, (1e-3, 2e-3, 3e-3), tuple(place_m), radius_m=radius_m)
+        for place_m, radius_m in zip(places_m, g.choice([0.004, 0.02, 0.06], 24), strict=True)
+    )
+    light = SceneLight(None, lamps)
+    wanted, found = exactly(AVATAR, bones, light).numpy(), natively(AVATAR, bones, light)
+    assert np.abs(found - wanted).max() <= 1e-4 * wanted.max()
+
+
 def test_threads_do_not_change_a_bit():
     bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
     poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=LIGHTS["all"])
