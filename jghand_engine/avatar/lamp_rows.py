@@ -5,13 +5,15 @@ Nothing is switched: what goes below its limit has faded by then.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from jghand_engine.avatar.cast_task import posed_joints_m
-from jghand_engine.avatar.scene_light import Lamp, SceneLight
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, LampKind
 
 # lamps of a scene that are drawn, of which each casts its own shadow
@@ -24,6 +26,8 @@ APART_SINE = 1.25
 BONE_PARTS = (1 / 3, 2 / 3)
 # radii of a narrow area, or of a part of it, that its beam is wider by: where beams of four parts meet is light, too
 BEAM_RADII = 1.7
+# hands whose lamps are kept from the plan of an image to its drawing; more are compared twice
+HANDS_KEPT = 4
 # floors against division by zero
 DISTANCE2_MIN_M2, COSINE_MIN, TINY = 1e-12, 1e-4, float(np.finfo(np.float64).tiny)
 
@@ -46,9 +50,9 @@ class Limits:
 LIMITS = Limits()
 
 
-def fade(part: np.ndarray, limit: float) -> np.ndarray:
+def fade(part: np.ndarray | float, limit: float) -> np.ndarray:
     """How much is drawn of what is such a part of the light, 0..1."""
-    return np.clip(part / max(limit, TINY) - 1, 0, 1)
+    return np.minimum(np.maximum(part / max(limit, TINY) - 1, 0), 1)
 
 
 def compared_at(linear_offset: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
@@ -63,23 +67,44 @@ def light_shares(light: SceneLight, root_m: np.ndarray, points_m: np.ndarray) ->
     """(lamps + 1,) part of all light that comes from each lamp and, the last, from the world, at that of the hand's
     points where it is the largest. root_m: (3,) of the hand · points_m: (K, 3) of it, root-relative"""
     world = 0.0 if light.world is None else float(light.world.terms.mean_irradiance.sum())
-    each = np.full((len(light.lamps) + 1, len(points_m)), world)
-    each[:-1] = irradiance_at(_widened(_rows(light, root_m), points_m.mean(0)), points_m).sum(-1)
-    return (each / np.maximum(each.sum(0), TINY)).max(1)
+    if not light.lamps:
+        return np.array([float(world > 0)])
+    rows = _widened(_rows(light, root_m), _middle(points_m))
+    each = _strength_at(rows, points_m) * rows[:, 6:9].sum(1)[:, None]
+    whole = np.maximum(each.sum(0) + world, TINY)
+    return np.append((each / whole).max(1), world / whole.min())
+
+
+# world and lamps of a light, bones of a hand, and what was found of these: of the last hands, newest first
+_Found = tuple[World | None, tuple[Lamp, ...], Bones, tuple[np.ndarray, np.ndarray]]
+_found: list[_Found] = []
+
+
+def shares_on(light: SceneLight, bones: Bones, joints_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`light_shares` of a hand in a pose, and its points (61, 3), root-relative. The plan of an image and its drawing
+    ask for the same: that of the last hands is kept. joints_m: (21, 3) of the canonical hand, root-relative"""
+    for world, lamps, of, shares in tuple(_found):
+        if world is light.world and lamps is light.lamps and of is bones:
+            return shares
+    points_m = compared_at(bones.linear_offset, joints_m)
+    shares = light_shares(light, bones.root_m, points_m), points_m
+    _found[:] = [(light.world, light.lamps, bones, shares), *_found[: HANDS_KEPT - 1]]
+    return shares
 
 
 def lamp_weights(shares: np.ndarray, limits: Limits) -> np.ndarray:
     """(lamps,) how much of each lamp is drawn, 0..1. shares: see `light_shares`"""
     weight = fade(shares[:-1], limits.lamp)
-    weight[np.argsort(-shares[:-1], kind="stable")[LAMPS_MAX:]] = 0
+    if len(weight) > LAMPS_MAX:
+        weight[np.argsort(-shares[:-1], kind="stable")[LAMPS_MAX:]] = 0
     return weight
 
 
 def world_shade(shares: np.ndarray, bounce: np.ndarray, limits: Limits) -> tuple[float, float]:
     """How much is drawn of the shadow in the world and of what skin throws onto skin, 0..1, and which part of all light
     that is at most. shares: see `light_shares` · bounce: (3,) albedo of the skin"""
-    most = min(float(shares[-1] + np.max(bounce) * np.any(shares > 0)), 1.0)
-    return float(fade(np.array(most), limits.world_shadow)), most
+    most = min(float(shares[-1] + bounce.max() * (shares > 0).any()), 1.0)
+    return float(fade(most, limits.world_shadow)), most
 
 
 def lamp_rows(
@@ -92,54 +117,71 @@ def lamp_rows(
     root_m:   (3,) of the hand; rows are relative to it
     points_m: (K, 3) of the hand, relative to the root
     """
-    whole, middle_m = _rows(light, root_m), points_m.mean(0)
-    weight, shade = lamp_weights(shares, limits), fade(shares[:-1], limits.lamp_shadow)
+    if not light.lamps:
+        nothing = np.zeros((0, len(LAMP_NUMBERS)))
+        return nothing, nothing, []
+    whole, middle_m = _rows(light, root_m), _middle(points_m)
+    weights = lamp_weights(shares, limits)
+    weight, shade = weights.tolist(), fade(shares[:-1], limits.lamp_shadow).tolist()
     rows: list[np.ndarray] = []
     sources: list[int] = []
-    for index in np.argsort(-weight * shares[:-1], kind="stable"):
+    for index in np.argsort(-weights * shares[:-1], kind="stable").tolist():
         lamp, row = light.lamps[index], whole[index]
         if weight[index] == 0:
             break
         row[NUMBER["red"] : NUMBER["blue"] + 1] *= weight[index]
         if lamp.has_shadow and shade[index] > 0:
             row[NUMBER["slot"]], row[NUMBER["shade"]] = len(sources), shade[index]
-            sources.append(int(index))
+            sources.append(index)
         rows += _parts(lamp, row, middle_m)
     lamps = np.array(rows).reshape(-1, len(LAMP_NUMBERS))
     return _widened(lamps, middle_m), _widened(whole[sources], middle_m), sources
 
 
+def _middle(points_m: np.ndarray) -> np.ndarray:
+    return points_m.sum(0) / len(points_m)
+
+
 def irradiance_at(rows: np.ndarray, points_m: np.ndarray) -> np.ndarray:
     """(n, K, 3) W/m2 that surfaces get which face the lamps of rows (n, LAMP_NUMBERS), at points (K, 3) of their
     frame."""
+    return _strength_at(rows, points_m)[..., None] * rows[:, None, 6:9]
+
+
+def _strength_at(rows: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """(n, K) the same over the lamps' rgb."""
     kind = rows[:, NUMBER["kind"]]
     way_m = rows[:, None, :3] - points_m
-    distance2 = np.maximum(np.square(way_m).sum(-1), DISTANCE2_MIN_M2)
+    distance2 = np.maximum(np.einsum("nki,nki->nk", way_m, way_m), DISTANCE2_MIN_M2)
     strength = 1 / (distance2 + rows[:, NUMBER["softening"], None])
     strength[kind == LampKind.SUN] = 1
     spots, areas = kind == LampKind.SPOT, kind == LampKind.AREA
-    if spots.any() or areas.any():
-        cosine = -(way_m * rows[:, None, 3:6]).sum(-1) / np.sqrt(distance2)
-        strength[spots] *= _in_cone(rows[spots], cosine[spots])
-        strength[areas] *= np.maximum(cosine[areas], 0) * _in_spread(rows[areas], cosine[areas])
-    return strength[..., None] * rows[:, None, 6:9]
+    for those, within in ((spots, _in_cone), (areas, _in_spread)):
+        if those.any():
+            way_to_them_m, lamps = way_m[those], rows[those]
+            cosine = -np.einsum("nki,ni->nk", way_to_them_m, lamps[:, 3:6]) / np.sqrt(distance2[those])
+            strength[those] *= within(lamps, cosine)
+    return strength
 
 
 def _in_cone(rows: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    t = np.clip((cosine - rows[:, NUMBER["cone"], None]) * rows[:, NUMBER["cone_scale"], None], 0, 1)
+    t = (cosine - rows[:, NUMBER["cone"], None]) * rows[:, NUMBER["cone_scale"], None]
+    t = np.minimum(np.maximum(t, 0), 1)
     return t * t * (3 - 2 * t)
 
 
 def _in_spread(rows: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    gain = rows[:, NUMBER["spread_gain"], None]
+    front, gain = np.maximum(cosine, 0), rows[:, NUMBER["spread_gain"], None]
+    if not gain.any():
+        return front
     tangent = np.sqrt(np.maximum(1 - cosine * cosine, 0)) / np.maximum(cosine, COSINE_MIN)
-    return np.where(gain > 0, np.maximum(rows[:, NUMBER["spread"], None] - tangent, 0) * gain, 1.0)
+    return front * np.where(gain > 0, np.maximum(rows[:, NUMBER["spread"], None] - tangent, 0) * gain, 1.0)
 
 
 def _rows(light: SceneLight, root_m: np.ndarray) -> np.ndarray:
     """(lamps, LAMP_NUMBERS) of all lamps, relative to the root."""
     rows = np.array([lamp.numbers for lamp in light.lamps]).reshape(-1, len(LAMP_NUMBERS))
-    rows[:, :3] -= np.where(rows[:, NUMBER["kind"], None] == LampKind.SUN, 0.0, root_m)
+    rows[:, :3] -= (rows[:, NUMBER["kind"], None] != LampKind.SUN) * root_m
     return rows
 
 
@@ -160,26 +202,19 @@ def _widened(rows: np.ndarray, middle_m: np.ndarray) -> np.ndarray:
 
 def _parts(lamp: Lamp, row: np.ndarray, middle_m: np.ndarray) -> list[np.ndarray]:
     """A large area as four small ones, which share a shadow; anything else alone."""
-    distance2 = float(np.square(row[:3] - middle_m).sum())
-    radius2 = row[NUMBER["radius2"]]
-    if lamp.kind is not LampKind.AREA or radius2 < WHOLE_SINE_MAX**2 * (distance2 + radius2):
+    if lamp.kind is not LampKind.AREA:
         return [row]
-    side = np.array(lamp.side, np.float64)
-    side = side - (side @ row[3:6]) * row[3:6]
-    side /= max(float(np.linalg.norm(side)), 1e-12)
-    across = np.cross(row[3:6], side)
+    distance2, radius2 = math.dist(row[:3], middle_m) ** 2, float(row[NUMBER["radius2"]])
+    if radius2 < WHOLE_SINE_MAX**2 * (distance2 + radius2):
+        return [row]
     # four in one place, of the whole size, are the one: they part, and shrink, as the lamp grows
-    grown = np.sqrt(radius2 / (distance2 + radius2)) / WHOLE_SINE_MAX - 1
-    apart = min(float(grown) / (APART_SINE - 1), 1.0)
+    grown = math.sqrt(radius2 / (distance2 + radius2)) / WHOLE_SINE_MAX - 1
+    apart = min(grown / (APART_SINE - 1), 1.0)
     # the middle of a quarter, as a part of the size
-    quarter = apart * (2 / (3 * np.pi) if lamp.is_ellipse else 0.25)
-    parts = []
-    for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-        part = row.copy()
-        part[:3] += quarter * (a * lamp.size_m[0] * side + b * lamp.size_m[1] * across)
-        for name in ("red", "green", "blue"):
-            part[NUMBER[name]] /= 4
-        for name in ("softening", "radius2"):
-            part[NUMBER[name]] *= 1 - 0.75 * apart
-        parts.append(part)
-    return parts
+    quarter = apart * (2 / (3 * math.pi) if lamp.is_ellipse else 0.25)
+    half = quarter * lamp.sides * np.array(lamp.size_m)[:, None]
+    parts = np.repeat(row[None], 4, 0)
+    parts[:, :3] += [-half[0] - half[1], half[1] - half[0], half[0] - half[1], half[0] + half[1]]
+    parts[:, NUMBER["red"] : NUMBER["blue"] + 1] /= 4
+    parts[:, [NUMBER["softening"], NUMBER["radius2"]]] *= 1 - 0.75 * apart
+    return [*parts]

@@ -101,7 +101,7 @@ class WorldTerms:
     direction: np.ndarray
     light: np.ndarray
 
-    @property
+    @cached_property
     def mean_irradiance(self) -> np.ndarray:
         """(3,) W/m2, mean over all normals."""
         return self.light.sum(0) / 4
@@ -191,6 +191,14 @@ class Lamp:
         for name, value in values.items():
             row[NUMBER[name]] = value
         return row
+
+    @cached_property
+    def sides(self) -> np.ndarray:
+        """(2, 3) unit: the first side of an area, at a right angle to its axis, and the one across."""
+        axis, side = self.numbers[3:6], np.array(self.side, np.float64)
+        side = side - (side @ axis) * axis
+        side /= max(float(np.linalg.norm(side)), 1e-12)
+        return np.stack([side, np.cross(axis, side)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
 from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, CastStep
-from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, compared_at, lamp_rows, light_shares, world_shade
+from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, lamp_rows, shares_on, world_shade
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.scene_light import (
     CELLS,
@@ -91,8 +91,7 @@ class SceneLightStep:
         self._task.keeps_visible = keep_pose and light.world is self._world and self._task.shade > 0
         if light.world is not self._world:
             self._set_world(light.world)
-        points_m = compared_at(bones.linear_offset, self._cast.joints_m)
-        shares = light_shares(light, bones.root_m, points_m)
+        shares, points_m = shares_on(light, bones, self._cast.joints_m)
         rows, casting, sources = lamp_rows(light, shares, bones.root_m, points_m, self._limits)
         rows[:, NUMBER["on_gloss"]] *= self._response.mirrors
         self._arrays["lamp"][: len(rows)], self._arrays["casting"][: len(casting)] = rows, casting

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine.avatar.lamp_rows import LIMITS, Limits, compared_at, fade, lamp_weights, light_shares, world_shade
+from jghand_engine.avatar.lamp_rows import LIMITS, Limits, fade, lamp_weights, shares_on, world_shade
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.render.crop import HandFacts
@@ -66,9 +66,7 @@ def light_decisions(
     if not lit_hands:
         return [Decision(effect, False, "a painted hand shines with its own colors") for effect in names]
     light, limits, count = lit.light, limits_of(choice), sum(gaussians for *_, gaussians in lit_hands)
-    each = [
-        light_shares(light, one.root_m, compared_at(one.linear_offset, joints_m)) for one, joints_m, _, _ in lit_hands
-    ]
+    each = [shares_on(light, one, joints_m)[0] for one, joints_m, _, _ in lit_hands]
     # of several hands the one that gets the most
     shares = np.max(each, axis=0)[:-1]
     world = max(

@@ -303,7 +303,7 @@ class SceneRenderer:
 
     def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
         started = time.perf_counter()
-        scene = shot.posed.scene(camera, shutter, shot.moved_m, self._lit(shot.posed, camera))
+        scene = shot.posed.scene(camera, shutter, shot.moved_m, self._lit(shot, camera))
         if shutter is not None or camera.lens is not None:
             hands_m = scene.joints_m
             moments = [Moment(hands_m, camera)] if shutter is None else shutter.moments(hands_m, camera)
@@ -312,12 +312,15 @@ class SceneRenderer:
         report.ran(PLAN, 1e3 * (time.perf_counter() - started))
         return plan
 
-    def _lit(self, posed: _Posed, camera: Camera) -> Lit | None:
+    def _lit(self, shot: _Shot, camera: Camera) -> Lit | None:
         if self.light is None:
             return None
         before, drawn = self._backend.light, self._drawn
         new_world = before is None or before.world is not self.light.world
-        seen_anew = drawn is None or not np.array_equal(drawn.camera.eye_m, _at_origin(posed, camera).eye_m)
+        # a new pose is seen anew in any case
+        seen_anew = True
+        if shot.moved_m is not None and drawn is not None:
+            seen_anew = not np.array_equal(drawn.camera.eye_m, _at_origin(shot.posed, camera).eye_m)
         return Lit(self.light, before != self.light, new_world, seen_anew)
 
     def _seen_hands(self, moments: Sequence[Moment]) -> list[int]:

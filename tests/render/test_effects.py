@@ -228,7 +228,7 @@ def test_preset_viewport_keeps_50_db_without_the_faint_tail():
 # ---- what is skipped costs nothing ----------------------------------------------------------------------------------
 
 
-def counted(monkeypatch, owner: type, name: str) -> list[int]:
+def counted(monkeypatch, owner: object, name: str) -> list[int]:
     calls, real = [0], getattr(owner, name)
 
     def counting(self, *arguments, **named):

@@ -9,6 +9,7 @@ import pytest
 from small_avatars import trained_avatar
 from test_effects import RIGHT, camera, counted, plan_of, pose
 
+from jghand_engine.avatar import lamp_rows
 from jghand_engine.avatar.corrective_task import NetworkStep
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
@@ -108,6 +109,17 @@ def test_a_lamp_that_is_dragged_redoes_the_light_alone(monkeypatch):
     assert [plan.runs(effect) for effect in (Effect.SKIN, Effect.LAMPS, Effect.LAMP_SHADOW)] == [False, True, True]
     assert plan[Effect.WORLD_SHADOW].reason == "pose and world are kept"
     assert np.array_equal(frame.rgba, lit(renderer.light).render([FIST], camera()).rgba)
+
+
+def test_lamps_are_compared_once_for_each_hand_of_an_image(monkeypatch):
+    """What is said of them and what is drawn is one and the same."""
+    asked = counted(monkeypatch, lamp_rows, "light_shares")
+    pair, hands = SceneRenderer([TRAINED, TRAINED], RenderSettings(), LIGHT_OF_DAY), [FIST, FIST + np.full(3, 0.05)]
+    pair.render(hands, camera())
+    assert asked == [2]
+    pair.light = replace(LIGHT_OF_DAY, lamps=LAMPS[:2])
+    pair.render(hands, camera())
+    assert asked == [4]
 
 
 def test_a_camera_that_moves_alone_redoes_the_gloss_alone():
