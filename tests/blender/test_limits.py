@@ -27,7 +27,7 @@ def told() -> str:
     return " ".join(draw(RenderPanel, bpy.context).texts)
 
 
-def material(shader: str, socket: str = "Surface", **values: float) -> bpy.types.Material:
+def material(shader: str, socket: str = "Surface", **values: object) -> bpy.types.Material:
     made = bpy.data.materials.new(shader)
     tree = versions.ensure_tree(made)
     tree.nodes.clear()

@@ -13,7 +13,10 @@ import bpy
 import hands
 import numpy as np
 import pytest
+from mathutils import Vector
 from test_avatar_cards import write_avatar
+from test_combine import f12
+from test_limits import material
 from test_render_engine import layers, with_link
 
 from blender_addon.core import posing
@@ -408,3 +411,70 @@ def test_a_light_that_is_saved_renders_outside_blender(scene, engine_python, tmp
     words = [engine_python, "-c", script, str(tmp_path / "light.json")]
     told = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert told == f"1 {np.round(np.pi * np.array([0.1, 0.3, 0.2]), 3)}\n"
+
+
+# ---- view transforms -------------------------------------------------------------------------------------------------
+
+# of two balls, one the engine's and one of Cycles: albedo, meters, and how far each is beside the middle
+ALBEDO, RADIUS_M, BESIDE_M = 0.5, 0.04, 0.05
+# a pixel for each millimeter; the engine's has the normals of a ball in the middles of its facets
+BALLS_PX, PX_M, FACET_PX = (200, 100), 1e-3, 5
+# seen from the camera's side; at a grazing angle the engine's rounded cosine is no Lambertian's
+SUN = np.array([0.5, 0.3, 0.81])
+LIT_COSINE, INNER = 0.1, 0.85
+
+
+def ball_of_cycles(place: tuple[float, float, float]) -> bpy.types.Object:
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=RADIUS_M, location=place)
+    ball = bpy.context.object
+    ball.data.shade_smooth()
+    ball.data.materials.append(material("ShaderNodeBsdfDiffuse", Color=(ALBEDO, ALBEDO, ALBEDO, 1.0)))
+    return ball
+
+
+@pytest.fixture
+def two_balls(context, engine_python, tmp_path) -> bpy.types.Scene:
+    """A hand that is a gray ball, and a gray ball of Cycles beside it, combined and seen from straight above, in a warm
+    sun without shadows that makes them brighter than white."""
+    scene_light.forget()
+    ball = tmp_path / "ball.jghand"
+    words = map(str, (ball, ALBEDO, RADIUS_M, 0, BESIDE_M, 0))
+    subprocess.run([engine_python, "-I", Path(__file__).with_name("write_ball_avatar.py"), *words], check=True)
+    hand = armature.build_armature(context, "right", posing.rest_joints_m("right"), "right")
+    hand.jghand.avatar, hand.jghand.cast_shadow = str(ball), False
+    hand.location.x = -BESIDE_M
+    ball_of_cycles((BESIDE_M, BESIDE_M, 0))
+    scene = context.scene
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    eye.data.type, eye.data.ortho_scale, eye.location = "ORTHO", BALLS_PX[0] * PX_M, (0, BESIDE_M, 0.5)
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.data.color, sun.data.angle, sun.data.use_shadow = 8.0, (1.0, 0.7, 0.4), 0.0, False
+    sun.matrix_world = Vector(SUN).to_track_quat("Z", "Y").to_matrix().to_4x4()
+    for thing in (eye, sun):
+        scene.collection.objects.link(thing)
+    scene.camera, scene.render.engine = eye, "CYCLES"
+    camera.set_picture_size(scene.render, *BALLS_PX)
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = 16, False, 0
+    scene.render.dither_intensity = 0.0
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.filepath = str(tmp_path / "picture.png")
+    scene.jghand.light = "SCENE"
+    composite.combine(scene, scene.view_layers[0])
+    return scene
+
+
+def test_a_hand_beside_a_ball_of_cycles_has_its_color_under_each_view_transform(two_balls, real_engine):
+    right, up, *_ = (side * (np.arange(FACET_PX // 2, 100, FACET_PX) + 0.5 - 50) * PX_M / RADIUS_M for side in (1, -1))
+    x, y = np.meshgrid(right, up)
+    height = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+    seen = (x * x + y * y < INNER**2) & (np.stack([x, y, height], -1) @ SUN > LIT_COSINE * np.linalg.norm(SUN))
+    assert seen.sum() > 100
+    brightest = []
+    for name in ("Standard", "Filmic", "AgX"):
+        two_balls.view_settings.view_transform = name
+        shown = 255 * f12()[FACET_PX // 2 :: FACET_PX, FACET_PX // 2 :: FACET_PX]
+        hand, ball = shown[:, :20][seen], shown[:, 20:][seen]
+        assert np.ptp(ball[:, 0]) > 80
+        assert np.abs(hand - ball).max() <= 3
+        brightest.append(ball.max(0))
+    assert np.ptp(brightest, axis=0).max() > 20  # three different pictures
