@@ -26,7 +26,10 @@ from __future__ import annotations
 
 def register() -> None:
     """Called by Blender when the extension is enabled."""
-    from . import registration  # here, so that `core` can be imported where there is no Blender
+    # here, so that `core` can be imported where there is no Blender
+    global glTF2ExportUserExtension  # Blender's glTF exporter looks for it
+    from . import registration
+    from .hand.stand_ins import GltfHook as glTF2ExportUserExtension
 
     registration.register()
 
@@ -36,3 +39,4 @@ def unregister() -> None:
     from . import registration
 
     registration.unregister()
+    globals().pop("glTF2ExportUserExtension", None)

@@ -272,6 +272,16 @@ def _drop(mesh: bpy.types.Mesh) -> None:
         bpy.data.meshes.remove(mesh)
 
 
+class GltfHook:
+    """What Blender's glTF exporter asks: it writes hidden objects, too."""
+
+    def gather_tree_filter_tag_hook(self, tree: Any, _settings: Any) -> None:
+        """Leaves stand-ins out of an export."""
+        for node in tree.nodes.values():
+            if node.blender_object is not None and MARK in node.blender_object:
+                node.keep_tag = False
+
+
 @persistent
 def on_load(*_: Any) -> None:
     """A file was opened: hands of older ones have no stand-in."""

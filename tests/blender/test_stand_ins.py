@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -299,3 +300,19 @@ def test_blenders_usd_export_leaves_it_out(extension, tmp_path):
     assert "Right_Hand" in written
     assert "Shadow" not in written
     assert "Stand_In" not in written
+
+
+def test_blenders_gltf_export_leaves_it_out(extension, tmp_path):
+    import addon_utils  # Blender's own, which is there once bpy is
+
+    addon_utils.enable("io_scene_gltf2", default_set=True)
+    extension.preferences.addons.new().module = "blender_addon"  # as an extension is known that is enabled
+    thing = only(add_hand())
+    bpy.ops.mesh.primitive_cube_add()
+    thing.hide_viewport = False
+    bpy.ops.export_scene.gltf(filepath=str(tmp_path / "scene.gltf"), export_format="GLTF_SEPARATE")
+    written = json.loads((tmp_path / "scene.gltf").read_text())
+    names = {node["name"] for node in written["nodes"]}
+    assert {"Right Hand", "Cube"} < names
+    assert thing.name not in names
+    assert len(written["meshes"]) == 1
