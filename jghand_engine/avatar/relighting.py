@@ -58,12 +58,17 @@ def material_of(avatar: HandAvatar) -> Material:
         return Material(avatar.rgb, learned.response.roughness, learned.response.reflectance)
     albedo = srgb_to_linear(np.clip(avatar.rgb, 0, 1).astype(np.float64))
     if learned is not None:
-        # brought to the mean of skin, each Gaussian as much as it covers
-        weight = (avatar.opacity * np.square(avatar.sigma_m)).astype(np.float64)
-        mean = weight @ albedo / weight.sum()
-        albedo = np.minimum(albedo * (np.array(MEAN_ALBEDO) / np.maximum(mean, 1e-6)), ALBEDO_MAX)
+        albedo = np.minimum(albedo * albedo_gain(avatar), ALBEDO_MAX)
     guesses = (np.full(count, guess, np.float32) for guess in (ROUGHNESS, REFLECTANCE))
     return Material(albedo.astype(np.float32), *guesses)
+
+
+def albedo_gain(avatar: HandAvatar) -> np.ndarray:
+    """(3,) that brings the colors of an avatar of unknown light, made linear, to the mean of skin, each Gaussian as
+    much as it covers."""
+    linear = srgb_to_linear(np.clip(avatar.rgb, 0, 1).astype(np.float64))
+    weight = (avatar.opacity * np.square(avatar.sigma_m)).astype(np.float64)
+    return np.array(MEAN_ALBEDO) / np.maximum(weight @ linear / weight.sum(), 1e-6)
 
 
 def relightable(avatar: HandAvatar) -> HandAvatar:

@@ -45,7 +45,7 @@ class SceneLightStep:
     """Fills in a task what the light of a scene does to its poses. It must live as long as the task.
 
     response: of the skin, in the avatar's own order · blocks: of its Gaussians · cast: whose anchors it uses ·
-    limits: below which light is left out
+    limits: below which light is left out · task, arrays: of the scene, and what its fields point to, by name
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class SceneLightStep:
         self._response, self._cast, self._limits = response, cast, limits
         material = np.stack([response.spread, response.roughness, response.reflectance], 1)
         rows = cast.rows
-        self._arrays = {
+        self.arrays = {
             "material": blocks.blocked(material),
             "posed": aligned_zeros((rows // LANES, 9, LANES)),
             "visible": aligned_zeros((rows, CELLS)),
@@ -72,46 +72,46 @@ class SceneLightStep:
             "lamp": aligned_zeros((4 * LAMPS_MAX, len(LAMP_NUMBERS))),
             "casting": aligned_zeros((LAMPS_MAX, len(LAMP_NUMBERS))),
         }
-        self._task = SceneLightTask(
+        self.task = SceneLightTask(
             shade_gain=response.shade_gain,
             flesh_softness=FLESH_SOFTNESS,
             wide_softness=WIDE_SOFTNESS,
             sine2_min=CAPSULE_SINE2_MIN,
         )
-        set_pointers(self._task, self._arrays)
-        task.scene = ctypes.addressof(self._task)
+        set_pointers(self.task, self.arrays)
+        task.scene = ctypes.addressof(self.task)
         self._world: World | None = None
         self._set_world(None)
 
     def prepare(self, light: SceneLight, bones: Bones, *, keep_pose: bool = False) -> None:
         """Sets the light of the next pose, or of the one that stands; the hand's capsules are the cast shadow's, whose
         `prepare` comes after this: shadows of the world are found for its own directions."""
-        self._task.keeps_pose = keep_pose
+        self.task.keeps_pose = keep_pose
         # without its shadow nothing was found of the world
-        self._task.keeps_visible = keep_pose and light.world is self._world and self._task.shade > 0
+        self.task.keeps_visible = keep_pose and light.world is self._world and self.task.shade > 0
         if light.world is not self._world:
             self._set_world(light.world)
         shares, points_m = shares_on(light, bones, self._cast.joints_m)
         rows, casting, sources = lamp_rows(light, shares, bones.root_m, points_m, self._limits)
         rows[:, NUMBER["on_gloss"]] *= self._response.mirrors
-        self._arrays["lamp"][: len(rows)], self._arrays["casting"][: len(casting)] = rows, casting
-        self._task.lamps, self._task.slots = len(rows), len(casting)
-        self._task.shade, _ = world_shade(shares, self._response.bounce, self._limits)
+        self.arrays["lamp"][: len(rows)], self.arrays["casting"][: len(casting)] = rows, casting
+        self.task.lamps, self.task.slots = len(rows), len(casting)
+        self.task.shade, _ = world_shade(shares, self._response.bounce, self._limits)
         self._set_left(None if light.shades is None else light.shades.left[0], sources)
         self._set_baked(None if light.baked is None else light.baked.field[0])
 
     def _set_baked(self, field: np.ndarray | None) -> None:
         """Sets what lights matt skin in place of the lamps, (anchors, 4, 3) as `Baked` has it, and of the world."""
-        baked = self._arrays["baked"]
-        self._task.baked = None if field is None else baked.ctypes.data
+        baked = self.arrays["baked"]
+        self.task.baked = None if field is None else baked.ctypes.data
         if field is not None:
             baked[self._cast.row_of_anchor, :12] = field.reshape(-1, 12)
-            self._arrays["lamp"][:, NUMBER["on_matt"]] = 0
+            self.arrays["lamp"][:, NUMBER["on_matt"]] = 0
 
     def _set_left(self, of_lamp: np.ndarray | None, sources: list[int]) -> None:
         """Sets what a scene leaves of the lamps (lamps, anchors), as `Shades` has it; sources: the lamps by slot."""
-        left = self._arrays["left"]
-        self._task.left = None if of_lamp is None else left.ctypes.data
+        left = self.arrays["left"]
+        self.task.left = None if of_lamp is None else left.ctypes.data
         if of_lamp is not None:
             left[...] = 1
             for slot, index in enumerate(sources):
@@ -119,16 +119,16 @@ class SceneLightStep:
                     left[slot, self._cast.row_of_anchor] = of_lamp[index]
 
     def _set_world(self, world: World | None) -> None:
-        task, response = self._task, self._response
+        task, response = self.task, self._response
         self._world = world
         terms = (BLACK if world is None else world).terms
         mean = terms.mean_irradiance
-        self._arrays["irradiance"][...] = terms.irradiance(response.softness)
+        self.arrays["irradiance"][...] = terms.irradiance(response.softness)
         self._cast.set_lamps(terms.direction, terms.light)
         task.lobes = 0 if world is None or not response.mirrors else LOBES
         if world is not None and task.lobes:
-            self._arrays["lobe"][...] = mirrored(world, response.roughness)
-            self._arrays["lobe"][:, 3] /= np.log(2)
+            self.arrays["lobe"][...] = mirrored(world, response.roughness)
+            self.arrays["lobe"][:, 3] /= np.log(2)
         task.ambient = tuple(np.maximum(response.ambient * mean, AMBIENT_MIN).tolist())
         task.least = tuple((WORLD_FLOOR * mean).tolist())
         task.bounce = tuple((response.bounce / np.pi * (4 * np.pi / CELLS)).tolist())

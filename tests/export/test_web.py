@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
+from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import build_web_viewer
@@ -28,10 +28,13 @@ from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.posing import Poser
+from jghand_engine.avatar.relighting import relightable
 from jghand_engine.avatar.tiers import Distilled
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.export.web import page as web
-from jghand_engine.export.web.hand import with_cheap_correctives
+from jghand_engine.export.web.hand import turned_light, with_cheap_correctives
 from jghand_engine.export.web.page import WebOptions, WebView, export_web
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ArticulatedHand
@@ -41,6 +44,7 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill
 from jghand_engine.learn.skinning import pose_gaussians
+from jghand_engine.native import library as native_library
 
 VIEW = WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21)
 FILES = {"index.html", "hand.js", "pose.js", "viewer.js", "LICENSES.txt"}
@@ -227,7 +231,7 @@ def asked(folder: Path, **plan) -> list[dict]:
     """What web_pose.mjs prints; the arrays of `plan` are its own."""
     if NODE is None:
         pytest.skip("there is no node")
-    plan = {name: np.asarray(array).tolist() for name, array in plan.items()}
+    plan = {name: array if name == "suns" else np.asarray(array).tolist() for name, array in plan.items()}
     plan = {"joints": [], "angles": [], "from": [], "eye": EYE_M.tolist()} | plan
     (folder / "plan.json").write_text(json.dumps(plan))
     done = subprocess.run(
@@ -242,13 +246,18 @@ def posed_by_the_page(folder: Path, joints_m: np.ndarray) -> dict[str, np.ndarra
     """Positions (F, rows, 3), sigma (F, rows), rgb (F, rows, 3) and covariance (F, rows, 6) of joints (F, 21, 3), all
     from the page's origin."""
     asked(folder, joints=joints_m.reshape(len(joints_m), 63))
+    return left_by_the_page(folder, len(joints_m))
+
+
+def left_by_the_page(folder: Path, frames: int) -> dict[str, np.ndarray]:
+    """What is in the file that web_pose.mjs wrote."""
     rows = description_of(folder)["rows"]
-    table = np.fromfile(folder / "out", "<f4").reshape(len(joints_m), -1)
+    table = np.fromfile(folder / "out", "<f4").reshape(frames, -1)
     widths = {"position_m": 3, "sigma_m": 1, "rgb": 3, "covariance_m2": 6}
     found, at = {}, 0
     for name, width in widths.items():
         if at < table.shape[1]:
-            found[name] = table[:, at : at + width * rows].reshape(len(joints_m), rows, width)
+            found[name] = table[:, at : at + width * rows].reshape(frames, rows, width)
         at += width * rows
     return found
 
@@ -298,6 +307,44 @@ def test_the_page_poses_as_the_engine_does(tmp_path, kind, hand):
     assert worst["sigma_m"] < 1.1e-4
     assert worst["rgb"] < 4e-4
     assert worst.get("covariance_m2", 0.0) < 3.5e-4
+
+
+def lit_by_the_engine(avatar: HandAvatar, joints_m: np.ndarray, towards: tuple[float, float, float]) -> np.ndarray:
+    """(N, 3) display-referred colors toward EYE_M, in the rows of the kernel."""
+    avatar = relightable(avatar)
+    poser = Poser(native_library.load(), avatar)
+    bones = avatar.skeleton().bones(joints_m)
+    poser.prepare(bones, np.zeros(3), light=turned_light(towards))
+    poser.run()
+    # positions are relative to the root
+    assert poser.prepare_gloss(EYE_M - bones.root_m)
+    poser.run_gloss()
+    return linear_to_srgb(poser.into.rgb).clip(0, 1)
+
+
+@pytest.mark.parametrize("hand", Handedness)
+@pytest.mark.parametrize("kind", ["known", "linear", "builtin"])
+def test_the_page_lights_a_hand_as_the_engine_does_and_gives_it_its_own_light_back(tmp_path, kind, hand):
+    avatar = {**AVATARS, "known": known_avatar}[kind]().for_hand(hand)
+    sequence = motion(avatar, hand)
+    export_web(tmp_path, avatar, sequence, VIEW)
+    joints_m = sequence.joints_m[[0, 20, 20, -1]] - np.array(description_of(tmp_path)["origin_m"])
+    suns = [None, (0.6, 0.0, 0.8), (0.0, -0.6, -0.8), None]
+    asked(tmp_path, joints=joints_m.reshape(4, 63), suns=suns)
+    lit = left_by_the_page(tmp_path, 4)["rgb"]
+    for frame, towards in ((1, suns[1]), (2, suns[2])):
+        shown, _ = with_cheap_correctives(avatar)
+        # sixteen bits of what is read, and of albedo near 0 as a display shows it
+        assert np.abs(lit[frame] - lit_by_the_engine(shown, joints_m[frame], towards)).max() < 5e-3
+    asked(tmp_path, joints=joints_m.reshape(4, 63))
+    own = left_by_the_page(tmp_path, 4)["rgb"]
+    assert np.array_equal(own[[0, 3]], lit[[0, 3]])
+    assert np.abs(own[1] - lit[1]).max() > 0.1
+
+
+def test_a_painted_hand_has_no_light_that_is_turned(tmp_path):
+    exported(tmp_path)
+    assert description_of(tmp_path)["light"] is None
 
 
 TURN = Rotation.from_euler("xyz", [40, -70, 120], degrees=True).as_matrix()

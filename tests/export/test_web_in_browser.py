@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_avatars import small_avatar
+from small_avatars import known_avatar, small_avatar
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import check_splat_files
@@ -48,6 +48,26 @@ def test_sliders_poses_and_turning_do_what_they_are_for(page, tmp_path):
     # a frame is shown like a pose
     assert check_web_page.idle({**shot, "steps": [["pose"], *steps[1:]]}, figures) == []
     assert (found["complaints"], found["foreign"], figures["message"]) == ([], [], "")
+
+
+def test_the_light_is_turned_and_given_back(page, tmp_path):
+    avatar = known_avatar()
+    sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+    export_web(tmp_path / "page", avatar, sequence, VIEW)
+    steps = [
+        ["seek", 3],
+        ["slide", "#around", 90],
+        ["run", "jghand.light(-90, 0)"],
+        ["click", "#own"],
+        ["click", "#own"],
+    ]
+    found = check_web_page.visited(
+        tmp_path / "page", [{"name": "lit", **WINDOW, "watch": True, "steps": steps}], tmp_path
+    )
+    _, own, right, left, back, again = (each["picture"] for each in found["shots"]["lit"]["shown"])
+    assert (found["complaints"], found["shots"]["lit"]["message"]) == ([], "")
+    assert len({own, right, left}) == 3
+    assert (back, again) == (own, right)
 
 
 def test_what_cannot_be_drawn_is_said_at_the_beginning_and_later(page, tmp_path):

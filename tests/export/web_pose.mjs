@@ -2,7 +2,8 @@
 //
 //     node web_pose.mjs FOLDER PLAN.json OUT
 //
-// PLAN: { "joints": [[63 numbers], …], "eye": [3], "angles": [[(5, 4) radians], …], "from": [[63 numbers], …] }. OUT: float32,
+// PLAN: { "joints": [[63 numbers], …], "eye": [3], "suns": [[3] or null, …], "angles": [[(5, 4) radians], …], "from": [[63
+// numbers], …] }; of each joints the direction to its sun, null for the light that the hand carries. OUT: float32,
 // for every joints the positions (rows, 3), radii (rows), colors (rows, 3) and, of ellipsoids, covariances (rows, 6).
 // Prints as JSON, for every "from", what the page's player makes of a hand that is shown so:
 //     posed    its joints in each of the poses "angles" · back    the angles that these joints give back
@@ -19,8 +20,9 @@ for (const script of ['hand.js', 'pose.js']) vm.runInThisContext(fs.readFileSync
 const { openHand, Articulated } = globalThis.JGHandPose;
 const hand = await openHand(globalThis.JGHAND_HAND);
 const parts = [];
-for (const joints of plan.joints) {
+for (const [k, joints] of plan.joints.entries()) {
   hand.pose(Float64Array.from(joints));
+  if (plan.suns) hand.turnLight(plan.suns[k] ?? undefined);
   hand.shine(plan.eye);
   for (const view of [hand.positions, hand.sigmas, hand.rgb, hand.covariances]) if (view) parts.push(Buffer.from(view.slice().buffer));
 }

@@ -14,17 +14,30 @@ from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
+from jghand_engine.avatar.lamp_rows import LIMITS
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
-from jghand_engine.avatar.relighting import in_studio
+from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, in_studio, relightable
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
+from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.native.learned_tasks import LearnedTask
+from jghand_engine.native.scene_light_task import LampKind
 
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
-_ROUNDED = {"skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places"}
+_ROUNDED = {
+    *("skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places", "scene.material"),
+}
 # those that the kernels or the page write
-_WRITTEN = {"matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other", "cast.fallen"}
+_WRITTEN = {
+    *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lanes", "cast.capsule_lamp", "cast.other"),
+    *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.thrown"),
+    *("scene.sky", "scene.reflecting", "scene.reached"),
+}
+# the light that is turned: an even world, W/(m2 sr), and a wide sun, W/m2 on what faces it: skin of middle tone that
+# does is as bright as it can be without being cut
+WORLD_RADIANCE, SUN_W_M2, SUN_RAD = 0.45, 3.5, 0.35
 
 
 def with_cheap_correctives(avatar: HandAvatar) -> tuple[HandAvatar, str]:
@@ -43,18 +56,20 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
 
     avatar: with the correctives that the page shall compute.
     """
-    avatar = in_studio(avatar)
+    given, avatar = avatar, in_studio(avatar)
     blocks = Blocks(avatar.position_m)
     learned = avatar.learned
     skin = skin_task(blocks)
     task = LearnedTask() if learned is None else learned_task(learned, avatar.handedness)
     arrays = {f"skin.{name}": array for name, array in skin_arrays(avatar, blocks).items()}
-    about: dict[str, Any] = {"correctives": None, "cast": None}
+    about: dict[str, Any] = {"correctives": None, "cast": None, "light": None}
     if learned is not None:
         arrays |= learned_arrays(avatar, learned, blocks)
         task.lobes = len(arrays["lobe"])
         about["correctives"] = _correctives(learned, avatar, blocks, task, arrays)
         about["cast"] = _cast(learned, avatar, blocks, task, arrays)
+        if learned.reflects and learned.cast is not None:
+            about["light"] = _light(given, blocks, arrays)
     task.skin = skin
     for name, array in arrays.items():
         _add(pack, name, array)
@@ -80,12 +95,12 @@ def _add(pack: Pack, name: str, array: np.ndarray) -> None:
         pack.exact(name, array, "i1")
     elif name in _ROUNDED:
         pack.rounded(name, array)
-    elif name.endswith("weight"):
+    elif name.endswith("weight") or name == "scene.hides":
         pack.rounded(name, array[:, None])
     elif name == "nearest" or name.endswith("bone"):
         pack.counts(name, array)
     else:
-        pack.exact(name, array, "i4" if array.dtype.kind == "i" else "f4")
+        pack.exact(name, array, "i4" if array.dtype.kind in "iu" else "f4")
 
 
 def _correctives(
@@ -124,4 +139,29 @@ def _cast(
         "joints_m": cast.joints_m.tolist(), "direction": cast.direction.tolist(),
         "radius_m": [1e-3 * radius for radius in CAPSULE_RADII_MM],
         "length2_min": CAPSULE_LENGTH2_MIN, "sine2_min": CAPSULE_SINE2_MIN,
+    }  # fmt: skip
+
+
+def turned_light(towards: tuple[float, float, float]) -> SceneLight:
+    """The light that people turn on the page, with its sun in a direction."""
+    world = World(np.full((16, 32, 3), WORLD_RADIANCE))
+    return SceneLight(world, (Lamp(LampKind.SUN, (SUN_W_M2,) * 3, towards, angle_rad=SUN_RAD),))
+
+
+def _light(avatar: HandAvatar, blocks: Blocks, arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:
+    """What the page needs beside to light the hand anew: it makes the albedo of the colors that it has."""
+    lit, scratch = relightable(avatar), LearnedTask()
+    if lit.learned is None or lit.learned.cast is None or lit.learned.response is None:
+        return None
+    cast = CastStep(lit.learned.cast, lit, blocks, scratch)
+    step = SceneLightStep(lit.learned.response, blocks, cast, scratch, LIMITS)
+    step.prepare(turned_light((0.0, 0.0, 1.0)), lit.skeleton().bones(lit.canonical_joints_m))
+    used = {name: array for name, array in step.arrays.items() if name not in ("left", "baked")}
+    used["lamp"], used["casting"] = used["lamp"][: step.task.lamps], used["casting"][: step.task.slots]
+    used |= {"cell": cast.arrays["lamp"], "capsule_lamp": cast.arrays["capsule_lamp"]}
+    arrays |= {f"scene.{name}": array for name, array in used.items()}
+    is_guess = lit is not avatar
+    return {
+        "task": task_in_words(step.task), "direction": cast.direction.tolist(), "most": ALBEDO_MAX if is_guess else 1.0,
+        "gain": albedo_gain(avatar).tolist() if is_guess else [1.0] * 3, "grown": GAP_FILL if is_guess else 1.0,
     }  # fmt: skip

@@ -1,11 +1,12 @@
 // The fingers as capsules that stand before lamps: jghand_engine/avatar/cast_task.py.
 
-const BONES = 20, LANES = 16, CAPSULE = 8;
+const BONES = 20, LANES = 16, CAPSULE = 8;  // numbers of a capsule
 
 export class Capsules {
   constructor(about, views) {
     Object.assign(this, about);
     this.capsule = views['cast.capsule'];
+    this.lanes = views['cast.capsule_lanes'];
     this.lamp = views['cast.capsule_lamp'];
   }
 
@@ -28,6 +29,11 @@ export class Capsules {
         this.lamp[place + LANES] = 1 / sine2;
       }
     }
+    // the same, sixteen capsules side by side
+    this.capsule.forEach((number, i) => {
+      const bone = Math.floor(i / CAPSULE);
+      this.lanes[LANES * (CAPSULE * Math.floor(bone / LANES) + (i % CAPSULE)) + (bone % LANES)] = number;
+    });
   }
 }
 

@@ -1,6 +1,7 @@
 // An avatar that is posed again and again: jghand_engine/avatar/posing.py with the same kernels.
 import { Capsules } from './capsules.js';
 import { LinearTier, Network } from './correctives.js';
+import { Light } from './light.js';
 import { Memory } from './memory.js';
 
 const JOINTS = 21, TEAM_BYTES = 2048, ANGLES = 37;
@@ -12,13 +13,17 @@ export class Hand {
     this.description = description;
     this.kernels = kernels;
     kernels._initialize?.();
-    const { task } = description;
+    const { task, light } = description;
     if (kernels.jg_learned_task_bytes() !== 4 * task.words.length)
       throw new Error('hand.js and pose.js are of different versions of JGHand. Export the folder anew.');
     const extra = {
       task: ['i4', task.words.length], team: ['i4', TEAM_BYTES / 4], joints: ['f8', 3 * JOINTS],
       matrices: ['f8', 12 * JOINTS], scale: ['f8', 1], angles: ['f8', ANGLES], 'skin.linear_offset': ['f4', 12 * JOINTS],
     };
+    if (light) {
+      extra['scene.task'] = ['i4', light.task.words.length];
+      extra['scene.look'] = ['f4', description.arrays.look.shape.reduce((product, edge) => product * edge, 1)];
+    }
     this.memory = new Memory(description.arrays, content, extra, kernels);
     const { pointers, views } = this.memory;
     this.words = new Uint32Array(views.task.buffer, pointers.task, task.words.length);
@@ -37,12 +42,14 @@ export class Hand {
     this.covariances = views['skin.covariance'];
     this.rgb = views.rgb;
     this.opacities = views.opacity;
+    this.light = light && new Light(light, this);
   }
 
   // joints: 63 numbers, level order, meters, from the origin of the page. Gives `positions`, `sigmas`, `covariances`
   // and, where nothing is reflected, `rgb`.
   pose(joints) {
     const { views, pointers } = this.memory;
+    this.joints = joints;
     views.joints.set(joints);
     const { skeleton, matrices, scale, angles } = pointers;
     this.flags = this.kernels.jg_bone_transforms(skeleton, pointers.joints, matrices, scale, angles);
@@ -52,10 +59,18 @@ export class Hand {
     this.set('skin.scale', [whole]);
     this.set('skin.inverse_scale', [inverse]);
     this.correctives?.prepare(views.angles);
-    this.capsules?.prepare(views.matrices, whole);
+    (this.light?.on ? this.light : this).capsules?.prepare(views.matrices, whole);
     views.team.fill(0);
     if (this.painted) this.kernels.jg_skin(pointers.team, pointers.task);
     else this.kernels.jg_learned_pose(pointers.team, pointers.task);
+    if (this.light?.on) this.light.grow(this);
+  }
+
+  // towards: (3) unit, to the sun that lights the hand from now on; undefined: the light that it carries. Of a hand with
+  // `light` that was posed.
+  turnLight(towards) {
+    this.light.turn(towards);
+    this.pose(this.joints);
   }
 
   // Gives `rgb` as the eye (3) sees it, after `pose`.
@@ -65,6 +80,7 @@ export class Hand {
     this.set('eye', eye);
     views.team.fill(0);
     this.kernels.jg_learned_gloss(pointers.team, pointers.task);
+    if (this.light?.on) this.light.display(this.rgb);
   }
 
   // The palm's map of the last pose, 3 x 4 row by row: posed - root = L (canonical - canonical root) + t.

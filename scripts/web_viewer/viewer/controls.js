@@ -14,6 +14,7 @@ export class Controls {
     this.showAbout();
     this.addPoses();
     this.addFingers();
+    this.addLight();
     this.addBar();
     this.addKeys();
     this.opened(!matchMedia(NARROW).matches);
@@ -73,6 +74,24 @@ export class Controls {
       spread.addEventListener('input', () => change((now) => now.map((angle, k) => (k === SPREAD ? spread.value * degree : angle))));
       return { curl, spread };
     });
+  }
+
+  // A sun that is turned around the hand, as it was seen at first
+  addLight() {
+    if (!this.description.light) return;
+    const [around, height] = [['around', 180, -40], ['height', 90, 35]].map(([id, most, value]) => {
+      const made = slider({ id, min: -most, max: most, step: 1 }, `Light ${id}`);
+      made.classList.add('both');
+      document.querySelector(`#light label[for=${id}]`).after(made);
+      made.addEventListener('input', () => turn());
+      set(made, value);
+      return made;
+    });
+    const turn = () => this.stage.lightFrom(Number(around.value), Number(height.value));
+    const own = find('own');
+    own.addEventListener('click', () => (own.ariaPressed === 'true' ? turn() : this.stage.ownLight()));
+    this.stage.lit = (on) => { own.ariaPressed = String(!on); };
+    find('light').hidden = false;
   }
 
   addBar() {

@@ -44,6 +44,8 @@ async function start() {
       if (typeof pose === 'string') controls.pose = pose;
       player.hold(angles, smoothly);
     }),
+    // degrees of a sun around the hand and above it; nothing: the light that the hand carries
+    light: (around, height) => (around === undefined ? stage.ownLight() : stage.lightFrom(around, height)),
     lookThrough: (camera) => stage.lookThrough(camera, description.origin_m),
     reset: () => stage.home(),
     settled: () => stage.settled(),

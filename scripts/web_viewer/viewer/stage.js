@@ -139,6 +139,25 @@ export class Stage {
     this.ask();
   }
 
+  // A sun at angles, degrees, around the hand from where it was seen at first, and above it
+  lightFrom(around, height) {
+    const toEye = new THREE.Vector3().fromArray(this.view.to_eye), up = new THREE.Vector3().fromArray(this.view.up).normalize();
+    const right = up.clone().cross(toEye).normalize(), degree = Math.PI / 180;
+    const towards = right.clone().cross(up).applyAxisAngle(up, around * degree).multiplyScalar(Math.cos(height * degree));
+    this.turnLight(towards.addScaledVector(up, Math.sin(height * degree)).toArray());
+  }
+
+  // The light that the hand carries
+  ownLight() {
+    this.turnLight();
+  }
+
+  turnLight(towards) {
+    this.hand.turnLight(towards);
+    this.lit?.(Boolean(towards));
+    this.changed();
+  }
+
   // The hand was posed anew
   changed() {
     this.posed = true;
