@@ -126,7 +126,8 @@ class Export:
     """Also replace files that are there, a stage with what somebody has put into its shot, too. Splat files of frames
     that are not written (--frames) stay, whatever motion they are of."""
     up: Literal["y", "z"] = "y"
-    """The axis that points up in the world of the motion. USD says it, splats and meshes are turned."""
+    """The axis that points up in the world of the motion. USD says it, splats and meshes are turned; light comes from
+    above in any."""
     template: File = None
     """For usd and mesh: the MANO file of an avatar that was trained on it (`jghand train --template`), whose surface
     becomes the mesh."""

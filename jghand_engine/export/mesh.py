@@ -69,7 +69,7 @@ def export_meshes(
     frames:   which of the motion's are written; None: all
     InputError as `export_splats`, for a template that is not the avatar's, and without trimesh.
     """
-    motion = HandMotion(avatar, sequence)
+    motion = HandMotion(avatar, sequence, up=up)
     surface = _Surface(motion, template_of(motion.avatar, template, motion.handedness), names.suffix)
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames

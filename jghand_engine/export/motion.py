@@ -6,13 +6,14 @@ Nothing is held of a long take but its joints.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import PosedHand, Posing
 from jghand_engine.avatar.scene_light import SceneLight
+from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 
@@ -22,6 +23,8 @@ BATCH_FRAMES = 24
 JOINT_AXES = (1, 2, 0)
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 TURN_FLEXION_AXIS = np.diag([1.0, -1.0, 1.0])
+# places of xx, xy, xz, yy, yz, zz in a symmetric matrix, row by row
+SYMMETRIC = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 @dataclass(frozen=True)
@@ -42,17 +45,20 @@ class HandMotion:
     """An avatar driven by a sequence, of the hand the sequence names.
 
     A trained avatar is posed with its offsets, light and shade; what it mirrors depends on the camera, and is left out.
-    light: of a scene, as `Posing` has it; None: what the avatar carries. Raises InputError for a sequence with gaps,
-    and for an avatar whose bones do not end at the joints, or that no scene can light.
+    light: of a scene, as `Posing` has it; None: what the avatar carries. up: the axis of the motion's world, y or z,
+    that points up: light is y up, wherever it is from. Raises InputError for a sequence with gaps, and for an avatar
+    whose bones do not end at the joints, or that no scene can light.
     """
 
-    def __init__(self, avatar: HandAvatar, sequence: PoseSequence, light: SceneLight | None = None) -> None:
+    def __init__(
+        self, avatar: HandAvatar, sequence: PoseSequence, light: SceneLight | None = None, up: str = "y"
+    ) -> None:
         self.sequence = sequence.without_gaps()
         self.handedness = sequence.handedness
         self.avatar = avatar.for_hand(self.handedness)
         self._skeleton = self.avatar.skeleton()
         self._joints_m = sequence.joints_m
-        self._posing = Posing(self.avatar, light=light)
+        self._posing, self._light_from_world = Posing(self.avatar, light=light), RUB_FROM_UP[up]
         learned = avatar.learned
         carried = "capture" if learned is None or learned.response is None else "studio"
         # whose light the colors show; paint has none
@@ -71,7 +77,7 @@ class HandMotion:
         return self._joints_m[index, 0]
 
     def frame(self, index: int) -> PosedHand:
-        return self._posing(self._joints_m[index])
+        return turned(self._posing(self._joints_m[index] @ self._light_from_world.T), self._light_from_world.T)
 
     def rest(self) -> PosedHand:
         """The Gaussians of the canonical hand, with what the avatar has learned of such a pose."""
@@ -118,6 +124,15 @@ class HandMotion:
         bones = [self._skeleton.bones(pose_m, np.float64) for pose_m in joints_m]
         frames, scales = (np.stack(parts) for parts in zip(*map(self._skeleton.frames, bones), strict=True))
         return BonePoses(joints_m, joint_axes(frames, self.handedness), scales[..., JOINT_AXES])
+
+
+def turned(posed: PosedHand, turn: np.ndarray) -> PosedHand:
+    """The same after a turn (3, 3)."""
+    covariance_m2 = posed.covariance_m2
+    if covariance_m2 is not None:
+        covariance_m2 = (turn @ covariance_m2[:, SYMMETRIC].reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
+        covariance_m2 = covariance_m2[:, [0, 1, 2, 4, 5, 8]].astype(np.float32)
+    return replace(posed, position_m=(posed.position_m @ turn.T).astype(np.float32), covariance_m2=covariance_m2)
 
 
 def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:

@@ -7,17 +7,19 @@ import gzip
 import json
 import struct
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from small_avatars import known_avatar, trained_avatar
+from small_avatars import ellipsoid_avatar, known_avatar, trained_avatar
 from usd_samples import engine_gaussians, lively_motion, small_avatar
 
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
+from jghand_engine.export.light_file import ENV_FROM_WORLD
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 from jghand_engine.export.splats.files import SplatMotion, SplatOptions, export_splats
 from jghand_engine.export.splats.gltf import EXTENSION, glb_bytes
@@ -180,6 +182,29 @@ def test_a_light_that_is_told_falls_on_the_splats(tmp_path):
     assert (np.minimum(rgb[-1, 1], rgb[1, 1]) < 0.1).all()
     assert (rgb[-1, 1] > 0.05).any()
     assert (rgb[1, 1] > 0.05).any()
+
+
+@pytest.mark.parametrize(
+    "avatar", [trained_avatar(), known_avatar(), ellipsoid_avatar()], ids=["own", "known", "shapes"]
+)
+def test_light_comes_from_above_whichever_axis_points_up(avatar):
+    motion = lively_motion(Handedness.RIGHT, 2)
+    # x, y, z of a world with z up, as Blender has it
+    z_up = replace(motion, joints_m=motion.joints_m[..., [0, 2, 1]] * [1, -1, 1])
+    sky = World(np.linspace(1, 0, 16)[:, None, None].repeat(32, 1).repeat(3, 2), ENV_FROM_WORLD)
+    for light in (None, SceneLight(sky)):
+        one, other = (
+            SplatMotion(avatar, moved, axes="rub", up=up, light=light).cloud(1)
+            for moved, up in ((motion, "y"), (z_up, "z"))
+        )
+        assert np.abs(one.rgb - other.rgb).max() < 1e-5
+        assert np.abs(one.positions_m - other.positions_m).max() < 1e-7
+        axes = [Rotation.from_quat(cloud.rotations_wxyz, scalar_first=True).as_matrix() for cloud in (one, other)]
+        shapes = [
+            turn * cloud.scales_m[:, None] ** 2 @ turn.swapaxes(1, 2)
+            for turn, cloud in zip(axes, (one, other), strict=True)
+        ]
+        assert np.allclose(*shapes, atol=1e-10)
 
 
 @pytest.mark.parametrize("format", ["splat", "glb", "spz"])

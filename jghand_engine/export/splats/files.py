@@ -215,7 +215,7 @@ class SplatMotion:
         up: str = "y",
         light: SceneLight | None = None,
     ) -> None:
-        self._motion, self._axes, self._up = HandMotion(avatar, sequence, light), axes, up
+        self._motion, self._axes, self._up = HandMotion(avatar, sequence, light, up), axes, up
         self.light = self._motion.light
 
     def cloud(self, index: int) -> SplatCloud:

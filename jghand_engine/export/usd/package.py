@@ -94,7 +94,7 @@ class UsdOptions:
     width_factor: diameter of the points of all variants, in two standard deviations
     template: surface of the avatar; None takes the built-in one
     first_frame: time code of the first frame
-    up: the axis of the motion's world that points up; written down, nothing is turned
+    up: the axis of the motion's world that points up; written down, nothing is turned but the light
     precision: "half": the splats in half the size, at a price that the report says; there are no `points` then
     package: "layers": files that refer to each other, with all variants and a shot; "usdc": one file with the chosen
         variant alone; "usdz": one file with all variants
@@ -244,7 +244,7 @@ def export_usd(
     folder is left as it was.
     """
     options = options or UsdOptions()
-    motion = HandMotion(avatar, sequence)
+    motion = HandMotion(avatar, sequence, up=options.up)
     named_cameras = name_cameras(cameras)
     template = template_of(avatar, options.template, motion.handedness)
     target = make_folder(folder)

@@ -145,7 +145,7 @@ def _cast(
 def turned_light(towards: tuple[float, float, float]) -> SceneLight:
     """The light that people turn on the page, with its sun in a direction."""
     world = World(np.full((16, 32, 3), WORLD_RADIANCE))
-    return SceneLight(world, (Lamp(LampKind.SUN, (SUN_W_M2,) * 3, towards, angle_rad=SUN_RAD),))
+    return SceneLight(world, (Lamp(LampKind.SUN, (SUN_W_M2, SUN_W_M2, SUN_W_M2), towards, angle_rad=SUN_RAD),))
 
 
 def _light(avatar: HandAvatar, blocks: Blocks, arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:
