@@ -10,6 +10,7 @@ it is as `jghand --progress-json` does, and ends when its standard input does.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import shutil
@@ -43,7 +44,10 @@ def fingerprint(constraints: Path, packages: list[str]) -> str:
 def install(folder: Path, engine: Path, constraints: Path, packages: list[str]) -> None:
     """Makes the environment, or mends it. InstallError."""
     (folder / READY).unlink(missing_ok=True)
+    if importlib.util.find_spec("ensurepip") is None:  # Debian's Python has it in a package of its own
+        raise InstallError("Blender runs on your system's Python, which lacks ensurepip: install its python3-venv")
     python = interpreter(folder)
+    downloads = folder / "downloads"
     if not python.is_file() or _fails(str(python), "-I", "-c", "import pip"):
         _tell("Making the environment")
         shutil.rmtree(folder, ignore_errors=True)
@@ -53,6 +57,9 @@ def install(folder: Path, engine: Path, constraints: Path, packages: list[str]) 
     if packages:
         _tell("Looking for the packages")
         words = ("install", "--disable-pip-version-check", "--progress-bar", "off", "-c", str(constraints))
+        downloads.mkdir(exist_ok=True)
+        # what pip keeps and unpacks stays in FOLDER, for the next run where this one ends early
+        os.environ.update(dict.fromkeys(("PIP_CACHE_DIR", "TMPDIR", "TEMP", "TMP"), str(downloads)))
         _run(str(python), "-I", "-m", "pip", *words, *extra, *packages)
     _tell("Checking")
     found = subprocess.run(
@@ -63,6 +70,7 @@ def install(folder: Path, engine: Path, constraints: Path, packages: list[str]) 
     _run(str(python), "-I", "-c", "import jghand_engine")
     if "torch" in packages:
         _run(str(python), "-I", "-c", "import torch; torch.zeros(1)")
+    shutil.rmtree(downloads, ignore_errors=True)
     (folder / READY).write_text(fingerprint(constraints, packages), "utf-8")
 
 
@@ -114,7 +122,7 @@ def main() -> int:
     parser.add_argument("--engine", type=Path, required=True)
     parser.add_argument("--constraints", type=Path, required=True)
     parser.add_argument("--progress-json", action="store_true")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()  # before 3.12, others leave packages that come after options
     threading.Thread(target=_end_with_input, daemon=True).start()
     try:
         install(options.folder, options.engine, options.constraints, options.packages)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import subprocess
+import zipfile
+from pathlib import Path
 
 import bpy
 import pytest
@@ -111,7 +113,7 @@ def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension,
 def test_the_training_tools_are_made_mended_and_removed(extension, tmp_path, monkeypatch):
     folder = tmp_path / "tools"
     monkeypatch.setattr(runtime, "tools_folder", lambda: folder)
-    monkeypatch.setattr(runtime, "TOOLS_PACKAGES", ())  # the environment alone: nothing is downloaded
+    monkeypatch.setattr(runtime, "TOOLS_PACKAGES", (str(_wheel(tmp_path)),))  # nothing is downloaded
     monkeypatch.setattr(runtime, "is_online", lambda: True)
     for _ in range(2):
         assert bpy.ops.jghand.install_tools() == {"FINISHED"}
@@ -120,12 +122,32 @@ def test_the_training_tools_are_made_mended_and_removed(extension, tmp_path, mon
         assert job.state.failure is None, job.log
         assert runtime.tools_state() == "ready"
         python = str(install_tools.interpreter(folder))
-        subprocess.run([python, "-I", "-c", "import jghand_engine"], check=True)
+        subprocess.run([python, "-I", "-c", "import jghand_engine, jghand_sample"], check=True)
+        assert not (folder / "downloads").exists()
         (folder / install_tools.READY).unlink()
         assert runtime.tools_state() == "broken"
     assert "jghand.install_tools" in draw_preferences(extension).operators
     assert bpy.ops.jghand.remove_tools() == {"FINISHED"}
     assert runtime.tools_state() == "missing"
+
+
+def _wheel(folder: Path) -> Path:
+    """A package of one line."""
+    about = "jghand_sample-1.0.dist-info"
+    path = folder / "jghand_sample-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("jghand_sample.py", "there = True\n")
+        archive.writestr(f"{about}/METADATA", "Metadata-Version: 2.1\nName: jghand_sample\nVersion: 1.0\n")
+        archive.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr(f"{about}/RECORD", "")
+    return path
+
+
+def test_a_python_without_ensurepip_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    with pytest.raises(install_tools.InstallError, match="python3-venv"):
+        install_tools.install(tmp_path / "tools", tmp_path, tmp_path / "constraints.txt", [])
+    assert not (tmp_path / "tools").exists()
 
 
 def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_in_command):
