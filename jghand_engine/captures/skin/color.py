@@ -1,0 +1,120 @@
+"""The color of a person's skin, from melanin, blood and carotene, and how rough it is. Linear Rec.709."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jghand_engine.captures.skin.canvas import Canvas
+from jghand_engine.captures.skin.flesh import HYPOTHENAR, MOUNT, THENAR, mounts
+from jghand_engine.captures.skin.noise import gauss, noise, smoothstep
+from jghand_engine.captures.skin.person import reflectance
+
+# how much less melanin the palm has: of pale and of dark skin, which begins at that melanin
+PALM_PALER, DARK_PALM_PALER, DARK = 0.60, 0.80, 0.25
+# melanin that knuckles, creases of dark palms and the network have more, as a part of the tone
+ON_KNUCKLES, IN_CREASES, IN_NETWORK = 0.30, 0.30, 0.22
+# freckles and spots of age: edge of a cell, mm, least radius, how much larger, and the part of cells that have one
+FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8), (13.0, 0.8, 2.2, 1.3)
+# age from which there are spots
+SPOTS_FROM_AGE = 0.45
+# blood as a part of the person's: everywhere, more on the palm, and at each mark
+BLOOD, BLOOD_OF_PALM = 0.82, 0.34
+BLOOD_AT = {"nail_fold": 0.80, "crease": 0.35, "wrinkle": 0.25}
+BLOOD_ON_KNUCKLES, BLOOD_OF_PULP = 0.55, 0.65
+BLOOD_OF_MOUNTS = {THENAR: 0.42, HYPOTHENAR: 0.42, MOUNT: 0.34}
+# a vein takes this part of red, green and blue; more is a marker's line
+VEIN_TAKES, VEIN, VEIN_OF_PALE = np.array([1.0, 0.50, 0.22]), 0.10, 0.16
+# light that does not leave furrows; more looks inked: the shading does the rest. Red suffers less
+DARK_FURROWS = {"crease": 0.17, "wrinkle": 0.15, "network": 0.10, "crack": 0.12}
+FURROWS_RGB = np.array([0.75, 1.0, 1.0])
+# what dry ridges send back more
+DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
+MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
+# no skin is darker or paler
+RGB_LIMITS = (0.004, 0.95)
+ROUGHNESS_LIMITS = (0.15, 0.90)
+
+
+def paint_color(canvas: Canvas) -> np.ndarray:
+    """(N, 3) reflectance."""
+    person, of = canvas.person, canvas.amounts
+    # broader than the palm of the relief: colors change slowly at the edge of the hand
+    palm = smoothstep(-0.25, 0.40, canvas.side)
+    rgb = reflectance(_melanin(canvas, palm), _blood(canvas, palm), _carotene(canvas, palm)).astype(np.float32)
+    bluish = (VEIN + VEIN_OF_PALE * (1 - min(1.0, 2 * person.melanin))) * of["vein"]
+    rgb *= 1 - bluish[:, None] * VEIN_TAKES
+    dry = 0.6 * of["ridge"] * canvas.skin + 0.5 * palm * np.clip(canvas.fractal_noise("mottle", 5.0), 0, 1)
+    rgb += DRY * person.dryness * dry[:, None] * DRY_RGB
+    dark = sum((part * np.clip(of[name], 0, 1) for name, part in DARK_FURROWS.items()), np.float32(0))
+    rgb *= (1 - np.clip(dark, 0, 0.6))[:, None] ** FURROWS_RGB
+    rgb += of["plate"][:, None] * (_nails(canvas) - rgb)
+    return rgb.clip(*RGB_LIMITS)
+
+
+def paint_roughness(canvas: Canvas) -> np.ndarray:
+    """(N,) roughness of the surface's gloss."""
+    dryness, of = canvas.person.dryness, canvas.amounts
+    rough = 0.50 + 0.10 * dryness - 0.05 * canvas.palm + 0.05 * canvas.noise("roughness", 2.0)
+    rough += 0.10 * of["network"] - 0.06 * of["knuckle"]
+    rough += of["plate"] * (0.24 + 0.08 * dryness + 0.12 * of["free_edge"] - rough)
+    return rough.clip(*ROUGHNESS_LIMITS)
+
+
+def _melanin(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
+    tone, of = canvas.person.melanin, canvas.amounts
+    uneven = 1 + 0.10 * canvas.fractal_noise("melanin", 14.0)
+    uneven += 0.05 * canvas.noise("speckle", 1.7) + 0.05 * canvas.noise("fine speckle", 0.55)
+    total = tone * uneven * (1 - palm * (DARK_PALM_PALER if tone > DARK else PALM_PALER))
+    total *= 1 + ON_KNUCKLES * of["knuckle"] * (1 - palm) * smoothstep(0, 0.35, tone + 0.05)
+    total += tone * palm * IN_CREASES * of["crease"] * smoothstep(0.25, 0.6, tone)
+    total += tone * IN_NETWORK * of["network"] * (1 - palm) + 0.05 * of["wrinkle"] + 0.04 * of["pore"]
+    freckles = _spots(canvas, "freckles", FRECKLES, canvas.person.freckles)
+    spots = _spots(canvas, "spots", SPOTS, max(0.0, canvas.person.age - SPOTS_FROM_AGE))
+    total += canvas.back * canvas.skin * (0.09 + 0.10 * tone) * (freckles + 1.5 * spots)
+    return total.clip(0, 2)
+
+
+def _spots(canvas: Canvas, name: str, kind: tuple[float, float, float, float], part: float) -> np.ndarray:
+    """(N,) about 0..1.3, large ones stronger."""
+    cell, least, more, most = kind
+    points = canvas.shifted(name, cell / 4, cell / 12)
+    _, distance, number = canvas.cells(name, cell, points)
+    radius = least + more * number
+    return smoothstep(0.95, 0.50, distance / radius) * (np.modf(91.7 * number)[0] < most * part) * (0.5 + 0.8 * number)
+
+
+def _blood(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
+    of = canvas.amounts
+    patches = smoothstep(-0.2, 1.0, canvas.fractal_noise("patches", 3.1, octaves=2)) - 0.4
+    share = BLOOD + BLOOD_OF_PALM * palm + 0.08 * canvas.fractal_noise("mottle", 5.0)
+    share += 0.10 * palm * patches + (0.05 + 0.12 * palm) * canvas.fractal_noise("fine mottle", 1.5, octaves=2)
+    share += BLOOD_ON_KNUCKLES * of["knuckle"] * (1 - palm) + BLOOD_OF_PULP * of["pulp"] * palm
+    share += sum((part * of[name] for name, part in BLOOD_AT.items()), np.float32(0))
+    for center, (height, width) in mounts(canvas):
+        kind = next((k for k in BLOOD_OF_MOUNTS if k[0] == height), None)
+        if kind is not None:
+            share += BLOOD_OF_MOUNTS[kind] * palm * gauss(canvas.distance_on_palm(center), 1.1 * width)
+    # a vein's blood lies deep
+    return (canvas.person.blood * share * (1 - 0.10 * of["vein"])).clip(0, 2)
+
+
+def _carotene(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
+    hollow = palm * gauss(canvas.distance_on_palm(0.6 * canvas.joints[3]), 16.0)
+    share = 0.35 + 0.8 * palm + 0.4 * hollow + 0.25 * canvas.noise("carotene", 16.0)
+    return (canvas.person.warmth * share).clip(0, 2)
+
+
+def _nails(canvas: Canvas) -> np.ndarray:
+    """(N, 3): the bed seen through the plate, a redder band at its end, moon and free edge."""
+    person, of, (x, y) = canvas.person, canvas.amounts, canvas.nail_xy.T
+    bed = reflectance(*np.array([0.30 * person.melanin, 0.30 + 0.55 * person.blood, 0.25 * person.warmth]))
+    flat = np.stack([6 * y, 0.7 * x, np.zeros_like(x)], 1)
+    streaks = 1 + 0.04 * noise(flat, 0.8, canvas.seed("nail streaks"))
+    rgb = bed * (streaks * (1 + 0.06 * smoothstep(0.2, 0.95, x)))[:, None]
+    for name, color, part in (
+        ("moon", MOON_RGB * (1 - 0.45 * min(1.0, person.melanin)), 0.55),
+        ("free_edge", FREE_EDGE_RGB * (1 - 0.25 * min(1.0, person.melanin)), 0.85),
+    ):
+        rgb += part * of[name][:, None] * (color - rgb)
+    band = gauss(x - 0.80 + 0.10 * y**2, 0.05) * (1 - of["free_edge"])
+    return rgb * (1 - 0.12 * band[:, None] * np.array([0.3, 1.0, 1.0]))

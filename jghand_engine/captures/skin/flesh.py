@@ -1,0 +1,132 @@
+"""What lies below the skin and shapes it: pads, bones at the joints, knuckles, tendons, veins, the mounts of the palm.
+
+Heights and widths are millimeters on a hand of usual size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jghand_engine.captures.skin.canvas import Canvas, Frame
+from jghand_engine.captures.skin.curves import PalmCurves
+from jghand_engine.captures.skin.noise import gauss, smoothstep
+
+# pads of the phalanges' palm side, from the first: height, where along the bone, half length; and their half breadth
+PADS = ((0.75, 0.62, 5.5), (0.60, 0.50, 4.2), (0.95, 0.50, 5.2))
+PAD_BREADTH, WAIST_OF_BACK, PAD_END = 6.0, 0.28, 0.55
+# bones at the middle and last joints: height on the back, on the flanks, half length
+BONES = ((0.55, 0.50, 4.2), (0.30, 0.32, 3.2))
+# a bent joint shows the two heads of its bone, this far to each side, and the flat between them
+CONDYLES, CONDYLES_APART, BENT_JOINT = 0.55, 3.0, 0.35
+# heads of the metacarpals: straight, and how much more when the finger bends; dips between them
+KNUCKLE, KNUCKLE_BENT, KNUCKLE_WIDTH = 0.85, 1.9, 5.0
+DIP, DIP_WIDTH = 0.95, 3.6
+# extensor tendons of index to pinky
+TENDONS, TENDON_WIDTH = (0.50, 0.60, 0.52, 0.36), 1.7
+# thenar, hypothenar, hollow of the palm, and pads below the fingers: height, width
+THENAR, HYPOTHENAR, HOLLOW, MOUNT = (2.2, 13.0), (1.7, 13.0), (-2.0, 13.0), (0.7, 5.0)
+# veins of the back, on the template's hand: points (x, y), half width, height
+VEINS = (
+    (((13, 84), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), (14, -4)), 1.25, 0.50),
+    (((-9, 82), (-7, 68), (-4, 55), (2, 42)), 1.05, 0.42),
+    (((-29, 74), (-25, 58), (-18, 42), (-15, 22), (-17, 4), (-17, -6)), 1.25, 0.50),
+    (((-7, 68), (-15, 62), (-25, 58)), 0.90, 0.34),
+    (((-18, 42), (-9, 34), (4, 28)), 0.90, 0.28),
+    (((36, 52), (28, 38), (24, 22), (22, 6)), 1.10, 0.40),
+    (((11, 72), (20, 62), (28, 46)), 0.85, 0.26),
+    (((-25, 58), (-33, 48), (-36, 34)), 0.80, 0.22),
+)
+# how far a person's veins depart from these
+VEIN_JITTER = 1.6
+# swells of fat, all over
+UNEVEN, UNEVEN_CELL = 0.10, 7.0
+
+
+def paint_flesh(canvas: Canvas, curves: PalmCurves) -> None:
+    for finger, on in canvas.each_finger(0.2):
+        _finger(canvas, finger, on)
+    _knuckles(canvas)
+    _tendons(canvas)
+    for center, (height, width) in mounts(canvas):
+        canvas.raise_by("static", canvas.palm * height * gauss(canvas.distance_on_palm(center), width))
+    canvas.raise_by("static", UNEVEN * canvas.fractal_noise("uneven", UNEVEN_CELL, octaves=2) * canvas.skin)
+    _veins(canvas, curves)
+
+
+def mounts(canvas: Canvas) -> list[tuple[np.ndarray, tuple[float, float]]]:
+    """Centers of the palm's mounts and of its hollow, with height and width on this hand."""
+    joints, size = canvas.joints, canvas.size
+    places = [
+        (0.45 * joints[1] + 0.55 * joints[6], THENAR),
+        (0.30 * joints[0] + 0.62 * joints[5] + [-4, 0, 0], HYPOTHENAR),
+        (joints[2:5].mean(0) * [1, 0.62, 1], HOLLOW),
+        *(((joints[1 + f] + joints[2 + f]) / 2 + 4 * canvas.axis[6 + f], MOUNT) for f in (1, 2, 3)),
+    ]
+    return [(center, (height, width * size)) for center, (height, width) in places]
+
+
+def _finger(canvas: Canvas, finger: int, on: np.ndarray) -> None:
+    size = canvas.finger_size(finger)
+    near = smoothstep(0.2, 0.7, canvas.fingers[on, finger])
+    points, back, palm = canvas.texels.point[on], near * canvas.back[on], near * canvas.palm[on]
+    flank = np.clip(near - back - palm, 0, 1)
+    for joint, (on_back, on_flank, reach) in zip((6 + finger, 11 + finger), BONES, strict=True):
+        along, across, _ = canvas.hinge(joint).of(points)
+        ring = gauss(along, reach * size)
+        canvas.raise_by("static", ring * (0.7 * on_back * back + 0.8 * on_flank * flank), on)
+        canvas.raise_by("static", -PAD_END * size * palm * gauss(along, 2.3 * size), on)
+        heads = CONDYLES * gauss(np.abs(across) - CONDYLES_APART * size, 2.2 * size)
+        canvas.raise_by("bent", back * gauss(along + 1.2, 4.0 * size) * (heads + BENT_JOINT), on)
+    for bone, (height, part, reach) in zip((6, 11, 16), PADS, strict=True):
+        if finger == 0 and bone == 6:  # that is the thenar
+            continue
+        along, across, _ = canvas.bone(bone + finger, part).of(points)
+        pad = gauss(along, reach * size) * gauss(across, PAD_BREADTH * size)
+        canvas.raise_by("static", size * height * palm * pad - WAIST_OF_BACK * back * gauss(along, 0.8 * reach), on)
+    along, _, _ = canvas.bone(16 + finger, 0.58).of(points)
+    canvas.mark("pulp", palm * gauss(along, 6 * size), on)
+
+
+def _knuckles(canvas: Canvas) -> None:
+    size, points = canvas.size, canvas.texels.point
+    for finger in range(1, 5):
+        along, across, _ = canvas.knuckle(finger).of(points)
+        distance = np.hypot(along + 1.0, across)
+        head = canvas.back * gauss(distance, KNUCKLE_WIDTH * size)
+        canvas.raise_by("static", KNUCKLE * size * head)
+        canvas.raise_by("bent", KNUCKLE_BENT * size * head)
+        canvas.mark("knuckle", canvas.back * gauss(distance, 6.0 * size))
+        if finger < 4:
+            beside = (canvas.joints[2 + finger] - canvas.joints[1 + finger]) / 2
+            between = Frame(canvas.joints[1 + finger] + beside, canvas.axis[6 + finger], canvas.palmar[6 + finger])
+            along, across, _ = between.of(points)
+            dip = np.hypot(0.5 * along, across)
+            canvas.raise_by("static", -DIP * size * canvas.back * gauss(dip, DIP_WIDTH * size))
+
+
+def _tendons(canvas: Canvas) -> None:
+    """They fan out from the wrist to the knuckles, with a hollow at each side."""
+    size, stands_out = canvas.size, 0.85 + 0.9 * canvas.person.age
+    for finger, height in enumerate(TENDONS, 1):
+        knuckle = canvas.joints[1 + finger, :2]
+        wrist = canvas.joints[0, :2] + [(0.30 if finger < 4 else 0.25) * knuckle[0], 2]
+        length = np.linalg.norm(knuckle - wrist)
+        x, y = ((knuckle - wrist) / length).astype(np.float32)
+        relative = canvas.texels.point[:, :2] - wrist.astype(np.float32)
+        part = relative @ np.array([x, y]) / length
+        across = relative @ np.array([-y, x]) + 0.5 * canvas.wobble
+        ridge = gauss(across, TENDON_WIDTH * size) - 0.35 * gauss(np.abs(across) - 4.2 * size, 2.0 * size)
+        seen = smoothstep(0.05, 0.4, part) * smoothstep(1.02, 0.90, part)
+        canvas.raise_by("straight", canvas.back * stands_out * height * size * ridge * seen)
+
+
+def _veins(canvas: Canvas, curves: PalmCurves) -> None:
+    rng, stands_out = canvas.random("veins"), 0.65 + 0.9 * canvas.person.age
+    on_back = smoothstep(0.15, 0.7, -canvas.side) * smoothstep(0.6, 0.2, canvas.fingers.sum(1))
+    broken = 0.75 + 0.25 * canvas.noise("veins", 9.0)
+    for knots, width, height in VEINS:
+        moved = np.array(knots, float) + rng.normal(0, VEIN_JITTER, (len(knots), 2))
+        on, distance, part = curves.near(moved)
+        seen = smoothstep(0, 0.15, part) * smoothstep(1, 0.8, part) * on_back[on] * broken[on]
+        canvas.raise_by("static", stands_out * height * gauss(distance, width) * seen, on)
+        canvas.mark("vein", gauss(distance, 1.5 * width) * seen, on)

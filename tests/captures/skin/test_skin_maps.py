@@ -1,0 +1,149 @@
+"""The maps of a person's skin: where marks lie, that nothing has a seam, and that a seed decides everything."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jghand_engine.captures.making.rig import load_identity
+from jghand_engine.captures.skin.canvas import Canvas
+from jghand_engine.captures.skin.color import paint_color, paint_roughness
+from jghand_engine.captures.skin.maps import COARSE_MM, SkinMaps, paint_skin, painted
+from jghand_engine.captures.skin.person import Person
+from jghand_engine.template.texture import sample_bilinear
+
+# texels of 1.7 mm: marks have their place and their weight, not their shape
+SIZE = 192
+PERSON = Person(seed=3)
+
+
+@pytest.fixture(scope="module", params=["child", "big_man"])
+def canvas(request) -> Canvas:
+    return painted(load_identity(request.param), SIZE, PERSON)
+
+
+@pytest.fixture(scope="module")
+def maps() -> SkinMaps:
+    return paint_skin(load_identity("adult_woman"), SIZE, PERSON)
+
+
+def arrays(maps: SkinMaps) -> list[np.ndarray]:
+    return [maps.rgb, maps.roughness, maps.plate, *maps.coarse.values(), *maps.fine.values()]
+
+
+def test_the_same_person_has_the_same_maps_to_the_bit(maps):
+    again = paint_skin(load_identity("adult_woman"), SIZE, PERSON)
+    for one, other in zip(arrays(maps), arrays(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_another_seed_has_other_lines_and_the_same_numbers(maps):
+    other = paint_skin(load_identity("adult_woman"), SIZE, dataclasses.replace(PERSON, seed=4))
+    for one, another in zip((*maps.fine.values(), maps.rgb), (*other.fine.values(), other.rgb), strict=True):
+        assert not np.array_equal(one, another)
+    np.testing.assert_allclose(maps.rgb.mean((0, 1)), other.rgb.mean((0, 1)), rtol=0.05)
+
+
+def test_all_values_are_finite_and_in_their_ranges(maps):
+    assert all(np.isfinite(values).all() for values in arrays(maps))
+    assert 0.004 <= maps.rgb.min() < maps.rgb.max() <= 0.951
+    assert (maps.rgb[..., 0] > maps.rgb[..., 2]).mean() > 0.99
+    assert 0.15 <= maps.roughness.min() < maps.roughness.max() <= 0.901
+    for height in maps.coarse.values():
+        assert np.abs(height).max() < 5
+
+
+def test_what_is_fine_is_in_no_coarse_height(maps):
+    for name, fine in maps.fine.items():
+        assert abs(fine.mean()) < 0.005
+        assert maps.coarse[name].std() > 0
+    assert COARSE_MM > 0
+
+
+def test_both_sides_of_every_seam_agree():
+    """Noise is in space; what differs is where texels lie."""
+    identity = load_identity("adult_woman")
+    canvas = painted(identity, SIZE, Person(freckles=0, age=0))
+    texels = canvas.texels
+    size = np.array([SIZE, SIZE])
+    height = np.zeros((*size, 1))
+    height[texels.covered, 0] = canvas.heights["static"]
+    shown = np.zeros((*size, 1))
+    shown[texels.covered] = 1
+    uv = {}
+    for face, corners in zip(identity.faces, identity.face_uv, strict=True):
+        for vertex, corner in zip(face, corners, strict=True):
+            uv.setdefault(int(vertex), set()).add(tuple(corner.round(6)))
+    seams = np.array([sorted(places)[:2] for places in uv.values() if len(places) > 1])
+    weight = sample_bilinear(shown, seams)[..., 0]
+    at = sample_bilinear(height, seams)[..., 0] / np.maximum(weight, 1e-6)
+    both = (weight > 0.4).all(1)
+    assert both.sum() > 30
+    # 1.7 mm from one texel to the next: observed 0.07 mm on average, where heights spread over 0.9 mm
+    assert np.abs(at[both, 0] - at[both, 1]).mean() < 0.15
+    assert canvas.heights["static"].std() > 0.3
+
+
+def test_folds_lie_at_the_joints_of_every_hand(canvas):
+    """Within 3 mm along the finger, on the palm side."""
+    for finger in range(1, 5):
+        for joint in (6 + finger, 11 + finger):
+            along, across, palmar = canvas.hinge(joint).of(canvas.texels.point)
+            near = (np.abs(along) < 8) & (np.abs(across) < 5) & (palmar > 2) & (canvas.fingers[:, finger] > 0.9)
+            places = np.arange(-7, 8)
+            depth = [canvas.heights["fold"][near & (np.abs(along - place) < 0.7)].mean() for place in places]
+            assert abs(places[int(np.argmin(depth))]) <= 3, (finger, joint)
+
+
+def test_wrinkles_lie_on_the_back_of_straight_joints_and_leave_bent_ones(canvas):
+    amount = canvas.amounts["wrinkle"]
+    wrinkled = amount > np.quantile(amount, 0.995)
+    assert canvas.side[wrinkled].max() < 0
+    reach = [np.abs(canvas.hinge(7 + f).of(canvas.texels.point)[0]) for f in range(4)]
+    on_fingers = wrinkled & (canvas.fingers[:, 1:].max(1) > 0.95) & (canvas.texels.shares[:, 1:, 2].max(1) < 0.05)
+    near = np.min(reach, axis=0)[on_fingers]
+    # the rows reach 8.6 mm; DIP joints begin farther away: observed nine of ten
+    assert (near < 11).mean() > 0.8
+
+
+def test_nail_plates_lie_in_the_templates_mask(canvas):
+    plate = canvas.amounts["plate"] > 0.5
+    assert (canvas.texels.nail[plate] > 0.05).mean() > 0.9
+    assert plate.sum() > 0.6 * (canvas.texels.nail > 0.5).sum()
+    assert (canvas.amounts["moon"] > 0.5).any()
+    assert (canvas.amounts["free_edge"] > 0.5).any()
+
+
+def test_each_number_changes_the_color_that_it_says(canvas):
+    palm, back = canvas.side > 0.5, canvas.side < -0.5
+
+    def mean(of: np.ndarray, **numbers: float) -> tuple[np.ndarray, float]:
+        """Color and roughness of a part of the hand."""
+        person = copy.copy(canvas)
+        person.person = dataclasses.replace(PERSON, **numbers)
+        return paint_color(person)[of].mean(0), float(paint_roughness(person)[of].mean())
+
+    base, rough = mean(back)
+    dark, dark_palm = mean(back, melanin=0.9)[0], mean(palm, melanin=0.9)[0]
+    assert (dark < 0.5 * base).all()
+    assert (dark_palm > 1.5 * dark).all()
+    red, yellow = mean(back, blood=0.7)[0] / base, mean(palm, warmth=0.6)[0] / mean(palm)[0]
+    assert red[1] < red[0] - 0.05
+    assert yellow[2] < yellow[0] - 0.05
+    assert mean(back, dryness=1.0)[1] > rough + 0.03
+    spotted = copy.copy(canvas)
+    spotted.person = dataclasses.replace(PERSON, freckles=1.0)
+    darker = paint_color(spotted)[back] < 0.95 * paint_color(canvas)[back]
+    # observed 1 to 2 %
+    assert 0.002 < darker[:, 0].mean() < 0.1
+
+
+def test_age_deepens_lines_and_long_nails_have_a_wide_edge():
+    old = painted(load_identity("adult_woman"), SIZE, dataclasses.replace(PERSON, age=1.0, nail_mm=2.5))
+    young = painted(load_identity("adult_woman"), SIZE, dataclasses.replace(PERSON, age=0.0, nail_mm=0.3))
+    for layer in ("straight", "fold"):
+        assert old.heights[layer].std() > 1.3 * young.heights[layer].std()
+    assert old.amounts["free_edge"].sum() > 2 * young.amounts["free_edge"].sum()
