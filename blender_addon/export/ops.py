@@ -17,6 +17,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from .. import folders, ui, versions
 from ..errors import JGHandFailure
 from ..ops import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
+from ..render import scene_light
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import bakes, ops_common, usd_hook
@@ -78,6 +79,10 @@ class Export(StartsJob, bpy.types.Operator):
                 settings.variant, settings.width_factor, sizes=settings.sizes, radiance=settings.radiance
             )
         scratch = folders.job_folder()
+        if settings.format == "ply" and scene_light.is_chosen(context.scene):
+            light = scratch / "light.json"
+            scene_light.save(context.evaluated_depsgraph_get(), light)
+            options += ["--light", str(light)]
         commands = [
             (*runtime.program(), *recording.export_words(settings.format, scratch, folder, *options))
             for recording in recordings

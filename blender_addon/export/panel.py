@@ -12,6 +12,7 @@ from .. import ui, versions
 from ..errors import JGHandFailure
 from ..hand import avatar_files
 from ..hand.seen_hands import avatar_of
+from ..render import scene_light
 from ..renderer import runtime
 from ..renderer.panel import draw_job
 from . import bakes, ops_common, usd_hook
@@ -67,6 +68,8 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
             column.prop(settings, "width_factor")
         elif settings.format == "ply":
             column.prop(settings, "axes")
+            if scene_light.is_chosen(context.scene):
+                ui.paragraph(layout, context, "Colors show the light of the scene in the current frame", icon="INFO")
         layout.operator("jghand.export", icon="EXPORT")
         if settings.format != "motion":
             sizes = settings.sizes == "per_frame"

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-import io
-import json
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core.files import write_whole
 from ..errors import JGHandFailure
 from ..hand import armature, instances
 from ..hand.ops import add_camera
@@ -205,17 +201,8 @@ class SaveLight(Reporting, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def run(self, context: bpy.types.Context) -> None:
-        depsgraph, path = context.evaluated_depsgraph_get(), Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
-        scene_light.measure(depsgraph)
-        light = scene_light.of_render(depsgraph, instances.evaluated_sources(depsgraph))
-        assert light is not None  # `poll` has asked
-        record = {"format": "jghand-light", "version": 1, **light.record}
-        if light.world is not None and light.picture is not None:
-            content, picture = io.BytesIO(), path.with_suffix(".npy")
-            np.save(content, light.picture)
-            write_whole(picture, content.getvalue())
-            record["world"] = {"picture": picture.name, "env_from_world": light.world["env_from_world"]}
-        write_whole(path, json.dumps(record, indent=1).encode())
+        path = Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
+        scene_light.save(context.evaluated_depsgraph_get(), path)
         self.tell(rpt_("Wrote {path}.").format(path=path), *scene_light.warnings())
 
 

@@ -9,15 +9,19 @@ window before each frame that is rendered.
 
 from __future__ import annotations
 
+import io
+import json
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
+from ..core.files import write_whole
 from ..core.pacing import SETTLE_S
 from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
@@ -205,6 +209,21 @@ def measure(depsgraph: bpy.types.Depsgraph) -> None:
         reading = _world(depsgraph, instances.evaluated_sources(depsgraph))
         if reading.stale:
             _measure(depsgraph, reading)
+
+
+def save(depsgraph: bpy.types.Depsgraph, path: Path) -> None:
+    """Writes the light of a scene that lights its hands as a file for the engine, with the picture of its world beside
+    it. JGHandFailure as `of_render`, and cannot_write, disk_full."""
+    measure(depsgraph)
+    light = of_render(depsgraph, instances.evaluated_sources(depsgraph))
+    assert light is not None  # who asks has seen that it is chosen
+    record = {"format": "jghand-light", "version": 1, **light.record}
+    if light.world is not None and light.picture is not None:
+        content, picture = io.BytesIO(), path.with_suffix(".npy")
+        np.save(content, light.picture)
+        write_whole(picture, content.getvalue())
+        record["world"] = {"picture": picture.name, "env_from_world": light.world["env_from_world"]}
+    write_whole(path, json.dumps(record, indent=1).encode())
 
 
 def _measure(depsgraph: bpy.types.Depsgraph, stale: Reading) -> bool:

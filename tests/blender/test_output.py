@@ -186,6 +186,29 @@ def test_ply_files_are_numbered_as_the_scenes_frames(extension, engine, tmp_path
     ]
 
 
+def test_splats_of_a_scene_that_lights_its_hands_show_its_light(extension, engine, tmp_path):
+    hand, scene = a_hand(extension), extension.scene
+    hand.jghand.avatar = "builtin"
+    scene.frame_end = scene.frame_start
+    settings, lamp = scene.jghand.output, bpy.data.lights.new("Lamp", "SUN")
+    settings.format, settings.folder, settings.axes = "ply", str(tmp_path), "rub"
+    scene.collection.objects.link(bpy.data.objects.new("Lamp", lamp))
+    lamp.energy, scene.world, scene.jghand.light = 3, None, "SCENE"
+    reds = {}
+    # from above, and from below
+    for way in (0, np.pi):
+        bpy.data.objects["Lamp"].rotation_euler = (way, 0, 0)
+        assert bpy.ops.jghand.export() == {"FINISHED"}
+        (path,) = tmp_path.glob("*.ply")
+        header, _, body = path.read_bytes().partition(b"end_header\n")
+        assert b"light=scene" in header
+        table = np.frombuffer(body, "<f4").reshape(-1, header.count(b"property float"))
+        reds[way] = table[:, 6]
+        path.unlink()
+    # what one lights is dark in the other
+    assert np.corrcoef(reds[0], reds[np.pi])[0, 1] < 0
+
+
 def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, tmp_path):
     hand = a_hand(extension)
     hand.jghand.avatar = str(tmp_path / "none.jghand")
