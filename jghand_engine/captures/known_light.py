@@ -53,6 +53,7 @@ class KnownLight:
     suns:        of the world, taken out of it: its group holds their light
     file:        of the groups
     is_held_out: whether it has worlds and kinds of lamps that no picture has that is learned from
+    judged_in:   (G,) of its groups, the mix by which a hand is judged; None: one by chance, the same every time
     """
 
     world: World | None
@@ -60,6 +61,7 @@ class KnownLight:
     lamps: tuple[Lamp, ...]
     file: Path = Path()
     is_held_out: bool = False
+    judged_in: tuple[float, ...] | None = None
 
     @property
     def groups(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,16 +16,15 @@ from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    import torch
-
-    from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.captures.sample import Sample
-    from jghand_engine.learn.ablation import LiveHand
-    from jghand_engine.learn.evaluate import Evaluation
+    from jghand_engine.learn.evaluate import Evaluation, Picturer
     from jghand_engine.learn.options import TrainOptions
+    from jghand_engine.learn.run import RunOptions
     from jghand_engine.learn.step import Material
+    from jghand_engine.learn.tables import Table
 
-DESCRIPTION = """Train with parts of the method taken out, one at a time, and print the paper's ablation table.
+DESCRIPTION = """Train with parts of the method taken out, one at a time, and print the paper's ablation table. Of a
+capture in known light (`jghand capture --lights varied`) parts of the light are taken out.
 
 Examples:
   jghand ablate captures/id3 --steps 4000 --out id3_ablation
@@ -57,11 +56,20 @@ class Ablate:
 
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
-        from jghand_engine.captures.known_light import refuse_known_light
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, material, train_options
-        from jghand_engine.learn.ablation import LiveHand, chosen_variants
+        from jghand_engine.learn.ablation import (
+            SHARED,
+            LiveHand,
+            chosen_variants,
+            light_categories,
+            light_drawers,
+            train_variant,
+        )
         from jghand_engine.learn.evaluate import Evaluation, categories_of, measure_pictures
+        from jghand_engine.learn.progress import display
+        from jghand_engine.learn.step import HandTraining
+        from jghand_engine.learn.tables import ablation_table, light_table
         from jghand_engine.render.settings import preset
 
         for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
@@ -69,61 +77,62 @@ class Ablate:
                 raise InputError(name, wanted=f"{least} or more", came=str(value))
         device = device_called("auto")
         full, perceptual = train_options(self.preset, self.seed, device)
-        variants = chosen_variants(full, self.variants)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
-        refuse_known_light(split.train, "an ablation")
-        categories = categories_of(split, "test", self.limit)
+        known_light = split.train[0].light is not None
+        variants = chosen_variants(full, self.variants, known_light=known_light)
+        categories = light_categories(split, self.limit) if known_light else categories_of(split, "test", self.limit)
         learned_from = material("ablation", capture.name, split, perceptual)
-        drawers, results = {}, {}
+        drawers, results, first = {}, {}, None
         for name, options in variants.items():
             say(f"\n{name}")
-            avatar = self._trained(name, options, learned_from, device)
+            run = self._run(name, options, learned_from)
+            with display(err()) as shown:
+                build = partial(HandTraining, learned_from, options, device)
+                avatar = train_variant(build, run, shown, first if options.model.known_light else None)
             if avatar is None:
                 say("Stopped. Nothing is lost: the same command resumes it.")
                 return STOPPED
-            drawers[name] = LiveHand(avatar, preset("final"))
-            with progress("Measuring", sum(map(len, categories.values()))) as bar:
-                tick = partial(bar.advance, bar.task_ids[0])
-                scores = measure_pictures(categories, drawers[name], tick=tick)
-            results[name] = Evaluation(name, capture.name, split.origin, scores)
-        self._show(capture.name, [sample for group in categories.values() for sample in group], drawers, results)
+            if name == SHARED:
+                first = run
+                continue
+            new = light_drawers(name, avatar, options) if known_light else {name: LiveHand(avatar, preset("final"))}
+            for row, draw in new.items():
+                with progress("Measuring", sum(map(len, categories.values()))) as bar:
+                    tick = partial(bar.advance, bar.task_ids[0])
+                    scores = measure_pictures(categories, draw, tick=tick)
+                drawers[row], results[row] = draw, Evaluation(row, capture.name, split.origin, scores)
+        self._show(capture.name, categories, drawers, results, light_table if known_light else ablation_table)
         return 0
 
-    def _trained(
-        self, name: str, options: TrainOptions, learned_from: Material, device: torch.device
-    ) -> HandAvatar | None:
-        from jghand_engine.learn.ablation import train_variant, variant_folder
-        from jghand_engine.learn.progress import display
+    def _run(self, name: str, options: TrainOptions, learned_from: Material) -> RunOptions:
+        from jghand_engine.learn.ablation import SHARED, SHARED_PART, variant_folder
         from jghand_engine.learn.run import RunOptions
         from jghand_engine.learn.schedule import Budget
-        from jghand_engine.learn.step import HandTraining
         from jghand_engine.learn.work_folder import MARK, Start, stamp_of
 
-        work = variant_folder(self.out, name)
-        run = RunOptions(
+        work, until = variant_folder(self.out, name), round(SHARED_PART * self.steps) if name == SHARED else None
+        return RunOptions(
             out=work.with_suffix(".jghand"),
             work=work,
             stamp=stamp_of(options, learned_from.train),
-            budget=Budget(self.steps),
+            budget=Budget(self.steps, until=until),
             start=Start.RESUME if (work / MARK).is_file() else Start.NEW,
         )
-        with display(err()) as shown:
-            return train_variant(lambda: HandTraining(learned_from, options, device), run, shown)
 
     def _show(
         self,
         capture: str,
-        everything: Sequence[Sample],
-        drawers: Mapping[str, LiveHand],
+        categories: Mapping[str, Sequence[Sample]],
+        drawers: Mapping[str, Picturer],
         results: Mapping[str, Evaluation],
+        table_of: Callable[[Mapping[str, Evaluation]], Table],
     ) -> None:
         from jghand_engine.export.pictures import write_png
         from jghand_engine.files import writing
         from jghand_engine.learn import sheets
-        from jghand_engine.learn.tables import ablation_table
 
-        table = ablation_table(results)
+        table = table_of(results)
         say_whole_table(table)
         with writing(self.out / "ablation.md") as temporary:
             temporary.write_text(
@@ -134,7 +143,10 @@ class Ablate:
             "variants": {name: one.as_dict() for name, one in results.items()},
         }  # fmt: skip
         write_json(self.out / "ablation.json", figures)
-        samples = sheets.varied_samples(everything, 6)
+        everything = [sample for group in categories.values() for sample in group]
+        # of known light one of each kind, which differ in their light
+        kinds = [group[len(group) // 2] for group in categories.values()]
+        samples = kinds if everything[0].light is not None else sheets.varied_samples(everything, 6)
         write_png(self.out / "ablation.png", sheets.variant_sheet(samples, drawers, f"Ablation on {capture}"))
         shapes = {shown: drawers[name] for name, shown in SHAPES.items() if name in drawers}
         if len(shapes) > 1 and len({sample.pose for sample in everything}) > 1:

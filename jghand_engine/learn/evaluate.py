@@ -20,7 +20,7 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.captures.captures import Capture
-from jghand_engine.captures.known_light import load_groups, mixed
+from jghand_engine.captures.known_light import MixedPicture, load_groups, mix, random_weights
 from jghand_engine.captures.sample import Sample, TrainingImage, image_digest, load_image
 from jghand_engine.captures.splits import Split
 from jghand_engine.color import linear_to_srgb
@@ -74,20 +74,27 @@ class AvatarPicturer:
 def pictured(sample: Sample, draw: Picturer) -> tuple[np.ndarray, TrainingImage, float]:
     """A sample as it is drawn (H, W, 4), as it is, and the milliseconds of drawing it.
 
-    A picture of known light is drawn in it: in a mix of its lights that is the same every time, and both are exposed
-    alike before sRGB's curve.
+    A picture of known light is drawn in it, in `judged_mix`, and both are exposed alike before sRGB's curve.
     """
     if sample.light is None or not isinstance(draw, AvatarPicturer):
         truth, started = load_image(sample), time.perf_counter()
         rgba = draw(sample.joints_m, sample.handedness, sample.camera)
         return rgba, truth, 1e3 * (time.perf_counter() - started)
-    seed = zlib.crc32(f"{sample.sequence}/{sample.frame}/{sample.camera_name}".encode())
-    one = mixed(load_groups(sample), np.random.default_rng(seed))
+    one = judged_mix(sample)
     started = time.perf_counter()
     rgba = draw.in_light(sample, one.light)
     render_ms = 1e3 * (time.perf_counter() - started)
     ours, truth = (linear_to_srgb(np.clip(one.exposure * rgb, 0, 1)) for rgb in (rgba[..., :3], one.rgb))
     return np.concatenate([ours, rgba[..., 3:]], -1), TrainingImage(truth, one.alpha), render_ms
+
+
+def judged_mix(sample: Sample) -> MixedPicture:
+    """The mix of the lights of a picture by which hands are judged. InputError as `load_groups`."""
+    picture = load_groups(sample)
+    if picture.light.judged_in is not None:
+        return mix(picture, np.repeat(np.array(picture.light.judged_in)[:, None], 3, 1))
+    seed = zlib.crc32(f"{sample.sequence}/{sample.frame}/{sample.camera_name}".encode())
+    return mix(picture, random_weights(picture.light, np.random.default_rng(seed)))
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.scene_light import SceneLight
+from jghand_engine.avatar.lamp_rows import irradiance_at
+from jghand_engine.avatar.scene_light import LOBE_ROWS, SceneLight, World
 from jghand_engine.captures.known_light import KnownLight
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.light import unit
+from jghand_engine.learn.model import LightPart
 from jghand_engine.learn.pictures import LruCache, MixedLight
 from jghand_engine.learn.scene_light import (
     Flesh,
@@ -35,10 +37,11 @@ from jghand_engine.learn.scene_light import (
 from jghand_engine.learn.skeleton import BoneTransforms
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, apply, posed_anchors
 from jghand_engine.learn.tensors import HandTensors, mapped
-from jghand_engine.native.scene_light_task import NUMBER
+from jghand_engine.native.scene_light_task import NUMBER, LampKind
 
 # shadows kept in memory, bytes: 1.5 MB for a world and three lamps on 40,000 Gaussians
 SHADOW_CACHE_BYTES = 2_000_000_000
+LAMPS_IN_WORLD = (LightPart.LAMPS, LightPart.SHADOWS_AND_LAMPS)
 # of a lamp's row
 RED, BLUE = NUMBER["red"], NUMBER["blue"]
 
@@ -67,10 +70,13 @@ class _Lit:
 
 
 class LitHand:
-    """Lights one hand. cast: of all its Gaussians · joints_m: (21, 3) canonical"""
+    """Lights one hand. cast: of all its Gaussians · joints_m: (21, 3) canonical · left_out: of the light"""
 
-    def __init__(self, cast: CastTensors, joints_m: Tensor) -> None:
-        self._cast, self._joints_m = cast, joints_m
+    def __init__(self, cast: CastTensors, joints_m: Tensor, left_out: LightPart | None = None) -> None:
+        if left_out in (LightPart.SHADOWS, LightPart.SHADOWS_AND_LAMPS):
+            # all flesh is a point's own, which hides nothing from it
+            cast = replace(cast, own=torch.ones_like(cast.own))
+        self._cast, self._joints_m, self._left_out = cast, joints_m, left_out
         self._lit: LruCache[_Lit] = LruCache(SHADOW_CACHE_BYTES, lambda lit: lit.fallen.nbytes())
 
     def gaussians(
@@ -82,13 +88,19 @@ class LitHand:
         assert learned.response is not None
         assert learned.cast is not None
         assert skin.normal is not None
+        apart = self._left_out not in LAMPS_IN_WORLD
+        if not apart:
+            mixed = self._with_lamps_in_world(mixed, pose)
         light = mixed.light.weighted(mixed.weight)
 
         def there(tensor: Tensor) -> Tensor:
             return tensor.to(skin.matt.position_m)
 
-        key = mixed.image, light.world is None
-        lit = self._lit.get(key, lambda: mapped(self._all_lit(mapped(pose, Tensor.cpu), mixed.light, light), there))
+        def all_lit() -> _Lit:
+            return mapped(self._all_lit(mapped(pose, Tensor.cpu), mixed.light, light), there)
+
+        # a world that has lamps in it is another one in every mix
+        lit = self._lit.get((mixed.image, light.world is None), all_lit) if apart else all_lit()
         rows = lit.rows.copy()
         # suns are the world's, in its group
         lamps, suns = len(mixed.light.lamps), len(mixed.light.suns)
@@ -107,6 +119,12 @@ class LitHand:
         if rgb.requires_grad:
             rgb.register_hook(by_column)
         return replace(skin.matt, rgb=rgb)
+
+    def _with_lamps_in_world(self, mixed: MixedLight, pose: Pose) -> MixedLight:
+        _, joints_m = posed_anchors(self._cast, self._joints_m, pose.bones)
+        middle_m = (joints_m.mean(0) + pose.bones.root_m).double().cpu().numpy()
+        light = lamps_in_world(mixed.light.weighted(mixed.weight), middle_m)
+        return replace(mixed, light=KnownLight(light.world, (), ()), weight=np.ones((1, 3)))
 
     @torch.no_grad()
     def _all_lit(self, pose: Pose, known: KnownLight, light: SceneLight) -> _Lit:
@@ -127,6 +145,19 @@ class LitHand:
         skin, around = Skin(at, unit(apply(maps.turning, pose.normal))), Skin(*anchors)
         fallen = shadows(self._cast, around, skin, flesh, light, every)
         return _Lit(around, fallen, every.rows, np.array(lamp, int))
+
+
+def lamps_in_world(light: SceneLight, middle_m: np.ndarray) -> SceneLight:
+    """The same light without lamps: what they send to the middle of a hand (3,) comes from pixels of the world."""
+    world = light.world or World(np.zeros((2 * LOBE_ROWS, 4 * LOBE_ROWS, 3), np.float32))
+    radiance = world.radiance.astype(np.float64)
+    direction, solid_angle = World(np.ones_like(radiance), world.env_from_world).samples
+    for lamp in light.lamps:
+        irradiance = irradiance_at(lamp.numbers[None], middle_m[None])[0, 0]
+        towards = np.array(lamp.place_m) - (0 if lamp.kind is LampKind.SUN else middle_m)
+        pixel = np.unravel_index((direction @ towards).argmax(), radiance.shape[:2])
+        radiance[pixel] += irradiance / solid_angle[pixel]
+    return SceneLight(World(radiance, world.env_from_world))
 
 
 def trained_on(samples: Sequence[Sample]) -> dict[str, int]:

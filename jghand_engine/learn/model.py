@@ -75,6 +75,25 @@ class OffsetFrame(StrEnum):
     WORLD = "world"
 
 
+class LightPart(StrEnum):
+    """What an ablation leaves out of the light that falls on a hand.
+
+    bounce:    light that skin throws onto skin
+    shadows:   all that fingers hide of lamps and world, and what they throw back instead
+    softness:  the rounded corner of cosines, down to its least width
+    gloss:     what skin mirrors
+    lamps:     lamps that are computed apart: they are part of the world then, as the hand's middle sees them
+    shadows_and_lamps: 16 harmonics of the world are left, and what is mirrored of it
+    """
+
+    BOUNCE = "bounce"
+    SHADOWS = "shadows"
+    SOFTNESS = "softness"
+    GLOSS = "gloss"
+    LAMPS = "lamps"
+    SHADOWS_AND_LAMPS = "shadows and lamps"
+
+
 @dataclass(frozen=True)
 class ModelOptions:
     """What is learned; METHOD 4.2 has the two configurations.
@@ -98,6 +117,7 @@ class ModelOptions:
     glossy:           whether reflections are learned
     cast_shadow:      whether the lamps are learned that the fingers hide from the palm
     known_light:      whether it is learned how skin answers light that is known, instead of one light with the skin
+    left_out:         part of known light that is not computed
     """
 
     gaussians: int = 40_000
@@ -119,6 +139,7 @@ class ModelOptions:
     glossy: bool = True
     cast_shadow: bool = True
     known_light: bool = False
+    left_out: LightPart | None = None
 
 
 class LearnedHand(nn.Module):
@@ -241,7 +262,7 @@ class LearnedHand(nn.Module):
 
     def response(self, out: Tensor) -> ResponseTensors:
         """How the skin answers light, with gradients. out: (N, 13) of the decoder"""
-        return ResponseTensors(
+        response = ResponseTensors(
             spread=torch.exp(SOFTNESS_SPREAD * torch.tanh(out[:, 11])),
             roughness=ROUGHNESS_LEAST + ROUGHNESS_SPAN * torch.sigmoid(out[:, 12]),
             reflectance=torch.exp(self.log_reflectance + REFLECTANCE_SPREAD * torch.tanh(out[:, 10])),
@@ -250,6 +271,14 @@ class LearnedHand(nn.Module):
             ambient=torch.sigmoid(self.raw_ambient),
             shade_gain=SHADE_GAIN,
         )
+        match self.options.left_out:
+            case LightPart.BOUNCE:
+                return replace(response, bounce=torch.zeros_like(response.bounce))
+            case LightPart.SOFTNESS:
+                return replace(response, softness=torch.full_like(response.softness, CORNER_MIN))
+            case LightPart.GLOSS:
+                return replace(response, reflectance=torch.zeros_like(response.reflectance))
+        return response
 
     def light(self) -> LightTensors:
         """The light as it is now, with gradients."""

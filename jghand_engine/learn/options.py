@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.errors import InputError
 from jghand_engine.hand.skeleton import Transform
-from jghand_engine.learn.model import ModelOptions, OffsetFrame
+from jghand_engine.learn.model import LightPart, ModelOptions, OffsetFrame
 from jghand_engine.template.sampling import SHELL_DEPTH_MAX_M
 
 
@@ -129,6 +129,20 @@ def in_known_light(options: TrainOptions) -> TrainOptions:
 
 
 PRESETS = {"default": TrainOptions(), "paper-faithful": PAPER_FAITHFUL}
+
+
+# of the ablation of known light, whose rows differ in light and not in detail
+LIGHT_GAUSSIANS = 16_000
+ONE_LIGHT = "one light"
+
+
+def light_ablations(options: TrainOptions) -> dict[str, TrainOptions]:
+    """The rows of the table of known light: a hand that learns one light for all pictures, hands that learn without a
+    part of the light, and the whole. InputError as `in_known_light`."""
+    few = replace(options, model=replace(options.model, gaussians=min(LIGHT_GAUSSIANS, options.model.gaussians)))
+    full = in_known_light(few)
+    rows = {f"w/o {part}": replace(full, model=replace(full.model, left_out=part)) for part in LightPart}
+    return {ONE_LIGHT: few, **rows, "full": full}
 
 
 def at_part(stages: tuple[tuple[float, float], ...], part: float) -> float:

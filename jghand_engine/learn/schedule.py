@@ -16,15 +16,18 @@ PLANNED_STEPS_AT_FIRST = 10_000
 
 @dataclass(frozen=True)
 class Budget:
-    """How long to train: so many steps, so many seconds over all sessions, or whichever is reached first."""
+    """How long to train: so many steps, so many seconds over all sessions, or whichever is reached first.
+
+    until: step at which to stop before that, for others to go on from; plans are those of all the steps
+    """
 
     steps: int | None = None
     seconds: float | None = None
+    until: int | None = None
 
     def is_spent(self, state: LoopState) -> bool:
-        return (self.steps is not None and state.step >= self.steps) or (
-            self.seconds is not None and state.seconds >= self.seconds
-        )
+        last = self.steps if self.until is None else self.until
+        return (last is not None and state.step >= last) or (self.seconds is not None and state.seconds >= self.seconds)
 
     def planned_steps(self, state: LoopState) -> int:
         """How many steps the whole training will have, if they stay as fast as they were on average.

@@ -31,7 +31,7 @@ from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen
 from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.known_light import LitHand, Pose, trained_on
 from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss
-from jghand_engine.learn.model import LearnedHand
+from jghand_engine.learn.model import LearnedHand, LightPart
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import LruCache, Pictures, View, tone
@@ -138,7 +138,9 @@ class HandTraining:
         self._rounds = [[pose for pose, own in enumerate(steps) if own > turn] for turn in range(max(steps))]
         self._known: LruCache[_PosedBones] = LruCache(POSE_CACHE_BYTES, _PosedBones.nbytes)
         self._pictures = Pictures(known_light=model.known_light)
-        self._relit = None if not model.known_light else _lit_hand(material, self._cast, points.joints_m)
+        self._relit = None
+        if model.known_light:
+            self._relit = _lit_hand(material, self._cast, points.joints_m, model.left_out)
         self._settings = RenderSettings()
         self._library = load_native("auto")
         self._octave = octave_of_wave(model.pose.octaves).to(device)
@@ -406,12 +408,12 @@ class HandTraining:
         return state
 
 
-def _lit_hand(material: Material, cast: CastTensors | None, joints_m: Tensor) -> LitHand:
+def _lit_hand(material: Material, cast: CastTensors | None, joints_m: Tensor, left_out: LightPart | None) -> LitHand:
     """InputError for pictures of unknown light, or a hand that learns no shadows of its fingers."""
     trained_on([*material.train, *material.judged])
     if cast is None:
         raise InputError("hand in known light", wanted="shadows of its fingers to learn", came="none")
-    return LitHand(cast, joints_m)
+    return LitHand(cast, joints_m, left_out)
 
 
 def _check_joints(material: Material) -> None:

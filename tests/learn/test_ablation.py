@@ -11,10 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from lit_samples import known_light, write_lit_capture
 from small_avatars import trained_avatar
 
-from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.file import load_avatar
+from jghand_engine.avatar.lamp_rows import irradiance_at
+from jghand_engine.avatar.relighting import estimated
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
@@ -24,6 +27,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.ablation import LiveHand, chosen_variants
+from jghand_engine.learn.known_light import lamps_in_world
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.render.camera import Camera
@@ -120,6 +124,43 @@ def test_an_ablation_leaves_a_table_figures_and_a_sheet(ablate, tmp_path):
     assert "w/o screen shadow | - |" in (tmp_path / "out" / "ablation.md").read_text()
     assert read_png(tmp_path / "out" / "ablation.png").shape[1] > 800
     assert read_png(tmp_path / "out" / "isotropic_anisotropic.png").shape[1] > 1600
+
+
+def test_variants_of_known_light_share_the_first_part_of_their_training():
+    parts = [f"w/o {part}" for part in ("bounce", "shadows", "softness", "gloss", "lamps", "shadows and lamps")]
+    options = TrainOptions()
+    assert list(chosen_variants(options, (), known_light=True)) == ["shared", "one light", *parts, "full"]
+    assert list(chosen_variants(options, ("one light",), known_light=True)) == ["one light"]
+    with pytest.raises(InputError, match="one light, w/o bounce, "):
+        chosen_variants(options, ("shared",), known_light=True)
+
+
+def test_a_capture_in_known_light_gets_the_table_of_its_light(tmp_path, tiny, capsys, monkeypatch):
+    """Rows that share the first part of their training, and pictures of each new kind of light."""
+    hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(1000)
+    folder, out, steps = write_lit_capture(tmp_path / "lit", hand), tmp_path / "out", []
+    step = HandTraining.step
+    monkeypatch.setattr(HandTraining, "step", lambda self, number: steps.append(number) or step(self, number))
+    rows = ("one light", "w/o gloss", "w/o shadows and lamps", "full")
+    assert main(["ablate", str(folder), "--out", str(out), "--steps", "4", "--limit", "1", "--variants", *rows]) == 0
+    assert "Known light" in capsys.readouterr().out
+    assert steps == [0, 1, 2, *range(4), 3, 3, 3], "three that are shared, all of one light, and the last of each"
+    variants = json.loads((out / "ablation.json").read_text())["variants"]
+    assert list(variants) == ["one light", "estimated", *rows[1:]]
+    kinds = ["new pose", "new camera", "new world", "new world and lamps", "spot from behind", "all new"]
+    for name, one in variants.items():
+        assert [picture["category"] for picture in one["pictures"]] == kinds, name
+    assert len({one["means"]["all"]["psnr_box"] for one in variants.values()}) == len(variants)
+    assert "| w/o gloss | " in (out / "ablation.md").read_text()
+    assert read_png(out / "ablation.png").shape[0] > 6 * 264
+
+
+def test_lamps_in_the_world_light_the_middle_of_the_hand_as_before():
+    light, middle_m = known_light(0).weighted(np.ones((3, 3))), np.array([0.02, 0.1, 0.0])
+    inside = lamps_in_world(light, middle_m)
+    assert not inside.lamps
+    facing = irradiance_at(np.array([lamp.numbers for lamp in light.lamps]), middle_m[None])[:, 0].sum(0)
+    np.testing.assert_allclose(inside.world.terms.light.sum(0) - light.world.terms.light.sum(0), facing, rtol=1e-4)
 
 
 def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, tmp_path):
