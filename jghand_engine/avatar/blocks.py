@@ -23,8 +23,8 @@ class Blocks:
     order: (N,) which Gaussian stands in each row · rows: N rounded up to a multiple of 16
     """
 
-    def __init__(self, position_m: np.ndarray) -> None:
-        self.order = spatial_order(position_m)
+    def __init__(self, position_m: np.ndarray, order: np.ndarray | None = None) -> None:
+        self.order = spatial_order(position_m) if order is None else order
         self.rows = padded_rows(len(position_m))
 
     @property
@@ -70,6 +70,22 @@ def spatial_order(position_m: np.ndarray) -> np.ndarray:
         for axis in range(3):
             code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
     return np.argsort(code, kind="stable")
+
+
+def compact_order(position_m: np.ndarray) -> np.ndarray:
+    """(N,) indices of points (N, 3) by halves of halves: sixteens are nearer to each other than along a curve, which
+    jumps. It takes longer to find."""
+    parts, order = [np.arange(len(position_m))], []
+    while parts:
+        part = parts.pop()
+        if len(part) <= LANES:
+            order.append(part)
+            continue
+        longest = np.ptp(position_m[part], axis=0).argmax()
+        part = part[np.argsort(position_m[part, longest], kind="stable")]
+        middle = padded_rows(len(part) // 2)
+        parts += [part[middle:], part[:middle]]
+    return np.concatenate(order)
 
 
 def set_pointers(task: ctypes.Structure, arrays: dict[str, np.ndarray]) -> None:

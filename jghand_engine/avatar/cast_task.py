@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.blocks import Blocks, set_pointers
+from jghand_engine.avatar.blocks import Blocks, compact_order, set_pointers
 from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.skeleton import Bones
@@ -57,7 +57,9 @@ class CastStep:
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
         anchors, root_m = cast.anchors, avatar.canonical_joints_m[0]
-        own = Blocks(anchors.position_m)
+        # in the light of a scene capsules are left out by the balls around blocks
+        is_lit = avatar.learned is not None and avatar.learned.response is not None
+        own = Blocks(anchors.position_m, compact_order(anchors.position_m) if is_lit else None)
         rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
         self.joints_m = avatar.canonical_joints_m - root_m
         self.rows = own.rows

@@ -17,13 +17,31 @@ JG_INLINE float sum_of(vf v) {
   return sum;
 }
 
-// How far rays that begin in a ball and go nearly one way come from sixteen capsules, from `first` on: one bit for each
-// that any of them may come near enough to. What is left out takes nothing of them, which changes no bit.
-// turn: the largest difference of two of their unit directions · half_width: the largest of the lamp per distance
+// Rays from points in a ball, nearly one way. turn: the largest difference of one's unit direction from `direction`
+// half_width: the largest of the lamp per distance
 struct Rays {
   float middle[3], radius, direction[3], turn, half_width;
 };
-JG_INLINE uint32_t may_meet(const CastTask& t, const Rays& rays, int first, float softness) {
+
+// Which of sixteen pairs of a ray through the middle of such a ball and a capsule may be near enough for any ray from the
+// ball to lose light, one bit each: lower bounds of distances. What is left out takes nothing.
+// along, axis_along: of the way from the middle to the capsule's start, and of its axis, in the ray's direction
+// mixed, from2, length2: their product and squares · ends: the way from the middle to any point of the axis, at most
+template <class Number>
+JG_INLINE uint32_t may_meet(const CastTask& t, const Rays& rays, float softness, vf along, vf axis_along, Number mixed,
+                            Number from2, Number length2, Number radius, Number ends) {
+  // the least distance from the line, and from its start where all of a capsule is behind that
+  const vf s = clamped((along * axis_along - mixed) / max(length2 - axis_along * axis_along, all(t.distance2_min)));
+  const vf to_line = along + s * axis_along, farthest = max(along, along + axis_along), behind = max(-farthest, vf{});
+  const vf distance2 = from2 + s * (2.f * mixed + s * length2) - to_line * to_line + behind * behind;
+  const vf way = max(farthest + rays.radius + (ends + rays.radius) * rays.turn, vf{});
+  const vf width = max(softness * radius + rays.half_width * way, all(t.width_min));
+  const vf clear = radius + width + rays.radius + way * rays.turn + ROUNDING_M;
+  return 0xffffu & ~bit_mask(distance2 >= clear * clear);
+}
+
+// Of sixteen capsules, from `first` on, and nearly one direction.
+JG_INLINE uint32_t capsules_before(const CastTask& t, const Rays& rays, int first, float softness) {
   const float* c = t.capsule_lanes + CAPSULE * first;
   vf along = {}, axis_along = {}, mixed = {}, from2 = {}, length2 = {};
   for (int i = 0; i < 3; i++) {
@@ -31,15 +49,22 @@ JG_INLINE uint32_t may_meet(const CastTask& t, const Rays& rays, int first, floa
     along += from * rays.direction[i], axis_along += axis * rays.direction[i];
     mixed += from * axis, from2 += from * from, length2 += axis * axis;
   }
-  // the least distance from the line through the middle, and from its start where all of a capsule is behind that
-  const vf s = clamped((along * axis_along - mixed) / max(length2 - axis_along * axis_along, all(t.distance2_min)));
-  const vf to_line = along + s * axis_along, farthest = max(along, along + axis_along), behind = max(-farthest, vf{});
-  const vf distance2 = from2 + s * (2.f * mixed + s * length2) - to_line * to_line + behind * behind;
-  const vf way = max(farthest + rays.radius + (sqrt(2.f * (from2 + length2)) + rays.radius) * rays.turn, vf{});
-  const vf radius = load(c + LANES * 7), width = max(softness * radius + rays.half_width * way, all(t.width_min));
-  const vf clear = radius + width + rays.radius + way * rays.turn + ROUNDING_M;
-  const uint32_t some = 0xffffu & ~bit_mask(distance2 >= clear * clear);
+  const vf radius = load(c + LANES * 7), ends = sqrt(2.f * (from2 + length2));
+  const uint32_t some = may_meet(t, rays, softness, along, axis_along, mixed, from2, length2, radius, ends);
   return t.capsules - first < LANES ? some & ((1u << (t.capsules - first)) - 1) : some;
+}
+
+// Of one capsule and sixteen distant lamps, one group of them.
+JG_INLINE uint32_t lamps_behind(const CastTask& t, const Rays& rays, int k, int group) {
+  const float *capsule = t.capsule + CAPSULE * k, *lamp = t.lamp + 6 * LANES * group;
+  float mixed = 0, from2 = 0;
+  vf along = {};
+  for (int i = 0; i < 3; i++) {
+    const float from = capsule[i] - rays.middle[i];
+    mixed += from * capsule[3 + i], from2 += from * from, along += from * load(lamp + LANES * i);
+  }
+  const vf axis_along = load(t.capsule_lamp + 2 * LANES * (t.groups * k + group));
+  return may_meet(t, rays, t.softness, along, axis_along, mixed, from2, 1.f / capsule[6], capsule[7], 0.f);
 }
 
 // The least distance between a capsule's axis and sixteen rays, squared, and how far along these it is.
@@ -102,17 +127,15 @@ JG_INLINE bool distant_past(const CastTask& t, int k, int group, const float poi
                            t.lamp_width, part);
 }
 
-// Sixteen of the distant lamps from a point: cosines to them, and the part of each that is seen; which was found before
-// if it was `kept`. False: none is faced.
+// Sixteen of the distant lamps from a point: cosines to them, and the part of each that is seen. False: none is faced.
 JG_INLINE bool distant_seen(const CastTask& t, const float* foreign, const float point[3], const float normal[3],
-                            int group, const float* kept, vf& cosine, vf& visible) {
+                            int group, vf& cosine, vf& visible) {
   const float* lamp = t.lamp + 6 * LANES * group;
   vf direction[3], part;
   for (int i = 0; i < 3; i++) direction[i] = load(lamp + LANES * i);
   cosine = max(direction[0] * normal[0] + direction[1] * normal[1] + direction[2] * normal[2], vf{});
   if (!bit_mask(cosine > 0)) return false;
-  visible = kept ? load(kept) : all(1.f);
-  if (kept) return true;
+  visible = all(1.f);
   for (int bone = 0; bone < BONES; bone++) {
     const float hides = foreign[LANES * bone];
     if (hides != 0 && distant_past<false>(t, bone, group, point, direction, part)) visible *= 1.f - hides * (1.f - part);

@@ -16,7 +16,7 @@ Reaching reaching(const CastTask& t, const float* foreign, const float point[3],
   vf open[3] = {}, seen[3] = {};
   for (int g = 0; g < t.groups; g++) {
     vf cosine, visible;
-    if (!distant_seen(t, foreign, point, normal, g, nullptr, cosine, visible)) continue;
+    if (!distant_seen(t, foreign, point, normal, g, cosine, visible)) continue;
     const float* lamp = t.lamp + 6 * LANES * g;
     for (int i = 0; i < 3; i++) {
       const vf light = cosine * load(lamp + LANES * (3 + i));

@@ -106,7 +106,7 @@ JG_INLINE void lamp_seen(const CastTask& c, const SceneLightTask& s, Hides hides
   seen = wide = all(1.f);
   const float softest = has_wide ? s.wide_softness : s.flesh_softness;
   for (int first = 0; first < c.capsules; first += LANES) {
-    for (uint32_t some = may_meet(c, rays, first, softest); some; some &= some - 1) {
+    for (uint32_t some = capsules_before(c, rays, first, softest); some; some &= some - 1) {
       const int k = first + __builtin_ctz(some);
       const bool far = k >= BONES;
       const vf hiding = far ? all(c.other[OTHER * (k - BONES)]) : hides(k);
@@ -234,36 +234,64 @@ void thrown_back(const LearnedTask& t, int32_t group) {
 
 void anchor_world(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
-  const float* posed = s.posed + POSED * LANES * (int64_t)block;
-  for (int lane = 0; lane < LANES; lane++) {
-    float point[3], normal[3], *out = s.reached + columns_of(s) * (LANES * (int64_t)block + lane);
-    if (!(s.shade > 0)) {
-      for (int i = 0; i < OF_WORLD; i++) out[i] = i < 3 || i == 6;
-      continue;
-    }
-    for (int i = 0; i < 3; i++) point[i] = posed[LANES * i + lane], normal[i] = posed[LANES * (3 + i) + lane];
-    const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block + lane;
-    vf open[3] = {}, seen[3] = {}, bounced[3] = {}, sky = {}, open_sky = {};
-    for (int g = 0; g < t.cast.groups; g++) {
-      float* kept = s.visible + LANES * (t.cast.groups * (LANES * (int64_t)block + lane) + g);
-      vf cosine, visible;
-      if (!distant_seen(t.cast, foreign, point, normal, g, s.keeps_visible ? kept : nullptr, cosine, visible)) continue;
-      store(kept, visible);
-      const float *cell = t.cast.lamp + 6 * LANES * g, *back = s.thrown + 3 * LANES * g;
-      const vf hidden = cosine * (1.f - visible);
-      for (int i = 0; i < 3; i++) {
-        const vf light = cosine * load(cell + LANES * (3 + i));
-        open[i] += light, seen[i] += light * visible, bounced[i] += hidden * load(back + LANES * i);
-      }
-      sky += cosine, open_sky += cosine * visible;
-    }
-    for (int i = 0; i < 3; i++) {
-      const float whole = sum_of(open[i]) + s.ambient[i];
-      out[i] = 1.f - s.shade * (1.f - (sum_of(seen[i]) + s.ambient[i]) / whole);
-      out[3 + i] = s.shade * sum_of(bounced[i]);
-    }
-    out[6] = 1.f - s.shade * (1.f - sum_of(open_sky) / (sum_of(sky) + DISTANCE2_MIN));
+  const CastTask& c = t.cast;
+  const float *posed = s.posed + POSED * LANES * (int64_t)block, *foreign = c.foreign + BONES * LANES * (int64_t)block;
+  const int columns = columns_of(s);
+  float* rows = s.reached + columns * LANES * (int64_t)block;
+  if (!(s.shade > 0)) {
+    for (int i = 0; i < OF_WORLD; i++) store_column(rows + i, columns, all(i < 3 || i == 6 ? 1.f : 0.f));
+    return;
   }
+  vf p[3], normal[3], open[3] = {}, seen[3] = {}, bounced[3] = {}, sky = {}, open_sky = {};
+  for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
+  const Ball ball = ball_around(p);
+  const Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, c.lamp_width};
+  for (int g = 0; g < c.groups; g++) {
+    const float *cells = c.lamp + 6 * LANES * g, *thrown = s.thrown + 3 * LANES * g;
+    float* visible = s.visible + LANES * LANES * (c.groups * (int64_t)block + g);
+    vf cosines[LANES];
+    uint32_t faced = 0;
+    for (int cell = 0; cell < LANES; cell++) {
+      const float* d = cells + cell;
+      cosines[cell] = max(normal[0] * d[0] + normal[1] * d[LANES] + normal[2] * d[2 * LANES], vf{});
+      if (bit_mask(cosines[cell] > 0)) faced |= 1u << cell;
+    }
+    if (!s.keeps_visible) {
+      for (int cell = 0; cell < LANES; cell++) store(visible + LANES * cell, all(1.f));
+      for (int k = 0; k < c.capsules; k++) {
+        const bool far = k >= BONES;
+        const vf hides = far ? all(c.other[OTHER * (k - BONES)]) : load(foreign + LANES * k);
+        if (!bit_mask(hides > 0)) continue;
+        const float *capsule = c.capsule + CAPSULE * k, *capsule_lamp = c.capsule_lamp + 2 * LANES * (c.groups * k + g);
+        vf from_start[3];
+        for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
+        for (uint32_t some = faced & lamps_behind(c, rays, k, g); some; some &= some - 1) {
+          const int cell = __builtin_ctz(some);
+          const vf direction[3] = {all(cells[cell]), all(cells[LANES + cell]), all(cells[2 * LANES + cell])};
+          const vf along = all(capsule_lamp[cell]), inverse_sine2 = all(capsule_lamp[LANES + cell]);
+          vf part = all(1.f);
+          far ? past_capsule<true>(c, capsule, from_start, direction, along, inverse_sine2, c.softness, c.lamp_width, part)
+              : past_capsule<false>(c, capsule, from_start, direction, along, inverse_sine2, c.softness, c.lamp_width, part);
+          store(visible + LANES * cell, load(visible + LANES * cell) * (1.f - hides * (1.f - part)));
+        }
+      }
+    }
+    for (; faced; faced &= faced - 1) {
+      const int cell = __builtin_ctz(faced);
+      const vf cosine = cosines[cell], part = load(visible + LANES * cell), hidden = cosine * (1.f - part);
+      for (int i = 0; i < 3; i++) {
+        const vf light = cosine * cells[LANES * (3 + i) + cell];
+        open[i] += light, seen[i] += light * part, bounced[i] += hidden * thrown[LANES * i + cell];
+      }
+      sky += cosine, open_sky += cosine * part;
+    }
+  }
+  for (int i = 0; i < 3; i++) {
+    const vf part = (seen[i] + s.ambient[i]) / (open[i] + s.ambient[i]);
+    store_column(rows + i, columns, 1.f - s.shade * (1.f - part));
+    store_column(rows + 3 + i, columns, s.shade * bounced[i]);
+  }
+  store_column(rows + 6, columns, 1.f - s.shade * (1.f - open_sky / (sky + DISTANCE2_MIN)));
 }
 
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]) {

@@ -40,7 +40,7 @@ struct SceneLightTask {
   const float* baked;        // (16 anchor blocks, 16): W/m2 instead of lamps and world: rgb, how it turns, 4 unused; null: none
   const float* lobe;         // (lobes, 7): what the world mirrors: unit direction, sharpness / ln 2, radiance
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
-  float* visible;            // (16 anchor blocks, groups, 16): part of each cell of the world that an anchor sees
+  float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
   float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
