@@ -180,6 +180,11 @@ ADVICE = {
         "Show the hand in a view of the scene at this frame for a moment, or render without a window",
         TRY_AGAIN,
     ),
+    "exact_light": Advice(
+        "The exact light of this frame was not baked",
+        'Show a hand in a 3D view and render again, or switch "Exact Light" off',
+        TRY_AGAIN,
+    ),
     "world_bake": Advice(
         "Cycles could not measure the light of the world",
         "Let other renders and bakes end, then change the world or render without a window",

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .stand_in import points_m
+from .stand_in import FINE_POINTS, points_m
 from .wire import protocol
 
 # a hand is looked at from near: where new cameras, and the part of a view that can show hands, begin, meters
@@ -128,7 +128,7 @@ class SceneLight:
     """The light that a scene throws on its hands. lamps: records, see the engine's `Lamp`, in the axes of
     LIGHT_FROM_WORLD; world: {key, env_from_world}, None for a black one; picture: (rows, columns, 3) float32 of it;
     left: (hands, lamps, POINTS) uint8 what things leave of the lamps at `stand_in.points_on` hands, None for all.
-    baked: (hands, POINTS, 4, 3) all light at these points, see the engine's `Baked`, None where nobody baked it."""
+    baked: (hands, FINE_POINTS, 4, 3) float32 all light at others, see the engine's `Baked`, None where it is not."""
 
     lamps: Sequence[Mapping[str, Any]] = ()
     world: Mapping[str, Any] | None = None
@@ -204,11 +204,9 @@ def moments_request(
         if light.picture is not None:
             arrays["world"] = protocol.Array.of(np.ascontiguousarray(light.picture, "<f4"))
         if light.left is not None:
-            arrays["left"] = protocol.Array.of(light.left)
+            arrays["left"], arrays["left_at"] = map(protocol.Array.of, (light.left, points_m()))
         if light.baked is not None:
-            arrays["baked"] = protocol.Array.of(np.ascontiguousarray(light.baked, "<f4"))
-        if light.left is not None or light.baked is not None:
-            arrays["skin_at"] = protocol.Array.of(points_m())
+            arrays["baked"], arrays["baked_at"] = map(protocol.Array.of, (light.baked, points_m(FINE_POINTS)))
     return header, arrays
 
 

@@ -8,6 +8,7 @@ goes on after a report too, so the frame is filled with magenta, nearer than eve
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from ..renderer.runtime import RenderNote
 from ..renderer.state import REQUEST_S
 from ..ui import POPUP_LETTERS
 from ..viewport.views import ViewportEngine
-from . import ENGINE, camera, composite, rendering, samples, scene_light
+from . import ENGINE, camera, composite, exact_light, rendering, samples, scene_light
 
 COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
 # as Blender shows what is missing
@@ -111,7 +112,9 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         frame = samples.Frame(lambda: self.camera_override or depsgraph.scene_eval.camera, size, part)
         seen = samples.read_moments(depsgraph, frame, self.frame_set)
         light = scene_light.of_render(depsgraph, instances.evaluated_sources(depsgraph))
-        light = scene_light.shaded(light, seen[(len(seen) - 1) // 2].hands, depsgraph)
+        hands = seen[(len(seen) - 1) // 2].hands
+        light = scene_light.shaded(light, hands, depsgraph)
+        light = exact_light.with_baked(light, depsgraph, hands, self._is_canceled)
         evaluated, scene = time.perf_counter(), depsgraph.scene_eval
         wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer_eval)}
         reply = self._ask(seen, list(wanted.values()), scene, light)
@@ -217,8 +220,8 @@ CLASSES = (JGHandRenderEngine,)
 @persistent
 def on_frame(scene: bpy.types.Scene, *_: Any) -> None:
     """A frame is about to be rendered. In a window that is said on another thread; without one its world is measured
-    now: to do so within `render` ends Blender (run, 5.2.3)."""
-    if not bpy.app.background:
+    and its light baked now: to do so within `render` ends Blender (run, 5.2.3)."""
+    if threading.current_thread() is not threading.main_thread():
         return
     for each in (scene, composite.hands_scene_of(scene)):
         if each is None or each.render.engine != ENGINE or not scene_light.is_chosen(each):
@@ -227,6 +230,7 @@ def on_frame(scene: bpy.types.Scene, *_: Any) -> None:
         for layer in each.view_layers:
             if layer.use:
                 scene_light.measure(layer.depsgraph)
+                exact_light.prepare(layer.depsgraph)
 
 
 def _panels() -> Iterator[set[str]]:

@@ -91,7 +91,7 @@ def lamps_of(
         scene = depsgraph.scene_eval
         eevee, unit_m = _is_eevee(scene, space), scene.unit_settings.scale_length
         for thing, matrix in _placed(depsgraph, space):
-            if not _lights_any(thing.light_linking.receiver_collection, hands):
+            if not lights_any(thing.light_linking.receiver_collection, hands):
                 continue
             found += lamps.lamps_of(_read(thing, matrix, hands, eevee=eevee), unit_m)
             warnings.update(dict.fromkeys(_warnings(thing, hands, eevee=eevee)))
@@ -137,7 +137,7 @@ def _read(
             power = 0.0  # it only guides the world's light
     size_x = getattr(light, "size", 0.0)
     shape = getattr(light, "shape", "SQUARE")
-    has_shadow = light.use_shadow and _lights_any(thing.light_linking.blocker_collection, hands)
+    has_shadow = light.use_shadow and lights_any(thing.light_linking.blocker_collection, hands)
     return lamps.BlenderLight(
         kind=light.type,
         matrix=matrix,
@@ -177,12 +177,12 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
         text = rpt_('{name}: "{node}" of its nodes is left out on hands; give its Emission plain values')
         yield text.format(name=name, node=unread)
     receivers = thing.light_linking.receiver_collection
-    if len({_lights_any(receivers, [hand]) for hand in hands}) > 1:
+    if len({lights_any(receivers, [hand]) for hand in hands}) > 1:
         text = rpt_("{name}: light linking leaves out some of the hands, but it lights them all; link all or none")
         yield text.format(name=name)
     blockers = thing.light_linking.blocker_collection
     if light.use_shadow and blockers is not None and (blockers.children or blockers.objects):
-        yield _warning_of_blockers(_lights_any(blockers, hands)).format(name=name)
+        yield _warning_of_blockers(lights_any(blockers, hands)).format(name=name)
 
 
 def _warning_of_blockers(has_hands: bool) -> str:
@@ -195,7 +195,7 @@ def _warning_of_blockers(has_hands: bool) -> str:
 # ---- light linking ---------------------------------------------------------------------------------------------------
 
 
-def _lights_any(linked: bpy.types.Collection | None, hands: Sequence[bpy.types.Object]) -> bool:
+def lights_any(linked: bpy.types.Collection | None, hands: Sequence[bpy.types.Object]) -> bool:
     """Whether any of the hands is a receiver, or a blocker, of a light's collection of those: an empty one has
     everything. Objects count before collections; who is excluded is out, and so is whoever is not among those who are
     included."""

@@ -52,9 +52,10 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
         layout.row().prop(scene.jghand, "light", expand=True)
         _draw_kinds(layout, context)
         is_chosen = scene_light.is_chosen(scene)
-        around = layout.row()
+        around = layout.column()
         around.active = is_chosen
         around.prop(scene.jghand, "use_surroundings")
+        around.prop(scene.jghand, "use_exact_light")
         for warning in scene_light.warnings() if is_chosen else ():
             ui.paragraph(layout, context, warning, icon="INFO")
         hand = ui.active(context)

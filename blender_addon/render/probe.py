@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from .. import versions
-from ..core import worlds
+from ..core import facets, worlds
 from ..errors import JGHandFailure
 
 # of the ball, meters
@@ -59,14 +59,14 @@ def measure(
     looks = worlds.probe(sun)
     made: list[Any] = []
     try:
-        own = _scene(scene, world, made)
+        own = new_scene(scene, world, made)
         ball = _ball(looks, RADIUS_M / scene.unit_settings.scale_length, made)
         own.collection.objects.link(ball)
         if around is not None:
             ball.location = around.place
             for thing in (*around.things, *_lamps_for_others(around.lamps, ball, made)):
                 own.collection.objects.link(thing)
-        out = _bake(own, ball)
+        out = bake(own, ball)
     finally:
         for kind, thing in reversed(made):
             kind.remove(thing)
@@ -111,7 +111,11 @@ def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | N
         bpy.data.worlds.remove(world)
 
 
-def _scene(of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any]) -> bpy.types.Scene:
+def new_scene(
+    of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any], samples: int = SAMPLES
+) -> bpy.types.Scene:
+    """A scene to bake in, at the frame of another. made: gets (collection of bpy.data, data-block) of all that is to be
+    removed. JGHandFailure: no_cycles."""
     scene = bpy.data.scenes.new(NAME)
     made.append((bpy.data.scenes, scene))
     scene.world = world
@@ -122,7 +126,7 @@ def _scene(of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any]) 
     except TypeError as error:  # the add-on is disabled
         raise JGHandFailure("no_cycles") from error
     cycles = scene.cycles
-    cycles.samples, cycles.max_bounces, cycles.seed = SAMPLES, BOUNCES, 0
+    cycles.samples, cycles.max_bounces, cycles.seed = samples, BOUNCES, 0
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     # clamped or blurred light would be missing
     cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
@@ -132,39 +136,40 @@ def _scene(of: bpy.types.Scene, world: bpy.types.World | None, made: list[Any]) 
 
 def _ball(looks: worlds.Probe, radius: float, made: list[Any]) -> bpy.types.Object:
     """Triangles that look in all directions, each flat: between smooth ones light would be lost below their edges."""
-    normal = looks.normal
-    side = np.cross(normal, np.where(np.abs(normal[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    turn = 2 * np.pi * np.arange(3)[:, None, None] / 3
-    corners = np.cos(turn) * side + np.sin(turn) * np.cross(normal, side)
-    mesh = bpy.data.meshes.new(NAME)
-    made.append((bpy.data.meshes, mesh))
-    points = radius * (looks.place + looks.size[:, None] * corners).swapaxes(0, 1).reshape(-1, 3)
-    mesh.from_pydata(points.tolist(), [], np.arange(len(points)).reshape(-1, 3).tolist())
-    mesh.polygons.foreach_set("material_index", looks.is_white.astype(np.int32))
-    mesh.color_attributes.active_color = mesh.color_attributes.new(NAME, "FLOAT_COLOR", "POINT")
+    ball = new_facets(radius * facets.triangles(looks.place, looks.normal, looks.size), made)
+    ball.data.polygons.foreach_set("material_index", looks.is_white.astype(np.int32))
     for name in _SHADERS:
-        mesh.materials.append(_material(name, made))
-    ball = bpy.data.objects.new(NAME, mesh)
-    made.append((bpy.data.objects, ball))
+        ball.data.materials.append(new_material(name, (1.0, 1.0, 1.0, 1.0), made))
     return ball
 
 
-def _material(shader: str, made: list[Any]) -> bpy.types.Material:
-    """Of one shader that reflects everything."""
+def new_facets(corners: np.ndarray, made: list[Any]) -> bpy.types.Object:
+    """Triangles (N, 3, 3) that can be baked. made: see `new_scene`"""
+    mesh = bpy.data.meshes.new(NAME)
+    made.append((bpy.data.meshes, mesh))
+    points = corners.reshape(-1, 3)
+    mesh.from_pydata(points, [], np.arange(len(points)).reshape(-1, 3))
+    mesh.color_attributes.active_color = mesh.color_attributes.new(NAME, "FLOAT_COLOR", "POINT")
+    thing = bpy.data.objects.new(NAME, mesh)
+    made.append((bpy.data.objects, thing))
+    return thing
+
+
+def new_material(shader: str, rgba: tuple[float, float, float, float], made: list[Any]) -> bpy.types.Material:
+    """Of one shader that reflects so much. made: see `new_scene`"""
     material = bpy.data.materials.new(NAME)
     made.append((bpy.data.materials, material))
     tree = versions.ensure_tree(material)
     tree.nodes.clear()
     node, output = tree.nodes.new(shader), tree.nodes.new("ShaderNodeOutputMaterial")
-    node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    node.inputs["Color"].default_value = rgba
     node.inputs["Roughness"].default_value = 0.0
     tree.links.new(node.outputs[0], output.inputs["Surface"])
     return material
 
 
-def _bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
-    """(facets, 3) radiance that goes out of each."""
+def bake(scene: bpy.types.Scene, ball: bpy.types.Object) -> np.ndarray:
+    """(facets, 3) radiance that goes out of each of `new_facets` in `new_scene`. JGHandFailure: world_bake."""
     layer = scene.view_layers[0]
     layer.update()
     ball.select_set(True, view_layer=layer)

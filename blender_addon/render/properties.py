@@ -105,6 +105,12 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         "back and hide the world. Cycles measures it at the hands, again whenever one of these objects changes",
         default=False,
     )
+    use_exact_light: bpy.props.BoolProperty(
+        name="Exact Light",
+        description="Renders bake all light that falls on the hands with Cycles, frame by frame: soft shadows, panels "
+        "that shine, what walls throw back. Takes a second or more for each frame; views stay as they are",
+        default=False,
+    )
     shadow_strength: bpy.props.FloatProperty(
         name="Shadow Strength",
         description="How dark the shadow is that a hand casts on itself and on the other",

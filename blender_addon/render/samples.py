@@ -99,13 +99,23 @@ def _moment(names: list[tuple[str, str]], frame: Frame, depsgraph: bpy.types.Dep
     gone = [each[0] for each in names if each not in found]
     if gone:
         raise JGHandFailure("hidden", ", ".join(gone))
-    hands: list[HandInSpace] = []
-    known: instances.Known = {}
-    for thing in map(found.__getitem__, names):
-        for hand, placed in instances.hands_shown(thing, known, for_render=True):
-            hands += seen_hands.read_shown(hand, depsgraph, placed)
+    hands = _hands_of(map(found.__getitem__, names), depsgraph)
     whole = camera.pinhole(frame.eye(), depsgraph, frame.size)
     return Moment(picture_of(whole, frame.part, frame.part.pixels), hands)
+
+
+def hands_at(depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
+    """The hands of a render, at the moment that was evaluated. Raises JGHandFailure as `sources.read_hands`."""
+    return _hands_of((thing for thing in instances.evaluated_sources(depsgraph) if not thing.hide_render), depsgraph)
+
+
+def _hands_of(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
+    known: instances.Known = {}
+    hands: list[HandInSpace] = []
+    for thing in things:
+        for hand, placed in instances.hands_shown(thing, known, for_render=True):
+            hands += seen_hands.read_shown(hand, depsgraph, placed)
+    return hands
 
 
 def _sides(moment: Moment) -> list[tuple[str, str]]:

@@ -49,7 +49,7 @@ _stood: dict[tuple[int, str], str] = {}
 CELL_M = 0.05
 Place = tuple[int, int, int]
 # objects that light may come from, or be stopped by
-_SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META", "CURVES", "POINTCLOUD", "VOLUME"}
+SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META", "CURVES", "POINTCLOUD", "VOLUME"}
 
 
 class Reading(NamedTuple):
@@ -75,7 +75,7 @@ def place_of(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) 
 
 def world_of(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> Reading:
     """How the world of a scene lights matt surfaces, as it is evaluated; at a place, with what is around it."""
-    world = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    world = world_in(depsgraph.scene_eval, depsgraph.view_layer_eval)
     if place is not None:
         tree = world and versions.world_tree(world)
         parts = [*values_of_tree(tree)] if tree else [repr(world and world.color[:])]
@@ -110,7 +110,7 @@ def update(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> bool:
         return False
     scene, layer = depsgraph.scene, depsgraph.view_layer
     try:
-        evaluated = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+        evaluated = world_in(depsgraph.scene_eval, depsgraph.view_layer_eval)
         shine = shine_of(evaluated) if evaluated is not None else Shine()
     except Unread:
         shine = Shine()
@@ -123,11 +123,11 @@ def update(depsgraph: bpy.types.Depsgraph, place: Place | None = None) -> bool:
         things = tuple(thing for thing in found if thing.type != "LIGHT")
         around = probe.Around(tuple(at.tolist()), things, lamps_there)
         turned = sun and Sun(shine.turn.T @ sun.towards, sun.angle_rad)
-        light = probe.measure(scene, _world(scene, layer), turned, around)
+        light = probe.measure(scene, world_in(scene, layer), turned, around)
     elif sky is not None:
         light = probe.measure_sky(scene, sky, sun)
     else:
-        light = probe.measure(scene, _world(scene, layer))
+        light = probe.measure(scene, world_in(scene, layer))
     suns = tuple({**sun, "rgb": _rec709(np.array(sun["rgb"])).tolist()} for sun in light.suns)
     _keep(_measured, name, replace(light, radiance=_rec709(light.radiance), suns=suns))
     return True
@@ -155,7 +155,8 @@ def forget() -> None:
         kept.clear()
 
 
-def _world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+def world_in(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+    """That of a view layer."""
     return getattr(layer, "world_override", None) or scene.world
 
 
@@ -182,7 +183,7 @@ def _is_around(thing: bpy.types.Object) -> bool:
     inside = thing.instance_collection if thing.instance_type == "COLLECTION" else None
     if inside is not None:
         return not any(each.type in ("LIGHT", "ARMATURE") for each in inside.all_objects)
-    return thing.type in _SURFACES
+    return thing.type in SURFACES
 
 
 # ---- read ------------------------------------------------------------------------------------------------------------
@@ -283,20 +284,20 @@ def _keep(kept: OrderedDict[str, Any], name: str, value: Any) -> Any:
 # ---- colors ----------------------------------------------------------------------------------------------------------
 
 
-def _rec709_from_scene() -> np.ndarray:
+def rec709_from_scene() -> np.ndarray:
     """(3, 3) from the working space of the file."""
     return np.stack([lamps.rec709(axis) for axis in np.eye(3)], 1)
 
 
 def _space() -> str:
-    return repr(_rec709_from_scene().round(6).tolist())
+    return repr(rec709_from_scene().round(6).tolist())
 
 
 def _is_rec709() -> bool:
-    return bool(np.allclose(_rec709_from_scene(), np.eye(3), atol=1e-4))
+    return bool(np.allclose(rec709_from_scene(), np.eye(3), atol=1e-4))
 
 
 def _rec709(values: np.ndarray) -> np.ndarray:
     """Scene-linear colors of any shape, as Rec.709 without negative parts."""
-    turned = values if _is_rec709() else values @ _rec709_from_scene().T
+    turned = values if _is_rec709() else values @ rec709_from_scene().T
     return np.maximum(turned, 0).astype(np.float32)

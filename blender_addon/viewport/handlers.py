@@ -19,7 +19,7 @@ from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands, stand_ins
-from ..render import lamps, probe, rendering, scene_light, scene_shadows, worlds
+from ..render import exact_light, lamps, probe, rendering, scene_light, scene_shadows, worlds
 from ..renderer import runtime
 from . import drawing, views
 
@@ -40,6 +40,7 @@ _panels_drawn_s = 0.0
 def tick() -> float:
     """Looks once; returns after how many seconds to look again."""
     views.end_turn()
+    exact_light.tend()
     if rendering.check():
         _drop_stale()
         return clock.IDLE_TICK_S

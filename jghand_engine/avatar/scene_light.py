@@ -217,8 +217,8 @@ class Baked:
     """All light that reaches the matt skin of the hands of an image, as a path tracer found it in their scene: in place
     of world and lamps, which skin still mirrors. One is equal to itself alone.
 
-    field: for each hand (anchors, 4, 3) W/m2 in the order of the anchors of the avatar's cast shadow: a surface of unit
-           normal n gets [0] + n @ [1:], and nothing where that is negative
+    field: for each hand (N, 4, 3) W/m2 in the order of the avatar's Gaussians, of which a prefix is drawn: a surface of
+           unit normal n gets [0] + n @ [1:], and nothing where that is negative
     """
 
     field: tuple[np.ndarray, ...]

@@ -51,7 +51,7 @@ class SceneLightStep:
     def __init__(
         self, response: SkinResponse, blocks: Blocks, cast: CastStep, task: LearnedTask, limits: Limits
     ) -> None:
-        self._response, self._cast, self._limits = response, cast, limits
+        self._response, self._blocks, self._cast, self._limits = response, blocks, cast, limits
         material = np.stack([response.spread, response.roughness, response.reflectance], 1)
         rows = cast.rows
         self.arrays = {
@@ -67,7 +67,6 @@ class SceneLightStep:
             "reached": aligned_zeros((rows, padded_rows(7 + 3 * LAMPS_MAX))),
             "irradiance": aligned_zeros((16, 3)),
             "left": aligned_zeros((LAMPS_MAX, rows)),
-            "baked": aligned_zeros((rows, LANES)),
             "lobe": aligned_zeros((LOBES, 7)),
             "lamp": aligned_zeros((4 * LAMPS_MAX, len(LAMP_NUMBERS))),
             "casting": aligned_zeros((LAMPS_MAX, len(LAMP_NUMBERS))),
@@ -101,12 +100,13 @@ class SceneLightStep:
         self._set_baked(None if light.baked is None else light.baked.field[0])
 
     def _set_baked(self, field: np.ndarray | None) -> None:
-        """Sets what lights matt skin in place of the lamps, (anchors, 4, 3) as `Baked` has it, and of the world."""
-        baked = self.arrays["baked"]
-        self.task.baked = None if field is None else baked.ctypes.data
-        if field is not None:
-            baked[self._cast.row_of_anchor, :12] = field.reshape(-1, 12)
-            self.arrays["lamp"][:, NUMBER["on_matt"]] = 0
+        """Sets what lights matt skin in place of the lamps, (N, 4, 3) as `Baked` has it, and of the world."""
+        if field is None:
+            self.task.baked = None
+            return
+        self.arrays["lamp"][:, NUMBER["on_matt"]] = 0
+        self.arrays["baked"] = self._blocks.blocked(field[: len(self._blocks.order)].reshape(-1, 12))
+        self.task.baked = self.arrays["baked"].ctypes.data
 
     def _set_left(self, of_lamp: np.ndarray | None, sources: list[int]) -> None:
         """Sets what a scene leaves of the lamps (lamps, anchors), as `Shades` has it; sources: the lamps by slot."""

@@ -83,14 +83,12 @@ class Reached:
     bounced: (N, 3) W/m2 from skin onto skin
     sky:     (N,) part of the directions that are open
     seen:    (slots, N) part of each lamp
-    field:   (N, 12) of a light that was baked, see `scene_light.Baked`
     """
 
     part: Tensor
     bounced: Tensor
     sky: Tensor
     seen: Tensor
-    field: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -291,10 +289,7 @@ def reached(
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, sky], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
-    field = None
-    if light.baked is not None:
-        field = cast.anchors.spread(given.new_tensor(light.baked.field[0]).reshape(-1, 12))
-    return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin, field)
+    return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
 
 
 def matt(
@@ -307,13 +302,13 @@ def matt(
     shade: Tensor | None,
 ) -> Tensor:
     """(N, 3) radiance that is the same from everywhere."""
-    if got.field is None:
+    if light.baked is None:
         irradiance = by_column(world_irradiance(light, response, skin.normal)) * got.part + got.bounced
     else:
-        turned = got.field[:, 3:].reshape(-1, 3, 3)
-        irradiance = (got.field[:, :3] + torch.einsum("na,nac->nc", skin.normal, turned)).clamp_min(0)
+        field = albedo.new_tensor(light.baked.field[0][: len(albedo)])
+        irradiance = (field[:, 0] + torch.einsum("na,nac->nc", skin.normal, field[:, 1:])).clamp_min(0)
     corner2 = by_column((response.spread[:, None] * response.softness).square())
-    for row in lamps.rows if got.field is None else ():
+    for row in lamps.rows if light.baked is None else ():
         direction, strength, sine = lamp_at(row, skin.position_m)
         corner = (corner2 + sine.square()[:, None]).sqrt().clamp(CORNER_MIN, CORNER_MAX)
         cosine = (skin.normal * direction).sum(-1, keepdim=True)

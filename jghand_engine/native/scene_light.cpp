@@ -21,7 +21,7 @@ constexpr float MASKED_MIN = 1e-6f;                       // of rows without ski
 constexpr float LOBE_EXPONENT_MIN = -31.f;                // of 2: less of a lobe is not seen
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
-constexpr int POSED = 9, MATERIAL = 3;
+constexpr int POSED = 9, MATERIAL = 3, BAKED = 12;
 // what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
 // with wide edges and, where things of the scene stand in the light, what these leave
 constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_MAX * SLOTS_MAX + LANES - 1) / LANES * LANES;
@@ -316,10 +316,12 @@ void light_block(const LearnedTask& t, int32_t block) {
   const int columns = columns_of(s);
   for (int i = 0; i < columns; i += LANES) spread(t, block, s.reached + i, columns, reached + i);
   if (s.baked) {
-    vf field[LANES];
-    spread(t, block, s.baked, LANES, field);
-    for (int i = 0; i < 3; i++)
-      light[i] = max(field[i] + normal[0] * field[3 + i] + normal[1] * field[6 + i] + normal[2] * field[9 + i], vf{});
+    const float* field = s.baked + BAKED * row;
+    for (int i = 0; i < 3; i++) {
+      light[i] = load(field + LANES * i);
+      for (int a = 0; a < 3; a++) light[i] += normal[a] * load(field + LANES * (3 + 3 * a + i));
+      light[i] = max(light[i], vf{});
+    }
   } else {
     world_irradiance(s, normal, light);
     for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];

@@ -37,7 +37,7 @@ struct SceneLightTask {
   const float* casting;      // (slots, LAMP): those whose shadows are found
   const float* irradiance;   // (16, 3): of the world, W/m2, for `harmonics`
   const float* left;         // (slots, 16 anchor blocks): what the scene's things leave of a lamp at an anchor; null: all
-  const float* baked;        // (16 anchor blocks, 16): W/m2 instead of lamps and world: rgb, how it turns, 4 unused; null: none
+  const float* baked;        // (blocks, 12, 16): W/m2 instead of lamps and world: rgb, and how it turns; null: none
   const float* lobe;         // (lobes, 7): what the world mirrors: unit direction, sharpness / ln 2, radiance
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees

@@ -48,9 +48,10 @@ RENDERERS_MAX = 8
 IDLE_AVATARS_MAX = 4
 # lights that are kept: of some views and their last light
 LIGHTS_MAX = 16
-# light that was baked is the mean of so many points around an anchor, weighted by a Gaussian as wide as two thirds of
-# their distance from each other, meters: a sixth of the paths' noise variance is left, and edges stay 6 mm wide
-POINTS_AROUND, SMOOTHED_M = 12, 2.5e-3
+# light that was baked is, at each Gaussian, the mean of so many points around it, weighted by a Gaussian of that width,
+# meters; they are found among so many around its nearest anchor. With the extension's points, 1.8 mm apart, a ninth of
+# the paths' noise variance is left, and edges are 3.5 mm wide
+POINTS_NEAR, SMOOTHED_M, POINTS_AROUND = 12, 1.5e-3, 48
 # sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
@@ -88,6 +89,33 @@ class _Key(NamedTuple):
     lit: bool
 
 
+class _Near(NamedTuple):
+    """Points on the template that are near those of an avatar.
+
+    at_anchors: (A,) the nearest of each anchor of the cast shadow
+    near:       (N, K) those around each Gaussian
+    share:      (N, K) their weights, which sum to 1
+    """
+
+    at_anchors: np.ndarray
+    near: np.ndarray
+    share: np.ndarray
+
+    @classmethod
+    def of(cls, avatar: HandAvatar, points_m: np.ndarray) -> _Near:
+        """points_m: (P, 3) on the avatar's hand at rest. None are near one that has no anchors."""
+        cast = None if avatar.learned is None else avatar.learned.cast
+        if cast is None:
+            return cls(np.zeros(0, np.intp), np.zeros((0, 1), np.intp), np.zeros((0, 1)))
+        around = _around(points_m, cast.anchors.position_m, POINTS_AROUND)
+        of_gaussian = around[cast.anchors.nearest[:, 0]]
+        distance2 = np.square(points_m[of_gaussian] - avatar.position_m[:, None]).sum(-1)
+        kept = np.argpartition(distance2, min(POINTS_NEAR, distance2.shape[1]) - 1, axis=1)[:, :POINTS_NEAR]
+        distance2 = np.take_along_axis(distance2, kept, 1)
+        share = np.exp((distance2.min(1, keepdims=True) - distance2) / (2 * SMOOTHED_M**2))
+        return cls(around[:, 0], np.take_along_axis(of_gaussian, kept, 1), share / share.sum(1, keepdims=True))
+
+
 class _OnHands(NamedTuple):
     """A light, what is left of it and was baked at points of these hands, and both together."""
 
@@ -110,7 +138,7 @@ class HandImages:
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
         # the last light of which more is known at points of hands
         self._last_on_hands: _OnHands | None = None
-        self._points: dict[tuple[_Version, bytes], tuple[np.ndarray, np.ndarray]] = {}
+        self._points: dict[tuple[_Version, bytes], _Near] = {}
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
@@ -182,45 +210,42 @@ class HandImages:
         """The light, less what the scene's things take of it, and with what was baked; the very same one for the same
         of all."""
         wanted = request.light
-        if wanted is None or wanted.skin_at is None:
+        if wanted is None or (wanted.left is None and wanted.baked is None):
             return light
         last, hands = self._last_on_hands, [(_Version.now(hand.avatar), hand.handedness) for hand in request.hands]
-        at_points = wanted.left, wanted.baked, wanted.skin_at
+        at_points = wanted.left, wanted.left_at, wanted.baked, wanted.baked_at
         if (
             last is None
             or last.light is not light
             or last.hands != hands
             or not all(map(np.array_equal, last.at_points, at_points))
         ):
-            around, both = [self._around(hand, wanted.skin_at) for hand in request.hands], light
-            if wanted.left is not None:
-                pairs = zip(wanted.left, around, strict=True)
-                both = replace(
-                    both, shades=Shades(tuple(part[:, at[:, 0]] / np.float32(255) for part, (at, _) in pairs))
-                )
-            if wanted.baked is not None:
-                pairs = zip(wanted.baked, around, strict=True)
-                smooth = tuple(np.einsum("ak,akij->aij", share, field[at]) for field, (at, share) in pairs)
+            both = light
+            if wanted.left is not None and wanted.left_at is not None:
+                nearest = [self._near(hand, wanted.left_at).at_anchors for hand in request.hands]
+                pairs = zip(wanted.left, nearest, strict=True)
+                both = replace(both, shades=Shades(tuple(part[:, at] / np.float32(255) for part, at in pairs)))
+            if wanted.baked is not None and wanted.baked_at is not None:
+                found = [self._near(hand, wanted.baked_at) for hand in request.hands]
+                pairs = zip(wanted.baked, found, strict=True)
+                smooth = tuple(np.einsum("nk,nkij->nij", at.share, field[at.near]) for field, at in pairs)
                 both = replace(both, baked=Baked(smooth))
             last = self._last_on_hands = _OnHands(light, hands, at_points, both)
         return last.both
 
-    def _around(self, hand: RequestedHand, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(anchors, K) which of the points (P, 3) on the template are around each anchor of an avatar at rest, the
-        nearest first, and the share of each, which sum to 1."""
+    def _near(self, hand: RequestedHand, points_m: np.ndarray) -> _Near:
+        """Which of the points (P, 3) on the template are near an avatar's anchors and Gaussians, at rest."""
         key = _Version.now(hand.avatar), hashlib.blake2b(points_m.tobytes()).digest()
         if key not in self._points:
             if len(self._points) >= RENDERERS_MAX:
                 self._points.clear()
             avatar = self._avatar(key[0], hand.handedness)
-            cast = None if avatar.learned is None else avatar.learned.cast
-            anchors_m = np.zeros((0, 3)) if cast is None else cast.anchors.position_m
             # where they are on the avatar's own hand: each goes with the vertex that is nearest
             template = load_template()
             skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
             moved_m = posed_vertices(template, skeleton, avatar.canonical_joints_m) - template.vertices_m
-            points_m = points_m + moved_m[_around(template.vertices_m, points_m)[0][:, 0]]
-            self._points[key] = _around(points_m, anchors_m)
+            points_m = points_m + moved_m[_around(template.vertices_m, points_m, 1)[:, 0]]
+            self._points[key] = _Near.of(avatar, points_m)
         return self._points[key]
 
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
@@ -275,17 +300,14 @@ class HandImages:
             del self._avatars[version]
 
 
-def _around(points: np.ndarray, to: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, K) which of the points (P, 3) are around each of (N, 3), the nearest first, and their shares."""
-    count = min(POINTS_AROUND, len(points))
-    at, distance2 = np.empty((len(to), count), np.intp), np.empty((len(to), count))
+def _around(points: np.ndarray, to: np.ndarray, count: int) -> np.ndarray:
+    """(N, K) which of the points (P, 3) are around each of (N, 3), the nearest first."""
+    around = np.empty((len(to), min(count, len(points))), np.intp)
     for row, place in enumerate(to):
-        each = np.square(points - place).sum(-1)
-        near = np.argpartition(each, count - 1)[:count]
-        at[row] = near[np.argsort(each[near], kind="stable")]
-        distance2[row] = each[at[row]]
-    share = np.exp((distance2[:, :1] - distance2) / (2 * SMOOTHED_M**2))
-    return at, share / share.sum(1, keepdims=True)
+        distance2 = np.square(points - place).sum(-1)
+        near = np.argpartition(distance2, around.shape[1] - 1)[: around.shape[1]]
+        around[row] = near[np.argsort(distance2[near], kind="stable")]
+    return around
 
 
 def _wrong(name: str, wanted: str, came: object) -> InputError:

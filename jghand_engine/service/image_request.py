@@ -149,16 +149,18 @@ class RequestedLight:
     radiance: (rows, columns, 3) float32, the world's picture; None for a black world
     left:     (hands, lamps, P) uint8, what the scene's things leave of each lamp at points of each hand, 255 all; None
               where nothing stands in the light
-    baked:    (hands, P, 4, 3) all light that was found at these points, see `avatar.scene_light.Baked`; None: lamps and
+    left_at:  (P, 3) these points on the right hand of the built-in template at rest, meters
+    baked:    (hands, Q, 4, 3) all light that was found at other points, see `avatar.scene_light.Baked`; None: lamps and
               world light skin
-    skin_at:  (P, 3) these points on the right hand of the built-in template at rest, meters
+    baked_at: (Q, 3) these points
     """
 
     record: dict[str, Any]
     radiance: np.ndarray | None
     left: np.ndarray | None = None
+    left_at: np.ndarray | None = None
     baked: np.ndarray | None = None
-    skin_at: np.ndarray | None = None
+    baked_at: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -321,7 +323,8 @@ def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
 
 def _light(message: Message, hands: int) -> RequestedLight | None:
     """The object `light`: a list of lamps, and a world with the key of its picture, which is the array `world`; the
-    array `left` where things of the scene stand in the light, `baked` where it was baked, and `skin_at` with both."""
+    arrays `left` and `left_at` where things of the scene stand in the light, `baked` and `baked_at` where it was
+    baked."""
     record = message.header.get("light")
     if record is None:
         return None
@@ -330,37 +333,35 @@ def _light(message: Message, hands: int) -> RequestedLight | None:
         raise InputError("light", wanted="an object with lamps and world", came=repr(record)[:80])
     at_points = _at_points(message, record, hands)
     if world is None:
-        return RequestedLight(record, None, *at_points)
+        return RequestedLight(record, None, **at_points)
     text_of(world, "key")
     came = message.arrays.get("world")
     if came is None or came.dtype != "<f4" or not _is_world(came.shape):
         wanted = f"float32 of rows, columns and 3, at most {WORLD_ROWS_MAX} x {WORLD_COLUMNS_MAX} pixels"
         raise InputError("array world", wanted=wanted, came="nothing" if came is None else f"{came.dtype} {came.shape}")
     # its numbers are checked where it is new: it comes with every image
-    return RequestedLight(record, np.asarray(came.view()), *at_points)
+    return RequestedLight(record, np.asarray(came.view()), **at_points)
 
 
 def _is_world(shape: tuple[int, ...]) -> bool:
     return len(shape) == 3 and shape[0] <= WORLD_ROWS_MAX and shape[1] <= WORLD_COLUMNS_MAX and shape[2] == 3
 
 
-def _at_points(
-    message: Message, record: dict[str, Any], hands: int
-) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
-    """The arrays left, baked and skin_at."""
-    if not {"left", "baked"} & message.arrays.keys():
-        return None, None, None
-    at, array, lamps = message.arrays.get("skin_at"), message.arrays.get("left"), record.get("lamps")
-    points = max(at.shape[0], 1) if at is not None and at.shape else 1
-    skin_at = _numbers(message, "skin_at", (points, 3))
-    left = None
+def _at_points(message: Message, record: dict[str, Any], hands: int) -> dict[str, np.ndarray]:
+    """The arrays left, left_at, baked and baked_at, where they came."""
+    found, lamps = {}, record.get("lamps")
+    array = message.arrays.get("left")
     if array is not None:
-        shape = (hands, len(lamps) if isinstance(lamps, list) else 0, points)
+        shape = (hands, len(lamps) if isinstance(lamps, list) else 0, array.shape[-1] if array.shape else 0)
         if array.dtype != "|u1" or array.shape != shape:
             raise InputError("array left", wanted=f"bytes of shape {shape}", came=f"{array.dtype} {array.shape}")
-        left = np.array(array.view())
-    baked = _numbers(message, "baked", (hands, points, 4, 3)) if "baked" in message.arrays else None
-    return left, baked, skin_at
+        found |= {"left": np.array(array.view()), "left_at": _numbers(message, "left_at", (shape[2], 3))}
+    array = message.arrays.get("baked")
+    if array is not None:
+        points = array.shape[1] if len(array.shape) > 1 else 0
+        found["baked"] = _numbers(message, "baked", (hands, points, 4, 3))
+        found["baked_at"] = _numbers(message, "baked_at", (points, 3))
+    return found
 
 
 def _whole(header: dict[str, Any], name: str, largest: int) -> int:

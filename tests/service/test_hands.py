@@ -454,11 +454,11 @@ def test_the_same_light_again_draws_nothing(source, tmp_path):
 def test_what_a_scene_takes_of_a_lamp_is_dark_on_the_hand_and_known_again(source, tmp_path):
     hand, lamps = trained_hand(tmp_path), lit(SUN, SUN | {"rgb": [1, 1, 1]})
     bare = source.render(asked([hand, hand], light=lit(SUN)))
-    left, skin_at = np.full((2, 2, 9), 255, np.uint8), np.random.default_rng(0).uniform(-0.1, 0.1, (9, 3))
+    left, left_at = np.full((2, 2, 9), 255, np.uint8), np.random.default_rng(0).uniform(-0.1, 0.1, (9, 3))
     left[:, 1] = 0
-    shaded = source.render(asked([hand, hand], light=replace(lamps, left=left, skin_at=skin_at)))
+    shaded = source.render(asked([hand, hand], light=replace(lamps, left=left, left_at=left_at)))
     assert np.allclose(shaded.rgba, bare.rgba, rtol=1e-4, atol=1e-6)
-    stages = source.render(asked([hand, hand], light=replace(lamps, left=left.copy(), skin_at=skin_at))).report[
+    stages = source.render(asked([hand, hand], light=replace(lamps, left=left.copy(), left_at=left_at))).report[
         "stages"
     ]
     assert {"skin", "gloss", "raster"}.isdisjoint(stage["name"] for stage in stages if stage["ran"])
@@ -466,10 +466,10 @@ def test_what_a_scene_takes_of_a_lamp_is_dark_on_the_hand_and_known_again(source
 
 def test_light_that_was_baked_lights_each_hand_as_it_says_whatever_the_lamps_are(source, tmp_path):
     """It is smoothed over the points, so that an even one stays even."""
-    hand, skin_at = trained_hand(tmp_path), np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3))
+    hand, baked_at = trained_hand(tmp_path), np.random.default_rng(0).uniform(-0.1, 0.1, (50, 3))
     even = np.zeros((1, 50, 4, 3))
     even[:, :, 0] = [np.pi, 2 * np.pi, 0]
-    light = replace(lit(SUN | {"on_gloss": False}), baked=even, skin_at=skin_at)
+    light = replace(lit(SUN | {"on_gloss": False}), baked=even, baked_at=baked_at)
     once = source.render(asked([hand], light=light)).rgba
     twice = source.render(asked([hand], light=replace(light, baked=2 * even))).rgba
     assert once[..., :2].max() > 0.01

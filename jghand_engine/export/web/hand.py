@@ -156,7 +156,7 @@ def _light(avatar: HandAvatar, blocks: Blocks, arrays: dict[str, np.ndarray]) ->
     cast = CastStep(lit.learned.cast, lit, blocks, scratch)
     step = SceneLightStep(lit.learned.response, blocks, cast, scratch, LIMITS)
     step.prepare(turned_light((0.0, 0.0, 1.0)), lit.skeleton().bones(lit.canonical_joints_m))
-    used = {name: array for name, array in step.arrays.items() if name not in ("left", "baked")}
+    used = {name: array for name, array in step.arrays.items() if name != "left"}
     used["lamp"], used["casting"] = used["lamp"][: step.task.lamps], used["casting"][: step.task.slots]
     used |= {"cell": cast.arrays["lamp"], "capsule_lamp": cast.arrays["capsule_lamp"]}
     arrays |= {f"scene.{name}": array for name, array in used.items()}
