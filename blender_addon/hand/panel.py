@@ -11,7 +11,7 @@ from ..core import panel_text
 from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS, NAMES
 from ..errors import JGHandFailure
-from ..render import ENGINE
+from ..render import ENGINE, scene_light
 from ..renderer import runtime
 from ..renderer.panel import draw_failure, draw_job, draw_status
 from ..ui import Sidebar
@@ -54,12 +54,17 @@ class HandPanel(Sidebar, bpy.types.Panel):
 
 
 def _shading_hint(context: bpy.types.Context) -> str:
-    """What a view shows that has no hands."""
+    """What a view shows that has no hands, or not as they are."""
+    transform = context.scene.view_settings.view_transform
     shading = getattr(context.space_data, "shading", None)
     if shading is not None and shading.type == "WIREFRAME":
         return "Wireframe shows no hands: they are in Solid, Material Preview and Rendered"
     if shading is not None and shading.type == "RENDERED" and context.scene.render.engine != ENGINE:
         return 'Rendered shading shows hands after "Use JGHand Engine" only'
+    is_lit = shading is not None and shading.type == "MATERIAL" and scene_light.is_chosen(context.scene)
+    if is_lit and transform != "Standard":  # Blender draws overlays after its view transform
+        text = "Material Preview shows hands without the view transform {name}; renders and Rendered have it"
+        return iface_(text).format(name=transform)
     return ""
 
 

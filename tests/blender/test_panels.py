@@ -329,6 +329,19 @@ def test_a_view_that_shows_no_hands_says_why(extension, engine):
     assert "JGHand Engine" in seen["RENDERED"]
 
 
+def test_material_preview_says_that_hands_have_no_view_transform_there(extension, engine):
+    add()
+    scene = extension.scene
+    shading = SimpleNamespace(type="MATERIAL")
+    around = SimpleNamespace(space_data=SimpleNamespace(shading=shading), scene=scene)
+    scene.view_settings.view_transform = "AgX"
+    assert hand_panel._shading_hint(around) == ""
+    scene.jghand.light = "SCENE"
+    assert "without the view transform AgX" in hand_panel._shading_hint(around)
+    scene.view_settings.view_transform = "Standard"
+    assert hand_panel._shading_hint(around) == ""
+
+
 def test_panels_do_not_ask_every_object_of_a_scene_at_every_redraw(extension, monkeypatch):
     for place in range(50):
         extension.scene.collection.objects.link(bpy.data.objects.new(f"thing {place}", None))

@@ -8,6 +8,8 @@ import importlib
 import bpy
 import numpy as np
 
+from in_blender.pictures import skin
+
 # a screen's step that nobody takes for noise
 STEP = 8
 
@@ -107,6 +109,46 @@ def step_in_material_preview_it_stands_in_the_scenes_light_and_throws_its_shadow
     without = window.crop(window.picture("without_shadow").astype(int))
     darker = without.mean(-1) - window.crop(with_shadow).mean(-1)
     assert (darker > STEP).sum() > 2000
+
+
+def step_under_agx_a_mesh_hand_beside_it_has_the_same_light_and_shadow(window):
+    scene = bpy.context.scene
+    assert scene.view_settings.view_transform == "AgX"
+    for thing in [thing for thing in scene.objects if thing.type == "MESH" and "jghand_stand_in" not in thing]:
+        bpy.data.objects.remove(thing)
+    hand = next(thing for thing in scene.objects if "jghand_handedness" in thing)
+    hand.jghand.cast_shadow = True
+    (stand_in,) = (thing for thing in bpy.data.objects if "jghand_stand_in" in thing)
+    mesh = bpy.data.objects.new("Mesh Hand", stand_in.data)
+    mesh.matrix_world = hand.matrix_world
+    mesh.location.x += 0.16
+    scene.collection.objects.link(mesh)
+    bpy.ops.mesh.primitive_plane_add(size=1.0, location=(0.0, 0.0, 0.0))
+    ground, lamp, eye = bpy.context.object, _lamp(), scene.camera
+    lamp.data.type, lamp.data.energy, lamp.rotation_euler = "SUN", 4.0, (0.9, 0.0, -0.5)
+    eye.location, eye.rotation_euler = (0.08, -0.75, 0.25), (1.35, 0.0, 0.0)
+    eye.data.type, eye.data.ortho_scale = "ORTHO", 0.48  # a pixel for each millimeter
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 16, False
+    scene.render.resolution_x, scene.render.resolution_y = 480, 320
+    bpy.context.preferences.view.render_display_type = "NONE"
+    window.call("jghand.combine_with_scene")
+    path = window.out / "mesh_hand_beside_it.png"
+    scene.render.filepath = str(path)
+    with window.override():
+        bpy.ops.render.render("INVOKE_DEFAULT", write_still=True)
+    yield lambda: path.exists() and not bpy.app.is_job_running("RENDER")
+    image = bpy.data.images.load(str(path))
+    shown = (255 * np.reshape(image.pixels[:], (320, 480, -1))[::-1, :, :3]).astype(np.uint8)
+    of_hand, of_mesh = (half[skin(half)] for half in np.array_split(shown, 2, axis=1))
+    assert 0.8 < len(of_hand) / len(of_mesh) < 1.25
+    assert np.abs(of_hand.mean(0) - of_mesh.mean(0)).max() < 3 * STEP
+    of_hand, of_mesh, clear = (shown[205:245, left : left + 40].mean() for left in (222, 222 + 160, 20))
+    assert max(of_hand, of_mesh) < clear - 2 * STEP
+    assert abs(of_hand - of_mesh) < STEP
+    window.call("jghand.remove_combination")
+    for thing in (mesh, ground):
+        bpy.data.objects.remove(thing)
+    lamp.data.type, scene.render.engine = "POINT", "JGHAND"
 
 
 def step_solid_keeps_the_light_of_the_capture(window):
