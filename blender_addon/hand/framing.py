@@ -21,6 +21,8 @@ SKIN_M, WRIST_SKIN_M = 0.015, 0.045
 MARGIN = 0.06
 # focal length of new cameras, mm on a 36 mm sensor: a portrait lens, little perspective on so near a thing
 LENS_MM = 85.0
+# how large a new camera is drawn in views, meters: less than the hand that it looks at, across which Blender's 1 m goes
+CAMERA_SIZE_M = 0.05
 # Blender's 3D views have a sensor of this width, mm; and what is kept of a view at the least for what it shows, where
 # its bars leave nothing
 VIEW_SENSOR_MM, VIEW_PART_MIN = 72.0, 0.2
@@ -55,6 +57,7 @@ def add_framing_camera(
     place = np.array(camera.camera_fit_coords(depsgraph, points.ravel().tolist())[0])
     distance = np.median((place - points) @ back)
     camera.matrix_world = _matrix(axes, place + back * distance * MARGIN)
+    data.display_size = CAMERA_SIZE_M / unit_m
     return camera
 
 

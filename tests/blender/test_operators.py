@@ -727,6 +727,7 @@ def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
     bpy.ops.jghand.use_armature()
     bpy.ops.jghand.add_camera()
     assert extension.scene.camera.name == "Hand Camera"
+    assert extension.scene.camera.data.display_size < 0.1  # Blender's own of 1 m would be drawn across the hand
 
 
 def test_the_users_folder_is_there_also_without_an_installed_extension():
