@@ -16,9 +16,9 @@ from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effec
 
 # estimated cost on one core, milliseconds per Gaussian, the anchors' part in it: of a lamp, of its shadow, of what is
 # mirrored of it, of the world's shadow
-LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 1e-6, 2.3e-5, 1.4e-6, 5e-5
+LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
 # what the world's reflections cost, in lamps
-LOBES_AS_LAMPS = 9
+LOBES_AS_LAMPS = 6
 # why something stays as it was drawn last
 KEPT_LIGHT, KEPT_WORLD = "pose and light are kept", "pose and world are kept"
 

@@ -49,8 +49,8 @@ class LightRow:
 
 
 def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]:
-    """Frames of a motion in several lights; in the last a lamp moves around a hand at rest. None for a hand that no
-    scene can light."""
+    """Frames of a motion in the light of the hand's capture and in several of scenes, drawn in turn, so that a busy
+    machine hits all alike; in the last a lamp moves around a hand at rest. None for a hand that no scene can light."""
     learned = subject.avatar.learned
     if learned is None or learned.cast is None:
         return []
@@ -58,14 +58,19 @@ def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]
     world = World(np.broadcast_to(up, (16, 32, 3)), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
     picked = np.linspace(0, len(subject.poses) - 1, FRAMES).astype(int)
     moving, resting = subject.poses[picked], np.repeat(subject.poses[:1], FRAMES, 0)
-    lights = {
+    always: dict[str, SceneLight | None] = {
+        "that of the capture": None,
         "a world": SceneLight(world),
         "a world and 3 lamps": SceneLight(world, LAMPS),
         "and a weak lamp": SceneLight(world, (*LAMPS, WEAK)),
     }
-    rows = [_measured(name, subject, settings, moving, [light] * FRAMES) for name, light in lights.items()]
     dragged = [SceneLight(world, (_turned(KEY, DRAG_RAD * frame), *LAMPS[1:])) for frame in range(FRAMES)]
-    return [*rows, _measured("a lamp is dragged", subject, settings, resting, dragged)]
+    runs = [_Run(name, subject, settings, moving, [light] * FRAMES) for name, light in always.items()]
+    runs.append(_Run("a lamp is dragged", subject, settings, resting, dragged))
+    for frame in range(FRAMES):
+        for run in runs:
+            run.draw(frame)
+    return [run.row for run in runs]
 
 
 def light_table(rows: Sequence[LightRow]) -> Table:
@@ -79,29 +84,41 @@ def light_table(rows: Sequence[LightRow]) -> Table:
     ]  # fmt: skip
     columns = ("Light", "Worst error, 8-bit steps", "ms a frame", "ms with all effects", "Left out of the light")
     notes = (
-        f"{FRAMES} frames of each light, after a first one. Worst error: the largest difference of any channel of any "
-        "pixel, displayed without exposure, from the same frames with all effects forced; ms: medians.",
+        f"{FRAMES} frames of each light, after a first one, in turn. Worst error: the largest difference of any "
+        "channel of any pixel, displayed without exposure, from the same frames with all effects forced; ms: medians.",
     )
     return Table("In the light of a scene", columns, tuple(cells), notes)
 
 
-def _measured(
-    name: str, subject: Subject, settings: RenderSettings, poses: np.ndarray, lights: Sequence[SceneLight]
-) -> LightRow:
-    row = LightRow(name)
-    every = replace(settings, effects=Choice.parse("all"))
-    auto, forced = (SceneRenderer([subject.avatar], each, lights[0]) for each in (settings, every))
-    for renderer in (auto, forced):
-        renderer.render([subject.poses[0]], subject.camera)
-    for joints_m, light in zip(poses, lights, strict=True):
-        auto.light = forced.light = light
-        frame, other = (renderer.render([joints_m], subject.camera) for renderer in (auto, forced))
+class _Run:
+    """Poses, each in its light."""
+
+    def __init__(
+        self,
+        name: str,
+        subject: Subject,
+        settings: RenderSettings,
+        poses: np.ndarray,
+        lights: Sequence[SceneLight | None],
+    ) -> None:
+        self.row = LightRow(name)
+        self._poses, self._lights, self._camera = poses, lights, subject.camera
+        every = replace(settings, effects=Choice.parse("all"))
+        self._renderers = [SceneRenderer([subject.avatar], each, lights[0]) for each in (settings, every)]
+        for renderer in self._renderers:
+            renderer.render([subject.poses[0]], subject.camera)
+
+    def draw(self, index: int) -> None:
+        """Adds one frame, as it is called for and with all effects."""
+        for renderer in self._renderers:
+            renderer.light = self._lights[index]
+        frame, other = (renderer.render([self._poses[index]], self._camera) for renderer in self._renderers)
+        row = self.row
         row.errors.append(float(np.abs(frame.displayed() - other.displayed()).max()))
         row.ms.append(frame.report.total_ms)
         row.all_ms.append(other.report.total_ms)
         decisions = () if frame.report.plan is None else frame.report.plan.decisions
         row.skipped = [f"{one.effect}: {one.reason}" for one in decisions if _leaves_out(one)]
-    return row
 
 
 def _leaves_out(decision: Decision) -> bool:

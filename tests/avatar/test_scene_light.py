@@ -14,7 +14,7 @@ from test_trained_posing import RootRelative
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.cast_task import Capsules
-from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, irradiance_at, lamp_rows, light_shares
+from jghand_engine.avatar.lamp_rows import LIMITS, Limits, compared_at, irradiance_at, lamp_rows, light_shares
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import estimated
@@ -247,11 +247,10 @@ def white(avatar: HandAvatar, bounce: float) -> HandAvatar:
     return with_response(hand, reflectance=none, shade_gain=0.0, bounce=np.full(3, bounce), ambient=np.zeros(3))
 
 
-@pytest.mark.parametrize("pose", ["open", "fist"])
-def test_a_white_hand_in_an_even_world_is_as_bright_as_the_world(pose):
-    """The furnace: what fingers take of the light they throw back."""
+def furnace(pose: str, limits: Limits) -> np.ndarray:
+    """(N, 3) how bright a white hand is over the even world around it, where it faces an eye."""
     hand = white(estimated(load_builtin(handedness=Handedness.RIGHT)), 1.0)
-    bones, poser = bones_of(hand, pose), Poser(native_library.load(), hand)
+    bones, poser = bones_of(hand, pose), Poser(native_library.load(), hand, limits=limits)
     poser.prepare(bones, np.zeros(3), light=EVEN_LIGHT)
     poser.run()
     seen = []
@@ -260,7 +259,19 @@ def test_a_white_hand_in_an_even_world_is_as_bright_as_the_world(pose):
         poser.prepare_gloss(eye_m)
         poser.run_gloss()
         seen.append(poser.into.rgb[: len(hand)].copy())
-    ratio = np.max(seen, 0) / [0.2, 0.5, 1.0]
+    return np.max(seen, 0) / [0.2, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("pose", ["open", "fist"])
+def test_a_white_hand_in_an_even_world_is_as_bright_as_the_world(pose):
+    """The furnace, without shadows: skin throws back all that it gets."""
+    assert np.abs(furnace(pose, Limits(world_shadow=np.inf)) - 1).max() < 0.01
+
+
+@pytest.mark.parametrize("pose", ["open", "fist"])
+def test_what_fingers_take_of_an_even_world_they_throw_back(pose):
+    """The furnace, with shadows: 64 directions hold half of a sphere to some percent."""
+    ratio = furnace(pose, LIMITS)
     assert np.abs(ratio - 1).max() < 0.08
     assert ratio.mean() == pytest.approx(1, abs=0.005)
 
