@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .view import LIGHT_FROM_WORLD
+from .view import BLOCKERS, LIGHT_FROM_WORLD
 
 # as many light each hand: the engine's own number, and it finds the brightest of those that are sent
 LAMPS_LIT = 32
@@ -41,6 +41,7 @@ class BlenderLight:
     is_ellipse:    whether an area is one
     spread:        of an area, across
     has_shadow:    whether what it lights shades itself
+    blockers:      which things throw its shadows: names, and whether these do or all others; None for all
     matt, gloss:   factors of the light that skin scatters and of that which it mirrors
     """
 
@@ -61,6 +62,7 @@ class BlenderLight:
     has_shadow: bool = True
     matt: float = 1.0
     gloss: float = 1.0
+    blockers: tuple[tuple[tuple[str, str], ...], bool] | None = None
 
 
 def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
@@ -86,6 +88,8 @@ def lamps_of(light: BlenderLight, unit_m: float) -> list[dict[str, Any]]:
         return []
     place = {"place_m": (turned[:3, 3] * unit_m).tolist()}
     lamp = {"kind": light.kind.lower(), "has_shadow": light.has_shadow, **place, **lamp}
+    if light.blockers is not None:
+        lamp[BLOCKERS] = light.blockers
     parts: list[tuple[float, dict[str, bool]]] = [(light.matt, {})]
     if light.matt != light.gloss:
         parts = [(light.matt, {"on_gloss": False}), (light.gloss, {"on_matt": False})]

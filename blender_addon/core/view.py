@@ -123,10 +123,15 @@ class Moment:
     weight: float = 1.0
 
 
+# field of a lamp that the engine has not: see `lamps.BlenderLight`
+BLOCKERS = "blockers"
+
+
 @dataclass(frozen=True)
 class SceneLight:
     """The light that a scene throws on its hands. lamps: records, see the engine's `Lamp`, in the axes of
-    LIGHT_FROM_WORLD; world: {key, env_from_world}, None for a black one; picture: (rows, columns, 3) float32 of it;
+    LIGHT_FROM_WORLD, and their BLOCKERS; world: {key, env_from_world}, None for a black one; picture: (rows, columns,
+    3) float32 of it;
     left: (hands, lamps, POINTS) uint8 what things leave of the lamps at `stand_in.points_on` hands, None for all.
     baked: (hands, FINE_POINTS, 4, 3) float32 all light at others, see the engine's `Baked`, None where it is not."""
 
@@ -139,12 +144,15 @@ class SceneLight:
     @property
     def record(self) -> dict[str, Any]:
         """As the engine takes it, beside the picture; equal for equal lights."""
-        return {"lamps": list(self.lamps), "world": self.world}
+        lamps = [{name: value for name, value in lamp.items() if name != BLOCKERS} for lamp in self.lamps]
+        return {"lamps": lamps, "world": self.world}
 
     @cached_property
     def key(self) -> str:
-        """Of the record, and of what is left of it."""
-        return repr(self.record) + ("" if self.left is None else hashlib.blake2b(self.left.tobytes()).hexdigest())
+        """Of the record and the blockers, and of what is left of it."""
+        return repr((self.lamps, self.world)) + (
+            "" if self.left is None else hashlib.blake2b(self.left.tobytes()).hexdigest()
+        )
 
 
 def picture_request(

@@ -137,7 +137,9 @@ def _read(
             power = 0.0  # it only guides the world's light
     size_x = getattr(light, "size", 0.0)
     shape = getattr(light, "shape", "SQUARE")
-    has_shadow = light.use_shadow and lights_any(thing.light_linking.blocker_collection, hands)
+    blockers = thing.light_linking.blocker_collection
+    has_shadow = light.use_shadow and lights_any(blockers, hands)
+    names, is_picked = _linked(blockers)
     return lamps.BlenderLight(
         kind=light.type,
         matrix=matrix,
@@ -156,6 +158,7 @@ def _read(
         has_shadow=has_shadow,
         matt=thing.visible_diffuse * (light.diffuse_factor if eevee else 1.0),
         gloss=thing.visible_glossy * (light.specular_factor if eevee else 1.0),
+        blockers=(tuple(sorted(names)), is_picked) if names else None,
     )
 
 
@@ -181,31 +184,32 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
         text = rpt_("{name}: light linking leaves out some of the hands, but it lights them all; link all or none")
         yield text.format(name=name)
     blockers = thing.light_linking.blocker_collection
-    if light.use_shadow and blockers is not None and (blockers.children or blockers.objects):
-        yield _warning_of_blockers(lights_any(blockers, hands)).format(name=name)
-
-
-def _warning_of_blockers(has_hands: bool) -> str:
-    """A light's blockers say whether hands shade themselves; things that they pick are not told from others."""
-    if has_hands:
-        return rpt_("{name}: all things shade hands despite shadow linking; turn off Shadow in their Ray Visibility")
-    return rpt_("{name}: nothing shades hands, as its shadow linking leaves them out; link them too")
+    if light.use_shadow and not lights_any(blockers, hands):
+        yield rpt_("{name}: nothing shades hands, as its shadow linking leaves them out; link them too").format(
+            name=name
+        )
 
 
 # ---- light linking ---------------------------------------------------------------------------------------------------
 
 
 def lights_any(linked: bpy.types.Collection | None, hands: Sequence[bpy.types.Object]) -> bool:
-    """Whether any of the hands is a receiver, or a blocker, of a light's collection of those: an empty one has
+    """Whether any of the hands is a receiver, or a blocker, of a light's collection of those."""
+    names, is_picked = _linked(linked)
+    return not hands or any((armature.name_in_files(hand) in names) == is_picked for hand in hands)
+
+
+def _linked(linked: bpy.types.Collection | None) -> tuple[set[tuple[str, str]], bool]:
+    """The names of those whom a light's collection picks, True, or of those whom it leaves out, False: an empty one has
     everything. Objects count before collections; who is excluded is out, and so is whoever is not among those who are
     included."""
-    if linked is None or not hands:
-        return True
+    if linked is None:
+        return set(), False
     states: dict[tuple[str, str], str] = {}
     for child, how in zip(linked.children, linked.collection_children, strict=True):
         for thing in child.all_objects:
             states[armature.name_in_files(thing)] = how.light_linking.link_state
     for thing, how in zip(linked.objects, linked.collection_objects, strict=True):
         states[armature.name_in_files(thing)] = how.light_linking.link_state
-    others = "EXCLUDE" if "INCLUDE" in states.values() else "INCLUDE"
-    return any(states.get(armature.name_in_files(hand), others) == "INCLUDE" for hand in hands)
+    named = "INCLUDE" if "INCLUDE" in states.values() else "EXCLUDE"
+    return {name for name, state in states.items() if state == named}, named == "INCLUDE"

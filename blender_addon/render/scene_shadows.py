@@ -20,7 +20,7 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from ..core.view import LIGHT_FROM_WORLD
+from ..core.view import BLOCKERS, LIGHT_FROM_WORLD
 from ..hand import armature
 
 # a lamp whose half angle has a larger sine, as the hand sees it, throws soft shadows: so many rays to its strata
@@ -61,6 +61,7 @@ class _Standing:
 
     edits:    when it was read
     meshes:   N evaluated meshes, see `_mesh_of`
+    names:    N of the objects that have them, in files
     matrices: (N, 4, 4) to the axes of the lamps, meters
     middles:  (N, 3) and
     radii:    (N,) of a ball around each, in the axes of the lamps, meters
@@ -69,6 +70,7 @@ class _Standing:
 
     edits: int
     meshes: list[tuple[int, int]]
+    names: list[tuple[str, str]]
     matrices: np.ndarray
     middles: np.ndarray
     radii: np.ndarray
@@ -102,7 +104,7 @@ def left_of_lamps(
     lamp have 255, too.
 
     points_m, normals: (N, 3) of the skin, in the axes of the lamps, meters
-    lamps:             records, see the engine's `Lamp`
+    lamps:             of `SceneLight`
     """
     left = np.full((len(lamps), len(points_m)), 255, np.uint8)
     wanted = [place for place, lamp in enumerate(lamps) if lamp.get("has_shadow", True)]
@@ -185,11 +187,12 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     last = _standing.get(key) if depsgraph.mode == "VIEWPORT" else None
     if last is not None and last.edits == _edits:
         return last
-    meshes, places = [], []
+    meshes, names, places = [], [], []
     boxes: dict[tuple[int, int], np.ndarray] = {}
     for thing, each in _solids(depsgraph):
         mesh = _mesh_of(thing)
         meshes.append(mesh)
+        names.append(armature.name_in_files(thing))
         places.append([tuple(row) for row in each.matrix_world])
         if mesh not in boxes:
             corners = np.array([tuple(corner) for corner in thing.bound_box])
@@ -202,7 +205,7 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     middles = (turns @ box.mean(1)[:, :, None])[..., 0] + matrices[:, :3, 3]
     radii = np.linalg.norm((np.abs(turns) @ (box[:, 1] - box[:, 0])[:, :, None])[..., 0], axis=-1) / 2
     known = {mesh: last.shapes[mesh] for mesh in boxes if mesh in last.shapes} if last is not None else {}
-    standing = _Standing(_edits, meshes, matrices, middles, radii, known)
+    standing = _Standing(_edits, meshes, names, matrices, middles, radii, known)
     if depsgraph.mode == "VIEWPORT":
         if len(_standing) >= _SCENES:
             _standing.clear()
@@ -267,7 +270,9 @@ def _between(points: np.ndarray, lamp: Mapping[str, Any], standing: _Standing) -
     # where on the axis the ball that comes nearest has its middle; a hull with a wide slope is its larger ball
     nearest = np.clip(along + aside * slope / math.sqrt(max(1 - slope * slope, 1e-30)), 0.0, length)
     apart = np.hypot(along - nearest, aside) - (radius + slope * nearest)
-    return np.flatnonzero(apart <= standing.radii).tolist()
+    rows = np.flatnonzero(apart <= standing.radii).tolist()
+    names, is_picked = lamp.get(BLOCKERS, ((), False))
+    return [row for row in rows if (standing.names[row] in names) == is_picked]
 
 
 def _radius(lamp: Mapping[str, Any]) -> float:

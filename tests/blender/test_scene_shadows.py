@@ -256,6 +256,30 @@ def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
     assert header["light"] == light.record
 
 
+def test_things_shade_a_hand_as_the_shadow_linking_of_a_light_has_it(extension):
+    """Without a word of it to the engine, which knows no things."""
+    hand, plane = lit_hand(extension), card(0.2, up=0.2)
+    lamp = next(thing for thing in extension.scene.objects if thing.type == "LIGHT")
+    blockers = lamp.light_linking.blocker_collection = bpy.data.collections.new("blockers")
+
+    def is_shaded() -> bool:
+        scene_light.forget()  # a view keeps its shadows until it rests
+        light, _ = shaded(extension, hand, "linked")
+        assert "blockers" not in light.record["lamps"][0]
+        return light.left is not None
+
+    assert is_shaded()
+    blockers.objects.link(plane)
+    how = blockers.collection_objects[0].light_linking
+    how.link_state = "EXCLUDE"
+    assert not is_shaded()
+    blockers.objects.link(hand)  # without it nothing shades hands
+    how.link_state = "INCLUDE"
+    assert is_shaded()
+    blockers.objects.unlink(plane)
+    assert not is_shaded()
+
+
 def test_a_hand_that_is_posed_keeps_its_shadows_until_it_rests(extension, monkeypatch):
     hand, looks = lit_hand(extension), counted(monkeypatch, "left_of_lamps")
     card(0.2, up=0.2)
