@@ -78,7 +78,7 @@ def task_of(renderer: SceneRenderer):
     light = renderer._backend._hands[0]._light
     assert light is not None
     assert light._scene is not None
-    return light._scene._task, light._scene._arrays
+    return light._scene.task, light._scene.arrays
 
 
 def test_a_lamp_that_nobody_sees_costs_nothing():
