@@ -15,7 +15,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import versions
 from ..hand import seen_hands
-from . import ENGINE, composite, scene_light, scene_shadows
+from . import ENGINE, composite, scene_light, scene_shadows, worlds
 
 # what has materials
 _SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME"}
@@ -62,7 +62,7 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
 
 
 def _of_view(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator[str]:
-    world = getattr(depsgraph.view_layer_eval, "world_override", None) or depsgraph.scene_eval.world
+    world = worlds.world_in(depsgraph.scene_eval, depsgraph.view_layer_eval)
     output = _output(world) if world is not None else None
     if output is not None and output.inputs["Volume"].is_linked:
         yield rpt_("The volume of the world does not dim hands; add mist in the compositor")
