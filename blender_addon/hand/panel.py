@@ -60,7 +60,7 @@ def _shading_hint(context: bpy.types.Context) -> str:
     if shading is not None and shading.type == "WIREFRAME":
         return "Wireframe shows no hands: they are in Solid, Material Preview and Rendered"
     if shading is not None and shading.type == "RENDERED" and context.scene.render.engine != ENGINE:
-        return 'Rendered shading shows hands after "Use JGHand Engine" only'
+        return 'Rendered shading shows hands after "Use JGHand Engine" only; Material Preview shows them with the scene'
     is_lit = shading is not None and shading.type == "MATERIAL" and scene_light.is_chosen(context.scene)
     if is_lit and transform != "Standard":  # Blender draws overlays after its view transform
         text = "Material Preview shows hands without the view transform {name}; renders and Rendered have it"

@@ -327,6 +327,7 @@ def test_a_view_that_shows_no_hands_says_why(extension, engine):
     assert seen["SOLID"] == ""
     assert "Wireframe" in seen["WIREFRAME"]
     assert "JGHand Engine" in seen["RENDERED"]
+    assert "Material Preview" in seen["RENDERED"]  # with the scene, whose engine is another one
 
 
 def test_material_preview_says_that_hands_have_no_view_transform_there(extension, engine):
