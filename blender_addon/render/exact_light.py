@@ -189,9 +189,8 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
 def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface]) -> _Stage:
     made: list[Any] = []  # `clear` knows it by name
     own = probe.new_scene(scene, None, made, SAMPLES)
-    white, skin = (
-        probe.new_material("ShaderNodeBsdfDiffuse", rgba, made) for rgba in ((1.0,) * 4, stand_ins.SKIN_RGBA)
-    )
+    white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
+    skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
     above = probe.new_facets(np.zeros((facets.LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
     above.data.materials.append(white)
     for name in _SEEN_BY:

@@ -218,7 +218,7 @@ class HandImages:
             last is None
             or last.light is not light
             or last.hands != hands
-            or not all(map(np.array_equal, last.at_points, at_points))
+            or not all(map(_is_same, last.at_points, at_points))
         ):
             both = light
             if wanted.left is not None and wanted.left_at is not None:
@@ -239,13 +239,14 @@ class HandImages:
         if key not in self._points:
             if len(self._points) >= RENDERERS_MAX:
                 self._points.clear()
-            avatar = self._avatar(key[0], hand.handedness)
-            # where they are on the avatar's own hand: each goes with the vertex that is nearest
-            template = load_template()
-            skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
-            moved_m = posed_vertices(template, skeleton, avatar.canonical_joints_m) - template.vertices_m
-            points_m = points_m + moved_m[_around(template.vertices_m, points_m, 1)[:, 0]]
-            self._points[key] = _Near.of(avatar, points_m)
+            with self._telling("Loading the avatar"):
+                avatar = self._avatar(key[0], hand.handedness)
+                # where they are on the avatar's own hand: each goes with the vertex that is nearest
+                template = load_template()
+                skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
+                moved_m = posed_vertices(template, skeleton, avatar.canonical_joints_m) - template.vertices_m
+                points_m = points_m + moved_m[_around(template.vertices_m, points_m, 1)[:, 0]]
+                self._points[key] = _Near.of(avatar, points_m)
         return self._points[key]
 
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
@@ -298,6 +299,10 @@ class HandImages:
         idle = [version for version in self._avatars if version not in shown]
         for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]
+
+
+def _is_same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
 def _around(points: np.ndarray, to: np.ndarray, count: int) -> np.ndarray:
