@@ -87,13 +87,13 @@ def write_lit_capture(folder: Path, avatar: HandAvatar) -> Path:
     split = {"format": 1, "test_frames": {hand.sequence: [3]}, "test_cameras": ["400002"],
              "test_lights": {hand.sequence: ["1/400001"]}}  # fmt: skip
     (folder / "splits.json").write_text(json.dumps(split))
+    renderer = SceneRenderer([avatar], RenderSettings(antialias=False), SceneLight())
     for (frame, name), known in read_lights(folder).items():
         image = hand.image(folder, frame, name)
-        drawn = [
-            SceneRenderer([avatar], RenderSettings(antialias=False), known.weighted(weight[:, None] * np.ones(3)))
-            .render([joints_m[frame]], cameras[name]).rgba
-            for weight in np.eye(known.groups)
-        ]  # fmt: skip
+        drawn = []
+        for weight in np.eye(known.groups):
+            renderer.light = known.weighted(weight[:, None] * np.ones(3))
+            drawn.append(renderer.render([joints_m[frame]], cameras[name]).rgba)
         alpha = np.rint(255 * drawn[0][..., 3]).astype(np.uint8)
         groups = np.stack([rgba[..., :3] for rgba in drawn]).astype(np.float16)
         box_px = np.array([0, 0, width, height])
