@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 from painted_hand import Layers, Recipe, make_untrained
+from painted_skin import SkinLook
 from PIL import Image
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.captures.making.procedural_skin import SkinLook
 from jghand_engine.template.builtin import load_template
 
 ASSETS = Path(__file__).resolve().parents[1] / "jghand_engine" / "assets"

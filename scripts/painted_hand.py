@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import torch
+from painted_skin import SkinLook
 from scipy.spatial import KDTree
 from studio_light import Studio, skin_rgb
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M, AvatarInfo, HandAvatar
-from jghand_engine.captures.making.procedural_skin import SkinLook
 from jghand_engine.captures.making.skin_points import SkinPoints
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose

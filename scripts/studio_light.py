@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from painted_skin import MM, MarkPainter, SkinLook, SkinMarks, reflectance
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
-from jghand_engine.captures.making.procedural_skin import MM, MarkPainter, SkinLook, SkinMarks, reflectance
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, smoothstep
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.template.mesh import HandTemplate

@@ -11,7 +11,6 @@ from PIL import Image
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.captures.making.procedural_skin import TIPS, MarkPainter, SkinLook, fit_nails
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import ASSETS, load_template
@@ -21,6 +20,7 @@ from jghand_engine.template.texture import sample_bilinear
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 from painted_hand import Layers, curved_surface
+from painted_skin import TIPS, MarkPainter, SkinLook, fit_nails
 from studio_light import Studio, skin_rgb
 
 

@@ -12,7 +12,6 @@ import trimesh
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.validation import check_avatar
-from jghand_engine.captures.making.procedural_skin import MarkPainter, SkinLook, reflectance
 from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, palm_share
 from jghand_engine.template.builtin import load_template
 
@@ -28,6 +27,7 @@ from painted_hand import (
     shared_out,
     take_turns,
 )
+from painted_skin import MarkPainter, SkinLook, reflectance
 from studio_light import Occluder, Studio, bake_light, display, sphere_directions
 
 SMALL = Recipe("small", "none", layers=Layers(count=3000, backing_count=600, oversampling=1.2))

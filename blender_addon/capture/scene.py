@@ -12,6 +12,20 @@ from .png import stamped
 SENSOR_MM = 36.0
 # clipping of the camera, meters: nearer than any close-up, farther than any stage
 CLIP_M = (0.01, 20.0)
+# attribute of vertices: how bent the joint nearby is
+BENT = "bent"
+# of a person's skin, inputs of the Principled BSDF: on skin and on nails, and everywhere. Scattering radii are parts of
+# the plan's scale; sheen is the down at the outline
+SKIN_AND_NAIL = {
+    "Specular IOR Level": (0.42, 0.57),
+    "Subsurface Weight": (1.0, 0.45),
+    "Coat Weight": (0.07, 0.57),
+    "Coat Roughness": (0.32, 0.16),
+}
+SKIN_EVERYWHERE = {
+    "IOR": 1.42, "Coat IOR": 1.45, "Sheen Weight": 0.06, "Sheen Roughness": 0.40,
+    "Subsurface Radius": (1.0, 0.40, 0.22),
+}  # fmt: skip
 
 
 class Scene:
@@ -22,8 +36,12 @@ class Scene:
         self._scene = bpy.context.scene
         with np.load(folder / "hands.npz", allow_pickle=False) as arrays:
             self._vertices = arrays["vertices_m"]
+            self._bent = arrays["bent"] if "person" in plan["skin"] else None
             self._mesh = _mesh(arrays, plan["sampling"]["subdivisions"], self._scene)
-        self._mesh.materials.append(_skin(plan["skin"], folder))
+        if self._bent is not None:
+            self._mesh.attributes.new(BENT, "FLOAT", "POINT")
+        material = _picture_skin if self._bent is None else _person_skin
+        self._mesh.materials.append(material(plan["skin"], folder))
         if "hdri" in plan["light"]:
             _light(plan["light"], folder, self._vertices, self._scene)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -43,6 +61,8 @@ class Scene:
     def _show(self, pose: int, camera: dict) -> None:
         if pose != self._pose:
             self._mesh.vertices.foreach_set("co", self._vertices[pose].reshape(-1).astype(np.float32))
+            if self._bent is not None:
+                self._mesh.attributes[BENT].data.foreach_set("value", self._bent[pose])
             self._mesh.update()
             self._pose = pose
         self._aim(camera)
@@ -81,8 +101,61 @@ def _mesh(arrays, subdivisions: int, scene):
     return mesh
 
 
-def _skin(look: dict, folder: Path):
-    """Principled skin: reflectance and relief from the plan's pictures, shinier nails."""
+def _person_skin(look: dict, folder: Path):
+    """The skin of a person: flesh that light goes into, a film of grease, relief of which some bends away; nails like
+    varnish."""
+    material = bpy.data.materials.new("skin")
+    material.use_nodes = True
+    tree = material.node_tree
+    link = tree.links.new
+    surface = tree.nodes["Principled BSDF"]
+
+    def computed(operation: str, *values) -> bpy.types.NodeSocket:
+        """A node of arithmetic; values are numbers or what other nodes give."""
+        node = tree.nodes.new("ShaderNodeMath")
+        node.operation = operation
+        for socket, value in zip(node.inputs, values, strict=False):
+            if isinstance(value, int | float):
+                socket.default_value = value
+            else:
+                link(value, socket)
+        return node.outputs[0]
+
+    link(_picture(tree, folder / "skin.png", "sRGB").outputs["Color"], surface.inputs["Base Color"])
+    parts = tree.nodes.new("ShaderNodeSeparateColor")
+    link(_picture(tree, folder / "surface.png", "Non-Color").outputs["Color"], parts.inputs["Color"])
+    link(parts.outputs["Red"], surface.inputs["Roughness"])
+    plate = parts.outputs["Green"]
+    for name, (skin, nail) in SKIN_AND_NAIL.items():
+        link(computed("MULTIPLY_ADD", plate, nail - skin, skin), surface.inputs[name])
+    for name, value in SKIN_EVERYWHERE.items():
+        surface.inputs[name].default_value = value
+    surface.inputs["Subsurface Scale"].default_value = look["scatter_m"]
+
+    attribute = tree.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_name = BENT
+    bent = attribute.outputs["Fac"]
+    height = 0.0
+    for layer, share in (
+        ("static", 1.0),
+        ("straight", computed("SUBTRACT", 1.0, bent)),
+        ("fold", computed("MULTIPLY_ADD", bent, 0.5, 1.0)),
+    ):
+        picture = _picture(tree, folder / f"relief_{layer}.png", "Non-Color")
+        # linear would show the texels' squares in gloss
+        picture.interpolation = "Cubic"
+        height_m = computed("MULTIPLY_ADD", picture.outputs["Color"], look["range_m"], look["low_m"])
+        height = computed("MULTIPLY_ADD", height_m, share, height)
+    bump = tree.nodes.new("ShaderNodeBump")
+    bump.inputs["Strength"].default_value = bump.inputs["Distance"].default_value = 1.0
+    link(height, bump.inputs["Height"])
+    for name in ("Normal", "Coat Normal"):
+        link(bump.outputs["Normal"], surface.inputs[name])
+    return material
+
+
+def _picture_skin(look: dict, folder: Path):
+    """A skin from an image: reflectance and relief from the plan's pictures, shinier nails."""
     material = bpy.data.materials.new("skin")
     material.use_nodes = True
     tree = material.node_tree

@@ -24,6 +24,7 @@ again.
 
 Examples:
   jghand capture --identity 3 --cameras 16 --poses 60 --out captures/id3
+  jghand capture --identity child --skin 7 --out captures/child
   jghand capture --identity adult_woman --skin skin.png --motion dance.npz --out captures/dance
   jghand capture --identity 3 --lights varied --out captures/id3_lit
   jghand capture --identity 3 --out captures/id3 --shard 1/2     and on another machine --shard 2/2"""
@@ -37,8 +38,9 @@ _OneNumber = tyro.conf.arg(metavar="NUMBER")
 class LookOptions:
     """Light and skin."""
 
-    skin: File = None
-    """A picture of skin in the template's UV, without light. Left out: JGHand's own procedural skin."""
+    skin: Annotated[str | None, tyro.conf.arg(metavar="NUMBER|PERSON|PICTURE")] = None
+    """Whose skin: the seed of anybody's, a .json file with some numbers of a person (docs/SKIN.md), or a picture of
+    skin in the template's UV, without light. Left out: a person of usual numbers."""
     lights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE|varied")] = "studio"
     """Soft lamps, and all around city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr
     file, which is copied into the capture; varied: another world and two other lamps in every picture, what each gives
@@ -63,8 +65,10 @@ class Capture:
     """Pixels."""
     samples: Annotated[int, _OneNumber] = 16
     """Rays per pixel; the rest of the noise is filtered away."""
-    subdivisions: Annotated[int, _OneNumber] = 1
-    """How often the mesh is made finer for rendering."""
+    subdivisions: Annotated[
+        int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: 3; 1 with a picture of skin)")
+    ] = None
+    """How often the mesh is made finer for rendering; 3 lets a person's folds, veins and tendons shape it."""
     look: LookOptions = field(default_factory=LookOptions)
     motion: File = None
     """Poses from this motion instead of the generator; `jghand motion` makes one of any file that it reads."""
@@ -165,12 +169,24 @@ class Capture:
         # bones may be of any length: the poses are those of the identity's own
         motion = None if self.motion is None else read_sequence(self.motion, FormatOptions(any_proportions=True))
         width, height = pixels(self.size)
+        skin = self._skin()
+        usual = 1 if isinstance(skin, Path) else 3
+        subdivisions = usual if self.subdivisions is None else self.subdivisions
         return CaptureOptions(
             identity=self.identity, cameras=self.cameras,
             close_ups=self.cameras // 8 if self.close_ups is None else self.close_ups,
-            poses=self.poses, width=width, height=height, skin=self.look.skin,
-            motion=motion,
+            poses=self.poses, width=width, height=height, skin=skin, motion=motion,
             wrist_turn_deg=self.wrist_turn, seed=self.seed,
             light=VariedLight() if self.look.lights == "varied" else Light(self.look.lights),
-            sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
+            sampling=Sampling(samples=self.samples, subdivisions=subdivisions),
         )  # fmt: skip
+
+    def _skin(self):
+        from jghand_engine.captures.skin.person import Person
+
+        given = self.look.skin
+        if given is None:
+            return Person(seed=self.seed)
+        if given.isdecimal():
+            return Person.drawn(int(given))
+        return Person.of_file(Path(given)) if Path(given).suffix.lower() == ".json" else Path(given)

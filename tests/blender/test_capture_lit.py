@@ -19,6 +19,7 @@ WIDTH, HEIGHT = 64, 96
 COMMAND = [
     "capture", "--identity", "adult_woman", "--cameras", "2", "--close-ups", "0", "--poses", "1", "--lights", "varied",
     "--size", f"{WIDTH}x{HEIGHT}", "--samples", "4", "--subdivisions", "0", "--threads", "1",
+    "--skin", str(Path(__file__).parents[2] / "jghand_engine" / "assets" / "nails.png"),
 ]  # fmt: skip
 
 # the command with a skin of few pixels

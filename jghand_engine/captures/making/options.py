@@ -11,6 +11,7 @@ from typing import Any
 
 from jghand_engine.captures.making.lights import VariedLight
 from jghand_engine.captures.making.poses import POSES_MAX
+from jghand_engine.captures.skin.person import Person
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import PoseSequence
 
@@ -57,8 +58,8 @@ class Light:
 
 @dataclass(frozen=True)
 class SkinMaterial:
-    """The surface under the texture: roughness and specular level of skin and of nails, share of light that scatters
-    below the skin and how far red, green and blue do (meters)."""
+    """The surface under an image of skin: roughness and specular level of skin and of nails, share of light that
+    scatters below the skin and how far red, green and blue do (meters)."""
 
     roughness: float = 0.55
     specular: float = 0.25
@@ -70,7 +71,8 @@ class SkinMaterial:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Rays per pixel, subdivisions of the mesh, bounces, and the noise at which a pixel is done."""
+    """Rays per pixel, subdivisions of the mesh (Blender's under an image of skin, Loop's under a person's), bounces,
+    and the noise at which a pixel is done."""
 
     samples: int = 16
     subdivisions: int = 1
@@ -87,7 +89,7 @@ class CaptureOptions:
     close_ups:      of them
     poses:          how many
     width, height:  pixels
-    skin:           an image in the template's UV; None: the procedural skin
+    skin:           a person, or an image in the template's UV
     motion:         where poses come from instead of the generator
     wrist_turn_deg: how far hands turn as a whole, so that light falls from different sides
     seed:           of all that varies
@@ -100,7 +102,7 @@ class CaptureOptions:
     poses: int = 60
     width: int = 334
     height: int = 512
-    skin: Path | None = None
+    skin: Person | Path = field(default_factory=Person)
     motion: PoseSequence | None = None
     wrist_turn_deg: float = 25.0
     seed: int = 0
@@ -123,6 +125,8 @@ class CaptureOptions:
                 raise InputError(name, wanted=wanted, came=f"{value:g}")
         if isinstance(light, Light):
             light.check()
+        if isinstance(self.skin, Person):
+            self.skin.check()
 
     def description(self) -> dict[str, Any]:
         """Everything that decides the images, as JSON; of files what is in them, not where they lie."""
@@ -138,7 +142,7 @@ class CaptureOptions:
             light["hdri"] = _hash(Path(self.light.hdri))
         return {
             **plain,
-            "skin": None if self.skin is None else _hash(self.skin),
+            "skin": _hash(self.skin) if isinstance(self.skin, Path) else dataclasses.asdict(self.skin),
             "motion": motion,
             "light": light,
             "material": dataclasses.asdict(self.material),

@@ -1,8 +1,8 @@
 """The plan of a capture: every hand, camera and light before the first ray, and the same again from its folder.
 
 plan/plan.json     options, cameras, names of poses, what the worker needs to know
-plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv
-plan/skin.png, relief.png, nails.png
+plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv; of a person bent (P, V)
+plan/skin.png …    the skin: of an image relief.png and nails.png too, of a person see person_skin.py
 plan/light.exr or .hdr   the environment, when it is a file of the user's
 plan/lights.json, worlds/   the light of every image, when it varies (lights.py)
 plan/made_by.json  which programs make the images    written by the first of them that is ready (worker.py)
@@ -29,9 +29,11 @@ from jghand_engine.captures.interhand_writer import RecordedHand, write_interhan
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
 from jghand_engine.captures.making.options import CaptureOptions, Light, is_file, read_input
+from jghand_engine.captures.making.person_skin import PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
 from jghand_engine.captures.making.skin import make_skin
+from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
 from jghand_engine.files import make_folder, writing
@@ -50,6 +52,8 @@ FORMAT = 1
 FOLDER = "plan"
 # waiting for another process that is just writing the plan, seconds: it needs some on a slow disk
 LOCK_WAIT_S = 30.0
+# of a skin that is an image
+NO_BEND = np.zeros((0, 0), np.float32)
 # joints of the middle of the palm, about which hands turn
 _PALM = (0, 2, 3, 4, 5)
 _FIRST_SERIAL = 400000
@@ -78,6 +82,7 @@ class CapturePlan:
     vertices_m:  (P, V, 3) float32, world, meters
     faces:       (F, 3)
     face_uv:     (F, 3, 2) float32
+    bent:        (P, V) float32 0..1, how bent the joint near each vertex is; (0, 0) where the skin is an image
     files:       name -> bytes, of the skin, of an environment that is the user's, of lights that vary and of skies
     """
 
@@ -88,6 +93,7 @@ class CapturePlan:
     vertices_m: np.ndarray
     faces: np.ndarray
     face_uv: np.ndarray
+    bent: np.ndarray
     cameras: tuple[Camera, ...]
     files: dict[str, bytes]
 
@@ -163,28 +169,30 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
-    skin = make_skin(options.skin, options.seed)
-    low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
-    relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
-    material = {**dataclasses.asdict(options.material), "relief_range_m": high - low}
+    cameras = tuple(plan_cameras(camera_plan, vertices_m, posed.joints_m))
+    faces, face_uv, bent = hand.identity.faces, hand.identity.face_uv, NO_BEND
+    sampling = dataclasses.asdict(options.sampling)
+    if isinstance(options.skin, Person):
+        skin = PersonSkin.of(hand.identity, options.skin, options.sampling.subdivisions)
+        vertices_m, bent = skin.posed(vertices_m, posed.joints_m)
+        faces, face_uv = skin.surface.faces, skin.surface.face_uv
+        material, files = skin.material, skin.files
+        # the mesh is fine already
+        sampling["subdivisions"] = 0
+    else:
+        material, files = _picture_skin(options.skin, options)
     light, lit_by = _light(options.light)
     plan = CapturePlan(
         description=json.loads(json.dumps(options.description())),
-        render=json.loads(
-            json.dumps({"sampling": dataclasses.asdict(options.sampling), "light": light, "skin": material})
-        ),
+        render=json.loads(json.dumps({"sampling": sampling, "light": light, "skin": material})),
         pose_names=names,
         joints_m=posed.joints_m,
         vertices_m=vertices_m.astype(np.float32),
-        faces=hand.identity.faces,
-        face_uv=hand.identity.face_uv.astype(np.float32),
-        cameras=tuple(plan_cameras(camera_plan, vertices_m, posed.joints_m)),
-        files={
-            "skin.png": _png(Image.fromarray(skin.rgb8)),
-            "relief.png": _png(Image.fromarray(relief)),
-            "nails.png": _png(Image.fromarray(np.rint(255 * skin.nail).astype(np.uint8))),
-            **lit_by,
-        },
+        faces=faces,
+        face_uv=face_uv.astype(np.float32),
+        bent=bent,
+        cameras=cameras,
+        files={**files, **lit_by},
     )
     if isinstance(options.light, Light):
         return plan
@@ -192,6 +200,18 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     tests = set(split["test_frames"][plan.record.sequence]), set(split["test_cameras"])
     lights = plan_lights(options.light, plan.vertices_m, plan.record.cameras, tests, options.seed)
     return dataclasses.replace(plan, files={**plan.files, LIGHTS_FILE: lights_bytes(lights)})
+
+
+def _picture_skin(picture: Path, options: CaptureOptions) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What the worker is told of a skin that is an image, and its files."""
+    skin = make_skin(picture, options.seed)
+    low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
+    relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
+    return {**dataclasses.asdict(options.material), "relief_range_m": high - low}, {
+        "skin.png": _png(Image.fromarray(skin.rgb8)),
+        "relief.png": _png(Image.fromarray(relief)),
+        "nails.png": _png(Image.fromarray(np.rint(255 * skin.nail).astype(np.uint8))),
+    }
 
 
 def _light(light: Light | VariedLight) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -223,8 +243,9 @@ def write_plan(folder: Path, plan: CapturePlan) -> None:
         _write(folder / FOLDER / name, data)
     with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
         np.savez_compressed(
-            stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
-        )
+            stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv,
+            bent=plan.bent,
+        )  # fmt: skip
     write_interhand(folder, plan.record)
     _write(folder / SPLITS_FILE, (json.dumps(plan.split(), indent=2) + "\n").encode())
     content = {
@@ -259,14 +280,17 @@ def read_plan(folder: Path) -> CapturePlan | None:
         content = json.loads(file.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
-        hands = read_arrays(folder / FOLDER / "hands.npz", ("vertices_m", "joints_m", "faces", "face_uv"), thing)
-        light = content["render"]["light"]
+        light, is_person = content["render"]["light"], "person" in content["render"]["skin"]
+        arrays = ("vertices_m", "joints_m", "faces", "face_uv", *(("bent",) if is_person else ()))
+        hands = read_arrays(folder / FOLDER / "hands.npz", arrays, thing)
         lit_by = [LIGHTS_FILE, *light["skies"]] if "lights" in light else [light["hdri"]]
-        names = ["skin.png", "relief.png", "nails.png", *(name for name in lit_by if is_file(str(name)))]
+        skin = PERSON_FILES if is_person else ("skin.png", "relief.png", "nails.png")
+        names = [*skin, *(name for name in lit_by if is_file(str(name)))]
         files = {name: (folder / FOLDER / name).read_bytes() for name in names}
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],
-            hands["faces"], hands["face_uv"], tuple(_camera(one) for one in content["cameras"]), files,
+            hands["faces"], hands["face_uv"], hands.get("bent", NO_BEND),
+            tuple(_camera(one) for one in content["cameras"]), files,
         )  # fmt: skip
     except FileNotFoundError as error:
         if not file.exists():

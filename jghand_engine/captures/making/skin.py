@@ -1,6 +1,6 @@
-"""The skin of a capture: a texture of reflectance and a relief in the template's UV (row = 1 - v), without any light.
+"""A skin from an image: reflectance and a relief in the template's UV (row = 1 - v), without any light.
 
-Either JGHand's own procedural skin, or any image in that layout. Outside the hand's island the nearest skin goes on,
+Outside the hand's island the nearest skin goes on,
 else filters would pull foreign color over the seams; the wrist's cut gets the color of the skin around it.
 """
 
@@ -14,9 +14,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from jghand_engine.captures.making.procedural_skin import MarkPainter, SkinLook, reflectance
-from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, noise
-from jghand_engine.color import linear_to_srgb
+from jghand_engine.captures.making.skin_points import SkinPoints, noise
 from jghand_engine.errors import InputError
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.mesh import HandTemplate
@@ -49,13 +47,10 @@ class CaptureSkin:
     nail: np.ndarray
 
 
-def make_skin(texture: Path | None, seed: int = 0) -> CaptureSkin:
-    """The procedural skin, or that of an image file. InputError for a file that is no usable image."""
+def make_skin(texture: Path, seed: int = 0) -> CaptureSkin:
+    """InputError for a file that is no usable image."""
     texels = _Texels.of(load_template(), SKIN_PX)
-    if texture is None:
-        rgb, relief_m = _procedural(texels, seed)
-    else:
-        rgb, relief_m = _photographic(texels, read_texture(texture), seed)
+    rgb, relief_m = _photographic(texels, read_texture(texture), seed)
     rgb, relief_m, nail = (texels.spread(values) for values in (rgb, relief_m, texels.points.nail))
     rgb[texels.cap] = rgb[texels.wrist].mean(axis=0)
     relief_m[texels.cap] = 0
@@ -88,7 +83,6 @@ class _Texels:
     uv: np.ndarray
     cap: np.ndarray
     wrist: np.ndarray
-    landmarks: Landmarks
 
     @classmethod
     def of(cls, template: HandTemplate, size: int) -> _Texels:
@@ -110,7 +104,7 @@ class _Texels:
         cap = (grid[None] - cap_uv[0, 2, 0]) ** 2 + (1 - grid[:, None] - cap_uv[0, 2, 1]) ** 2 <= radius**2
         wrist = np.zeros_like(covered)
         wrist[covered] = inside[:, 1] <= template.vertices_m[:, 1].min() + WRIST_BAND_M
-        return cls(size, covered, points, uv, cap & ~covered, wrist, Landmarks.of(template.joints_m))
+        return cls(size, covered, points, uv, cap & ~covered, wrist)
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """Values of the texels (N,) or (N, C) -> the whole square; outside the island the nearest one goes on."""
@@ -118,13 +112,6 @@ class _Texels:
         square[self.covered] = values
         nearest = np.asarray(distance_transform_edt(~self.covered, return_distances=False, return_indices=True))
         return square[nearest[0], nearest[1]]
-
-
-def _procedural(texels: _Texels, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """sRGB reflectance (N, 3) and height (N,) of JGHand's own skin. Its light is not part of it."""
-    marks = MarkPainter(texels.points, texels.landmarks).paint(texels.points.position_m)
-    linear = reflectance(texels.points, marks, texels.landmarks, SkinLook(seed=seed))
-    return linear_to_srgb(np.clip(linear, 0, 1)), marks.height_m
 
 
 def _photographic(texels: _Texels, image: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:

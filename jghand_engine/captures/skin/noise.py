@@ -55,7 +55,7 @@ def cells(points: np.ndarray, cell: float, seed: tuple[int, ...]) -> tuple[np.nd
     cubes = np.stack([(keys >> shift) & (2**_BITS - 1) for shift in (2 * _BITS, _BITS, 0)], 1) - 2 ** (_BITS - 1)
     chance = _hashed(keys, seed)
     centers = (cubes + chance[:, :3]) * cell
-    distance, nearest = KDTree(centers).query(points, k=2)
+    distance, nearest = map(np.asarray, KDTree(centers).query(points, k=2))
     apart = np.linalg.norm(centers[nearest[:, 1]] - centers[nearest[:, 0]], axis=1)
     border = (distance[:, 1] ** 2 - distance[:, 0] ** 2) / (2 * np.maximum(apart, np.finfo(np.float32).tiny))
     return border.astype(np.float32), distance[:, 0].astype(np.float32), chance[nearest[:, 0], 3].astype(np.float32)

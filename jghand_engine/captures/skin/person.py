@@ -1,4 +1,4 @@
-"""A person's skin: nine numbers from which all its maps follow, and the law of its color.
+"""A person's skin: eight numbers from which all its maps follow, and the law of its color.
 
 A file of a person is JSON with some of the numbers, {"melanin": 0.9, "age": 0.7, "seed": 4}; one that is left out has
 its default.
@@ -39,12 +39,11 @@ RANGES = {
     "freckles": (0.0, 1.0),
     "dryness": (0.0, 1.0),
     "nail_mm": (0.0, 3.0),
-    "hair": (0.0, 1.0),
     "seed": (0.0, 2.0**31 - 1),
 }
 # ages of persons drawn by a seed: Beta(2, 3), most of them young or in the middle; spreads of the other numbers
 DRAWN_AGE = (2.0, 3.0)
-DRAWN_SPREAD = {"blood": 0.06, "warmth": 0.08, "freckles": 0.20, "dryness": 0.15, "nail_mm": 0.5, "hair": 0.25}
+DRAWN_SPREAD = {"blood": 0.06, "warmth": 0.08, "freckles": 0.20, "dryness": 0.15, "nail_mm": 0.5}
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,6 @@ class Person:
     freckles: part of the back that has them
     dryness:  0 moist and glossy to 1 matt, whitish on the ridges
     nail_mm:  free edge of the nails beyond their beds, millimeters
-    hair:     how much on the back of the hand and of the first phalanges
     seed:     of every line, vein, freckle and ridge
     """
 
@@ -68,7 +66,6 @@ class Person:
     freckles: float = 0.25
     dryness: float = 0.40
     nail_mm: float = 1.0
-    hair: float = 0.0
     seed: int = 0
 
     def check(self, thing: str = "person") -> None:

@@ -18,10 +18,11 @@ from waiting import wait_until
 
 from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.making import person_skin, skin, worker
 from jghand_engine.captures.making import plan as plan_module
-from jghand_engine.captures.making import skin, worker
 from jghand_engine.captures.making.options import CaptureOptions, Light
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
+from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError, RetryError
@@ -29,10 +30,15 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.lock import locked
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import ASSETS, load_template
 
 ROOT = Path(__file__).resolve().parents[3]
-WORDS = ["capture", "--identity", "3", "--cameras", "7", "--close-ups", "1", "--poses", "6", "--size", "32x48"]
+# any square picture is a skin, and faster than a person's
+SKIN = ASSETS / "nails.png"
+WORDS = [
+    "capture", "--identity", "3", "--skin", str(SKIN), "--cameras", "7", "--close-ups", "1", "--poses", "6",
+    "--size", "32x48",
+]  # fmt: skip
 
 STAND_IN = Path(__file__).with_name("stand_in_worker.py")
 FIND_PROGRAM = worker.find_program
@@ -230,7 +236,10 @@ def test_one_shard_is_made_by_one_process(copied, capsys):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(tmp_path, monkeypatch, seed):
     """The other one begins and writes while the first is still making its plan; with other options it is refused."""
-    folder, first = tmp_path / "raced", CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    folder, first = (
+        tmp_path / "raced",
+        CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN),
+    )
     other, plans = dataclasses.replace(first, seed=seed), []
 
     def overtaken(options: CaptureOptions) -> CapturePlan:
@@ -251,7 +260,7 @@ def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(
 
 
 def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_path):
-    begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN)
     open_or_make(tmp_path, begun)
     other = dataclasses.replace(begun, identity="4", cameras=5, light=Light(hdri_strength=0.1))
     told = "got another identity, cameras, light"
@@ -262,7 +271,7 @@ def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_pa
 
 def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):
     monkeypatch.setattr(plan_module, "LOCK_WAIT_S", 0.05)
-    options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN)
     (tmp_path / "plan").mkdir()
     with locked(tmp_path / "plan" / "plan.lock"), pytest.raises(RetryError, match="start of a capture"):
         open_or_make(tmp_path, options)
@@ -312,7 +321,9 @@ def test_poses_can_come_from_a_motion():
 def plan_of_motion(handedness: Handedness) -> CapturePlan:
     whole = pose_sequence_of_names(["open", "fist"], load_template().joints_m, handedness=handedness)
     motion = PoseSequence(whole.joints_m[8:23], 30.0, handedness)
-    return make_plan(CaptureOptions("3", cameras=2, close_ups=0, poses=4, width=32, height=48, motion=motion))
+    return make_plan(
+        CaptureOptions("3", cameras=2, close_ups=0, poses=4, width=32, height=48, motion=motion, skin=SKIN)
+    )
 
 
 @pytest.mark.parametrize(
@@ -394,3 +405,25 @@ def test_the_stamp_of_a_picture_survives_without_blenders_texts():
         "    sys.exit('a broken PNG passed')\n"
     )
     subprocess.run([sys.executable, "-c", code, str(ROOT)], check=True)
+
+
+def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(person_skin, "MAP_PX", 128)
+    (tmp_path / "ann.json").write_text(json.dumps({"melanin": 0.9, "seed": 4}))
+    words = [*WORDS, "--poses", "2", "--subdivisions", "1", "--blender-python", sys.executable]
+    one = [*words, "--skin", str(tmp_path / "ann.json"), "--out", str(tmp_path / "ann")]
+    assert main(one) == 0
+    plan = read_plan(tmp_path / "ann")
+    assert plan is not None
+    assert plan.render["skin"]["person"] == dataclasses.asdict(Person(melanin=0.9, seed=4))
+    # Loop's surface, whose vertices the worker takes as they are
+    assert plan.bent.shape == plan.vertices_m.shape[:2] == (2, 6434)
+    assert plan.render["sampling"]["subdivisions"] == 0
+    before = contents(tmp_path / "ann")
+    pictures(tmp_path / "ann")[0].unlink()
+    assert main(one) == 0
+    assert contents(tmp_path / "ann") == before
+    assert main([*words, "--skin", "7", "--out", str(tmp_path / "ann")]) == 2
+    assert "another skin" in " ".join(capsys.readouterr().err.split())
+    assert main([*words, "--skin", str(tmp_path / "none.json"), "--out", str(tmp_path / "other")]) == 2
+    assert "none.json" in capsys.readouterr().err

@@ -30,11 +30,12 @@ from jghand_engine.captures.making.skies import SKIES, sky_radiance
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
+from jghand_engine.template.builtin import ASSETS
 
 STAND_IN = Path(__file__).with_name("stand_in_worker.py")
 WORDS = (
     *("capture", "--identity", "3", "--lights", "varied", "--cameras", "7", "--close-ups", "1", "--poses", "6"),
-    *("--size", "32x48", "--blender-python", sys.executable),
+    *("--size", "32x48", "--blender-python", sys.executable, "--skin", str(ASSETS / "nails.png")),
 )
 
 

@@ -1,4 +1,4 @@
-"""A person's nine numbers, and the colors that follow."""
+"""A person's eight numbers, and the colors that follow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""JGHand's own procedural skin: creases, knuckle wrinkles, palm lines, veins, tendons and nails, and a reflectance from
+"""The skin of the painted hand: creases, knuckle wrinkles, palm lines, veins, tendons and nails, and a reflectance from
 melanin, blood and these marks.
 
 Each mark gives a height (meters, for the relief that the light sees) and an amount 0..1 (for the color). Positions

@@ -1,0 +1,73 @@
+"""The skin of a person as Cycles is given it: a fine mesh in each pose, and pictures of color, surface and relief.
+
+skin.png      reflectance, sRGB
+surface.png   red: roughness, green: how far it is nail
+relief_*.png  16 bit, one for each of `FINE_LAYERS`: meters are low_m + value * range_m
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from jghand_engine.captures.making.rig import Identity
+from jghand_engine.captures.skin.canvas import MM
+from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
+from jghand_engine.captures.skin.person import Person
+from jghand_engine.captures.skin.surface import SkinSurface
+from jghand_engine.color import linear_to_srgb, to_bytes
+
+# edge of the maps: 0.16 mm of skin per texel, as fine as a pixel of a hand that fills 1080 lines
+MAP_PX = 2048
+PERSON_FILES = ("skin.png", "surface.png", *(f"relief_{layer}.png" for layer in FINE_LAYERS))
+# how far light scatters in pale skin, meters; melanin takes it, up to this part of the way, from this amount on
+SCATTER_M, SCATTER_TAKEN, SCATTER_DARK = 0.0026, 0.45, 0.83
+
+
+@dataclass(frozen=True)
+class PersonSkin:
+    """faces (F, 3), face_uv (F, 3, 2) and files of the plan; material: what the worker is told."""
+
+    surface: SkinSurface
+    material: dict[str, Any]
+    files: dict[str, bytes]
+
+    @classmethod
+    def of(cls, identity: Identity, person: Person, levels: int) -> PersonSkin:
+        maps = paint_skin(identity, MAP_PX, person)
+        low_m = MM * float(min(height.min() for height in maps.fine.values()))
+        range_m = MM * float(max(height.max() for height in maps.fine.values())) - low_m
+        scatter_m = SCATTER_M * (1 - SCATTER_TAKEN * min(1.0, person.melanin / SCATTER_DARK))
+        material = {
+            "person": dataclasses.asdict(person), "low_m": low_m, "range_m": range_m, "scatter_m": scatter_m
+        }  # fmt: skip
+        files = dict(zip(PERSON_FILES, _pictures(maps, low_m, range_m), strict=True))
+        return cls(SkinSurface(identity, levels, maps), material, files)
+
+    def posed(self, vertices_m: np.ndarray, joints_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rig's vertices (P, v, 3) and joints (P, 21, 3) -> (P, V, 3) float32 of the fine mesh, meters, and (P, V)
+        float32, how bent the skin is."""
+        bent = self.surface.bent(joints_m)
+        posed = [
+            self.surface.posed(vertices, one).astype(np.float32) for vertices, one in zip(vertices_m, bent, strict=True)
+        ]
+        return np.stack(posed), bent
+
+
+def _pictures(maps: SkinMaps, low_m: float, range_m: float) -> Iterator[bytes]:
+    yield _png(to_bytes(linear_to_srgb(maps.rgb)))
+    yield _png(to_bytes(np.stack([maps.roughness, maps.plate, np.zeros_like(maps.plate)], -1)))
+    for layer in FINE_LAYERS:
+        yield _png(np.rint((MM * maps.fine[layer] - low_m) / range_m * 65535).astype(np.uint16))
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    return stream.getvalue()

@@ -1,0 +1,124 @@
+"""Shows a person's skin, by the program that renders captures: views side by side.
+
+    python scripts/show_skin.py --out hand.png --size 960x540 --samples 16 --person.melanin 0.9 --person.age 0.7
+    python scripts/show_skin.py --out maps.png --views maps     # color and relief in the template's UV
+
+Half a minute of one core for the maps, and one for each view of 480x270 at 12 rays.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import tyro
+from PIL import Image
+
+from jghand_engine.captures.making.options import AreaLight, Light, Sampling
+from jghand_engine.captures.making.person_skin import PERSON_FILES, PersonSkin
+from jghand_engine.captures.making.plan import CapturePlan, write_plan
+from jghand_engine.captures.making.rig import RiggedHand, load_identity
+from jghand_engine.captures.making.worker import find_blender_python, render
+from jghand_engine.captures.skin.person import Person
+from jghand_engine.color import to_bytes
+from jghand_engine.native.threads import processors
+from jghand_engine.render.camera import Camera
+
+# name -> pose, where the camera stands (degrees around the hand from the palm, and above), the joints that it looks at,
+# and what the picture's height shows, meters
+VIEWS = {
+    "palm": ("open", 8, 5, (0, 2, 3, 4, 5, 7, 8, 9, 10), 0.190),
+    "back": ("open", 180, 12, (0, 2, 3, 4, 5, 7, 8, 9, 10), 0.190),
+    "fist": ("fist", 20, 15, (2, 3, 4, 5, 7, 8, 9, 10), 0.120),
+    "pinch": ("pinch", 240, 20, (11, 16, 17, 12, 7), 0.110),
+    "knuckle": ("open", 180, 20, (8,), 0.040),
+    "nail": ("open", 180, 15, (17, 18), 0.050),
+}
+DISTANCE_M = 0.5
+# one small key high on the left of the palm's side and one of the back's over a weak world: light that shows relief
+LIGHT = Light(
+    hdri="studio", hdri_strength=0.35,
+    lamps=(
+        AreaLight((-0.33, 0.45, 0.36), 0.20, 2.6, (1.0, 0.965, 0.92)),
+        AreaLight((0.33, 0.45, -0.36), 0.20, 2.6, (1.0, 0.965, 0.92)),
+    ),
+)  # fmt: skip
+BACKDROP = (0.23, 0.24, 0.26)
+
+
+@dataclass(frozen=True)
+class Options:
+    """identity: of `jghand capture` · size: of each picture, pixels · samples: rays per pixel
+    levels: of subdivision"""
+
+    out: Path
+    identity: str = "adult_woman"
+    views: tuple[str, ...] = ("palm", "back", "fist", "pinch")
+    size: str = "480x270"
+    samples: int = 12
+    levels: int = 3
+    person: Person = field(default_factory=Person)
+
+
+def main(options: Options) -> None:
+    width, height = map(int, options.size.split("x"))
+    row = pictures(options, options.person, (width, height))
+    Image.fromarray(np.concatenate(row, 1)).save(options.out, quality=90)
+
+
+def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np.ndarray]:
+    """(height, width, 3) sRGB of each view."""
+    hand = RiggedHand(load_identity(options.identity))
+    skin = PersonSkin.of(hand.identity, person, options.levels)
+    if options.views == ("maps",):
+        return maps(skin, size[1])
+    names = sorted({VIEWS[view][0] for view in options.views})
+    pose = hand.pose(np.stack([hand.angles_of(name) for name in names]))
+    vertices_m, bent = skin.posed(hand.skin(pose), pose.joints_m)
+    cameras = tuple(camera(view, pose.joints_m[names.index(VIEWS[view][0])], size) for view in options.views)
+    sampling = dataclasses.asdict(Sampling(samples=options.samples, subdivisions=0))
+    told = {"sampling": sampling, "light": dataclasses.asdict(LIGHT), "skin": skin.material}
+    plan = CapturePlan(
+        {}, told, tuple(names), pose.joints_m, vertices_m, skin.surface.faces,
+        skin.surface.face_uv.astype(np.float32), bent, cameras, skin.files,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        write_plan(Path(folder), plan)
+        wanted = [(names.index(VIEWS[view][0]), number) for number, view in enumerate(options.views)]
+        jobs = [job for job in plan.jobs(Path(folder)) if (job.pose, job.camera) in wanted]
+        seconds = [done.seconds for done in render(Path(folder), jobs, find_blender_python(), processors())]
+        print(f"{person}: {', '.join(f'{one:.0f} s' for one in seconds)}")
+        shown = {job.camera: np.asarray(Image.open(job.file), np.float64) / 255 for job in jobs}
+    pictures = []
+    for number in range(len(options.views)):
+        rgba = shown[number]
+        rgb = rgba[..., 3:] * rgba[..., :3] + (1 - rgba[..., 3:]) * np.array(BACKDROP) ** (1 / 2.2)
+        pictures.append(np.rint(255 * rgb).astype(np.uint8))
+    return pictures
+
+
+def maps(skin: PersonSkin, edge: int) -> list[np.ndarray]:
+    """Color, and the relief of straight joints that is finer than the mesh, white 0.3 mm above black."""
+    color = Image.open(io.BytesIO(skin.files["skin.png"]))
+    layers = [np.asarray(Image.open(io.BytesIO(skin.files[name])), float) for name in PERSON_FILES[2:]]
+    height_m = np.sum(layers, axis=0) / 65535 * skin.material["range_m"] + 3 * skin.material["low_m"]
+    relief = Image.fromarray(to_bytes(0.5 + height_m / 3e-4))
+    return [np.asarray(one.convert("RGB").resize((edge, edge))) for one in (color, relief)]
+
+
+def camera(view: str, joints_m: np.ndarray, size: tuple[int, int]) -> Camera:
+    _, around, above, looked_at, field_m = VIEWS[view]
+    around, above = np.radians(around), np.radians(above)
+    target = joints_m[list(looked_at)].mean(0)
+    direction = np.array([np.sin(around) * np.cos(above), np.sin(above), np.cos(around) * np.cos(above)])
+    focal = size[1] * DISTANCE_M / field_m
+    eye, up = target + DISTANCE_M * direction, np.array([0.0, 1.0, 0.0])
+    return Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=focal)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
