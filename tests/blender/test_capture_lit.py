@@ -19,18 +19,19 @@ WIDTH, HEIGHT = 64, 96
 COMMAND = [
     "capture", "--identity", "adult_woman", "--cameras", "2", "--close-ups", "0", "--poses", "1", "--lights", "varied",
     "--size", f"{WIDTH}x{HEIGHT}", "--samples", "4", "--subdivisions", "0", "--threads", "1",
-    "--skin", str(Path(__file__).parents[2] / "jghand_engine" / "assets" / "nails.png"),
 ]  # fmt: skip
 
-# the command with a skin of few pixels
+# the command with a plain skin of few pixels, which it writes itself
 PROGRAM = (
-    "import sys\nfrom jghand_engine.captures.making import skin\nfrom jghand_engine.cli import main\n"
-    "skin.SKIN_PX = 128\nsys.exit(main())\n"
+    "import sys\nfrom PIL import Image\n"
+    "from jghand_engine.captures.making import skin\nfrom jghand_engine.cli import main\n"
+    "skin.SKIN_PX = 128\nImage.new('RGB', (64, 64), (205, 150, 130)).save(sys.argv[-1])\nsys.exit(main())\n"
 )
 
 
 def run(engine_python: str, folder: Path) -> subprocess.CompletedProcess[str]:
     command = [engine_python, "-c", PROGRAM, *COMMAND, "--out", str(folder), "--blender-python", sys.executable]
+    command += ["--skin", str(folder.with_suffix(".png"))]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

@@ -37,6 +37,7 @@ class PalmCurves:
         curve = CubicSpline(np.linspace(0, 1, len(knots)), self._carried(knots))(np.linspace(0, 1, STEPS))
         low, high = curve.min(0) - REACH_MM, curve.max(0) + REACH_MM
         boxed = np.nonzero(((self._xy > low) & (self._xy < high)).all(1))[0]
-        distance, place = KDTree(curve).query(self._xy[boxed], distance_upper_bound=REACH_MM)
+        nearest = KDTree(curve).query(self._xy[boxed], distance_upper_bound=REACH_MM)
+        distance, place = map(np.asarray, nearest)
         found = np.isfinite(distance)
         return self._on[boxed[found]], distance[found].astype(np.float32), place[found] / (STEPS - 1)

@@ -34,7 +34,7 @@ from jghand_engine.template.builtin import ASSETS, load_template
 
 ROOT = Path(__file__).resolve().parents[3]
 # any square picture is a skin, and faster than a person's
-SKIN = ASSETS / "nails.png"
+SKIN = Path(str(ASSETS / "nails.png"))
 WORDS = [
     "capture", "--identity", "3", "--skin", str(SKIN), "--cameras", "7", "--close-ups", "1", "--poses", "6",
     "--size", "32x48",
