@@ -182,11 +182,12 @@ class Capture:
         )  # fmt: skip
 
     def _skin(self):
-        from jghand_engine.captures.skin.person import Person
+        from jghand_engine.captures.skin.person import RANGES, Person
 
         given = self.look.skin
         if given is None:
-            return Person(seed=self.seed)
+            # seeds of captures have no end
+            return Person(seed=self.seed % (int(RANGES["seed"][1]) + 1))
         if given.isdecimal():
             return Person.drawn(int(given))
         return Person.of_file(Path(given)) if Path(given).suffix.lower() == ".json" else Path(given)

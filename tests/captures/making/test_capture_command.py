@@ -207,6 +207,14 @@ def test_finished_only_begins_no_capture_in_a_mistyped_folder(tmp_path, capsys):
     assert [path.name for path in tmp_path.rglob("*")] == ["empty"]
 
 
+def test_the_seed_of_a_capture_may_be_larger_than_that_of_a_person(tmp_path, capsys):
+    words = ["capture", "--identity", "3", "--seed", str(2**31), "--finished-only", "--out", str(tmp_path / "none")]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "person" not in error
+    assert "no such folder" in error
+
+
 def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
     folder = tmp_path / "killed"
     program = (
@@ -296,6 +304,23 @@ def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
     (moved / "plan" / "light.hdr").unlink()
     with pytest.raises(InputError, match=r"light\.hdr"):
         read_plan(moved)
+
+
+def test_a_capture_with_the_default_skin_of_an_older_jghand_is_used_but_not_gone_on_with(copied, monkeypatch, capsys):
+    monkeypatch.setattr(person_skin, "MAP_PX", 128)
+    file = copied / "plan" / "plan.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    content["options"]["skin"] = None
+    file.write_text(json.dumps(content), encoding="utf-8")
+    words = [word for word in WORDS if word not in ("--skin", str(SKIN))]
+    command = [*words, "--out", str(copied), "--blender-python", sys.executable]
+    assert main(command) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "default skin of an older JGHand" in error
+    assert "Choose another --out" in error
+    assert main([*command, "--finished-only"]) == 0
+    assert "Annotated 6 of 6 poses" in capsys.readouterr().out
+    assert main([*command, "--finished-only", "--seed", "1"]) == 2
 
 
 @pytest.mark.parametrize("damage", ["plan.json", "hands.npz", "skin.png"])
