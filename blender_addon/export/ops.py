@@ -79,14 +79,18 @@ class Export(StartsJob, bpy.types.Operator):
                 settings.variant, settings.width_factor, sizes=settings.sizes, radiance=settings.radiance
             )
         scratch = folders.job_folder()
-        if settings.format == "ply" and scene_light.is_chosen(context.scene):
-            light = scratch / "light.json"
-            scene_light.save(context.evaluated_depsgraph_get(), light)
-            options += ["--light", str(light)]
-        commands = [
-            (*runtime.program(), *recording.export_words(settings.format, scratch, folder, *options))
-            for recording in recordings
-        ]
+        try:
+            if settings.format == "ply" and scene_light.is_chosen(context.scene):
+                light = scratch / "light.json"
+                scene_light.save(context.evaluated_depsgraph_get(), light)
+                options += ["--light", str(light)]
+            commands = [
+                (*runtime.program(), *recording.export_words(settings.format, scratch, folder, *options))
+                for recording in recordings
+            ]
+        except Exception:  # there is no job that would do it
+            folders.remove_job_folder(scratch)
+            raise
         return JobSpec(
             title,
             commands[0],

@@ -26,6 +26,7 @@ from blender_addon.export.ops import Bake, Export, ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
 from blender_addon.hand import armature, sources
 from blender_addon.hand.motion_files import read_motion
+from blender_addon.render import scene_light
 from blender_addon.renderer import runtime
 from blender_addon.renderer.engine_command import VARIABLE
 from blender_addon.viewport import handlers
@@ -454,6 +455,21 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
     extension.scene.jghand.output.folder = str(tmp_path / "out")
     before = set(folders.user_folder("jobs").iterdir())
     bpy.ops.jghand.export()
+    assert set(folders.user_folder("jobs").iterdir()) == before
+
+
+def test_a_splat_export_whose_light_is_not_known_leaves_no_folder(extension, tmp_path, monkeypatch):
+    def fail(*_: object) -> None:
+        raise JGHandFailure("no_world_image")
+
+    a_hand(extension)
+    settings = extension.scene.jghand
+    settings.light, settings.output.format, settings.output.folder = "SCENE", "ply", str(tmp_path)
+    monkeypatch.setattr(runtime, "program", lambda **_: ("engine",))
+    monkeypatch.setattr(scene_light, "save", fail)
+    before = set(folders.user_folder("jobs").iterdir())
+    with pytest.raises(RuntimeError, match="image of the world is missing"):
+        bpy.ops.jghand.export()
     assert set(folders.user_folder("jobs").iterdir()) == before
 
 
