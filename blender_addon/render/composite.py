@@ -18,7 +18,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from .. import versions
 from ..errors import JGHandFailure
 from ..hand import armature, instances
-from . import ENGINE
+from . import ENGINE, worlds
 from .scene_shadows import SOLID
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
@@ -71,10 +71,10 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
         return []
     wanted, there = _things(scene, layer), set(ours.collection.objects)
     missing = [thing for thing in wanted if thing not in there]
-    found = [rpt_("{name} is missing").format(name=thing.name) for thing in missing if not _may_shade(thing)]
-    shading = sum(map(_may_shade, missing))
+    found = [rpt_("{name} is missing").format(name=thing.name) for thing in missing if not _is_around(thing)]
+    shading = sum(map(_is_around, missing))
     if shading:
-        found.append(rpt_("{count} things that may shade hands are missing").format(count=shading))
+        found.append(rpt_("{count} things that may light or shade hands are missing").format(count=shading))
     unneeded = len(there.difference(wanted))
     if unneeded:
         found.append(rpt_("{count} objects are no longer needed").format(count=unneeded))
@@ -221,7 +221,10 @@ def _things(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.type
     cameras = [marker.camera for marker in scene.timeline_markers]
     parts = [part for hand in instances.sources_at_any_frame(layer) for part in armature.parts_of(hand)]
     known: instances.Known = {}
-    of_light = _is_of_light if scene.jghand.light == "SCENE" else _is_lamp
+    of_light = _is_lamp
+    if scene.jghand.light == "SCENE":
+        throws_back = scene.jghand.use_surroundings or scene.jghand.use_exact_light
+        of_light = _is_of_all_light if throws_back else _is_of_light
     lights = armature.rendered_at_any_frame(layer, lambda thing: instances.shows(thing, of_light, known))
     return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras, *lights)) if thing is not None]
 
@@ -232,6 +235,15 @@ def _is_lamp(thing: bpy.types.Object) -> bool:
 
 def _is_of_light(thing: bpy.types.Object) -> bool:
     return _is_lamp(thing) or _may_shade(thing)
+
+
+def _is_of_all_light(thing: bpy.types.Object) -> bool:
+    return _is_lamp(thing) or _is_around(thing)
+
+
+def _is_around(thing: bpy.types.Object) -> bool:
+    """Whether an object may shine or throw light back, also where it throws no shadow."""
+    return thing.type in worlds.SURFACES and armature.STAND_IN not in thing
 
 
 def _may_shade(thing: bpy.types.Object) -> bool:

@@ -330,7 +330,14 @@ def test_what_may_shade_hands_is_in_the_scene_that_draws_them(extension):
     assert composite.out_of_date(scene) == []
     for _ in range(2):
         card(0.5, up=2.0)
-    assert composite.out_of_date(scene) == ["2 things that may shade hands are missing"]
+    assert composite.out_of_date(scene) == ["2 things that may light or shade hands are missing"]
+    bpy.ops.jghand.combine_with_scene()
+    wall.visible_shadow = False
+    bpy.ops.jghand.combine_with_scene()
+    assert wall.name not in there
+    scene.jghand.use_exact_light = True
+    bpy.ops.jghand.combine_with_scene()
+    assert wall.name in there  # it throws light back
     scene.jghand.light = "CAPTURE"
     bpy.ops.jghand.combine_with_scene()
     assert wall.name not in there
