@@ -182,7 +182,7 @@ ADVICE = {
     ),
     "exact_light": Advice(
         "The exact light of this frame was not baked",
-        'Show a hand in a 3D view and render again, or switch "Exact Light" off',
+        'Render again, in a window while a 3D view shows a hand, or switch "Exact Light" off',
         TRY_AGAIN,
     ),
     "world_bake": Advice(
@@ -191,7 +191,7 @@ ADVICE = {
         TRY_AGAIN,
     ),
     "no_cycles": Advice(
-        "The world's nodes are measured by Cycles, which is disabled",
+        "The light of the scene is measured by Cycles, which is disabled",
         "Enable Cycles Render Engine in the preferences, under Add-ons",
         BAD_INPUT,
     ),

@@ -153,7 +153,11 @@ def _answer(ask: _Ask) -> None:
     try:
         ask.baked = _bake(ask.scene, ask.scene.view_layers[ask.layer], ask.hands) if ask.hands else None
     except JGHandFailure as failure:
-        ask.failure = failure
+        is_bake = failure.kind == "world_bake"  # which tells of the world
+        ask.failure = JGHandFailure("exact_light", failure.detail) if is_bake else failure
+    except Exception as error:
+        clock.tell_once(error)
+        ask.failure = JGHandFailure("exact_light", f"{type(error).__name__}: {error}")
     finally:
         ask.is_done.set()
 
@@ -203,7 +207,7 @@ def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Seq
         hands.append(bpy.data.objects.new(probe.NAME, mesh))
     there = armature.rendered_at_any_frame(layer, _is_there)
     of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
-    there = [_linked(thing, (above, *hands), of_hands) if thing.type == "LIGHT" else thing for thing in there]
+    there = [_linked(thing, above, hands, of_hands) if thing.type == "LIGHT" else thing for thing in there]
     for thing in (above, *hands, *there):
         own.collection.objects.link(thing)
     return _Stage(own, hands, above)
@@ -216,21 +220,38 @@ def _is_there(thing: bpy.types.Object) -> bool:
 
 def _linked(
     lamp: bpy.types.Object,
-    ours: Sequence[bpy.types.Object],
+    above: bpy.types.Object,
+    surfaces: Sequence[bpy.types.Object],
     hands: Sequence[bpy.types.Object],
 ) -> bpy.types.Object:
-    """A lamp that lights what is ours as its light linking has it with the hands; a copy where that is to be said."""
-    receivers = lamp.light_linking.receiver_collection
-    if receivers is None:
+    """A lamp that lights facets and surfaces, and is shaded by surfaces, as its light linking has it with the hands; a
+    copy where that is to be said."""
+    linking = lamp.light_linking
+    receivers = _with_ours(linking.receiver_collection, (above, *surfaces), hands)
+    blockers = _with_ours(linking.blocker_collection, surfaces, hands)
+    if (receivers, blockers) == (linking.receiver_collection, linking.blocker_collection):
         return lamp
-    is_lit = lamps.lights_any(receivers, hands)
-    states = {how.light_linking.link_state for how in (*receivers.collection_objects, *receivers.collection_children)}
-    if is_lit != ("INCLUDE" in states):
-        return lamp
-    own, copy = receivers.copy(), lamp.copy()
-    own.name = copy.name = probe.NAME
+    copy = lamp.copy()
+    copy.name = probe.NAME
+    copy.light_linking.receiver_collection, copy.light_linking.blocker_collection = receivers, blockers
+    return copy
+
+
+def _with_ours(
+    linked: bpy.types.Collection | None,
+    ours: Sequence[bpy.types.Object],
+    hands: Sequence[bpy.types.Object],
+) -> bpy.types.Collection | None:
+    """Receivers or blockers of a lamp, with what is ours as the hands are; a copy where that is to be said."""
+    if linked is None:
+        return None
+    is_wanted = lamps.lights_any(linked, hands)
+    states = {how.light_linking.link_state for how in (*linked.collection_objects, *linked.collection_children)}
+    if is_wanted != ("INCLUDE" in states):
+        return linked
+    copy = linked.copy()
+    copy.name = probe.NAME
     for thing in ours:
-        own.objects.link(thing)
-        own.collection_objects[-1].light_linking.link_state = "INCLUDE" if is_lit else "EXCLUDE"
-    copy.light_linking.receiver_collection = own
+        copy.objects.link(thing)
+        copy.collection_objects[-1].light_linking.link_state = "INCLUDE" if is_wanted else "EXCLUDE"
     return copy

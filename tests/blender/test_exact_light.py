@@ -193,6 +193,27 @@ def test_lamps_light_hands_as_their_light_linking_says(scene, few_points):
     assert len(linked.objects) == 1
 
 
+def test_hands_shade_each_other_as_light_linking_says(scene, few_points):
+    """The upper one of two takes the sun from the lower one, or lets it pass."""
+    lamp, lower = sun(scene), next(thing for thing in scene.objects if thing.type == "ARMATURE")
+    upper = lower.copy()
+    scene.collection.objects.link(upper)
+    lower.location.z, lower.name, upper.name = -0.1, "lower", "upper"
+    linked = bpy.data.collections.new("linked")
+    for hand in (lower, upper):
+        linked.objects.link(hand)
+    lamp.light_linking.blocker_collection = linked
+    found = []
+    for state in ("INCLUDE", "EXCLUDE"):
+        for how in linked.collection_objects:
+            how.light_linking.link_state = state
+        normals, light = baked(scene)[0]
+        found.append(np.median(light[normals[:, 1] > 0.7]))
+    assert found[0] < 0.1
+    assert found[1] > 0.7
+    assert len(linked.objects) == 2
+
+
 def test_baking_leaves_the_file_as_it_was(scene, few_points):
     kinds = ("scenes", "worlds", "objects", "collections", "meshes", "materials", "lights", "node_groups")
     chosen = scene.objects[0]
@@ -221,6 +242,18 @@ def test_a_frame_that_was_not_baked_fails_and_says_so(scene, tmp_path, monkeypat
     with pytest.raises(RuntimeError, match="exact light of this frame was not baked"):
         bpy.ops.render.render(write_still=True)
     assert not (tmp_path / "picture.png").exists()
+
+
+@pytest.mark.parametrize("error", [JGHandFailure("world_bake", "no memory"), ValueError("no memory")])
+def test_a_bake_that_fails_says_why_and_nothing_of_the_world(scene, tmp_path, monkeypatch, capfd, error):
+    def fail(*_: object) -> None:
+        raise error
+
+    scene.jghand.use_exact_light = True
+    scene.render.filepath = str(tmp_path / "picture.png")
+    monkeypatch.setattr(exact_light.probe, "bake", fail)
+    with pytest.raises(RuntimeError, match=r"exact light of this frame was not baked.*no memory"):
+        bpy.ops.render.render(write_still=True)
 
 
 def test_a_window_bakes_on_the_main_thread_and_tidies_up_after_the_render(scene, few_points, monkeypatch):
