@@ -41,13 +41,14 @@ class SceneLamps:
 
 
 def in_view(
-    depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D, hands: Sequence[bpy.types.Object]
+    depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, hands: Sequence[bpy.types.Object]
 ) -> SceneLamps:
-    """The lamps of `lamps_of` in a 3D view, kept between two draws."""
-    local = space.local_view.as_pointer() if space.local_view is not None else 0
-    view: list[object] = [depsgraph.scene.session_uid, depsgraph.view_layer.name, space.as_pointer(), local]
-    view += [getattr(space.shading, name) for name in _SHADING]
-    view += [space.show_object_viewport_light, space.use_local_collections, depsgraph.scene.render.engine]
+    """The lamps of `lamps_of` in a 3D view, or for a render (None) of what views show, kept between two looks."""
+    view: list[object] = [depsgraph.scene.session_uid, depsgraph.view_layer.name, depsgraph.scene.render.engine]
+    if space is not None:
+        local = space.local_view.as_pointer() if space.local_view is not None else 0
+        view += [space.as_pointer(), local, space.show_object_viewport_light, space.use_local_collections]
+        view += [getattr(space.shading, name) for name in _SHADING]
     key = (*view, *map(armature.name_in_files, hands))
     if key not in _kept:
         _kept[key] = lamps_of(depsgraph, hands, space)

@@ -2,7 +2,8 @@
 """What pictures of hands cannot show of a scene: panes before them, volumes, soft edges; in sentences for the panel.
 
 Hands come into the pictures of Cycles and EEVEE by depth, and what is seen through has one depth. Panels look by
-`ui.kept`, on its timer; where no material is seen through, no object is asked.
+`ui.kept`, on its timer; where no material is seen through, or nothing was edited since the last look, no object is
+asked, nor is any while Blender renders or plays.
 """
 
 from __future__ import annotations
@@ -14,11 +15,10 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import versions
-from ..hand import seen_hands
-from . import ENGINE, composite, scene_light, scene_shadows, worlds
+from ..core.view import LIGHT_FROM_WORLD
+from ..hand import armature, seen_hands
+from . import ENGINE, composite, lamps, rendering, scene_light, scene_shadows, worlds
 
-# what has materials
-_SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME"}
 # kinds of materials
 PANE, VOLUME = "pane", "volume"
 _PANES = {"BSDF_TRANSPARENT", "BSDF_GLASS", "BSDF_REFRACTION"}
@@ -26,39 +26,81 @@ _PANES = {"BSDF_TRANSPARENT", "BSDF_GLASS", "BSDF_REFRACTION"}
 _OPAQUE = {"Alpha": 1.0, "Transmission Weight": 0.0}
 # so far away are eyes that see in parallel, Blender units
 _FAR = 1e4
+# what Blender gives as meshes beside itself
+_AS_MESHES = {"CURVE", "SURFACE", "FONT", "META"}
+# a ray that came through a face goes on behind it, by this part of its thing's size, and through so many at most
+_BEHIND, _FACES = 1e-4, 32
 # sentences name the first of them
 _NAMED = 3
+# scenes whose sentences are kept
+_SCENES = 4
+
+# (session_uid of the scene, name of the view layer) -> what it was looked at for, and what was found
+_kept: dict[tuple[int, str], tuple[tuple[object, ...], tuple[str, ...]]] = {}
 
 
 def sentences(context: bpy.types.Context) -> tuple[str, ...]:
-    """About the scene of the context, as its camera sees it."""
-    scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    """About the scene of the context, as its camera sees it; while Blender renders or plays, what was found last."""
+    scene, layer = context.scene, context.view_layer
+    place = scene.session_uid, layer.name
+    last = _kept.get(place, ((), ()))
+    is_playing = context.screen is not None and context.screen.is_animation_playing
+    if is_playing or rendering.now() or rendering.is_blender_busy():
+        return last[1]
+    depsgraph = context.evaluated_depsgraph_get()
     is_mixed = scene.render.engine != ENGINE or composite.has_combination(scene)
-    found = list(_of_view(scene, depsgraph)) if is_mixed else []
+    found = tuple(_of_view(scene, depsgraph)) if is_mixed else ()
     kinds = {name: kind for name, kind in map(_kind, bpy.data.materials) if kind}
-    if not (kinds or bpy.data.volumes):
-        return tuple(found)
-    hands, _ = seen_hands.read(seen_hands.hands_of(scene, context.view_layer), depsgraph)
-    if not hands:
-        return tuple(found)
-    joints = np.concatenate([hand.joints_world_m for hand in hands]) / scene.unit_settings.scale_length
-    from_eye = _ways_of_sight(scene.camera, joints) if is_mixed and scene.camera is not None else joints[:0]
-    from_lamps = _ways_of_light(depsgraph, joints) if scene_light.is_chosen(scene) else joints[:0]
-    panes, volumes, shades = {}, {}, {}
+    things = seen_hands.hands_of(scene, layer) if kinds or bpy.data.volumes else []
+    hands, _ = seen_hands.read(things, depsgraph)
+    unit_m = scene.unit_settings.scale_length
+    joints = np.concatenate([np.empty((0, 3)), *(hand.joints_world_m for hand in hands)]) / unit_m
+    from_eye = from_lamps = joints[:0]
+    if is_mixed and scene.camera is not None:
+        from_eye = _ways_of_sight(scene.camera, joints)
+    # Exact Light bakes what comes through panes
+    if hands and scene_light.is_chosen(scene) and not scene.jghand.use_exact_light:
+        from_lamps = _ways_of_light(lamps.in_view(depsgraph, None, things), joints, unit_m)
+    key = (
+        found,
+        frozenset(kinds.items()),
+        scene_shadows.edits(),
+        *(each.tobytes() for each in (joints, from_eye, from_lamps)),
+    )
+    if last[0] != key:
+        if hands:
+            found += tuple(_between(depsgraph, kinds, joints, from_eye, from_lamps))
+        if len(_kept) >= _SCENES:
+            _kept.clear()
+        last = _kept[place] = key, found
+    return last[1]
+
+
+def _between(
+    depsgraph: bpy.types.Depsgraph,
+    kinds: dict[str, str],
+    joints: np.ndarray,
+    from_eye: np.ndarray,
+    from_lamps: np.ndarray,
+) -> Iterator[str]:
+    """About what is between the joints (N, 3), and what sees and lights them; kinds: of materials, by their names."""
+    panes, volumes, shades, parts = {}, {}, {}, {}
     for thing, matrix in _things(depsgraph):
-        kind = _kind_of(thing, kinds)
-        if kind and _meets(from_eye, joints, thing, matrix):
-            (panes if kind == PANE else volumes)[thing.name] = None
-        if kind == PANE and thing.visible_shadow and _meets(from_lamps, joints, thing, matrix):
-            shades[thing.name] = None
+        own = _kinds_of(thing, kinds)
+        if VOLUME in own and _meet(from_eye, joints, thing, matrix):
+            volumes[thing.name] = None
+        if PANE in own and _are_seen_through(from_eye, joints, thing, matrix, own):
+            panes[thing.name] = None
+        if PANE in own and thing.visible_shadow and _are_seen_through(from_lamps, joints, thing, matrix, own):
+            (shades if set(own) == {PANE} else parts)[thing.name] = None
     for names, text in (
         (panes, rpt_("{name}: no hand is seen through it; move it out of the camera's way")),
         (volumes, rpt_("{name}: a volume does not dim hands; add mist in the compositor")),
         (shades, rpt_("{name}: seen through, but shades hands as a whole; turn off Shadow in its Ray Visibility")),
+        (parts, rpt_("{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility")),
     ):
         if names:
-            found.append(text.format(name=", ".join([*names][:_NAMED]) + ", …" * (len(names) > _NAMED)))
-    return tuple(found)
+            yield text.format(name=", ".join([*names][:_NAMED]) + ", …" * (len(names) > _NAMED))
 
 
 def _of_view(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator[str]:
@@ -114,11 +156,11 @@ def _lets_through(node: bpy.types.Node) -> bool:
     return any(socket.is_linked or socket.default_value != opaque for socket, opaque in inputs)
 
 
-def _kind_of(thing: bpy.types.Object, kinds: dict[str, str]) -> str:
+def _kinds_of(thing: bpy.types.Object, kinds: dict[str, str]) -> list[str]:
+    """Of each material slot of a thing."""
     if thing.type == "VOLUME":
-        return VOLUME
-    own = (slot.material and kinds.get(slot.material.name_full) for slot in thing.material_slots)
-    return next(filter(None, own), "")
+        return [VOLUME]
+    return [kinds.get(slot.material.name_full, "") if slot.material else "" for slot in thing.material_slots]
 
 
 # ---- what is between -------------------------------------------------------------------------------------------------
@@ -126,11 +168,12 @@ def _kind_of(thing: bpy.types.Object, kinds: dict[str, str]) -> str:
 
 def _things(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
     """What is seen and has materials, and its place, also of instances of collections; those that particles and nodes
-    make are too many to ask, and small."""
+    make are too many to ask, and small. Blender gives curves, texts and balls as meshes that these instance."""
     for each in depsgraph.object_instances:
-        thing = each.object
-        is_part = not each.is_instance or each.parent.instance_type == "COLLECTION"
-        if is_part and thing.type in _SURFACES and thing.visible_camera and each.show_self:
+        thing, parent = each.object, each.parent
+        is_part = not each.is_instance or parent.instance_type == "COLLECTION" or parent.type in _AS_MESHES
+        is_surface = thing.type in ("MESH", "VOLUME") and armature.STAND_IN not in thing
+        if is_part and is_surface and thing.visible_camera and each.show_self:
             yield thing, np.array(each.matrix_world)
 
 
@@ -142,23 +185,61 @@ def _ways_of_sight(camera: bpy.types.Object, joints: np.ndarray) -> np.ndarray:
     return matrix[:3, 3] - joints
 
 
-def _ways_of_light(depsgraph: bpy.types.Depsgraph, joints: np.ndarray) -> np.ndarray:
-    """(lamps * N, 3) from each joint to each lamp."""
+def _ways_of_light(found: lamps.SceneLamps, joints: np.ndarray, unit_m: float) -> np.ndarray:
+    """(lamps * N, 3) from each joint to each lamp that casts shadows."""
     ways = []
-    for each in depsgraph.object_instances:
-        if each.object.type == "LIGHT":
-            matrix = np.array(each.matrix_world)
-            is_sun = each.object.data.type == "SUN"
-            ways.append(np.tile(matrix[:3, 2] * _FAR, (len(joints), 1)) if is_sun else matrix[:3, 3] - joints)
+    for lamp in found.lamps:
+        if lamp["has_shadow"]:
+            place = LIGHT_FROM_WORLD[:3, :3].T @ lamp["place_m"]
+            is_sun = lamp["kind"] == "sun"
+            ways.append(np.tile(place * _FAR, (len(joints), 1)) if is_sun else place / unit_m - joints)
     return np.concatenate([joints[:0], *ways])
 
 
-def _meets(ways: np.ndarray, joints: np.ndarray, thing: bpy.types.Object, matrix: np.ndarray) -> bool:
-    """Whether ways from the joints, in turn, come through the box of a thing."""
+def _meet(
+    ways: np.ndarray, joints: np.ndarray, thing: bpy.types.Object, matrix: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Those of ways from the joints, in turn, that come through the box of a thing: start and way, in its own space."""
     if not len(ways) or not np.linalg.det(matrix[:3, :3]):
-        return False
+        return []
     back = np.linalg.inv(matrix)
     corners = np.array([tuple(corner) for corner in thing.bound_box])
     starts = np.tile(joints, (len(ways) // len(joints), 1)) @ back[:3, :3].T + back[:3, 3]
-    box = np.stack([corners.min(0), corners.max(0)])
-    return bool(scene_shadows.meet_box(starts, ways @ back[:3, :3].T, box).any())
+    ways = ways @ back[:3, :3].T
+    near = scene_shadows.meet_box(starts, ways, np.stack([corners.min(0), corners.max(0)]))
+    return list(zip(starts[near], ways[near], strict=True))
+
+
+def _are_seen_through(
+    ways: np.ndarray, joints: np.ndarray, thing: bpy.types.Object, matrix: np.ndarray, own: list[str]
+) -> bool:
+    """Whether one of the ways comes through panes of a mesh and no other face of it, which hides what they show. own:
+    kinds of its slots."""
+    near = _meet(ways, joints, thing, matrix)
+    if not near:
+        return False
+    low, high = (np.array(thing.bound_box[corner]) for corner in (0, 6))
+    step = _BEHIND * float(np.linalg.norm(high - low))
+    faces = thing.to_mesh().polygons
+    try:
+        for start, way in near:
+            met = {own[min(faces[at].material_index, len(own) - 1)] for at in _faces(start, way, thing, step)}
+            if met == {PANE}:
+                return True
+        return False
+    finally:
+        thing.to_mesh_clear()
+
+
+def _faces(start: np.ndarray, way: np.ndarray, thing: bpy.types.Object, step: float) -> Iterator[int]:
+    """The faces of a thing along a way in its space; it goes on by a step behind each."""
+    length = float(np.linalg.norm(way))
+    along = 0.0
+    for _ in range(_FACES):
+        if along >= length:
+            return
+        is_met, place, _, face = thing.ray_cast(start + way * (along / length), way, distance=length - along)
+        if not is_met:
+            return
+        yield face
+        along = float(np.linalg.norm(np.array(place) - start)) + step

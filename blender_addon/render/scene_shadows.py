@@ -150,9 +150,10 @@ def expect() -> None:
 
 def _may_shade(thing: bpy.types.ID) -> bool:
     if not isinstance(thing, bpy.types.Object):
-        kinds = bpy.types.Mesh | bpy.types.Curve | bpy.types.MetaBall | bpy.types.GeometryNodeTree
+        kinds = bpy.types.Mesh | bpy.types.Curve | bpy.types.MetaBall | bpy.types.Volume | bpy.types.GeometryNodeTree
         return isinstance(thing, kinds | bpy.types.Scene | bpy.types.Collection)
-    return (thing.type in SOLID and armature.STAND_IN not in thing) or thing.is_instancer
+    # volumes throw none, but who looks for what is before hands goes by these edits too
+    return (thing.type in SOLID | {"VOLUME"} and armature.STAND_IN not in thing) or thing.is_instancer
 
 
 def forget() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import bpy
 import hands
 import pytest
@@ -9,17 +11,20 @@ from mathutils import Matrix
 from recording_layout import draw
 
 from blender_addon import versions
-from blender_addon.render import limits
+from blender_addon.render import lamps, limits
 from blender_addon.render.panel import RenderPanel
+from blender_addon.viewport import handlers
 
 
 @pytest.fixture
-def scene(extension) -> bpy.types.Scene:
-    """A hand that a camera of a Cycles scene looks at."""
+def scene(extension) -> Iterator[bpy.types.Scene]:
+    """A hand that a camera of a Cycles scene looks at; edits are told of, as in a window."""
+    bpy.app.handlers.depsgraph_update_post.append(handlers.on_change)
     bpy.ops.jghand.add_hand()
     scene = extension.scene
     scene.camera, scene.render.engine = hands.camera_on(extension, (0, 0, 0.09), 0.5), "CYCLES"
-    return scene
+    yield scene
+    bpy.app.handlers.depsgraph_update_post.remove(handlers.on_change)
 
 
 def told() -> str:
@@ -126,3 +131,75 @@ def test_where_nothing_is_seen_through_no_object_is_asked(scene, monkeypatch):
     card(scene, material("ShaderNodeBsdfPrincipled"))
     monkeypatch.delattr(limits, "_things")
     assert "seen through" not in told()
+
+
+def room(scene: bpy.types.Scene) -> bpy.types.Object:
+    """A box around camera, lamp and hand, opaque but for its last slot, which is glass."""
+    bpy.ops.mesh.primitive_cube_add(size=4)
+    thing = bpy.context.object
+    for shader in ("ShaderNodeBsdfDiffuse", "ShaderNodeBsdfGlass"):
+        thing.data.materials.append(material(shader))
+    return thing
+
+
+def test_a_room_with_a_window_is_named_only_where_the_window_is_between(scene):
+    scene.jghand.light = "SCENE"
+    lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))  # from above
+    scene.collection.objects.link(lamp)
+    mesh = room(scene).data
+    assert "Cube" not in told()  # walls alone are between sun and hand
+    above = [face.center.z > 1 for face in mesh.polygons]
+    mesh.polygons.foreach_set("material_index", [not each for each in above])
+    mesh.update()
+    assert "Cube" not in told()
+    mesh.polygons.foreach_set("material_index", above)
+    mesh.update()
+    assert "Cube: its panes shade hands" in told()
+    assert "no hand is seen through it" not in told()
+    scene.jghand.use_exact_light = True  # has what comes through them
+    assert "Cube" not in told()
+
+
+def test_a_pane_with_a_wall_behind_it_that_is_one_mesh_is_not_named(scene):
+    pane = card(scene, material("ShaderNodeBsdfGlass"))
+    pane.data.materials.append(material("ShaderNodeBsdfDiffuse"))
+    pane.modifiers.new("wall", "SOLIDIFY").thickness = 0.01
+    assert "no hand is seen through it" in told()
+    pane.modifiers["wall"].material_offset = 1
+    assert "seen through" not in told()
+
+
+def test_a_text_of_glass_is_asked_by_its_faces(scene):
+    thing = bpy.data.objects.new("text", bpy.data.curves.new("text", "FONT"))
+    thing.data.materials.append(material("ShaderNodeBsdfGlass"))
+    thing.data.size, thing.data.align_x, thing.data.align_y = 0.2, "CENTER", "CENTER"
+    thing.data.body = "■"
+    scene.collection.objects.link(thing)
+    thing.matrix_world = scene.camera.matrix_world @ Matrix.Translation((0, 0, -0.25))
+    assert "text: no hand is seen through it" in told()
+    thing.data.body = "I                    I"  # beside the ways
+    assert "text" not in told()
+
+
+def test_a_second_look_without_an_edit_asks_no_object(scene, monkeypatch):
+    scene.jghand.light = "SCENE"
+    pane = card(scene, material("ShaderNodeBsdfGlass"))
+    first = told()
+    with monkeypatch.context() as changed:
+        changed.delattr(limits, "_things")
+        changed.delattr(lamps, "_placed")
+        assert told() == first
+    pane.location.z += 1.0
+    assert told() != first
+    pane.location.z -= 1.0
+    monkeypatch.delattr(limits, "_things")
+    monkeypatch.setattr(limits.rendering, "is_blender_busy", lambda: True)
+    assert told() != first  # what was found last, until the render is over
+
+
+def test_a_volume_that_is_moved_is_looked_at_anew(scene):
+    cloud = bpy.data.objects.new("cloud", bpy.data.volumes.new("cloud"))
+    scene.collection.objects.link(cloud)
+    assert "cloud: a volume" in told()
+    cloud.location.x = 5
+    assert "cloud" not in told()
