@@ -79,7 +79,7 @@ class Ablate:
         full, perceptual = train_options(self.preset, self.seed, device)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
-        known_light = split.train[0].light is not None
+        known_light = any(sample.light is not None for sample in split.train)
         variants = chosen_variants(full, self.variants, known_light=known_light)
         categories = light_categories(split, self.limit) if known_light else categories_of(split, "test", self.limit)
         learned_from = material("ablation", capture.name, split, perceptual)

@@ -28,7 +28,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.baselines import transform_of
-from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, judged_mix, spread
+from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, judged_mix, spread
 from jghand_engine.learn.known_light import LAMPS_IN_WORLD, lamps_in_world
 from jghand_engine.learn.model import LightPart
 from jghand_engine.learn.options import ONE_LIGHT, TrainOptions, ablations, light_ablations
@@ -150,7 +150,8 @@ class LiveHand:
 def light_categories(split: Split, limit: int) -> dict[str, tuple[Sample, ...]]:
     """The pictures to measure of a capture in known light, by what of them is new. Those of a new light are shown in
     its world, with its lamps as well, and in its small spot alone, which stands behind the hand. limit: at most so many
-    of each, evenly spread; 0: all"""
+    of each, evenly spread; 0: all. InputError as `categories_of`."""
+    categories_of(split, "test")
     kinds: dict[str, list[Sample]] = {
         "new pose": list(split.novel_pose), "new camera": list(split.novel_view), "new world": [],
         "new world and lamps": [], "spot from behind": [], "all new": [],

@@ -19,6 +19,7 @@ from jghand_engine.avatar.file import load_avatar
 from jghand_engine.avatar.lamp_rows import irradiance_at
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.errors import InputError
@@ -26,7 +27,7 @@ from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.skeleton import Transform
-from jghand_engine.learn.ablation import LiveHand, chosen_variants
+from jghand_engine.learn.ablation import LiveHand, chosen_variants, light_categories
 from jghand_engine.learn.known_light import lamps_in_world
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining
@@ -153,6 +154,13 @@ def test_a_capture_in_known_light_gets_the_table_of_its_light(tmp_path, tiny, ca
     assert len({one["means"]["all"]["psnr_box"] for one in variants.values()}) == len(variants)
     assert "| w/o shadows and lamps | " in (out / "ablation.md").read_text()
     assert read_png(out / "ablation.png").shape[0] > 6 * 264
+
+
+def test_known_light_without_held_out_pictures_is_told_before_anything_is_trained(tmp_path):
+    hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(1000)
+    capture = open_capture(write_lit_capture(tmp_path / "lit", hand))
+    with pytest.raises(InputError, match="take another --split"):
+        light_categories(split_capture(capture).all_learned(), 0)
 
 
 def test_lamps_in_the_world_light_the_middle_of_the_hand_as_before():
