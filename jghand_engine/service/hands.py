@@ -44,6 +44,8 @@ from jghand_engine.template.mesh import posed_vertices
 
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
+# searches for points near hands that are kept: two kinds, of eight hands
+SEARCHES_MAX = 16
 # avatars that are kept though no renderer shows them: those that were just loaded, before their first image
 IDLE_AVATARS_MAX = 4
 # lights that are kept: of some views and their last light
@@ -55,6 +57,8 @@ POINTS_NEAR, SMOOTHED_M, POINTS_AROUND = 12, 1.5e-3, 48
 # sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
+# an avatar and points (P, 3) on its hand at rest -> which of them are near
+_Search = Callable[[HandAvatar, np.ndarray], tuple[np.ndarray, ...]]
 
 
 class _Version(NamedTuple):
@@ -89,33 +93,6 @@ class _Key(NamedTuple):
     lit: bool
 
 
-class _Near(NamedTuple):
-    """Points on the template that are near those of an avatar.
-
-    at_anchors: (A,) the nearest of each anchor of the cast shadow
-    near:       (N, K) those around each Gaussian
-    share:      (N, K) their weights, which sum to 1
-    """
-
-    at_anchors: np.ndarray
-    near: np.ndarray
-    share: np.ndarray
-
-    @classmethod
-    def of(cls, avatar: HandAvatar, points_m: np.ndarray) -> _Near:
-        """points_m: (P, 3) on the avatar's hand at rest. None are near one that has no anchors."""
-        cast = None if avatar.learned is None else avatar.learned.cast
-        if cast is None:
-            return cls(np.zeros(0, np.intp), np.zeros((0, 1), np.intp), np.zeros((0, 1)))
-        around = _around(points_m, cast.anchors.position_m, POINTS_AROUND)
-        of_gaussian = around[cast.anchors.nearest[:, 0]]
-        distance2 = np.square(points_m[of_gaussian] - avatar.position_m[:, None]).sum(-1)
-        kept = np.argpartition(distance2, min(POINTS_NEAR, distance2.shape[1]) - 1, axis=1)[:, :POINTS_NEAR]
-        distance2 = np.take_along_axis(distance2, kept, 1)
-        share = np.exp((distance2.min(1, keepdims=True) - distance2) / (2 * SMOOTHED_M**2))
-        return cls(around[:, 0], np.take_along_axis(of_gaussian, kept, 1), share / share.sum(1, keepdims=True))
-
-
 class _OnHands(NamedTuple):
     """A light, what is left of it and was baked at points of these hands, and both together."""
 
@@ -138,7 +115,7 @@ class HandImages:
         self._lights: OrderedDict[str, SceneLight] = OrderedDict()
         # the last light of which more is known at points of hands
         self._last_on_hands: _OnHands | None = None
-        self._points: dict[tuple[_Version, bytes], _Near] = {}
+        self._points: dict[tuple[_Version, bytes, _Search], tuple[np.ndarray, ...]] = {}
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Reads the file anew; renderers of what it held before are dropped."""
@@ -222,22 +199,22 @@ class HandImages:
         ):
             both = light
             if wanted.left is not None and wanted.left_at is not None:
-                nearest = [self._near(hand, wanted.left_at).at_anchors for hand in request.hands]
+                nearest = [self._near(hand, wanted.left_at, _of_anchors)[0] for hand in request.hands]
                 pairs = zip(wanted.left, nearest, strict=True)
                 both = replace(both, shades=Shades(tuple(part[:, at] / np.float32(255) for part, at in pairs)))
             if wanted.baked is not None and wanted.baked_at is not None:
-                found = [self._near(hand, wanted.baked_at) for hand in request.hands]
+                found = [self._near(hand, wanted.baked_at, _of_gaussians) for hand in request.hands]
                 pairs = zip(wanted.baked, found, strict=True)
-                smooth = tuple(np.einsum("nk,nkij->nij", at.share, field[at.near]) for field, at in pairs)
+                smooth = tuple(np.einsum("nk,nkij->nij", share, field[near]) for field, (near, share) in pairs)
                 both = replace(both, baked=Baked(smooth))
             last = self._last_on_hands = _OnHands(light, hands, at_points, both)
         return last.both
 
-    def _near(self, hand: RequestedHand, points_m: np.ndarray) -> _Near:
-        """Which of the points (P, 3) on the template are near an avatar's anchors and Gaussians, at rest."""
-        key = _Version.now(hand.avatar), hashlib.blake2b(points_m.tobytes()).digest()
+    def _near(self, hand: RequestedHand, points_m: np.ndarray, search: _Search) -> tuple[np.ndarray, ...]:
+        """Which of the points (P, 3) on the template are near an avatar's anchors or Gaussians, at rest."""
+        key = _Version.now(hand.avatar), hashlib.blake2b(points_m.tobytes()).digest(), search
         if key not in self._points:
-            if len(self._points) >= RENDERERS_MAX:
+            if len(self._points) >= SEARCHES_MAX:
                 self._points.clear()
             with self._telling("Loading the avatar"):
                 avatar = self._avatar(key[0], hand.handedness)
@@ -246,7 +223,7 @@ class HandImages:
                 skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
                 moved_m = posed_vertices(template, skeleton, avatar.canonical_joints_m) - template.vertices_m
                 points_m = points_m + moved_m[_around(template.vertices_m, points_m, 1)[:, 0]]
-                self._points[key] = _Near.of(avatar, points_m)
+                self._points[key] = search(avatar, points_m)
         return self._points[key]
 
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
@@ -303,6 +280,26 @@ class HandImages:
 
 def _is_same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
     return one is other or (one is not None and other is not None and np.array_equal(one, other))
+
+
+def _of_anchors(avatar: HandAvatar, points_m: np.ndarray) -> tuple[np.ndarray]:
+    """points_m: (P, 3) on the avatar's hand at rest -> (A,) the nearest of each anchor of the cast shadow."""
+    cast = None if avatar.learned is None else avatar.learned.cast
+    return (np.zeros(0, np.intp) if cast is None else _around(points_m, cast.anchors.position_m, 1)[:, 0],)
+
+
+def _of_gaussians(avatar: HandAvatar, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """points_m: (P, 3) on the avatar's hand at rest -> (N, K) those around each Gaussian, and their weights, which sum
+    to 1. None are near those of an avatar without anchors."""
+    cast = None if avatar.learned is None else avatar.learned.cast
+    if cast is None:
+        return np.zeros((0, 1), np.intp), np.zeros((0, 1))
+    of_gaussian = _around(points_m, cast.anchors.position_m, POINTS_AROUND)[cast.anchors.nearest[:, 0]]
+    distance2 = np.square(points_m[of_gaussian] - avatar.position_m[:, None]).sum(-1)
+    kept = np.argpartition(distance2, min(POINTS_NEAR, distance2.shape[1]) - 1, axis=1)[:, :POINTS_NEAR]
+    distance2 = np.take_along_axis(distance2, kept, 1)
+    share = np.exp((distance2.min(1, keepdims=True) - distance2) / (2 * SMOOTHED_M**2))
+    return np.take_along_axis(of_gaussian, kept, 1), share / share.sum(1, keepdims=True)
 
 
 def _around(points: np.ndarray, to: np.ndarray, count: int) -> np.ndarray:

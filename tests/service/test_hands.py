@@ -24,6 +24,7 @@ from jghand_engine.render import blur, budget
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
+from jghand_engine.service import hands
 from jghand_engine.service.commands import Canceled, error_header
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
 from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand, RequestedLight
@@ -462,6 +463,17 @@ def test_what_a_scene_takes_of_a_lamp_is_dark_on_the_hand_and_known_again(source
         "stages"
     ]
     assert {"skin", "gloss", "raster"}.isdisjoint(stage["name"] for stage in stages if stage["ran"])
+
+
+def test_a_scene_that_casts_shadows_searches_no_points_around_gaussians(source, tmp_path, monkeypatch):
+    """Only light that was baked is read there, and the search takes longer than a picture."""
+    left, left_at = np.full((1, 1, 9), 255, np.uint8), np.random.default_rng(0).uniform(-0.1, 0.1, (9, 3))
+    asked_for = asked([trained_hand(tmp_path)], light=replace(lit(SUN), left=left, left_at=left_at))
+    counts = []
+    around = hands._around
+    monkeypatch.setattr(hands, "_around", lambda points, to, count: counts.append(count) or around(points, to, count))
+    assert source.render(asked_for).rgba.max() > 0
+    assert set(counts) == {1}
 
 
 def test_light_that_was_baked_lights_each_hand_as_it_says_whatever_the_lamps_are(source, tmp_path):
