@@ -127,7 +127,7 @@ class Export:
     that are not written (--frames) stay, whatever motion they are of."""
     up: Literal["y", "z"] = "y"
     """The axis that points up in the world of the motion. USD says it, splats and meshes are turned; light comes from
-    above in any."""
+    above in any. A web page wants a motion with y up."""
     template: File = None
     """For usd and mesh: the MANO file of an avatar that was trained on it (`jghand train --template`), whose surface
     becomes the mesh."""

@@ -33,8 +33,8 @@ JG_INLINE vf smooth(vf x) {
 
 // mu above w, 0 below -w, smooth between (C1): light does not leak to the far side. Takes w^2.
 JG_INLINE vf soft_cosine(vf mu, vf w2) {
-  const vf inverse = inverse_sqrt(w2), part = mu + w2 * inverse;
-  return select(part <= 0, vf{}, select(mu * mu >= w2, mu, part * part * (0.25f * inverse)));
+  const vf inverse = inverse_sqrt(w2), w = w2 * inverse, part = mu + w;
+  return select(part <= 0, vf{}, select(mu >= w, mu, part * part * (0.25f * inverse)));
 }
 
 // A lamp from sixteen points: direction towards it, irradiance of what faces it over its rgb, squared sine of its half

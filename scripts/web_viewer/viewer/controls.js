@@ -90,7 +90,13 @@ export class Controls {
     const turn = () => this.stage.lightFrom(Number(around.value), Number(height.value));
     const own = find('own');
     own.addEventListener('click', () => (own.ariaPressed === 'true' ? turn() : this.stage.ownLight()));
-    this.stage.lit = (on) => { own.ariaPressed = String(!on); };
+    this.stage.lit = (...angles) => {
+      own.ariaPressed = String(!angles.length);
+      if (!angles.length) return;
+      // whoever drives the page may turn it more than once around
+      set(around, Math.abs(angles[0]) > 180 ? angles[0] - 360 * Math.round(angles[0] / 360) : angles[0]);
+      set(height, angles[1]);
+    };
     find('light').hidden = false;
   }
 

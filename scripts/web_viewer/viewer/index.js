@@ -45,7 +45,12 @@ async function start() {
       player.hold(angles, smoothly);
     }),
     // degrees of a sun around the hand and above it; nothing: the light that the hand carries
-    light: (around, height) => (around === undefined ? stage.ownLight() : stage.lightFrom(around, height)),
+    light: (around, height) => {
+      if (around === undefined && height === undefined) return void (description.light && stage.ownLight());
+      if (!Number.isFinite(around) || !Number.isFinite(height)) throw new Error(`A light is two angles in degrees, not ${around} and ${height}.`);
+      if (!description.light) throw new Error('This hand has no light that can be turned.');
+      stage.lightFrom(around, height);
+    },
     lookThrough: (camera) => stage.lookThrough(camera, description.origin_m),
     reset: () => stage.home(),
     settled: () => stage.settled(),

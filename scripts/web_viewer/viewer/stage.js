@@ -144,7 +144,7 @@ export class Stage {
     const toEye = new THREE.Vector3().fromArray(this.view.to_eye), up = new THREE.Vector3().fromArray(this.view.up).normalize();
     const right = up.clone().cross(toEye).normalize(), degree = Math.PI / 180;
     const towards = right.clone().cross(up).applyAxisAngle(up, around * degree).multiplyScalar(Math.cos(height * degree));
-    this.turnLight(towards.addScaledVector(up, Math.sin(height * degree)).toArray());
+    this.turnLight(towards.addScaledVector(up, Math.sin(height * degree)).toArray(), around, height);
   }
 
   // The light that the hand carries
@@ -152,9 +152,9 @@ export class Stage {
     this.turnLight();
   }
 
-  turnLight(towards) {
+  turnLight(towards, ...angles) {
     this.hand.turnLight(towards);
-    this.lit?.(Boolean(towards));
+    this.lit?.(...angles);
     this.changed();
   }
 
