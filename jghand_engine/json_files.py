@@ -14,7 +14,7 @@ from jghand_engine.errors import InputError, MemoryLimitError
 
 # name, what was wanted, what came -> the error that names the file
 Wrong = Callable[[str, str, object], InputError]
-# bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
+# bytes of a small file: a camera has 1 kB, a map of bones 10 kB. JSON takes up to thirty times its size in memory
 JSON_BYTES_MAX = 100_000
 
 
@@ -45,7 +45,7 @@ def read_small_json(path: Path) -> Any:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
     if size > JSON_BYTES_MAX:
-        wanted = f"a camera or a map of bones, at most {JSON_BYTES_MAX} bytes"
+        wanted = f"a small file, at most {JSON_BYTES_MAX} bytes"
         raise InputError(f"{path}", wanted=wanted, came=f"{size}", remedy="Check the name.")
     try:
         return json.loads(content, parse_constant=_no_number)

@@ -15,6 +15,7 @@ from jghand_engine.errors import InputError, RetryError
 
 if TYPE_CHECKING:
     from jghand_engine.captures.making.plan import CapturePlan
+    from jghand_engine.captures.skin.person import Person
 
 DESCRIPTION = """Make a training set: pictures of a rigged hand of another shape, path traced from all sides.
 
@@ -181,7 +182,7 @@ class Capture:
             sampling=Sampling(samples=self.samples, subdivisions=subdivisions),
         )  # fmt: skip
 
-    def _skin(self):
+    def _skin(self) -> Person | Path:
         from jghand_engine.captures.skin.person import RANGES, Person
 
         given = self.look.skin

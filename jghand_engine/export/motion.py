@@ -128,6 +128,8 @@ class HandMotion:
 
 def turned(posed: PosedHand, turn: np.ndarray) -> PosedHand:
     """The same after a turn (3, 3)."""
+    if np.array_equal(turn, np.eye(3)):
+        return posed
     covariance_m2 = posed.covariance_m2
     if covariance_m2 is not None:
         covariance_m2 = (turn @ covariance_m2[:, SYMMETRIC].reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
