@@ -37,6 +37,8 @@ SAMPLES = 4
 _POLL_S = 0.05
 # what a bake makes, each with the probe's name
 _KINDS = ("scenes", "objects", "meshes", "materials", "collections")
+# custom property of all that: names alone may be an artist's
+_MARK = "jghand_exact_light"
 # looks of facets that others must not see; a camera's is none of a bake's
 _SEEN_BY = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
@@ -56,11 +58,12 @@ class _Stage:
 
 @dataclass
 class _Ask:
-    """What a render waits for. baked: the answer, or failure"""
+    """What a render waits for. is_canceled: whether it was given up; baked: the answer, or failure"""
 
     scene: bpy.types.Scene
     layer: str
     hands: Sequence[HandInSpace]
+    is_canceled: Callable[[], bool]
     baked: np.ndarray | None = None
     failure: JGHandFailure | None = None
     is_done: threading.Event = field(default_factory=threading.Event)
@@ -86,14 +89,14 @@ def prepare(depsgraph: bpy.types.Depsgraph) -> None:
     _ready.pop((scene.session_uid, layer.name), None)
     if not is_chosen(scene):
         return
-    ask = _ready[(scene.session_uid, layer.name)] = _Ask(scene, layer.name, ())
+    ask = _ready[(scene.session_uid, layer.name)] = _Ask(scene, layer.name, (), lambda: False)
     try:
-        ask.hands = samples.hands_at(depsgraph)
+        ask.hands = samples.hands_to_render(depsgraph)
+        _answer(ask)
     except JGHandFailure as failure:
         ask.failure = failure
-    else:
-        _answer(ask)
-    clear()
+    finally:
+        clear()
 
 
 def with_baked(
@@ -112,7 +115,7 @@ def with_baked(
         done = _ready.pop((scene.session_uid, layer), None)
     elif clock.runs():
         # those of the frame, as without a window, and not of a moment of the shutter
-        done = _ask = _Ask(scene, layer, samples.hands_at(depsgraph))
+        done = _ask = _Ask(scene, layer, samples.hands_at(depsgraph), is_canceled)
         while not done.is_done.wait(_POLL_S):
             if is_canceled():
                 _ask = None
@@ -137,20 +140,38 @@ def tend() -> None:
         clear()
 
 
+def expect() -> None:
+    """After an undo, or in another file: what was saved or remembered during a bake is there again, and goes as soon as
+    it may."""
+    global _is_untidy
+    _stages.clear()
+    _is_untidy = any(map(_made_in, _KINDS))
+    if _is_untidy and bpy.app.background:  # there is no timer
+        clear()
+    elif _is_untidy:
+        clock.hasten(0.0)
+
+
 def clear() -> None:
-    """Takes away what bakes made; known by name, as an undo may have taken or renewed some of it."""
+    """Takes away what bakes made; known by its mark, as an undo may have taken or renewed some of it."""
     global _is_untidy
     _stages.clear()
     for kind in _KINDS:
-        things = getattr(bpy.data, kind)
-        for thing in [thing for thing in things if thing.name.startswith(probe.NAME) and thing.library is None]:
-            things.remove(thing)
+        for thing in _made_in(kind):
+            getattr(bpy.data, kind).remove(thing)
     _is_untidy = False
 
 
+def _made_in(kind: str) -> list[Any]:
+    return [thing for thing in getattr(bpy.data, kind) if _MARK in thing and thing.library is None]
+
+
 def _answer(ask: _Ask) -> None:
-    """Bakes; a failure, whatever it is, ends the wait of the render, too."""
+    """Bakes; a failure, whatever it is, ends the wait of the render, too. Not after Esc, which a bake makes Blender
+    forget: it would write an empty frame and go on."""
     try:
+        if ask.is_canceled():
+            raise JGHandFailure("canceled")
         ask.baked = _bake(ask.scene, ask.scene.view_layers[ask.layer], ask.hands) if ask.hands else None
     except JGHandFailure as failure:
         is_bake = failure.kind == "world_bake"  # which tells of the world
@@ -191,7 +212,16 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
 
 
 def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface]) -> _Stage:
-    made: list[Any] = []  # `clear` knows it by name
+    made: list[Any] = []
+    try:
+        return _built(scene, layer, surfaces, made)
+    finally:
+        for _, thing in made:
+            thing[_MARK] = True  # for `clear`
+
+
+def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface], made: list[Any]) -> _Stage:
+    """made: see `probe.new_scene`"""
     own = probe.new_scene(scene, None, made, SAMPLES)
     white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
     skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
@@ -202,12 +232,14 @@ def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Seq
     hands = []
     for surface in surfaces:
         mesh = bpy.data.meshes.new(probe.NAME)
+        made.append((bpy.data.meshes, mesh))
         mesh.from_pydata(surface.vertices, [], surface.faces)
         mesh.materials.append(skin)
         hands.append(bpy.data.objects.new(probe.NAME, mesh))
+        made.append((bpy.data.objects, hands[-1]))
     there = armature.rendered_at_any_frame(layer, _is_there)
     of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
-    there = [_linked(thing, above, hands, of_hands) if thing.type == "LIGHT" else thing for thing in there]
+    there = [_linked(thing, above, hands, of_hands, made) if thing.type == "LIGHT" else thing for thing in there]
     for thing in (above, *hands, *there):
         own.collection.objects.link(thing)
     return _Stage(own, hands, above)
@@ -223,15 +255,17 @@ def _linked(
     above: bpy.types.Object,
     surfaces: Sequence[bpy.types.Object],
     hands: Sequence[bpy.types.Object],
+    made: list[Any],
 ) -> bpy.types.Object:
     """A lamp that lights facets and surfaces, and is shaded by surfaces, as its light linking has it with the hands; a
     copy where that is to be said."""
     linking = lamp.light_linking
-    receivers = _with_ours(linking.receiver_collection, (above, *surfaces), hands)
-    blockers = _with_ours(linking.blocker_collection, surfaces, hands)
+    receivers = _with_ours(linking.receiver_collection, (above, *surfaces), hands, made)
+    blockers = _with_ours(linking.blocker_collection, surfaces, hands, made)
     if (receivers, blockers) == (linking.receiver_collection, linking.blocker_collection):
         return lamp
     copy = lamp.copy()
+    made.append((bpy.data.objects, copy))
     copy.name = probe.NAME
     copy.light_linking.receiver_collection, copy.light_linking.blocker_collection = receivers, blockers
     return copy
@@ -241,6 +275,7 @@ def _with_ours(
     linked: bpy.types.Collection | None,
     ours: Sequence[bpy.types.Object],
     hands: Sequence[bpy.types.Object],
+    made: list[Any],
 ) -> bpy.types.Collection | None:
     """Receivers or blockers of a lamp, with what is ours as the hands are; a copy where that is to be said."""
     if linked is None:
@@ -250,6 +285,7 @@ def _with_ours(
     if is_wanted != ("INCLUDE" in states):
         return linked
     copy = linked.copy()
+    made.append((bpy.data.collections, copy))
     copy.name = probe.NAME
     for thing in ours:
         copy.objects.link(thing)

@@ -109,6 +109,17 @@ def hands_at(depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
     return _hands_of((thing for thing in instances.evaluated_sources(depsgraph) if not thing.hide_render), depsgraph)
 
 
+def hands_to_render(depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
+    """The same of a depsgraph of views, on the main thread: it has hands that are disabled in renders, and lacks those
+    that are disabled in viewports. JGHandFailure (hidden), too."""
+    wanted = {armature.name_in_files(thing): thing for thing in instances.sources_at_any_frame(depsgraph.view_layer)}
+    there = {armature.name_in_files(thing): thing for thing in instances.evaluated_sources(depsgraph)}
+    gone = [name for name, thing in wanted.items() if name not in there and not thing.hide_render]
+    if gone:
+        raise JGHandFailure("hidden", ", ".join(name for name, _ in gone))
+    return _hands_of((thing for name, thing in there.items() if name in wanted and not thing.hide_render), depsgraph)
+
+
 def _hands_of(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
     known: instances.Known = {}
     hands: list[HandInSpace] = []

@@ -211,6 +211,7 @@ def on_undo(*_: Any) -> None:
     if _on_main_thread():
         seen_hands.forget()
         stand_ins.expect()
+        exact_light.expect()
         lamps.forget()
         scene_shadows.expect()
 

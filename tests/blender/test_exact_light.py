@@ -27,7 +27,7 @@ from blender_addon.core.stand_in import points_on, surface_at
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, stand_ins
-from blender_addon.render import camera, exact_light, rendering, samples
+from blender_addon.render import camera, exact_light, probe, rendering, samples
 
 pytestmark = pytest.mark.usefixtures("linked_extension")
 # a hand, a camera and a lamp in a black world
@@ -232,6 +232,26 @@ def test_baking_leaves_the_file_as_it_was(scene, few_points):
     assert scene.render.engine == "JGHAND"
 
 
+def test_what_was_saved_while_hands_were_baked_is_gone_when_the_file_is_opened(scene, few_points, tmp_path):
+    """And an artist's things of the same name stay."""
+    kinds = ("scenes", "objects", "collections", "meshes", "materials")
+    linked = bpy.data.collections.new("linked")
+    linked.objects.link(next(thing for thing in scene.objects if thing.type == "ARMATURE"))
+    scene.objects["Lamp"].light_linking.receiver_collection = linked
+    scene.collection.objects.link(bpy.data.objects.new(probe.NAME, None))
+
+    def names() -> dict[str, list[str]]:
+        return {kind: sorted(thing.name for thing in getattr(bpy.data, kind)) for kind in kinds}
+
+    stand_ins.update()
+    graph, before = bpy.context.evaluated_depsgraph_get(), names()
+    exact_light._bake(scene, graph.view_layer, samples.hands_at(graph))
+    assert len(bpy.data.scenes) == 2
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert names() == before
+
+
 # ---- when it is baked ------------------------------------------------------------------------------------------------
 
 
@@ -253,6 +273,31 @@ def test_a_bake_that_fails_says_why_and_nothing_of_the_world(scene, tmp_path, mo
     scene.render.filepath = str(tmp_path / "picture.png")
     monkeypatch.setattr(exact_light.probe, "bake", fail)
     with pytest.raises(RuntimeError, match=r"exact light of this frame was not baked.*no memory"):
+        bpy.ops.render.render(write_still=True)
+
+
+def test_without_a_window_a_hand_that_renders_lack_is_not_baked(scene, real_engine, tmp_path):
+    """The frame would fail: what was baked is not of its hands."""
+    hand = next(thing for thing in scene.objects if thing.type == "ARMATURE")
+    unseen = bpy.data.collections.new("unseen")
+    unseen.hide_render = True
+    scene.collection.children.link(unseen)
+    unseen.objects.link(hand.copy())
+    scene.jghand.use_exact_light = True
+    scene.render.filepath = str(tmp_path / "picture.png")
+    bpy.ops.render.render(write_still=True)
+    assert (tmp_path / "picture.png").exists()
+
+
+def test_without_a_window_a_hand_that_viewports_lack_is_named(scene, few_points, tmp_path):
+    hand = next(thing for thing in scene.objects if thing.type == "ARMATURE")
+    unseen = bpy.data.collections.new("unseen")
+    unseen.hide_viewport = True
+    scene.collection.children.link(unseen)
+    unseen.objects.link(hand.copy())
+    scene.jghand.use_exact_light = True
+    scene.render.filepath = str(tmp_path / "picture.png")
+    with pytest.raises(RuntimeError, match=f"disabled in viewports.*{unseen.objects[0].name}"):
         bpy.ops.render.render(write_still=True)
 
 
@@ -299,4 +344,17 @@ def test_a_render_that_is_canceled_does_not_wait(scene, monkeypatch):
     assert failures == ["canceled"]
     objects = len(bpy.data.objects)
     exact_light.tend()
+    assert len(bpy.data.objects) == objects
+
+
+def test_nothing_is_baked_after_esc(scene, monkeypatch):
+    """That would make Blender forget the Esc."""
+    scene.jghand.use_exact_light = True
+    graph = bpy.context.evaluated_depsgraph_get()
+    ask = exact_light._Ask(scene, graph.view_layer.name, samples.hands_at(graph), lambda: True)
+    monkeypatch.setattr(exact_light, "_ask", ask)
+    objects = len(bpy.data.objects)
+    exact_light.tend()
+    assert ask.is_done.is_set()
+    assert ask.failure.kind == "canceled"
     assert len(bpy.data.objects) == objects
