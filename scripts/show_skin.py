@@ -20,7 +20,7 @@ from PIL import Image
 
 from jghand_engine.captures.making.options import AreaLight, Light, Sampling
 from jghand_engine.captures.making.person_skin import PERSON_FILES, PersonSkin
-from jghand_engine.captures.making.plan import CapturePlan, write_plan
+from jghand_engine.captures.making.plan import CapturePlan, drafted_mesh, write_plan
 from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.captures.making.worker import find_blender_python, render
 from jghand_engine.captures.skin.person import Person
@@ -78,16 +78,16 @@ def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np
         return maps(skin, size[1])
     names = sorted({VIEWS[view][0] for view in options.views})
     pose = hand.pose(np.stack([hand.angles_of(name) for name in names]))
-    vertices_m, bent = skin.posed(hand.skin(pose), pose.joints_m)
     cameras = tuple(camera(view, pose.joints_m[names.index(VIEWS[view][0])], size) for view in options.views)
     sampling = dataclasses.asdict(Sampling(samples=options.samples, subdivisions=0))
     told = {"sampling": sampling, "light": dataclasses.asdict(LIGHT), "skin": skin.material}
     plan = CapturePlan(
-        {}, told, tuple(names), pose.joints_m, vertices_m, skin.surface.faces,
-        skin.surface.face_uv.astype(np.float32), bent, cameras, skin.files,
+        {}, told, tuple(names), pose.joints_m, hand.skin(pose).astype(np.float32), skin.surface.faces,
+        skin.surface.face_uv.astype(np.float32), cameras, skin.files, skin,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        write_plan(Path(folder), plan)
+        with drafted_mesh(Path(folder), plan) as mesh:
+            write_plan(Path(folder), plan, mesh)
         wanted = [(names.index(VIEWS[view][0]), number) for number, view in enumerate(options.views)]
         jobs = [job for job in plan.jobs(Path(folder)) if (job.pose, job.camera) in wanted]
         seconds = [done.seconds for done in render(Path(folder), jobs, find_blender_python(), processors())]

@@ -85,7 +85,7 @@ class LitScene(Scene):
     def _frame(self, pose: int, camera: dict) -> tuple[int, int, int, int]:
         """Renders only where the hand is: left, top, right, bottom, pixels."""
         matrix = np.array(camera["camera_from_world"])
-        seen = self._vertices[pose] @ matrix[:3, :3].T + matrix[:3, 3]
+        seen = self._vertices(pose) @ matrix[:3, :3].T + matrix[:3, 3]
         px = seen[:, :2] / seen[:, 2:] * [camera["fx"], camera["fy"]] + [camera["cx"], camera["cy"]]
         width, height = camera["width"], camera["height"]
         left, top = (max(math.floor(low) - MARGIN_PX, 0) for low in px.min(0))

@@ -35,15 +35,17 @@ class Scene:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self._scene = bpy.context.scene
         with np.load(folder / "hands.npz", allow_pickle=False) as arrays:
-            self._vertices = arrays["vertices_m"]
-            self._bent = arrays["bent"] if "person" in plan["skin"] else None
-            self._mesh = _mesh(arrays, plan["sampling"]["subdivisions"], self._scene)
-        if self._bent is not None:
+            rig = arrays["vertices_m"]
+            is_person = "person" in plan["skin"]
+            # (P, V, 3), of a person (P, V, 4): how bent the skin is, too. Those are gigabytes, read pose by pose
+            self._poses = np.load(folder / "mesh.npy", mmap_mode="r", allow_pickle=False) if is_person else rig
+            self._mesh = _mesh(self._vertices(0), arrays, plan["sampling"]["subdivisions"], self._scene)
+        if is_person:
             self._mesh.attributes.new(BENT, "FLOAT", "POINT")
-        material = _picture_skin if self._bent is None else _person_skin
+        material = _person_skin if is_person else _picture_skin
         self._mesh.materials.append(material(plan["skin"], folder))
         if "hdri" in plan["light"]:
-            _light(plan["light"], folder, self._vertices, self._scene)
+            _light(plan["light"], folder, rig, self._scene)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         self._scene.collection.objects.link(self._camera)
         self._scene.camera = self._camera
@@ -60,12 +62,16 @@ class Scene:
 
     def _show(self, pose: int, camera: dict) -> None:
         if pose != self._pose:
-            self._mesh.vertices.foreach_set("co", self._vertices[pose].reshape(-1).astype(np.float32))
-            if self._bent is not None:
-                self._mesh.attributes[BENT].data.foreach_set("value", self._bent[pose])
+            self._mesh.vertices.foreach_set("co", self._vertices(pose).reshape(-1))
+            if BENT in self._mesh.attributes:
+                self._mesh.attributes[BENT].data.foreach_set("value", np.array(self._poses[pose, :, 3]))
             self._mesh.update()
             self._pose = pose
         self._aim(camera)
+
+    def _vertices(self, pose: int) -> np.ndarray:
+        """(V, 3) of the mesh in a pose, meters."""
+        return np.array(self._poses[pose, :, :3], np.float32)
 
     def _aim(self, camera: dict) -> None:
         """An OpenCV pinhole, x_cam = R X + t; square pixels."""
@@ -87,9 +93,9 @@ class Scene:
         data.shift_y = (camera["cy"] - height / 2) / width
 
 
-def _mesh(arrays, subdivisions: int, scene):
+def _mesh(vertices: np.ndarray, arrays, subdivisions: int, scene):
     mesh = bpy.data.meshes.new("hand")
-    mesh.from_pydata(arrays["vertices_m"][0].tolist(), [], arrays["faces"].tolist())
+    mesh.from_pydata(vertices.tolist(), [], arrays["faces"].tolist())
     mesh.uv_layers.new(name="uv").data.foreach_set("uv", arrays["face_uv"].reshape(-1).astype(np.float32))
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), dtype=bool))
     hand = bpy.data.objects.new("hand", mesh)

@@ -81,8 +81,8 @@ def plan_lights(
     vertices_m: (P, V, 3) of every pose · tests: poses, and cameras, that are kept for the test
     """
     pictures = {}
-    for pose, vertices in enumerate(vertices_m.astype(np.float64)):
-        middle_m = vertices.mean(0)
+    for pose, vertices in enumerate(vertices_m):
+        middle_m = vertices.astype(np.float64).mean(0)
         for number, (name, camera) in enumerate(cameras.items()):
             rng = np.random.default_rng((seed, 2, pose, number))
             new = pose in tests[0], name in tests[1]

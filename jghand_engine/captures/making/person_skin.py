@@ -3,14 +3,18 @@
 skin.png      reflectance, sRGB
 surface.png   red: roughness, green: how far it is nail
 relief_*.png  16 bit, one for each of `FINE_LAYERS`: meters are low_m + value * range_m
+mesh.npy      (P, V, 4) float32: the mesh, world, meters, and how bent the joint near each vertex is, 0..1; a pose of
+              100,000 vertices takes 1.6 MB, so that it is written, and read, one by one
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +30,7 @@ from jghand_engine.color import linear_to_srgb, to_bytes
 # edge of the maps: 0.16 mm of skin per texel, as fine as a pixel of a hand that fills 1080 lines
 MAP_PX = 2048
 PERSON_FILES = ("skin.png", "surface.png", *(f"relief_{layer}.png" for layer in FINE_LAYERS))
+MESH_FILE = "mesh.npy"
 # how far light scatters in pale skin, meters; melanin takes it, up to this part of the way, from this amount on
 SCATTER_M, SCATTER_TAKEN, SCATTER_DARK = 0.0026, 0.45, 0.83
 
@@ -47,17 +52,22 @@ class PersonSkin:
         material = {
             "person": dataclasses.asdict(person), "low_m": low_m, "range_m": range_m, "scatter_m": scatter_m
         }  # fmt: skip
+        # what moves the mesh, for the stamps of images: they do not hold the mesh itself
+        coarse = b"".join(np.ascontiguousarray(maps.coarse[name]).tobytes() for name in sorted(maps.coarse))
+        material["coarse"] = hashlib.sha256(coarse).hexdigest()
         files = dict(zip(PERSON_FILES, _pictures(maps, low_m, range_m), strict=True))
         return cls(SkinSurface(identity, levels, maps), material, files)
 
-    def posed(self, vertices_m: np.ndarray, joints_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The rig's vertices (P, v, 3) and joints (P, 21, 3) -> (P, V, 3) float32 of the fine mesh, meters, and (P, V)
-        float32, how bent the skin is."""
-        bent = self.surface.bent(joints_m)
-        posed = [
-            self.surface.posed(vertices, one).astype(np.float32) for vertices, one in zip(vertices_m, bent, strict=True)
-        ]
-        return np.stack(posed), bent
+    def write_mesh(self, path: Path, vertices_m: np.ndarray, joints_m: np.ndarray) -> None:
+        """Writes MESH_FILE of the rig's vertices (P, v, 3) and joints (P, 21, 3) level order, pose by pose."""
+        shape = (len(vertices_m), int(self.surface.faces.max()) + 1, 4)
+        with path.open("wb") as stream:
+            header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(stream, header)
+            for vertices, joints in zip(vertices_m, joints_m, strict=True):
+                bent = self.surface.bent(joints[None])[0]
+                posed = np.column_stack([self.surface.posed(vertices, bent), bent])
+                stream.write(posed.astype("<f4").tobytes())
 
 
 def _pictures(maps: SkinMaps, low_m: float, range_m: float) -> Iterator[bytes]:

@@ -1,8 +1,8 @@
 """The plan of a capture: every hand, camera and light before the first ray, and the same again from its folder.
 
 plan/plan.json     options, cameras, names of poses, what the worker needs to know
-plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv; of a person bent (P, V)
-plan/skin.png …    the skin: of an image relief.png and nails.png too, of a person see person_skin.py
+plan/hands.npz     vertices_m (P, V, 3) of the rig, joints_m (P, 21, 3) level order, faces, face_uv
+plan/skin.png …    the skin: of an image relief.png and nails.png too, of a person see person_skin.py; mesh.npy as well
 plan/light.exr or .hdr   the environment, when it is a file of the user's
 plan/lights.json, worlds/   the light of every image, when it varies (lights.py)
 plan/made_by.json  which programs make the images    written by the first of them that is ready (worker.py)
@@ -16,7 +16,9 @@ import dataclasses
 import hashlib
 import io
 import json
-from collections.abc import Collection
+import os
+import tempfile
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,14 +31,14 @@ from jghand_engine.captures.interhand_writer import RecordedHand, write_interhan
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
 from jghand_engine.captures.making.options import CaptureOptions, Light, is_file, read_input
-from jghand_engine.captures.making.person_skin import PERSON_FILES, PersonSkin
+from jghand_engine.captures.making.person_skin import MESH_FILE, PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
 from jghand_engine.captures.making.skin import make_skin
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
-from jghand_engine.files import make_folder, writing
+from jghand_engine.files import file_error, make_folder, sync, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.hand.sequence import PoseSequence
@@ -52,8 +54,8 @@ FORMAT = 1
 FOLDER = "plan"
 # waiting for another process that is just writing the plan, seconds: it needs some on a slow disk
 LOCK_WAIT_S = 30.0
-# of a skin that is an image
-NO_BEND = np.zeros((0, 0), np.float32)
+# of hands.npz unpacked: 100 MB are the rig in as many poses as there may be, 40 MB the finest mesh's faces
+HANDS_BYTES_MAX = 256 * 2**20
 # joints of the middle of the palm, about which hands turn
 _PALM = (0, 2, 3, 4, 5)
 _FIRST_SERIAL = 400000
@@ -79,11 +81,11 @@ class CapturePlan:
     render:      what the worker is told, JSON
     pose_names:  (P)
     joints_m:    (P, 21, 3) level order, world, meters
-    vertices_m:  (P, V, 3) float32, world, meters
-    faces:       (F, 3)
+    vertices_m:  (P, V, 3) float32 of the rig, world, meters
+    faces:       (F, 3) of what is rendered: the rig's mesh, or a person's finer one
     face_uv:     (F, 3, 2) float32
-    bent:        (P, V) float32 0..1, how bent the joint near each vertex is; (0, 0) where the skin is an image
     files:       name -> bytes, of the skin, of an environment that is the user's, of lights that vary and of skies
+    person:      makes the fine mesh of a new plan; None where it is made, or the skin is an image
     """
 
     description: dict[str, Any]
@@ -93,9 +95,9 @@ class CapturePlan:
     vertices_m: np.ndarray
     faces: np.ndarray
     face_uv: np.ndarray
-    bent: np.ndarray
     cameras: tuple[Camera, ...]
     files: dict[str, bytes]
+    person: PersonSkin | None = None
 
     @cached_property
     def record(self) -> RecordedHand:
@@ -128,6 +130,9 @@ class CapturePlan:
         digest = self._shared.copy()
         digest.update(json.dumps(_camera_json(self.cameras[camera])).encode())
         digest.update(np.ascontiguousarray(self.vertices_m[pose]).tobytes())
+        if "person" in self.render["skin"]:
+            # they say how bent the skin is
+            digest.update(np.ascontiguousarray(self.joints_m[pose]).tobytes())
         return digest.hexdigest()[:32]
 
     @cached_property
@@ -170,13 +175,12 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
     cameras = tuple(plan_cameras(camera_plan, vertices_m, posed.joints_m))
-    faces, face_uv, bent = hand.identity.faces, hand.identity.face_uv, NO_BEND
+    faces, face_uv, person = hand.identity.faces, hand.identity.face_uv, None
     sampling = dataclasses.asdict(options.sampling)
     if isinstance(options.skin, Person):
-        skin = PersonSkin.of(hand.identity, options.skin, options.sampling.subdivisions)
-        vertices_m, bent = skin.posed(vertices_m, posed.joints_m)
-        faces, face_uv = skin.surface.faces, skin.surface.face_uv
-        material, files = skin.material, skin.files
+        person = PersonSkin.of(hand.identity, options.skin, options.sampling.subdivisions)
+        faces, face_uv = person.surface.faces, person.surface.face_uv
+        material, files = person.material, person.files
         # the mesh is fine already
         sampling["subdivisions"] = 0
     else:
@@ -190,9 +194,9 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
         vertices_m=vertices_m.astype(np.float32),
         faces=faces,
         face_uv=face_uv.astype(np.float32),
-        bent=bent,
         cameras=cameras,
         files={**files, **lit_by},
+        person=person,
     )
     if isinstance(options.light, Light):
         return plan
@@ -237,15 +241,35 @@ def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
     return axis_rotation(axis, angle)
 
 
-def write_plan(folder: Path, plan: CapturePlan) -> None:
-    """Writes plan, annotations and split; each file whole or not at all, the plan itself last."""
+@contextlib.contextmanager
+def drafted_mesh(folder: Path, plan: CapturePlan) -> Iterator[Path | None]:
+    """The fine mesh of a new plan in a file for `write_plan`, gone after the block; None where it needs none.
+
+    It takes long, of thousands of poses minutes: nobody should have to wait for it.
+    """
+    if plan.person is None:
+        yield None
+        return
+    file = folder / FOLDER / MESH_FILE
+    try:
+        with tempfile.TemporaryDirectory(dir=make_folder(file.parent), prefix=".begun_") as draft:
+            plan.person.write_mesh(Path(draft) / MESH_FILE, plan.vertices_m, plan.joints_m)
+            sync(Path(draft) / MESH_FILE)
+            yield Path(draft) / MESH_FILE
+    except OSError as error:
+        raise file_error(file, error) from error
+
+
+def write_plan(folder: Path, plan: CapturePlan, mesh: Path | None) -> None:
+    """Writes plan, annotations and split; each file whole or not at all, the plan itself last. mesh: `drafted_mesh`"""
+    if mesh is not None:
+        os.replace(mesh, folder / FOLDER / MESH_FILE)
     for name, data in plan.files.items():
         _write(folder / FOLDER / name, data)
     with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
         np.savez_compressed(
-            stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv,
-            bent=plan.bent,
-        )  # fmt: skip
+            stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
+        )
     write_interhand(folder, plan.record)
     _write(folder / SPLITS_FILE, (json.dumps(plan.split(), indent=2) + "\n").encode())
     content = {
@@ -281,16 +305,20 @@ def read_plan(folder: Path) -> CapturePlan | None:
         if content["format"] != FORMAT:
             raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
         light, is_person = content["render"]["light"], "person" in content["render"]["skin"]
-        arrays = ("vertices_m", "joints_m", "faces", "face_uv", *(("bent",) if is_person else ()))
-        hands = read_arrays(folder / FOLDER / "hands.npz", arrays, thing)
+        arrays = ("vertices_m", "joints_m", "faces", "face_uv")
+        hands = read_arrays(folder / FOLDER / "hands.npz", arrays, thing, max_bytes=HANDS_BYTES_MAX)
+        if is_person:
+            wanted = (len(content["poses"]), int(hands["faces"].max()) + 1, 4)
+            came = np.load(folder / FOLDER / MESH_FILE, mmap_mode="r", allow_pickle=False).shape
+            if came != wanted:
+                raise InputError(thing, wanted=f"a mesh of {wanted}", came=str(came), remedy=remedy)
         lit_by = [LIGHTS_FILE, *light["skies"]] if "lights" in light else [light["hdri"]]
         skin = PERSON_FILES if is_person else ("skin.png", "relief.png", "nails.png")
         names = [*skin, *(name for name in lit_by if is_file(str(name)))]
         files = {name: (folder / FOLDER / name).read_bytes() for name in names}
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],
-            hands["faces"], hands["face_uv"], hands.get("bent", NO_BEND),
-            tuple(_camera(one) for one in content["cameras"]), files,
+            hands["faces"], hands["face_uv"], tuple(_camera(one) for one in content["cameras"]), files,
         )  # fmt: skip
     except FileNotFoundError as error:
         if not file.exists():
@@ -312,12 +340,13 @@ def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
     plan = _opened(folder, options)
     if plan is not None:
         return plan
-    # takes long, refuses, and writes nothing: another process may begin the capture meanwhile
+    # takes long, refuses, and writes nothing of its name: another process may begin the capture meanwhile
     made = make_plan(options)
-    with locked(make_folder(folder / FOLDER) / "plan.lock", work="start of a capture", wait_s=LOCK_WAIT_S):
+    lock = make_folder(folder / FOLDER) / "plan.lock"
+    with drafted_mesh(folder, made) as mesh, locked(lock, work="start of a capture", wait_s=LOCK_WAIT_S):
         plan = _opened(folder, options)
         if plan is None:
-            write_plan(folder, made)
+            write_plan(folder, made, mesh)
     return plan or made
 
 

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.making import person_skin, skin, worker
 from jghand_engine.captures.making import plan as plan_module
-from jghand_engine.captures.making.options import CaptureOptions, Light
+from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
+from jghand_engine.captures.making.person_skin import PersonSkin
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import split_capture
@@ -441,8 +443,12 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     plan = read_plan(tmp_path / "ann")
     assert plan is not None
     assert plan.render["skin"]["person"] == dataclasses.asdict(Person(melanin=0.9, seed=4))
-    # Loop's surface, whose vertices the worker takes as they are
-    assert plan.bent.shape == plan.vertices_m.shape[:2] == (2, 6434)
+    # Loop's surface, whose vertices the worker takes as they are; the engine keeps the rig's
+    mesh = np.load(tmp_path / "ann" / "plan" / person_skin.MESH_FILE, mmap_mode="r")
+    assert mesh.shape == (2, 6434, 4)
+    assert plan.vertices_m.shape == (2, 1610, 3)
+    np.testing.assert_allclose(mesh[..., :3].mean(1), plan.vertices_m.mean(1), atol=5e-3)
+    assert 0 <= mesh[..., 3].min() < mesh[..., 3].max() <= 1
     assert plan.render["sampling"]["subdivisions"] == 0
     before = contents(tmp_path / "ann")
     pictures(tmp_path / "ann")[0].unlink()
@@ -452,3 +458,53 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     assert "another skin" in " ".join(capsys.readouterr().err.split())
     assert main([*words, "--skin", str(tmp_path / "none.json"), "--out", str(tmp_path / "other")]) == 2
     assert "none.json" in capsys.readouterr().err
+    file = tmp_path / "ann" / "plan" / person_skin.MESH_FILE
+    file.write_bytes(file.read_bytes()[:-40])
+    assert main(one) == 2
+    assert "the plan of the capture" in capsys.readouterr().err
+
+
+PERSON_OPTIONS = CaptureOptions(
+    "3", cameras=1, close_ups=0, poses=2, width=32, height=48, sampling=Sampling(subdivisions=1)
+)
+
+
+@pytest.fixture(scope="module")
+def person_plan() -> CapturePlan:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(person_skin, "MAP_PX", 128)
+        return make_plan(PERSON_OPTIONS)
+
+
+def test_two_shards_of_a_person_begin_together(tmp_path, monkeypatch, person_plan):
+    """The mesh of many poses takes longer than one waits for another: it is written without the lock."""
+    write_mesh, others = PersonSkin.write_mesh, []
+
+    def overtaken(skin: PersonSkin, *given) -> None:
+        write_mesh(skin, *given)
+        monkeypatch.setattr(PersonSkin, "write_mesh", write_mesh)
+        others.append(open_or_make(tmp_path, PERSON_OPTIONS))
+
+    monkeypatch.setattr(plan_module, "make_plan", lambda options: person_plan)
+    monkeypatch.setattr(plan_module, "LOCK_WAIT_S", 0.0)
+    monkeypatch.setattr(PersonSkin, "write_mesh", overtaken)
+    plan = open_or_make(tmp_path, PERSON_OPTIONS)
+    assert [job.stamp for job in plan.jobs(tmp_path)] == [job.stamp for job in others[0].jobs(tmp_path)]
+    names = {path.name for path in (tmp_path / "plan").iterdir()}
+    assert names == {"plan.json", "hands.npz", "plan.lock", person_skin.MESH_FILE, *person_skin.PERSON_FILES}
+
+
+def test_the_mesh_of_many_poses_takes_the_memory_of_one(tmp_path, person_plan):
+    assert person_plan.person is not None
+    vertices_m, joints_m = (np.repeat(array[:1], 100, 0) for array in (person_plan.vertices_m, person_plan.joints_m))
+    tracemalloc.start()
+    try:
+        person_plan.person.write_mesh(tmp_path / "mesh.npy", vertices_m, joints_m)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    mesh = np.load(tmp_path / "mesh.npy", mmap_mode="r")
+    assert mesh.shape == (100, 6434, 4)
+    np.testing.assert_array_equal(mesh[99], mesh[0])
+    # observed 3.1 MB, against 10 of the file
+    assert most < mesh.nbytes / 2
