@@ -182,7 +182,7 @@ ADVICE = {
     ),
     "exact_light": Advice(
         "The exact light of this frame was not baked",
-        'Render again, in a window while a 3D view shows a hand, or switch "Exact Light" off',
+        'Render again, in a window while a viewport shows a hand, or switch "Exact Light" off',
         TRY_AGAIN,
     ),
     "world_bake": Advice(

@@ -39,7 +39,9 @@ _OneNumber = tyro.conf.arg(metavar="NUMBER")
 class LookOptions:
     """Light and skin."""
 
-    skin: Annotated[str | None, tyro.conf.arg(metavar="NUMBER|PERSON|PICTURE")] = None
+    skin: Annotated[
+        str | None, tyro.conf.arg(metavar="NUMBER|PERSON|PICTURE", help_behavior_hint="(default: usual numbers)")
+    ] = None
     """Whose skin: the seed of anybody's, a .json file with some numbers of a person (docs/SKIN.md), or a picture of
     skin in the template's UV, without light. Left out: a person of usual numbers."""
     lights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE|varied")] = "studio"
