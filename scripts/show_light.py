@@ -1,4 +1,4 @@
-"""The built-in hand in the light of its capture, and in that of five scenes.
+"""The built-in hand in the light of a studio, and in that of five scenes.
 
 python scripts/show_light.py [--out docs/light.webp] [--avatar builtin]
 """
@@ -44,7 +44,7 @@ SUN = Lamp(LampKind.SUN, (3.6, 3.2, 2.6), (0.8, 0.7, 0.6), angle_rad=0.01)
 WINDOW = Lamp(LampKind.AREA, (6.0, 5.6, 5.0), (-0.5, 0.2, 0.4), (0.8, -0.2, -0.6), size_m=(0.4, 0.5))
 BEHIND = Lamp(LampKind.SPOT, (1.2, 1.2, 1.2), (0.15, 0.35, -0.4), (-0.15, -0.25, 0.4), radius_m=0.03, cone_rad=1.2)
 LIGHTS: dict[str, SceneLight | None] = {
-    "capture": None,
+    "studio": None,
     "sky": light_of((), sky(2.0)),
     "sun": light_of((SUN,), sky(0.25)),
     "window": light_of((WINDOW,), sky(0.08)),

@@ -3,8 +3,8 @@
     python scripts/train_builtin.py --skin SKIN.png            # jghand_engine/assets/builtin_right.jghand
 
 SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
-of MakeHuman's skins (CC0-1.0), baked into that UV, and 36 minutes of training on the pictures that its capture does not
-hold out. Half an hour of Cycles comes before, and some minutes of `jghand distill` after; what is there already is
+of MakeHuman's skins (CC0-1.0), baked into that UV, and 72 minutes of training on the pictures that its capture does not
+hold out. Less than an hour of Cycles comes before, and some minutes of `jghand distill` after; what is there already is
 kept, so it goes on where it was stopped.
 """
 
@@ -22,12 +22,12 @@ from jghand_engine.avatar.storage import Storage
 
 ASSETS = Path(__file__).resolve().parents[1] / "jghand_engine" / "assets"
 CAPTURE = (
-    *("--identity", "adult_woman", "--cameras", "14", "--close-ups", "2", "--poses", "44", "--wrist-turn", "20"),
-    *("--samples", "16", "--subdivisions", "2", "--size", "334x512"),
+    *("--identity", "adult_woman", "--cameras", "14", "--close-ups", "2", "--poses", "48", "--wrist-turn", "20"),
+    *("--lights", "varied", "--samples", "20", "--subdivisions", "2", "--size", "334x512"),
 )
 LICENSE = (
     "CC0-1.0 AND Apache-2.0, see NOTICE: learned from path-traced pictures of MakeHuman's hand (CC0-1.0) on a rig with "
-    "SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in Blender's studio light (CC0-1.0)"
+    "SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in the light of Blender's worlds (CC0-1.0)"
 )
 
 
@@ -37,7 +37,7 @@ class Options:
 
     skin: Path
     work: Path = Path("builtin")
-    minutes: float = 36.0
+    minutes: float = 72.0
     out: Path = ASSETS / "builtin_right.jghand"
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_addon.core.lamps import LAMPS_MAX, BlenderLight, brightest, lamps_of
+from blender_addon.core.lamps import LAMPS_SENT, BlenderLight, brightest, lamps_of
 from blender_addon.core.view import LIGHT_FROM_WORLD
 from jghand_engine.avatar import light_records, world_suns
 from jghand_engine.errors import InputError
@@ -127,7 +127,7 @@ def test_of_many_lamps_the_engine_gets_as_many_as_it_takes_and_those_that_light_
     lights += [replace(LIGHT, kind=kind, matrix=placed((1e4, 0, 0))) for kind in ("AREA", "SUN")]
     lamps = [lamp for light in lights for lamp in lamps_of(light, 1.0)]
     kept = brightest(lamps, np.zeros(3))
-    assert [lamp["kind"] for lamp in kept] == ["sun", *["point"] * (LAMPS_MAX - 1)]
-    assert kept[-1]["place_m"][0] == LAMPS_MAX - 1
-    assert LAMPS_MAX + world_suns.SUNS_MAX <= light_records.RECORDS_MAX
+    assert [lamp["kind"] for lamp in kept] == ["sun", *["point"] * (LAMPS_SENT - 1)]
+    assert kept[-1]["place_m"][0] == LAMPS_SENT - 1
+    assert LAMPS_SENT + world_suns.SUNS_MAX <= light_records.RECORDS_MAX
     assert brightest(lamps[:9], np.zeros(3)) == lamps[:9]

@@ -129,14 +129,16 @@ def test_a_hole_would_be_found(avatar):
     assert 1 - alpha[inside].min() > 0.5
 
 
-def test_the_trained_avatar_has_its_light_its_angles_and_its_license_with_it():
+def test_the_trained_avatar_answers_any_light_and_has_its_angles_and_its_license_with_it():
     avatar = load_builtin(handedness=Handedness.RIGHT)
     assert avatar.learned is not None
+    assert avatar.learned.response is not None
+    assert avatar.learned.response.trained_on["worlds"] == 10
     assert avatar.learned.correctives is not None
     assert avatar.learned.cast is not None
     assert len(avatar.info.pose_statistics) == 30
     assert avatar.info.learned_from is not None
-    assert avatar.info.learned_from.pictures == 432
+    assert avatar.info.learned_from.pictures == 424
     assert "CC0-1.0" in avatar.info.license
     assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
 

@@ -38,15 +38,6 @@ from jghand_engine.study.stability_measures import (
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
 RIGHT = Handedness.RIGHT
-# of the trained hand as it is shown, mm: how far a nudge of 0.5 mm, and +-0.5 mm on every axis, move its skin. Beyond
-# 2 mm the study says that the bound is missed; worst observed and 5 %
-TRAINED_MM = {
-    "ordinary: relaxed": (2.6, 3.7),
-    "ordinary: fist": (2.6, 4.3),
-    "index folded back at its knuckle": (2.6, 3.7),
-    "middle finger sideways, +90 degrees": (2.6, 3.7),
-    "bones +50 % and -50 % in turn": (3.0, 5.1),
-}
 
 
 @pytest.mark.parametrize("name", hand_cases())
@@ -68,20 +59,17 @@ def test_a_hard_picture_is_finite_and_like_the_reference(name):
 
 
 @pytest.mark.parametrize("name", FAR_OUTSIDE)
-def test_the_trained_hand_far_outside_training_is_finite_drawn_right_and_as_steady_as_it_was(name):
+def test_the_trained_hand_far_outside_training_is_finite_drawn_right_and_steady(name):
     row = correctives_row(hand_cases()[name])
     assert row.ours.finite
     assert row.picture.good
     assert row.ours.gradient <= GRADIENT_MAX
     assert row.ours.precision_mm <= 1e3 * PRECISION_MAX_M
     if not row.flags:
-        nudged_mm, axes_mm = TRAINED_MM[name]
-        assert row.ours.nudged_mm <= nudged_mm
-        assert row.ours.axes_mm <= axes_mm
-        assert any("moves skin" in miss for miss in row.missed) == (row.ours.axes_mm > 1e3 * SKIN_MAX_M)
+        assert max(row.ours.nudged_mm, row.ours.axes_mm) <= 1e3 * SKIN_MAX_M
 
 
-def test_the_trained_network_itself_answers_to_nudges_no_more_than_it_did():
+def test_the_trained_network_itself_keeps_to_the_bound():
     """The tier of the presets final and reference, by the form that trainings differentiate."""
     case, avatar = hand_cases()["ordinary: relaxed"], load_builtin(handedness=RIGHT).prefix(GAUSSIANS)
     transform = transform_of(avatar)
@@ -91,8 +79,8 @@ def test_the_trained_network_itself_answers_to_nudges_no_more_than_it_did():
             posed = [posed_avatar(avatar, transform, one).position_m for one in joints_m - joints_m[:, :1]]
         return Skin(torch.stack(posed).to(dtype), torch.zeros(()))
 
-    # observed 4.12; 28.7 with twelve times the output
-    assert moved_mm(network, case, axis_nudges(8)) < 4.33
+    # observed 1.38
+    assert moved_mm(network, case, axis_nudges(8)) <= 1e3 * SKIN_MAX_M
 
 
 def test_a_trained_hand_is_nudged_as_it_is_shown():

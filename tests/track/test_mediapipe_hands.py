@@ -6,10 +6,13 @@ import torch
 from tracking_samples import CAMERA, CANONICAL_M, HEIGHT, WIDTH, right_joints_m
 
 from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.light_records import light_of
+from jghand_engine.avatar.scene_light import Lamp, World
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset
@@ -27,12 +30,17 @@ def detector_is_here():
         pytest.skip(str(error))
 
 
+# y is down: a sun above, before the hand, and light from all sides. In even light the detector takes palms for backs
+SUN = Lamp(LampKind.SUN, (2.0, 2.0, 2.0), (0.0, -0.4, -1.0), angle_rad=0.2)
+ABOVE = light_of((SUN,), World(np.full((2, 4, 3), 0.8, np.float32)))
+
+
 def shown(handedness, joints_m):
     """A picture of the built-in hand, (H, W, 3) uint8."""
     axes = torch.eye(4, dtype=torch.float64)
     camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
-    renderer = HandRenderer(load_builtin(handedness=handedness), preset("viewport"))
-    return flatten(renderer.render(joints_m, camera).rgba, (0.45, 0.45, 0.47))
+    renderer = HandRenderer(load_builtin(handedness=handedness), preset("viewport"), ABOVE)
+    return flatten(renderer.render(joints_m, camera).displayed(), (0.45, 0.45, 0.47))
 
 
 @pytest.mark.parametrize("handedness", Handedness)
@@ -53,8 +61,8 @@ def test_both_hands_of_a_picture_are_found():
     truth = {Handedness.RIGHT: right, Handedness.LEFT: right * (-1, 1, 1)}
     axes = torch.eye(4, dtype=torch.float64)
     camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
-    renderer = SceneRenderer([load_builtin(handedness=side) for side in truth], preset("viewport"))
-    picture = flatten(renderer.render(list(truth.values()), camera).rgba, (0.45, 0.45, 0.47))
+    renderer = SceneRenderer([load_builtin(handedness=side) for side in truth], preset("viewport"), ABOVE)
+    picture = flatten(renderer.render(list(truth.values()), camera).displayed(), (0.45, 0.45, 0.47))
     with MediaPipeHands(follows=False) as detector:
         found = {hand.handedness: hand for hand in detector.detect(picture, 0.0)}
     assert set(found) == set(truth)
