@@ -201,6 +201,8 @@ class SaveLight(Reporting, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def run(self, context: bpy.types.Context) -> None:
+        if not self.filepath:
+            raise JGHandFailure("no_place")
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
         scene_light.save(context.evaluated_depsgraph_get(), path)
         self.tell(rpt_("Wrote {path}.").format(path=path), *scene_light.warnings())

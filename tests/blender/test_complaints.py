@@ -66,9 +66,10 @@ def _use(link: EngineLink) -> Iterator[EngineLink]:
 
 @pytest.fixture
 def scene(context, tmp_path) -> bpy.types.Scene:
-    """What an artist has after Add Hand in an empty scene, keyed over three frames."""
+    """What an artist has after Add Hand in an empty scene, keyed over three frames; the hand in its own light."""
     assert bpy.ops.jghand.add_hand(handedness="right", use_camera=True) == {"FINISHED"}
     scene, thing = context.scene, context.object
+    scene.jghand.light = "CAPTURE"
     scene.frame_start, scene.frame_end = 1, 3
     for frame in (1, 2, 3):
         for finger in ("index", "middle", "ring"):

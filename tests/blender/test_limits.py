@@ -97,6 +97,7 @@ def test_a_pane_between_lamp_and_hand_is_named_where_it_shades_as_a_whole(scene)
     lamp.matrix_world = scene.camera.matrix_world
     scene.collection.objects.link(lamp)
     pane = card(scene, material("ShaderNodeBsdfGlass"))
+    scene.jghand.light = "CAPTURE"
     assert "shades hands" not in told()
     scene.jghand.light = "SCENE"
     assert "Plane: seen through, but shades hands as a whole" in told()

@@ -285,6 +285,7 @@ def test_a_pose_beyond_training_is_told_below_the_hands(extension, engine):
 
 def test_render_says_what_the_view_transform_does_and_offers_standard(extension, engine):
     add()
+    extension.scene.jghand.light = "CAPTURE"
     extension.scene.render.engine = "JGHAND"
     extension.scene.view_settings.view_transform = "AgX"
     seen = draw(picture.RenderPanel, extension)
@@ -335,7 +336,7 @@ def test_material_preview_says_that_hands_have_no_view_transform_there(extension
     scene = extension.scene
     shading = SimpleNamespace(type="MATERIAL")
     around = SimpleNamespace(space_data=SimpleNamespace(shading=shading), scene=scene)
-    scene.view_settings.view_transform = "AgX"
+    scene.view_settings.view_transform, scene.jghand.light = "AgX", "CAPTURE"
     assert hand_panel._shading_hint(around) == ""
     scene.jghand.light = "SCENE"
     assert "without the view transform AgX" in hand_panel._shading_hint(around)
