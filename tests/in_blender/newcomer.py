@@ -66,6 +66,8 @@ def step_f12_renders_it(window):
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     for operator in ("jghand.use_engine", "jghand.use_standard", "jghand.add_camera"):
         assert window.call(operator) == {"FINISHED"}
+    # that of the default scene stands behind the palm
+    bpy.data.objects["Light"].location = (2, -4, 3)
     done = []
     bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
     yield from window.point_at_view()
