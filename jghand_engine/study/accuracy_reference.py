@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.color import decibels
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
@@ -42,7 +43,8 @@ class ExactPictures64:
     """The pictures of some poses (P, 21, 3), all Gaussians, nothing cut off, nothing stopped, in float64."""
 
     def __init__(self, subject: Subject, poses_m: np.ndarray) -> None:
-        self._subject, self.poses_m = subject, poses_m
+        # as the renderer shows it where no scene lights it
+        self._subject, self.poses_m = replace(subject, avatar=in_studio(subject.avatar)), poses_m
         # whether there is a shadow, and how strong, is decided by the renderer
         self._renderer = HandRenderer(subject.avatar, PRESETS["reference"])
         self.pictures = [self._exact(pose_m) for pose_m in poses_m]

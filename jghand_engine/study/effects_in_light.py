@@ -49,8 +49,9 @@ class LightRow:
 
 
 def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]:
-    """Frames of a motion in the light of the hand's capture and in several of scenes, drawn in turn, so that a busy
-    machine hits all alike; in the last a lamp moves around a hand at rest. None for a hand that no scene can light."""
+    """Frames of a motion in the light that the hand has where no scene lights it, and in several of scenes, drawn in
+    turn, so that a busy machine hits all alike; in the last a lamp moves around a hand at rest. None for a hand that no
+    scene can light."""
     learned = subject.avatar.learned
     if learned is None or learned.cast is None:
         return []
@@ -59,7 +60,7 @@ def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]
     picked = np.linspace(0, len(subject.poses) - 1, FRAMES).astype(int)
     moving, resting = subject.poses[picked], np.repeat(subject.poses[:1], FRAMES, 0)
     always: dict[str, SceneLight | None] = {
-        "that of the capture": None,
+        "the hand's own": None,
         "a world": SceneLight(world),
         "a world and 3 lamps": SceneLight(world, LAMPS),
         "and a weak lamp": SceneLight(world, (*LAMPS, WEAK)),
