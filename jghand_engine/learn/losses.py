@@ -50,6 +50,12 @@ def offset_loss(*offsets_m: Tensor, hand_size_m: float) -> Tensor:
     return torch.stack(lengths).sum() / hand_size_m
 
 
+def tone_loss(shade: Tensor) -> Tensor:
+    """Square of the mean shade of a pose (N, 3), summed over channels: what colors all skin alike is albedo, which is
+    shown without shade too."""
+    return shade.mean(0).square().sum()
+
+
 def _check_alike(name: str, ours: Tensor, truth: Tensor) -> None:
     """Unlike shapes would broadcast silently."""
     if ours.shape != truth.shape:

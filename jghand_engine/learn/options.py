@@ -15,6 +15,7 @@ from jghand_engine.template.sampling import SHELL_DEPTH_MAX_M
 class LossWeights:
     """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2).
 
+    tone:            of what the pose's shade colors all skin alike
     roughness:       of the identity planes
     angle_roughness: of the angle planes, whose texels that no pose touched would stay as random as they began
     """
@@ -24,6 +25,7 @@ class LossWeights:
     perceptual: float = 0.0
     mask: float = 0.2
     offset: float = 0.1
+    tone: float = 0.1
     roughness: float = 1e-4
     angle_roughness: float = 1e-4
 
@@ -108,7 +110,7 @@ PAPER_FAITHFUL = TrainOptions(
         glossy=False,
         cast_shadow=False,
     ),
-    loss=LossWeights(perceptual=0.2, offset=1.0, roughness=0.0, angle_roughness=0.0),
+    loss=LossWeights(perceptual=0.2, offset=1.0, tone=0.0, roughness=0.0, angle_roughness=0.0),
     schedule=Schedule(
         views=1, rate=1e-3, plane_rate=1e-3, last_part=1.0, warm_up_steps=1, gradient_norm=None,
         levels=((0.0, 1.0),), strides=((0.0, 1),), waves=None, perceptual_from=0.0,

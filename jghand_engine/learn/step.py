@@ -30,13 +30,14 @@ from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen
 from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.known_light import LitHand, Pose, trained_on
-from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss
+from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss, tone_loss
 from jghand_engine.learn.model import LearnedHand, LightPart
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import LruCache, Pictures, View, tone
 from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.pose_features import octave_of_wave
+from jghand_engine.learn.pose_net import Correction
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
@@ -289,7 +290,7 @@ class HandTraining:
         """The weighted terms of the loss of one pose. read: see `_read_frames`"""
         weights, avatar = self.options.loss, self._live()
         posed = self._posed_bones(sample)
-        skin, offset_m = self._pose(avatar, posed, part, read)
+        skin, correction = self._pose(avatar, posed, part, read)
         terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
         for view in views:
             rgb, alpha = self._draw_in_light(avatar, skin, posed, view)
@@ -302,7 +303,8 @@ class HandTraining:
                 terms["perceptual"].append(weights.perceptual * unlike.cpu())
         mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
         moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
-        mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
+        mean["offset"] = weights.offset * offset_loss(moved_m, correction.offset_m, hand_size_m=self._hand_size_m())
+        mean["tone"] = weights.tone * tone_loss(correction.shade)
         if weights.roughness:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
         if weights.angle_roughness:
@@ -324,11 +326,11 @@ class HandTraining:
 
     def _pose(
         self, avatar: HandTensors, posed: _PosedBones, part: float, read: HandFrames | None = None
-    ) -> tuple[PosedSkin, Tensor]:
-        """The skin of a pose, and its offsets (N, 3) meters. read: see `_read_frames`"""
+    ) -> tuple[PosedSkin, Correction]:
+        """The skin of a pose, and what the pose changes on it. read: see `_read_frames`"""
         correction = self.hand.pose_net(read or posed.bones.frames, len(avatar), self._wave_weight(part))
         maps = mapped(posed.maps, lambda tensor: tensor[: len(avatar)])
-        return pose_skin(avatar, posed.bones, correction, maps=maps, seen=posed.seen), correction.offset_m
+        return pose_skin(avatar, posed.bones, correction, maps=maps, seen=posed.seen), correction
 
     def _wave_weight(self, part: float) -> Tensor | None:
         """How much each wave of the encoding counts: octave after octave, each faded in by half a cosine."""

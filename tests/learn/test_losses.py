@@ -161,3 +161,9 @@ def test_offset_loss_does_not_depend_on_the_unit():
 def test_offset_loss_agrees_with_finite_differences():
     offset = (1e-3 * picture()[0]).requires_grad_(True)
     assert torch.autograd.gradcheck(lambda x: losses.offset_loss(x, hand_size_m=0.18), offset, eps=1e-9, atol=1e-5)
+
+
+def test_tone_is_what_all_skin_is_colored_by_alike():
+    shade = torch.tensor([[0.3, 0.0, -0.1], [0.1, 0.2, 0.1]], dtype=torch.float64, requires_grad=True)
+    assert float(losses.tone_loss(shade).detach()) == pytest.approx(0.2**2 + 0.1**2)
+    assert torch.autograd.gradcheck(losses.tone_loss, shade)

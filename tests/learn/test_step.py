@@ -247,13 +247,14 @@ class Brightness:
 def terms_of(training: HandTraining, samples: list[Sample], part: float = 1.0) -> dict[str, float]:
     views = [training._pictures.view(sample) for sample in samples]
     with torch.no_grad():
+        training.hand.pose_net.out.bias.fill_(0.1)  # no pose changes anything before the first step
         return {name: float(term) for name, term in training._terms(samples[0], views, part).items()}
 
 
 def test_every_term_counts_by_its_weight(build, samples):
     """Doubling a weight doubles its term and leaves the others."""
     plain = terms_of(build(replace(SMALL, loss=EVERYTHING), perceptual=Brightness()), samples[3:5])
-    assert set(plain) == {"l1", "ssim", "perceptual", "mask", "offset", "roughness", "angle_roughness"}
+    assert set(plain) == {"l1", "ssim", "perceptual", "mask", "offset", "tone", "roughness", "angle_roughness"}
     assert all(value > 0 for value in plain.values())
     for name in plain:
         doubled = replace(EVERYTHING, **{name: 2 * getattr(EVERYTHING, name)})
@@ -264,7 +265,7 @@ def test_every_term_counts_by_its_weight(build, samples):
 def test_the_loss_is_the_sum_of_its_terms(build):
     figures = build(replace(SMALL, loss=EVERYTHING), perceptual=Brightness()).step(0)
     terms = {name: value for name, value in figures.items() if name not in ("loss", "gaussians", "gradient")}
-    assert len(terms) == 6  # the perceptual one comes later
+    assert len(terms) == 7  # the perceptual one comes later
     assert figures["loss"] == pytest.approx(sum(terms.values()))
 
 
