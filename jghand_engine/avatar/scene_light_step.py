@@ -61,7 +61,7 @@ class SceneLightStep:
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             **_standing_before(cast),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
-            "thrown": aligned_zeros((CELLS // LANES, 3, LANES)),
+            "given": aligned_zeros((4, 9)),
             "sky": aligned_zeros((blocks.rows,)),
             # 7 numbers of the world and 3 of each lamp, in whole vectors
             "reached": aligned_zeros((rows, padded_rows(7 + 3 * LAMPS_MAX))),

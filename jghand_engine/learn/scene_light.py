@@ -44,6 +44,7 @@ FACING_MIN = 1e-3
 AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
 GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
 EDGE_GAIN = 100.0
+HIDDEN_MIN, WEIGHT_MIN = 1e-9, 1e-6
 
 
 @dataclass(frozen=True)
@@ -277,19 +278,26 @@ def reached(
         given = given + got[:, None] * given.new_tensor(row[6:9])
     terms = (BLACK if light.world is None else light.world).terms
     cells, directions = given.new_tensor(terms.light), given.new_tensor(terms.direction)
-    turned = (-directions @ anchors.normal.T).clamp_min(0).square()
-    thrown = world_irradiance(light, response, -directions)
-    thrown = thrown + turned @ given / (turned.sum(1, keepdim=True) + DISTANCE2_MIN)
-    thrown = thrown * response.bounce * (4 / CELLS)
     cosine = (anchors.normal @ directions.T).clamp_min(0)
     ambient = (response.ambient * given.new_tensor(terms.mean_irradiance)).clamp_min(AMBIENT_MIN)
     part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
-    bounced = (cosine * (1 - visible)) @ thrown
+    hidden = cosine * (1 - visible)
+    much = hidden.sum(1, keepdim=True)
+    facing = facing_back(anchors.normal, hidden @ directions / (much + HIDDEN_MIN))
+    weight = (1 + facing @ anchors.normal.T).square()
+    of_lamps = weight @ given / weight.sum(1, keepdim=True).clamp_min(WEIGHT_MIN)
+    bounced = much * (world_irradiance(light, response, facing) + of_lamps) * response.bounce * (4 / CELLS)
     sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, sky], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
     return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
+
+
+def facing_back(normal: Tensor, hidden: Tensor) -> Tensor:
+    """(A, 3) mean normal of the skin that anchors see in place of the world: what stands right before them faces them,
+    what stands beside them is turned half as far. hidden: (A, 3) mean direction of what is hidden"""
+    return unit((1 - (normal * hidden).sum(-1, keepdim=True)) * normal - hidden)
 
 
 def matt(

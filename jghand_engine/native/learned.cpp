@@ -119,7 +119,7 @@ JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   };
   if (t.scene) {
     at_anchors(0, [&](int32_t b) { jg::anchor_lamps(t, b); });
-    jg::share(*team, 1, t.cast.groups, [&](int32_t g) { jg::thrown_back(t, g); });
+    jg::share(*team, 1, 1, [&](int32_t) { jg::sum_given(t); });
     at_anchors(2, [&](int32_t b) { jg::anchor_world(t, b); });
   } else {
     at_anchors(0, [&](int32_t b) { jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b); });

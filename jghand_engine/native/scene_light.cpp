@@ -20,6 +20,8 @@ constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, 
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
 constexpr float LOBE_EXPONENT_MIN = -31.f;                // of 2: less of a lobe is not seen
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
+constexpr float HIDDEN_MIN = 1e-9f;                       // sum of cosines, as a divisor
+constexpr float WEIGHT_MIN = 1e-6f;                       // of skin that faces as hidden skin does
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
 constexpr int POSED = 9, MATERIAL = 3, BAKED = 12;
 // what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
@@ -151,6 +153,11 @@ JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* rows, in
   transpose(out);
 }
 
+// The parts of a normal, its mixed products and its squares; of rows without skin 0.
+JG_INLINE void moments(const vf n[3], vf out[MOMENTS]) {
+  for (int i = 0; i < 3; i++) out[i] = n[i], out[3 + i] = n[i] * n[(i + 1) % 3], out[6 + i] = n[i] * n[i];
+}
+
 JG_INLINE void store_column(float* rows, int stride, vf values) {
   for (int lane = 0; lane < LANES; lane++) rows[stride * lane] = values[lane];
 }
@@ -211,25 +218,23 @@ void anchor_lamps(const LearnedTask& t, int32_t block) {
   for (int i = 0; i < 3; i++) store(posed + LANES * (6 + i), given[i]);
 }
 
-void thrown_back(const LearnedTask& t, int32_t group) {
+void sum_given(const LearnedTask& t) {
   const SceneLightTask& s = *t.scene;
   if (!(s.shade > 0)) return;
-  const float* towards = t.cast.lamp + 6 * LANES * group;
-  vf away[3], back[3], weights = all(DISTANCE2_MIN), sums[3] = {};
-  for (int i = 0; i < 3; i++) away[i] = -load(towards + LANES * i);
-  world_irradiance(s, away, back);
+  vf sums[4][MOMENTS] = {}, moment[MOMENTS];
   for (int32_t block = 0; block < t.cast.blocks; block++) {
     const float* posed = s.posed + POSED * LANES * (int64_t)block;
-    for (int lane = 0; lane < LANES; lane++) {
-      const float* one = posed + lane;
-      const vf turned = max(away[0] * one[3 * LANES] + away[1] * one[4 * LANES] + away[2] * one[5 * LANES], vf{});
-      const vf weight = turned * turned;
-      weights += weight;
-      for (int i = 0; i < 3; i++) sums[i] += weight * one[(6 + i) * LANES];
+    vf normal[3];
+    for (int i = 0; i < 3; i++) normal[i] = load(posed + LANES * (3 + i));
+    moments(normal, moment);
+    for (int k = 0; k < MOMENTS; k++) {
+      for (int i = 0; i < 3; i++) sums[i][k] += moment[k] * load(posed + LANES * (6 + i));
+      sums[3][k] += moment[k];
     }
   }
-  for (int i = 0; i < 3; i++)
-    store(s.thrown + 3 * LANES * (int64_t)group + LANES * i, (back[i] + sums[i] / weights) * s.bounce[i]);
+  const auto sum = [](vf a, vf b) { return a + b; };
+  for (int i = 0; i < 4; i++)
+    for (int k = 0; k < MOMENTS; k++) s.given[MOMENTS * i + k] = folded(sums[i][k], sum)[0];
 }
 
 void anchor_world(const LearnedTask& t, int32_t block) {
@@ -242,12 +247,12 @@ void anchor_world(const LearnedTask& t, int32_t block) {
     for (int i = 0; i < OF_WORLD; i++) store_column(rows + i, columns, all(i < 3 || i == 6 ? 1.f : 0.f));
     return;
   }
-  vf p[3], normal[3], open[3] = {}, seen[3] = {}, bounced[3] = {}, sky = {}, open_sky = {};
+  vf p[3], normal[3], open[3] = {}, seen[3] = {}, towards_hidden[3] = {}, sky = {}, open_sky = {};
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
   const Ball ball = ball_around(p);
   const Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, c.lamp_width};
   for (int g = 0; g < c.groups; g++) {
-    const float *cells = c.lamp + 6 * LANES * g, *thrown = s.thrown + 3 * LANES * g;
+    const float* cells = c.lamp + 6 * LANES * g;
     float* visible = s.visible + LANES * LANES * (c.groups * (int64_t)block + g);
     vf cosines[LANES];
     uint32_t faced = 0;
@@ -281,15 +286,26 @@ void anchor_world(const LearnedTask& t, int32_t block) {
       const vf cosine = cosines[cell], part = load(visible + LANES * cell), hidden = cosine * (1.f - part);
       for (int i = 0; i < 3; i++) {
         const vf light = cosine * cells[LANES * (3 + i) + cell];
-        open[i] += light, seen[i] += light * part, bounced[i] += hidden * thrown[LANES * i + cell];
+        open[i] += light, seen[i] += light * part, towards_hidden[i] += hidden * cells[LANES * i + cell];
       }
       sky += cosine, open_sky += cosine * part;
     }
   }
+  vf facing[3], moment[MOMENTS], back[3], given[4] = {};
+  const vf hidden = sky - open_sky, inverse = 1.f / (hidden + HIDDEN_MIN);
+  const vf beside = 1.f - dot(normal, towards_hidden) * inverse;
+  for (int i = 0; i < 3; i++) facing[i] = beside * normal[i] - inverse * towards_hidden[i];
+  make_unit(facing, t.length2_min);
+  world_irradiance(s, facing, back);
+  moments(facing, moment);
+  // (1 + m.n)^2 = n.n + 2 m.n + (m.n)^2
+  for (int i = 0; i < 4; i++)
+    for (int k = 0; k < MOMENTS; k++) given[i] += s.given[MOMENTS * i + k] * (k < 6 ? 2.f * moment[k] : 1.f + moment[k]);
   for (int i = 0; i < 3; i++) {
     const vf part = (seen[i] + s.ambient[i]) / (open[i] + s.ambient[i]);
+    const vf bounced = hidden * s.bounce[i] * (back[i] + given[i] / max(given[3], all(WEIGHT_MIN)));
     store_column(rows + i, columns, 1.f - s.shade * (1.f - part));
-    store_column(rows + 3 + i, columns, s.shade * bounced[i]);
+    store_column(rows + 3 + i, columns, s.shade * bounced);
   }
   store_column(rows + 6, columns, 1.f - s.shade * (1.f - open_sky / (sky + DISTANCE2_MIN)));
 }

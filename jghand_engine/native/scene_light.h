@@ -25,6 +25,7 @@ enum LampNumber {
   LAMP = 21
 };
 constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
+constexpr int MOMENTS = 9;     // of a normal, up to its squares
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
 // Mirrored field by field in native/scene_light_task.py.
@@ -42,7 +43,7 @@ struct SceneLightTask {
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
-  float* thrown;             // (groups, 3, 16): W/m2 from a direction where skin hides it
+  float* given;              // (4, MOMENTS): sums over anchors of W/m2 that lamps give them, and of 1, times `moments`
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* sky;                // (16 blocks): part of it that a Gaussian sees
   float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced
@@ -61,9 +62,9 @@ struct SceneLightTask {
   int32_t keeps_visible;     // and the world is not
 };
 
-// First for all anchors, then for all groups of directions, then for all anchors again, then `light_block`.
+// First for all anchors, then once, then for all anchors again, then `light_block`.
 void anchor_lamps(const LearnedTask& t, int32_t anchor_block);
-void thrown_back(const LearnedTask& t, int32_t group);
+void sum_given(const LearnedTask& t);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
 // Keeps what lights the skin of a block in this pose, whatever the light is.
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);

@@ -276,6 +276,13 @@ def test_what_fingers_take_of_an_even_world_they_throw_back(pose):
     assert ratio.mean() == pytest.approx(1, abs=0.005)
 
 
+def test_skin_before_skin_faces_it_and_skin_beside_it_is_turned_half_as_far():
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    before, beside = up, torch.tensor([[1.0, 0.0, 0.0]])
+    assert torch_light.facing_back(up, before).allclose(-up)
+    assert torch_light.facing_back(up, beside).allclose(unit(up - beside))
+
+
 def test_a_hand_in_two_lights_is_the_sum_of_both_hands():
     bones = bones_of(AVATAR)
     sun, point = LAMPS["sun"], replace(LAMPS["point"], rgb=(1, 1, 1))
@@ -300,6 +307,7 @@ def test_what_stands_before_a_lamp_takes_its_light_where_its_shadow_falls():
 def test_the_shadow_of_a_thing_falls_where_its_anchors_are():
     """The fingers of the second hand are behind a card: they alone are dark, and no other hand's."""
     hand, sun = estimated(load_builtin(handedness=Handedness.RIGHT)), replace(LAMPS["sun"], place_m=(0, 0, 1))
+    hand = with_response(hand, bounce=np.zeros(3))
     assert hand.learned is not None
     assert hand.learned.cast is not None
     bones, edge_m = bones_of(hand, "open"), 0.09

@@ -32,7 +32,7 @@ _ROUNDED = {
 # those that the kernels or the page write
 _WRITTEN = {
     *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lanes", "cast.capsule_lamp", "cast.other"),
-    *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.thrown"),
+    *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.given"),
     *("scene.sky", "scene.reflecting", "scene.reached"),
 }
 # the light that is turned: an even world, W/(m2 sr), and a wide sun, W/m2 on what faces it: skin of middle tone that
