@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from studio_light import Studio, skin_rgb
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M, AvatarInfo, HandAvatar
-from jghand_engine.captures.making.skin_points import SkinPoints
+from jghand_engine.captures.making.skin import SkinPoints
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.canonical_points import bone_areas, shared_out, take_turns

@@ -13,8 +13,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
-from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep
+from jghand_engine.captures.making.skin import SkinPoints, noise
+from jghand_engine.captures.skin.noise import gauss, smoothstep
 from jghand_engine.color import srgb_to_linear
+from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
+from jghand_engine.template.surface import unit
 
 MM = 1e-3
 FINGER_JOINTS = {"mcp": (2, 3, 4, 5), "pip": (7, 8, 9, 10), "dip": (12, 13, 14, 15)}
@@ -50,6 +53,62 @@ TENDONS = ((2, 0.45), (3, 0.50), (4, 0.40), (5, 0.30))
 BLOOD = np.array([0.10, 0.62, 0.52])
 MELANIN = np.array([0.34, 0.54, 0.72])
 VENOUS = np.array([0.60, 0.30, 0.16])
+# opposite to the normal of the built-in template's thumb nail: where the thumb's pad is, canonical frame
+THUMB_PALMAR = np.array([-0.93, 0.26, 0.27])
+OUT_OF_PALM = np.array([0.0, 0.0, 1.0])
+THUMB_METACARPAL, THUMB_PROXIMAL, THUMB_DISTAL, THUMB_TIP = 1, 6, 11, 16
+# the two bones at a PIP and at a DIP joint of a usual index finger, meters; the first DIP joint
+USUAL_BONES_M = (0.049, 0.045)
+FIRST_DIP = 11
+# n . palmar over which the skin of the palm turns into that of the back
+SIDE_BLEND = 0.45
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Directions of a canonical hand.
+
+    joints_m: (21, 3) meters; axis: (21, 3) unit direction of bone i, from parent(i) to joint i, row 0 that of bone 3;
+    palmar: (21, 3) unit directions, perpendicular to the bone, to which it flexes; lateral: axis x palmar, (21, 3).
+    """
+
+    joints_m: np.ndarray
+    axis: np.ndarray
+    palmar: np.ndarray
+    lateral: np.ndarray
+
+    @classmethod
+    def of(cls, joints_m: np.ndarray) -> Landmarks:
+        """joints_m (21, 3) meters, level order, canonical frame, right hand."""
+        bones = np.array([joints_m[3], *(joints_m[i] - joints_m[PARENTS[i]] for i in range(1, JOINT_COUNT))])
+        axis = unit(bones)
+        palmar = np.tile(OUT_OF_PALM, (JOINT_COUNT, 1))
+        palmar[[THUMB_PROXIMAL, THUMB_DISTAL, THUMB_TIP]] = THUMB_PALMAR
+        palmar[THUMB_METACARPAL] = OUT_OF_PALM + 0.5 * THUMB_PALMAR
+        palmar = unit(palmar - (palmar * axis).sum(1, keepdims=True) * axis)
+        return cls(joints_m, axis, palmar, np.cross(axis, palmar))
+
+    def palm_side(self, points: SkinPoints) -> np.ndarray:
+        """(N,) -1 where the skin faces away from the flexion side of its bone (back), +1 towards it (palm)."""
+        palmar = unit(points.bone_weights @ self.palmar)
+        return (points.normal * palmar).sum(1)
+
+    def joint_scale(self, joint: int) -> float:
+        """Size of a finger at one of its joints 6..15, relative to an index finger: from the lengths of its bones."""
+        length_m = np.linalg.norm(self.joints_m[joint + 5] - self.joints_m[joint])
+        length_m += np.linalg.norm(self.joints_m[joint] - self.joints_m[joint - 5])
+        usual_m = USUAL_BONES_M[joint >= FIRST_DIP]
+        return float(np.clip(length_m / usual_m, 0.6, 1.1))
+
+    def hinge_axis(self, joint: int) -> np.ndarray:
+        """(3,) the direction of the finger at `joint`: between its two bones."""
+        child = joint + 5
+        return self.axis[joint] if child >= JOINT_COUNT else unit(self.axis[joint] + self.axis[child])
+
+
+def palm_share(side: np.ndarray) -> np.ndarray:
+    """(N,) 0 on the back, 1 on the palm, smooth at the edge of the hand."""
+    return smoothstep(-SIDE_BLEND, SIDE_BLEND, side)
 
 
 @dataclass(frozen=True)
@@ -135,9 +194,9 @@ class MarkPainter:
             distance_m, along = _distance_to_curve(xy, np.array(knots, float) * MM)
             taper = smoothstep(0, 0.12, along) * (1 - smoothstep(0.80, 1, along))
             width_m = width * MM * (0.55 + 0.45 * taper)
-            line = bump(distance_m, width_m) * (0.25 + 0.75 * taper)
+            line = gauss(distance_m, width_m) * (0.25 + 0.75 * taper)
             # the skin dips gently towards a line, not only in it
-            dip = 0.35 * bump(distance_m, 3.2 * width_m) * taper
+            dip = 0.35 * gauss(distance_m, 3.2 * width_m) * taper
             amount = np.maximum(amount, line * depth / deepest)
             height = np.maximum(height, (line + dip) * depth)
         return amount, height
@@ -169,14 +228,14 @@ class MarkPainter:
             axial, lateral, near = self._along(position_m, joint)
             bow = 0.10 * lateral**2 / (8 * MM)
             for offset, width, depth in offsets:
-                total += near * depth * bump(axial - offset * MM + bow + wave, width * MM)
+                total += near * depth * gauss(axial - offset * MM + bow + wave, width * MM)
         for joint in FINGER_JOINTS["mcp"]:
             axis, length_m = self._marks.axis[joint + 5], self._bone_length_m(joint + 5)
             relative = position_m - self._marks.joints_m[joint]
             lateral = relative @ self._marks.lateral[joint + 5]
             near = smoothstep(0.35, 0.75, self._weights[:, joint + 5]) * (np.abs(lateral) < 14 * MM)
             for part, depth in ((0.60, 0.75), (0.68, 0.30)):
-                total += near * depth * bump(relative @ axis - part * length_m + wave, 0.45 * MM)
+                total += near * depth * gauss(relative @ axis - part * length_m + wave, 0.45 * MM)
         return total * flexion * np.clip(patchy, 0, 1.1)
 
     def _bone_length_m(self, bone: int) -> float:
@@ -199,13 +258,13 @@ class MarkPainter:
                 # rows bow away from the knuckle's middle, like the rim of an eye
                 bowed = centered * (1 + 0.9 * (across / (7 * MM)) ** 2) + wave
                 row = 0.5 + 0.5 * np.cos(2 * np.pi * bowed / (spacing * MM))
-                total += size * depth * near * row**3 * bump(centered, spread * MM) * bump(across, 5.5 * MM)
+                total += size * depth * near * row**3 * gauss(centered, spread * MM) * gauss(across, 5.5 * MM)
         for joint in (*FINGER_JOINTS["mcp"], 6):
             relative = position_m - self._marks.joints_m[joint]
             axial = relative @ self._marks.axis[joint] + wave
             distance = np.linalg.norm(relative[:, :2], axis=1)
             row = 0.5 + 0.5 * np.cos(2 * np.pi * axial / (2.1 * MM) + 1.5 * noise(position_m, 6 * MM, 33))
-            total += 0.18 * row**3 * bump(distance, 7 * MM)
+            total += 0.18 * row**3 * gauss(distance, 7 * MM)
         return total * patchy * smoothstep(0.25, 0.75, -self._side)
 
     def _tendons(self, position_m: np.ndarray) -> np.ndarray:
@@ -219,7 +278,7 @@ class MarkPainter:
             t = relative @ along / np.linalg.norm(knuckle - wrist)
             across = relative @ np.array([-along[1], along[0]])
             fade = smoothstep(0.15, 0.45, t) * (1 - smoothstep(0.85, 1.0, t))
-            height = np.maximum(height, rise * MM * fade * bump(across, 1.9 * MM))
+            height = np.maximum(height, rise * MM * fade * gauss(across, 1.9 * MM))
         return height
 
     def _cushions(self, position_m: np.ndarray) -> np.ndarray:
@@ -233,7 +292,7 @@ class MarkPainter:
         ]
         height_mm = np.zeros(len(position_m))
         for center, width, height in pads:
-            height_mm += height * bump(np.linalg.norm(position_m - center, axis=1), width * MM)
+            height_mm += height * gauss(np.linalg.norm(position_m - center, axis=1), width * MM)
         return MM * height_mm * self._palm
 
     def _texture(self, position_m: np.ndarray) -> np.ndarray:
@@ -254,14 +313,14 @@ class MarkPainter:
             depth_m = (1 - radius) * min(shape.half_width_m, shape.half_length_m)
             plate = near * smoothstep(-0.25 * MM, 0.25 * MM, depth_m)
             towards_tip = smoothstep(0.1, 0.7, a)
-            fold = near * bump(depth_m + 0.40 * MM, 0.60 * MM) * (1 - 0.75 * towards_tip)
+            fold = near * gauss(depth_m + 0.40 * MM, 0.60 * MM) * (1 - 0.75 * towards_tip)
             edge_m = (0.84 - 0.12 * b**2 - a) * shape.half_length_m
             moon = smoothstep(0, 0.12, -0.62 - a + 0.30 * (1 - b**2))
             parts["nail"] = np.maximum(parts["nail"], plate)
             parts["nail_fold"] = np.maximum(parts["nail_fold"], fold)
             parts["free_edge"] = np.maximum(parts["free_edge"], plate * smoothstep(0.15 * MM, -0.15 * MM, edge_m))
             parts["lunula"] = np.maximum(parts["lunula"], plate * moon)
-            parts["height"] += -fold * 0.40 * MM + near * 0.15 * MM * bump(depth_m + 1.2 * MM, 0.7 * MM)
+            parts["height"] += -fold * 0.40 * MM + near * 0.15 * MM * gauss(depth_m + 1.2 * MM, 0.7 * MM)
         return parts
 
 
@@ -310,7 +369,7 @@ def _warm_places(p: np.ndarray, palm: np.ndarray, side: np.ndarray, landmarks: L
     joints = landmarks.joints_m
 
     def near(at: np.ndarray, width: float) -> np.ndarray:
-        return bump(np.linalg.norm(p - at, axis=1), width * MM)
+        return gauss(np.linalg.norm(p - at, axis=1), width * MM)
 
     warm = -0.06 + 0.10 * palm
     for tip in TIPS:

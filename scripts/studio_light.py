@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from painted_skin import MM, MarkPainter, SkinLook, SkinMarks, reflectance
+from painted_skin import MM, Landmarks, MarkPainter, SkinLook, SkinMarks, reflectance
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
-from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, smoothstep
+from jghand_engine.captures.making.skin import SkinPoints
+from jghand_engine.captures.skin.noise import smoothstep
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import unit

@@ -11,7 +11,7 @@ from PIL import Image
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints
+from jghand_engine.captures.making.skin import SkinPoints
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.closest import Surface
@@ -20,7 +20,7 @@ from jghand_engine.template.texture import sample_bilinear
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 
 from painted_hand import Layers, curved_surface
-from painted_skin import TIPS, MarkPainter, SkinLook, fit_nails
+from painted_skin import TIPS, Landmarks, MarkPainter, SkinLook, fit_nails
 from studio_light import Studio, skin_rgb
 
 
@@ -72,7 +72,7 @@ def test_the_shipped_colors_are_what_the_painter_makes(shipped):
     assert np.median(error) < 0.4
     assert np.percentile(error, 90) < 2.3
     assert np.median(error[points.nail > 0.5]) < 0.6
-    bare = SkinPoints(points.position_m, points.normal, points.bone_weights, np.zeros(len(points)))
+    bare = SkinPoints(points.position_m, points.normal, points.bone_weights, np.zeros_like(points.nail))
     without = 255 * np.abs(skin_rgb(load_template(), bare, SkinLook(), Studio()) - rgb)
     # seen: 20
     assert np.median(without[points.nail > 0.5]) > 15, "a hand without nails would pass too"

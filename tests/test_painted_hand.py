@@ -12,7 +12,7 @@ import trimesh
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.validation import check_avatar
-from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, palm_share
+from jghand_engine.captures.making.skin import SkinPoints
 from jghand_engine.template.builtin import load_template
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
@@ -27,7 +27,7 @@ from painted_hand import (
     shared_out,
     take_turns,
 )
-from painted_skin import MarkPainter, SkinLook, reflectance
+from painted_skin import Landmarks, MarkPainter, SkinLook, palm_share, reflectance
 from studio_light import Occluder, Studio, bake_light, display, sphere_directions
 
 SMALL = Recipe("small", "none", layers=Layers(count=3000, backing_count=600, oversampling=1.2))

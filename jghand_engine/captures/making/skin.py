@@ -14,7 +14,6 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from jghand_engine.captures.making.skin_points import SkinPoints, noise
 from jghand_engine.errors import InputError
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.mesh import HandTemplate
@@ -36,6 +35,23 @@ RELIEF_SHADE = 0.035
 # grain of skin that no image holds: its height and its cells, meters; finer ones are lost between texels
 GRAIN_M = 0.000012
 GRAIN_CELL_M = 0.0009
+
+
+@dataclass(frozen=True)
+class SkinPoints:
+    """Points on the skin, in the template's canonical frame: wrist at the origin, +y to the middle MCP, +x to the index
+    side, +z out of the palm.
+
+    position_m:   (N, 3) meters
+    normal:       (N, 3) outward unit normals
+    bone_weights: (N, 21) rows sum to 1; joints in level order
+    nail:         (N,) 0..1, how far the point lies on a nail
+    """
+
+    position_m: np.ndarray
+    normal: np.ndarray
+    bone_weights: np.ndarray
+    nail: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -136,3 +152,20 @@ def _enlarged(image: np.ndarray, size: int) -> np.ndarray:
         return image
     channels = [Image.fromarray(channel.astype(np.float32)) for channel in np.moveaxis(image, -1, 0)]
     return np.stack([np.asarray(c.resize((size, size), Image.Resampling.BICUBIC)) for c in channels], -1).astype(float)
+
+
+def noise(position_m: np.ndarray, cell_m: float, seed: int) -> np.ndarray:
+    """(N,) smooth noise of about zero mean and unit spread, features of about `cell_m` meters, the same every run.
+
+    Another one than of persons' skins (captures/skin/noise.py): captures with a picture of skin keep their bits."""
+    lattice = np.random.default_rng(seed).normal(size=(32, 32, 32))
+    q = position_m / cell_m
+    low = np.floor(q).astype(int)
+    t = q - low
+    t = t * t * (3 - 2 * t)
+    total = np.zeros(len(position_m))
+    for corner in np.ndindex(2, 2, 2):
+        share = np.where(np.array(corner) == 1, t, 1 - t).prod(1)
+        i, j, k = ((low + corner) % 32).T
+        total += share * lattice[i, j, k]
+    return 1.6 * total

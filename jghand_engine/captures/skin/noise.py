@@ -23,7 +23,7 @@ def smoothstep(low: float, high: float, x: np.ndarray | float) -> np.ndarray:
     return t * t * (3 - 2 * t)
 
 
-def gauss(x: np.ndarray, width: float) -> np.ndarray:
+def gauss(x: np.ndarray, width: float | np.ndarray) -> np.ndarray:
     """exp(-x^2 / 2 width^2)."""
     return np.exp(-0.5 * (x / width) ** 2)
 
