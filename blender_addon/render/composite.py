@@ -71,8 +71,8 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
         return []
     wanted, there = _things(scene, layer), set(ours.collection.objects)
     missing = [thing for thing in wanted if thing not in there]
-    found = [rpt_("{name} is missing").format(name=thing.name) for thing in missing if not _is_around(thing)]
-    shading = sum(map(_is_around, missing))
+    found = [rpt_("{name} is missing").format(name=thing.name) for thing in missing if not worlds.is_surface(thing)]
+    shading = sum(map(worlds.is_surface, missing))
     if shading:
         found.append(rpt_("{count} things that may light or shade hands are missing").format(count=shading))
     unneeded = len(there.difference(wanted))
@@ -238,12 +238,8 @@ def _is_of_light(thing: bpy.types.Object) -> bool:
 
 
 def _is_of_all_light(thing: bpy.types.Object) -> bool:
-    return _is_lamp(thing) or _is_around(thing)
-
-
-def _is_around(thing: bpy.types.Object) -> bool:
-    """Whether an object may shine or throw light back, also where it throws no shadow."""
-    return thing.type in worlds.SURFACES and armature.STAND_IN not in thing
+    """... also where it throws no shadow."""
+    return _is_lamp(thing) or worlds.is_surface(thing)
 
 
 def _may_shade(thing: bpy.types.Object) -> bool:

@@ -246,8 +246,8 @@ def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequenc
 
 
 def _is_there(thing: bpy.types.Object) -> bool:
-    """Whether an object shines, throws light back or takes it; stand-ins are in the place of hands, which are there."""
-    return armature.STAND_IN not in thing and (thing.type in {"LIGHT", *worlds.SURFACES} or thing.is_instancer)
+    """Whether an object shines, throws light back or takes it, or instances what does; hands are there themselves."""
+    return worlds.is_surface(thing) or thing.type == "LIGHT" or (thing.is_instancer and armature.STAND_IN not in thing)
 
 
 def _linked(

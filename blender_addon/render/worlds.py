@@ -25,7 +25,7 @@ from ..core import film, worlds
 from ..core.pacing import digest
 from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
-from ..hand import armature, stand_ins
+from ..hand import armature
 from . import lamps, probe
 from .world_nodes import Shine, Unread, shine_of, shows_cameras_more, values_of, values_of_tree
 
@@ -177,13 +177,18 @@ def _known_standing(depsgraph: bpy.types.Depsgraph) -> str:
 
 
 def _is_around(thing: bpy.types.Object) -> bool:
-    """Whether an object is rendered and no hand's, nor brings lamps that are sent as lamps."""
-    if thing.hide_render or stand_ins.MARK in thing:
+    """Whether an object is rendered and a surface, or brings some but no lamps that are sent as lamps, nor hands."""
+    if thing.hide_render:
         return False
     inside = thing.instance_collection if thing.instance_type == "COLLECTION" else None
     if inside is not None:
         return not any(each.type in ("LIGHT", "ARMATURE") for each in inside.all_objects)
-    return thing.type in SURFACES
+    return is_surface(thing)
+
+
+def is_surface(thing: bpy.types.Object) -> bool:
+    """Whether an object may shine, throw light back or take it, and is no stand-in of a hand."""
+    return thing.type in SURFACES and armature.STAND_IN not in thing
 
 
 # ---- read ------------------------------------------------------------------------------------------------------------

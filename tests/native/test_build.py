@@ -9,6 +9,7 @@ import subprocess
 
 import pytest
 
+from jghand_engine.avatar import lamp_rows
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.native import binding, build, contract, library, selftest, tasks
 
@@ -34,6 +35,11 @@ def test_the_kernels_constants_are_those_of_python():
     for path in build.source_files():
         if path.name != "constants.h":
             assert not re.search(rf"constexpr \w+ ({'|'.join(shared)})\b", path.read_text()), path.name
+
+
+def test_a_scene_has_as_many_lamps_as_the_kernel_has_room_for_shadows():
+    text = (build.SOURCE_FOLDER / "scene_light.h").read_text()
+    assert re.findall(r"constexpr int SLOTS_MAX = (\d+);", text) == [str(lamp_rows.LAMPS_MAX)]
 
 
 @pytest.fixture

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from jghand_engine.captures.making.rig import Identity
+from jghand_engine.captures.making.skin import png_bytes
 from jghand_engine.captures.skin.canvas import MM
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.person import Person
@@ -71,13 +70,7 @@ class PersonSkin:
 
 
 def _pictures(maps: SkinMaps, low_m: float, range_m: float) -> Iterator[bytes]:
-    yield _png(to_bytes(linear_to_srgb(maps.rgb)))
-    yield _png(to_bytes(np.stack([maps.roughness, maps.plate, np.zeros_like(maps.plate)], -1)))
+    yield png_bytes(to_bytes(linear_to_srgb(maps.rgb)))
+    yield png_bytes(to_bytes(np.stack([maps.roughness, maps.plate, np.zeros_like(maps.plate)], -1)))
     for layer in FINE_LAYERS:
-        yield _png(np.rint((MM * maps.fine[layer] - low_m) / range_m * 65535).astype(np.uint16))
-
-
-def _png(pixels: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, format="PNG")
-    return stream.getvalue()
+        yield png_bytes(np.rint((MM * maps.fine[layer] - low_m) / range_m * 65535).astype(np.uint16))

@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import io
 import json
 import os
 import tempfile
@@ -25,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
@@ -34,7 +32,7 @@ from jghand_engine.captures.making.options import CaptureOptions, Light, is_file
 from jghand_engine.captures.making.person_skin import MESH_FILE, PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
-from jghand_engine.captures.making.skin import make_skin
+from jghand_engine.captures.making.skin import make_skin, png_bytes
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
@@ -212,9 +210,9 @@ def _picture_skin(picture: Path, options: CaptureOptions) -> tuple[dict[str, Any
     low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
     relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
     return {**dataclasses.asdict(options.material), "relief_range_m": high - low}, {
-        "skin.png": _png(Image.fromarray(skin.rgb8)),
-        "relief.png": _png(Image.fromarray(relief)),
-        "nails.png": _png(Image.fromarray(np.rint(255 * skin.nail).astype(np.uint8))),
+        "skin.png": png_bytes(skin.rgb8),
+        "relief.png": png_bytes(relief),
+        "nails.png": png_bytes(np.rint(255 * skin.nail).astype(np.uint8)),
     }
 
 
@@ -428,12 +426,6 @@ def _camera_json(camera: Camera) -> dict[str, Any]:
 
 def _camera(content: dict[str, Any]) -> Camera:
     return Camera(**content)
-
-
-def _png(image: Image.Image) -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, format="PNG", optimize=False)
-    return stream.getvalue()
 
 
 def _write(file: Path, data: bytes) -> None:

@@ -6,6 +6,7 @@ else filters would pull foreign color over the seams; the wrist's cut gets the c
 
 from __future__ import annotations
 
+import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,13 @@ def read_texture(path: Path) -> np.ndarray:
             return np.asarray(image.convert("RGB"), dtype=np.float64) / 255
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise InputError(thing, wanted="an image that opens", came=str(error)[:200]) from error
+
+
+def png_bytes(pixels: np.ndarray) -> bytes:
+    """(H, W) uint8 or uint16, or (H, W, 3) uint8, as a PNG file."""
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    return stream.getvalue()
 
 
 @dataclass(frozen=True)
