@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import torch
 from small_hands import INFO, SMALL_MODEL, small_points, stirred
@@ -38,3 +41,8 @@ def small_training(
 def parameters_of(training: HandTraining) -> dict[str, torch.Tensor]:
     """Copies of all parameters by name."""
     return {name: parameter.detach().clone() for name, parameter in training.hand.named_parameters()}
+
+
+def read_log(path: Path) -> list[dict[str, Any]]:
+    """The lines of a training's log."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import sys
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import benchmark_busy as benchmark  # pyright: ignore[reportMissingImports]
+import benchmark_busy as benchmark
 
 
 def test_a_row_compares_both_sides_beside_the_same_loops(monkeypatch):

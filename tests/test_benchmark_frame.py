@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import benchmark_frame as benchmark
 import numpy as np
 import pytest
 from small_avatars import trained_avatar
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import benchmark_frame as benchmark  # pyright: ignore[reportMissingImports]
-from synthetic_hands import synthetic_hand  # pyright: ignore[reportMissingImports]
+from synthetic_hands import synthetic_hand
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.tiers import Distilled, Price, Tier

@@ -5,13 +5,9 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 
+import benchmark_trainings as script
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import benchmark_trainings as script  # pyright: ignore[reportMissingImports]
 from learn.small_capture import write_small_capture
 from small_avatars import small_avatar
 

@@ -7,10 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import blender_folder
+import pytest
 import test_in_blender as script
 from blender_folder import NotPossibleError, Place
 

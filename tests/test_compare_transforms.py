@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-from compare_transforms import (  # pyright: ignore[reportMissingImports]
+from compare_transforms import (
     TRANSFORMS,
     _distances_m,
     measure_transforms,

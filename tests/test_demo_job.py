@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import sys
-from pathlib import Path
 
+import demo_job
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-import demo_job  # pyright: ignore[reportMissingImports]
 
 from jghand_engine.export.pictures import read_png
 from jghand_engine.motion.read import read_motion_file

@@ -9,10 +9,8 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import bundled_engine
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -8,10 +8,8 @@ import shutil
 import sys
 from pathlib import Path
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import environments
+import pytest
 from environments import BLENDER, BLENDER45, BLENDER52, DEVELOPER, ENGINE, MissingLibraryError, SetupError
 
 THIS = sys.version_info[:2]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from painted_hand import Layers, curved_surface
+from painted_skin import TIPS, Landmarks, MarkPainter, SkinLook, fit_nails
 from PIL import Image
+from studio_light import Studio, skin_rgb
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.avatar.builtin import load_painted
@@ -16,12 +16,6 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.texture import sample_bilinear
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
-from painted_hand import Layers, curved_surface
-from painted_skin import TIPS, Landmarks, MarkPainter, SkinLook, fit_nails
-from studio_light import Studio, skin_rgb
 
 
 @pytest.fixture(scope="module")

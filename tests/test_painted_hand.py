@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-
-from jghand_engine.avatar.avatar import UVD_RANGE_M
-from jghand_engine.avatar.validation import check_avatar
-from jghand_engine.captures.making.skin import SkinPoints
-from jghand_engine.template.builtin import load_template
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
-
 from painted_hand import (
     Layers,
     Recipe,
@@ -29,6 +19,11 @@ from painted_hand import (
 )
 from painted_skin import Landmarks, MarkPainter, SkinLook, palm_share, reflectance
 from studio_light import Occluder, Studio, bake_light, display, sphere_directions
+
+from jghand_engine.avatar.avatar import UVD_RANGE_M
+from jghand_engine.avatar.validation import check_avatar
+from jghand_engine.captures.making.skin import SkinPoints
+from jghand_engine.template.builtin import load_template
 
 SMALL = Recipe("small", "none", layers=Layers(count=3000, backing_count=600, oversampling=1.2))
 NO_NAILS = np.zeros((8, 8))

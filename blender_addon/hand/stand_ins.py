@@ -86,11 +86,6 @@ def update() -> None:
     ]
 
 
-def of(hand: bpy.types.Object) -> list[bpy.types.Object]:
-    """The stand-ins of a hand: of a rig with two hands, two."""
-    return [thing for thing in bpy.data.objects if MARK in thing and thing.parent == hand]
-
-
 def notice(depsgraph: bpy.types.Depsgraph) -> None:
     """Something was changed in Blender: where that can concern a hand, `tend` brings its stand-in up to date."""
     for update in depsgraph.updates:

@@ -69,16 +69,6 @@ def lamp_of(record: JsonObject) -> Lamp:
     return Lamp(**values)
 
 
-def record_of(lamp: Lamp) -> dict[str, Any]:
-    """A lamp as a record, without what is as usual."""
-    record: dict[str, Any] = {"kind": lamp.kind.name.lower()}
-    for field in fields(Lamp)[1:]:
-        value = getattr(lamp, field.name)
-        if field.default is MISSING or value != field.default:
-            record[field.name] = list(value) if isinstance(value, tuple) else value
-    return record
-
-
 def turn_of(record: JsonObject) -> np.ndarray:
     """env_from_world (3, 3) of a world's record; no turn where it is left out."""
     return np.eye(3) if record.fields.get("env_from_world") is None else record.array("env_from_world", (3, 3))

@@ -1,7 +1,7 @@
 """Pictures whose light is known: what each light of it gives, apart, so that a trainer mixes them anew at every step.
 
     picture = load_groups(sample)
-    view = mixed(picture, np.random.default_rng((seed, step)))        view.rgb, view.alpha, view.light, view.exposure
+    view = mix(picture, random_weights(picture.light, rng))        view.rgb, view.alpha, view.light, view.exposure
 
 Beside `imageN.png`, which is for people's eyes and masks, lies `imageN.npz`, all of it of the hand's box alone:
 
@@ -174,11 +174,6 @@ def read_groups(file: Path, size_px: tuple[int, int], groups: int | None = None)
 
 
 # ---- mixing ----------------------------------------------------------------------------------------------------------
-
-
-def mixed(picture: LitPicture, rng: np.random.Generator) -> MixedPicture:
-    """The picture in random amounts and colors of its lights."""
-    return mix(picture, random_weights(picture.light, rng))
 
 
 def mix(picture: LitPicture, weight: np.ndarray) -> MixedPicture:

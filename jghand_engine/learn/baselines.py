@@ -1,7 +1,7 @@
-"""Two transforms to compare ours with: a naive one, and HALO's. They are no choices for use.
+"""HALO's transform, to compare ours with: no choice for use. And which transform an avatar was made for.
 
-Both are written from descriptions (METHOD 2.2 and 6.2), not from anybody's code, and have the interface of
-`JointTransform`, so that an avatar can be trained with them (the ablation "w/o trans").
+It is written from descriptions (METHOD 2.2 and 6.2), not from anybody's code, and has the interface of
+`JointTransform`, so that an avatar can be trained with it (the ablation "w/o trans").
 """
 
 from __future__ import annotations
@@ -70,21 +70,3 @@ class HaloLikeTransform(JointTransform):
         placed = joints[:, 1:16] - rot.mat_vec(turn, torch.cat(beyond, 1))
         linear = torch.cat([palm.expand(-1, -1, 6, -1), turn], 2)
         return linear, torch.cat([joints[:, :1], placed, joints[:, 16:]], 1), torch.ones_like(frames.size)
-
-
-class NaiveTransform(JointTransform):
-    """Every bone by itself: the smallest rotation from its canonical direction to the posed one, start on start.
-
-    A direction says nothing of the twist about it, so the skin tears where the hand as a whole has turned; the lengths
-    are the canonical hand's, so the end of a bone misses its joint.
-    """
-
-    def maps(
-        self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalTensors
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """See JointTransform.maps."""
-        palm = rot.mat_mul(frames.S0, canonical.S0.transpose(0, 1))
-        # at its pole (a bone turned back to front) any half turn about an axis across the bone will do
-        flips = rot.half_turn(canonical.S[:, 1])
-        turn = rot.minimal_rotation(canonical.direction, frames.direction, flips)
-        return torch.cat([palm, turn], 2), joints, torch.ones_like(frames.size)

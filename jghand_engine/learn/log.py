@@ -66,12 +66,6 @@ class Log:
             self._board.close()
 
 
-def read_log(path: Path) -> list[dict[str, Any]]:
-    """The lines of a log; half-written ones are left out."""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    return [json.loads(line) for line in lines if _step_of(line) is not None]
-
-
 def _step_of(line: str) -> int | None:
     try:
         step = json.loads(line)["step"]

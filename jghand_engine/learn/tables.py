@@ -65,8 +65,6 @@ PAPER_ABLATION: dict[str, tuple[float, float, float] | None] = {
 }
 # seconds per picture on an NVIDIA RTX 3090
 PAPER_INFERENCE_S = {"HandAvatar": 4.317, "LiveHand": 0.087, "JGHand (paper)": 0.040}
-# MPJPE and Chamfer-L1 on test/Capture0 and test/Capture1; the units are not given, meters fit the former
-PAPER_TRANSFORM = {"HALO": ((0.0103, 5.14), (0.0120, 5.97)), "JGHand (paper)": ((0.0, 0.92), (0.0, 0.97))}
 
 
 # ---- ours beside it -------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix, Vector
 
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS
-from blender_addon.hand import armature, motion
+from blender_addon.hand import armature, motion, stand_ins
 
 # object transforms that a hand must survive: location, rotation, scale
 PLACES = {
@@ -41,6 +41,11 @@ def keyed_hand(context: bpy.types.Context, handedness: str, joints_m: np.ndarray
     hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness, joints_m), handedness)
     motion.key_motion(hand, joints_m, context.scene, range(1, 1 + len(joints_m)))
     return hand
+
+
+def stand_ins_of(hand: bpy.types.Object) -> list[bpy.types.Object]:
+    """Of a rig with two hands, two."""
+    return [thing for thing in bpy.data.objects if stand_ins.MARK in thing and thing.parent == hand]
 
 
 def mixamo_rig(context: bpy.types.Context) -> tuple[bpy.types.Object, dict[str, np.ndarray]]:

@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 import pytest
 import test_scene_light
+from hands import stand_ins_of
 from test_render_engine import layers
 from test_scene_light import even_world
 from test_worlds import wall
@@ -68,7 +69,7 @@ def of_a_mesh_that_shines(scene: bpy.types.Scene) -> None:
 def lit_pictures(scene: bpy.types.Scene, folder: Path) -> dict[str, np.ndarray]:
     """(H, W, 4) scene-linear: the mesh by Cycles, the hand by the engine's own light, and the hand by Exact Light."""
     stand_ins.update()
-    mesh = stand_ins.of(next(thing for thing in scene.objects if thing.type == "ARMATURE"))[0]
+    mesh = stand_ins_of(next(thing for thing in scene.objects if thing.type == "ARMATURE"))[0]
     tree = versions.ensure_tree(mesh.data.materials[0])
     tree.nodes.clear()
     matt, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")

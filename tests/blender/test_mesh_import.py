@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
+import environments
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import environments  # noqa: E402
 
 # the importers turn y up into z up
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

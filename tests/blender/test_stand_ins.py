@@ -24,7 +24,7 @@ def add_hand(side: str = "right") -> bpy.types.Object:
 
 
 def only(hand: bpy.types.Object) -> bpy.types.Object:
-    (thing,) = stand_ins.of(hand)
+    (thing,) = hands.stand_ins_of(hand)
     return thing
 
 
@@ -93,7 +93,7 @@ def test_the_floor_shows_the_shadow_and_the_film_no_hand(floor, tmp_path):
     hand = bpy.data.objects["Right Hand"]
     with_shadow = f12(tmp_path)
     hand.jghand.cast_shadow = False
-    assert not stand_ins.of(hand)
+    assert not hands.stand_ins_of(hand)
     bare = f12(tmp_path)
     np.testing.assert_array_equal(with_shadow[..., 3], bare[..., 3])
     assert 0 < bare[..., 3].mean() < 1
@@ -142,8 +142,8 @@ def test_a_rig_of_somebody_else_has_one_for_each_of_its_hands(extension):
     rig, joints = hands.mixamo_rig(extension)
     bpy.ops.jghand.use_armature()
     stand_ins.update()
-    assert sorted(thing[stand_ins.MARK] for thing in stand_ins.of(rig)) == ["left", "right"]
-    for thing in stand_ins.of(rig):
+    assert sorted(thing[stand_ins.MARK] for thing in hands.stand_ins_of(rig)) == ["left", "right"]
+    for thing in hands.stand_ins_of(rig):
         wrist = joints[thing[stand_ins.MARK]][0]
         assert np.linalg.norm(surface_of(thing) - wrist, axis=-1).min() < 0.03
     sources.forget_map(rig, "left")
@@ -184,24 +184,24 @@ def test_of_a_hand_in_edit_mode_or_that_cannot_be_read_it_stays_with_what_the_ar
     hand, (rig, _) = add_hand(), hands.mixamo_rig(extension)
     bpy.ops.jghand.use_armature()
     stand_ins.update()
-    things = [only(hand), *stand_ins.of(rig)]
+    things = [only(hand), *hands.stand_ins_of(rig)]
     with armature.edit_mode(extension, hand):
         stand_ins.update()
         assert only(hand) == things[0]
         hand.data.edit_bones["index4"].head = hand.data.edit_bones["index4"].tail
     rig[armature.MAP_PROPERTIES["right"]] = "?"
     stand_ins.update()
-    assert [only(hand), *stand_ins.of(rig)] == things
+    assert [only(hand), *hands.stand_ins_of(rig)] == things
     with armature.edit_mode(extension, hand):
         hand.jghand.cast_shadow = False
-        assert not stand_ins.of(hand)
+        assert not hands.stand_ins_of(hand)
 
 
 def test_files_without_stand_ins_get_them_and_linked_hands_too(extension, tmp_path):
     armature.build_armature(extension, "Old", posing.rest_joints_m("right"), "right")
     path = str(tmp_path / "old.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    assert not stand_ins.of(bpy.data.objects["Old"])
+    assert not hands.stand_ins_of(bpy.data.objects["Old"])
     bpy.ops.wm.open_mainfile(filepath=path)
     assert only(bpy.data.objects["Old"]).hide_viewport
     bpy.ops.wm.read_factory_settings(use_empty=True)

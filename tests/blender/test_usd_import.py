@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
+import environments
 import numpy as np
 import pytest
 
@@ -13,9 +13,6 @@ bpy = pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 mathutils = pytest.importorskip("mathutils")
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import environments  # noqa: E402
 
 # worst observed: points 0.00006 mm, mesh 0.0006 mm, bones 0.00007 mm (float32 of Blender's own matrices), colors exact
 POINT_ERROR_M = 1e-7

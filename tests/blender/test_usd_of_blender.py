@@ -11,14 +11,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import environments
 import pytest
 
 pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import environments  # noqa: E402
 
 WRITE = """
 import sys

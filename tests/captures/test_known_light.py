@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.scene_light import Lamp, World
-from jghand_engine.captures.known_light import KnownLight, LitPicture, fit_exposure, mix, mixed, random_weights
+from jghand_engine.captures.known_light import KnownLight, LitPicture, MixedPicture, fit_exposure, mix, random_weights
 from jghand_engine.native.scene_light_task import LampKind
 
 LIGHT = KnownLight(
@@ -26,9 +26,13 @@ def picture() -> LitPicture:
     return LitPicture(groups, np.full((6, 5), 255, np.uint8), (1, 2), (8, 10), LIGHT)
 
 
+def mixed(picture: LitPicture, *seed: int) -> MixedPicture:
+    return mix(picture, random_weights(picture.light, np.random.default_rng(seed)))
+
+
 def test_a_mix_is_the_sum_of_the_weighted_groups_and_its_light_is_weighted_alike(picture):
     for seed in range(20):
-        view = mixed(picture, np.random.default_rng(seed))
+        view = mixed(picture, seed)
         expected = (picture.groups.astype(np.float64) * view.weight[:, None, None]).sum(0)
         np.testing.assert_allclose(view.rgb[2:8, 1:6], expected, atol=1e-5)
         assert view.rgb.shape == (10, 8, 3)
@@ -49,7 +53,7 @@ def test_a_mix_is_the_sum_of_the_weighted_groups_and_its_light_is_weighted_alike
 
 
 def test_mixes_are_seeded_and_differ_from_step_to_step(picture):
-    first, again, other = (mixed(picture, np.random.default_rng((0, step))) for step in (1, 1, 2))
+    first, again, other = (mixed(picture, 0, step) for step in (1, 1, 2))
     np.testing.assert_array_equal(first.rgb, again.rgb)
     assert not np.array_equal(first.weight, other.weight)
 

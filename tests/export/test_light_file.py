@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from jghand_engine.avatar.light_records import record_of
 from jghand_engine.avatar.scene_light import Lamp, harmonics
 from jghand_engine.errors import InputError
 from jghand_engine.export.light_file import files_of, read_light
@@ -24,6 +24,16 @@ def written(tmp_path, **content):
     path = tmp_path / "light.json"
     path.write_text(json.dumps({"format": "jghand-light", "version": 1, **content}))
     return path
+
+
+def record_of(lamp):
+    """A lamp as a record, without what is as usual."""
+    record = {"kind": lamp.kind.name.lower()}
+    for field in fields(Lamp)[1:]:
+        value = getattr(lamp, field.name)
+        if value != field.default:
+            record[field.name] = value
+    return record
 
 
 def test_lamps_come_back_as_they_were_written(tmp_path):

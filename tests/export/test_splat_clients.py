@@ -7,14 +7,10 @@ these tests are skipped.
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 
+import check_splat_files
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-import check_splat_files
 import show_splat_file
 from check_splat_files import CLIENTS, SUBJECTS, Client, Difference, Found, clients
 

@@ -6,13 +6,8 @@ tests are skipped.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import check_usd_files
+import pytest
 from check_usd_files import WAYS, Way
 from other_programs import python_of
 

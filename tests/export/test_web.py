@@ -10,19 +10,16 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import build_web_viewer
+import check_web_page
 import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-import build_web_viewer
-import check_web_page
 
 from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar

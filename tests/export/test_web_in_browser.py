@@ -3,17 +3,14 @@ said. Skipped without Chromium and playwright-core (scripts/check_splat_files.py
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-import numpy as np
-import pytest
-from small_avatars import known_avatar, small_avatar
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import check_splat_files
 import check_web_page
+import numpy as np
+import pytest
 import show_splat_file
+from small_avatars import known_avatar, small_avatar
 
 from jghand_engine.export.web.page import WebView, export_web
 from jghand_engine.hand.joints import Handedness

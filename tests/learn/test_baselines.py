@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from compare_transforms import NaiveTransform
 from hand.sampled_hands import KNUCKLES, SEGMENTS, canonical, canonical_np, hand, mirrored, random_rotations, sample
 
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
-from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
+from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.skeleton import JointTransform
 
 STARTS_OF_BONES = list(PARENTS[1:])

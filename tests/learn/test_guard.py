@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import pytest
 import torch
+from small_trainings import read_log
 from stand_in import StandIn
 
 from jghand_engine import files
 from jghand_engine.errors import JGHandError
 from jghand_engine.learn.checkpoint import load_checkpoint
 from jghand_engine.learn.guard import GUARD_RECOVERIES_MAX, find_non_finite
-from jghand_engine.learn.log import read_log
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
 from jghand_engine.learn.work_folder import Start

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from small_trainings import read_log
 
 from jghand_engine.avatar.avatar import AvatarInfo
 from jghand_engine.avatar.file import load_avatar, save_avatar
@@ -17,7 +18,6 @@ from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.learn.checkpoint import LoopState, Snapshot, load_checkpoint
 from jghand_engine.learn.guard import find_non_finite
-from jghand_engine.learn.log import read_log
 from jghand_engine.learn.pictures import Pictures
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
+from small_trainings import read_log
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn import log as log_module
 from jghand_engine.learn.checkpoint import LoopState
-from jghand_engine.learn.log import Board, Log, add_figures, read_log, take_means
+from jghand_engine.learn.log import Board, Log, add_figures, take_means
 
 
 def test_lines_after_the_step_and_half_written_ones_are_cut(tmp_path):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from small_trainings import read_log
 from stand_in import StandIn
 
 from jghand_engine import files
@@ -22,7 +23,6 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.pictures import read_png
 from jghand_engine.learn import run
 from jghand_engine.learn.checkpoint import Snapshot, load_checkpoint
-from jghand_engine.learn.log import read_log
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
 from jghand_engine.learn.work_folder import Start

@@ -1,8 +1,6 @@
 """What scripts/check_tracking.py measures, on a motion that a perfect detector sees."""
 
-import sys
-from pathlib import Path
-
+import check_tracking
 import numpy as np
 import pytest
 from tracking_samples import CANONICAL_M, FPS, moving_poses, right_joints_m, sight
@@ -11,9 +9,6 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.track.poses import JointChain
 from jghand_engine.track.track import MOTION_FROM_CAMERA, angles_between_deg
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-import check_tracking
 
 CHAIN = JointChain.of(CANONICAL_M)
 
