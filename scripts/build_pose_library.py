@@ -19,11 +19,12 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from build_pose_table import joints_of
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from blender_addon.core import poses, posing
+from blender_addon.core import poses
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, LEFT, RIGHT
 from blender_addon.core.poses import HandPose
@@ -32,13 +33,19 @@ from blender_addon.hand.motion_files import MotionFile, write_motion
 
 # pixels: Blender shows assets at up to 128, and a quarter less than that keeps the file small
 PREVIEW_PX = 96
+# Catalogs of the library: identities must never change, or assets lose their place. Made once at random.
+CATALOGS = {
+    ("right", "pose"): ("5d1f8a52-6c07-4b1e-9d0d-0e7a3c1f4b21", "JGHand/Right Hand"),
+    ("right", poses.LETTER): ("a3b7c2d4-1f5e-4a69-8c3b-7d2e9f0a1b32", "JGHand/Right Hand/Manual Alphabet"),
+    ("left", "pose"): ("7e2a9b63-8d18-4c2f-ae1e-1f8b4d2a5c43", "JGHand/Left Hand"),
+    ("left", poses.LETTER): ("c4d8e3f5-2a6f-4b7a-9d4c-8e3fa01b2c54", "JGHand/Left Hand/Manual Alphabet"),
+}
 
 
 def rendered_poses(engine: Path) -> dict[str, np.ndarray]:
     """Name of a pose -> (H, W, 4) float32 RGBA of the right hand, bottom row first, as the engine renders it."""
-    rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
     named = poses.all_poses(RIGHT)
-    joints_m = np.stack([poses.posed_joints(rest, pose.quaternions) for pose in named])
+    joints_m = np.stack([joints_of(pose) for pose in named])
     with tempfile.TemporaryDirectory() as scratch:
         motion, frames = Path(scratch) / "poses.npz", Path(scratch) / "frames"
         write_motion(motion, MotionFile(joints_m, fps=1.0, handedness=RIGHT))
@@ -78,7 +85,7 @@ def asset_of(pose: HandPose, picture: np.ndarray) -> bpy.types.Action:
             key(bone, "rotation_euler", index, 0.0)
     action.asset_mark()
     data = action.asset_data
-    data.catalog_id = poses.CATALOGS[pose.handedness, pose.kind][0]
+    data.catalog_id = CATALOGS[pose.handedness, pose.kind][0]
     data.description = pose.description or f"{pose.name.replace('_', ' ').capitalize()}, {pose.handedness} hand"
     data.author = "The JGHand authors"
     data.license = "GPL-3.0-or-later"
@@ -93,7 +100,7 @@ def asset_of(pose: HandPose, picture: np.ndarray) -> bpy.types.Action:
 def catalogs() -> str:
     """What Blender's catalog file says."""
     lines = ["# Catalogs of an asset library of Blender", "VERSION 1", ""]
-    lines += [f"{identity}:{path}:{path.replace('/', '-')}" for identity, path in poses.CATALOGS.values()]
+    lines += [f"{identity}:{path}:{path.replace('/', '-')}" for identity, path in CATALOGS.values()]
     return "\n".join(lines) + "\n"
 
 

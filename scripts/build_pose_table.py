@@ -21,7 +21,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from blender_addon.core import posing
-from blender_addon.core.joints import NAMES, RIGHT, TIPS, WRIST
+from blender_addon.core.joints import NAMES, PARENTS, RIGHT, TIPS, WRIST
+from blender_addon.core.poses import HandPose
 from jghand_engine.files import writing
 from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
@@ -32,6 +33,7 @@ from jghand_engine.hand.poses import (
     angles_on,
     letter_angles,
 )
+from jghand_engine.hand.rotations import quaternion_rotation
 
 TABLE = ROOT / "blender_addon" / "assets" / "poses.json"
 # digits of a quaternion: a tip of 20 cm is then right to a few micrometers
@@ -74,6 +76,19 @@ def as_text(table: dict) -> str:
         poses.append(f'  {{{head}, "bones": {{\n{bones}}}}}')
     listed = ",\n".join(poses)
     return f'{{"format": "{table["format"]}", "version": {table["version"]}, "poses": [\n{listed}\n]}}\n'
+
+
+def joints_of(pose: HandPose) -> np.ndarray:
+    """(21, 3) meters: a hand in a pose of the table, as Blender poses the bones."""
+    rest = posing.rest_matrices(posing.rest_joints_m(pose.handedness), pose.handedness)
+    posed = np.empty((len(NAMES), 4, 4))
+    for place, parent in enumerate(PARENTS):
+        turn = np.eye(4)
+        wxyz = np.array(pose.turns.get(NAMES[place], (1.0, 0.0, 0.0, 0.0)))
+        turn[:3, :3] = quaternion_rotation(wxyz / np.linalg.norm(wxyz))
+        above = rest[place] if parent < 0 else posed[parent] @ np.linalg.inv(rest[parent]) @ rest[place]
+        posed[place] = above @ turn
+    return posed[:, :3, 3]
 
 
 def _bones(turns: np.ndarray) -> dict[str, list[float]]:

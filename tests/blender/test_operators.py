@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import bpy
+import build_pose_table
 import hands
 import numpy as np
 import pytest
@@ -78,8 +79,7 @@ def joints_of(context: bpy.types.Context, thing: bpy.types.Object) -> np.ndarray
 
 
 def posed(name: str, side: str) -> np.ndarray:
-    rest = posing.rest_matrices(posing.rest_joints_m(side), side)
-    return poses.posed_joints(rest, poses.pose_named(name, side).quaternions)
+    return build_pose_table.joints_of(poses.pose_named(name, side))
 
 
 def refuses(operator: object, **options: object) -> str:

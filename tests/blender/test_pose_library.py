@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+import build_pose_table
 import numpy as np
 import pytest
 
@@ -20,8 +21,7 @@ def joints_of(context: bpy.types.Context, hand: bpy.types.Object) -> np.ndarray:
 
 
 def wanted_of(name: str, handedness: str) -> np.ndarray:
-    rest = posing.rest_matrices(posing.rest_joints_m(handedness), handedness)
-    return poses.posed_joints(rest, poses.pose_named(name, handedness).quaternions)
+    return build_pose_table.joints_of(poses.pose_named(name, handedness))
 
 
 def shipped_actions(titles: list[str] | None = None) -> list[bpy.types.Action]:
