@@ -29,17 +29,19 @@ DESCRIPTION = """Measure an avatar on pictures that it did not learn from: figur
 Examples:
   jghand evaluate id3.jghand captures/id3 --split test --out id3_evaluation
   jghand evaluate id3.jghand captures/id3 --limit 20 --figures-only
-  jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses"""
+  jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses
+  jghand evaluate id3.jghand captures/id3 --crops --beside captures/id3_again"""
 
 TIMED_ROUNDS, WARM_UP = 100, 10
 
 
 @dataclass(frozen=True)
-class PerceptualOptions:
-    """Perceptual metrics"""
+class CloseOptions:
+    """What eyes see"""
 
-    perceptual: bool = False
-    """Also ST-LPIPS (and LPIPS, with its trunk): some 2 seconds a picture."""
+    crops: bool = False
+    """Also squares of 46 mm of hand, inside it and with its edges, with the power of their detail; and ST-LPIPS (LPIPS
+    too, with its trunk) of them and of the pictures: some 5 seconds a picture."""
     lpips_trunk: File = None
     """Torchvision's checkpoint of vgg16, or of alexnet if its name says so, which exact LPIPS needs; nobody may ship
     it."""
@@ -48,8 +50,8 @@ class PerceptualOptions:
         """The metrics that there are; what is missing is said in a line. InputError for an unusable trunk."""
         from jghand_engine.learn import perceptual
 
-        if not self.perceptual and self.lpips_trunk is None:
-            say("Perceptual metrics: off (--perceptual).")
+        if not self.crops and self.lpips_trunk is None:
+            say("Crops and perceptual metrics: off (--crops).")
             return []
         metrics, stand_in = [], perceptual.st_lpips()
         if stand_in is None:
@@ -77,13 +79,14 @@ class Evaluate:
     """At most so many pictures of each kind, evenly spread; 0 takes all."""
     preset: PresetName = "final"
     """How the avatar is drawn."""
-    beside: File = None
-    """Another avatar, shown beside the first on poses between poses: isotropic against anisotropic."""
+    beside: Annotated[Path | None, tyro.conf.arg(metavar="FILE|FOLDER", help_behavior_hint="")] = None
+    """Another avatar, shown beside the first on poses between poses: isotropic against anisotropic. With --crops also
+    the folder of the same capture made again with other noise, which tells how good a figure can be."""
     template: File = None
     """The MANO file of an avatar that was trained on it: its silhouette stands in for masks that are not there."""
     figures_only: bool = False
     """Leave out the sheets of pictures, and the time per picture, which is measured on its own after the rest."""
-    perceptual: PerceptualOptions = field(default_factory=PerceptualOptions)
+    close: CloseOptions = field(default_factory=CloseOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
 
     def run(self) -> None:
@@ -96,9 +99,16 @@ class Evaluate:
 
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
-        avatar, other = load_avatar_called(self.avatar), load_avatar_called(str(self.beside)) if self.beside else None
+        avatar, other, again = load_avatar_called(self.avatar), None, None
         template = hand_template(self.template)
         capture = self.pictures.open(self.folder, template)
+        if self.beside is not None and self.beside.is_dir():
+            if not self.close.crops:
+                raise InputError("--beside", wanted="an avatar, or --crops too", came=f"the folder {self.beside}",
+                                 remedy="A capture with other noise is the ceiling of crops.")  # fmt: skip
+            again = self.pictures.open(self.beside, template)
+        elif self.beside is not None:
+            other = load_avatar_called(str(self.beside))
         projected = sum(sample.mask_source.is_projected for sample in capture.samples)
         if projected and template.identifier != avatar.info.template:
             say(f"Warning: {projected} pictures have no mask, and {template.identifier} stands in for it, while the "
@@ -112,7 +122,7 @@ class Evaluate:
         categories = categories_of(told.split, which, self.limit)
         out, settings = make_folder(self.out or Path(self.avatar).with_suffix(".evaluation")), preset(self.preset)
         draw = _drawer(avatar, capture, settings)
-        evaluation = self._measured(draw, capture, categories, told.split.origin)
+        evaluation = self._measured(draw, capture, again, categories, told.split.origin)
         tables = self._tables(evaluation, avatar, capture, settings)
         self._write(out, evaluation, tables, settings)
         if not self.figures_only:
@@ -123,27 +133,38 @@ class Evaluate:
         say(f"\n{out}: tables.md, evaluation.json{'' if self.figures_only else ', sheets'}")
 
     def _measured(
-        self, draw: Picturer, capture: Capture, categories: Mapping[str, tuple[Sample, ...]], origin: str
+        self,
+        draw: Picturer,
+        capture: Capture,
+        again: Capture | None,
+        categories: Mapping[str, tuple[Sample, ...]],
+        origin: str,
     ) -> Evaluation:
-        from jghand_engine.learn.evaluate import Evaluation, measure_pictures
+        from jghand_engine.learn.evaluate import Evaluation, ceiling_crops, measure_pictures
         from jghand_engine.learn.metrics import FLIP_MISSING, flip_package
 
         if flip_package() is None:
             say(FLIP_MISSING)
-        metrics = self.perceptual.metrics()
-        with progress("Measuring", sum(map(len, categories.values()))) as bar:
+        metrics, crops = self.close.metrics(), self.close.crops
+        samples = [sample for group in categories.values() for sample in group]
+        ceiling = ceiling_crops(samples, again, metrics) if again else ()
+        with progress("Measuring", len(samples)) as bar:
             task = bar.task_ids[0]
-            pictures = measure_pictures(categories, draw, perceptual=metrics, tick=lambda: bar.advance(task))
-        return Evaluation(Path(self.avatar).stem, capture.name, origin, pictures)
+            pictures = measure_pictures(
+                categories, draw, perceptual=metrics, crops=crops, tick=lambda: bar.advance(task)
+            )
+        return Evaluation(Path(self.avatar).stem, capture.name, origin, pictures, ceiling)
 
     def _tables(
         self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture, settings: RenderSettings
     ) -> list[Table]:
         from jghand_engine.learn.ablation import drawn_as_learned
-        from jghand_engine.learn.tables import figures_table, flexion_table, rendering_table
+        from jghand_engine.learn.tables import crops_table, figures_table, flexion_table, rendering_table
 
         tables = [rendering_table([evaluation]), figures_table(evaluation, "full"), figures_table(evaluation, "box"),
                   flexion_table(evaluation)]  # fmt: skip
+        if self.close.crops:
+            tables.append(crops_table(evaluation))
         if not self.figures_only and drawn_as_learned(avatar):
             tables.append(timed_table(evaluation.name, avatar, capture, settings))
         for table in tables:

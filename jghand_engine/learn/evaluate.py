@@ -10,12 +10,11 @@ import itertools
 import time
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.scene_light import SceneLight
@@ -27,8 +26,9 @@ from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.learn.crops import CropScore, crop_groups, crop_means, crop_scores
 from jghand_engine.learn.metrics import compare, mask_box
-from jghand_engine.learn.perceptual import PerceptualMetric
+from jghand_engine.learn.perceptual import PerceptualMetric, distances
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -84,8 +84,12 @@ def pictured(sample: Sample, draw: Picturer) -> tuple[np.ndarray, TrainingImage,
     started = time.perf_counter()
     rgba = draw.in_light(sample, one.light)
     render_ms = 1e3 * (time.perf_counter() - started)
-    ours, truth = (linear_to_srgb(np.clip(one.exposure * rgb, 0, 1)) for rgb in (rgba[..., :3], one.rgb))
-    return np.concatenate([ours, rgba[..., 3:]], -1), TrainingImage(truth, one.alpha), render_ms
+    ours = linear_to_srgb(np.clip(one.exposure * rgba[..., :3], 0, 1))
+    return np.concatenate([ours, rgba[..., 3:]], -1), _exposed(one), render_ms
+
+
+def _exposed(one: MixedPicture) -> TrainingImage:
+    return TrainingImage(linear_to_srgb(np.clip(one.exposure * one.rgb, 0, 1)), one.alpha)
 
 
 def judged_mix(sample: Sample) -> MixedPicture:
@@ -105,6 +109,7 @@ class PictureScore:
     flexion_deg: mean flexion of the joints of index..pinky
     scores:      by metric and region, such as psnr_box
     render_ms:   drawing it, files excluded
+    crops:       close up, where that was asked for
     """
 
     sample: Sample
@@ -112,6 +117,7 @@ class PictureScore:
     flexion_deg: float
     scores: Mapping[str, float]
     render_ms: float
+    crops: tuple[CropScore, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -119,17 +125,24 @@ class PictureScore:
         where = {"sequence": sample.sequence, "frame": sample.frame, "camera": sample.camera_name}
         return where | {
             "category": self.category, "flexion_deg": self.flexion_deg, "render_ms": self.render_ms, **self.scores,
+            **({"crops": [asdict(crop) for crop in self.crops]} if self.crops else {}),
         }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures of one avatar on pictures of one capture. name: of the avatar; origin: of the split."""
+    """Figures of one avatar on pictures of one capture. name: of the avatar; origin: of the split; ceiling: crops of
+    the same pictures made again, with other noise."""
 
     name: str
     capture: str
     origin: str
     pictures: tuple[PictureScore, ...]
+    ceiling: tuple[CropScore, ...] = ()
+
+    def crops(self) -> dict[str, tuple[CropScore, ...]]:
+        """Crops of all pictures and of the ceiling by category, kind and scale."""
+        return crop_groups([*(crop for picture in self.pictures for crop in picture.crops), *self.ceiling])
 
     def groups(self) -> dict[str, tuple[PictureScore, ...]]:
         """The pictures of each category, and all of them where there is more than one category."""
@@ -156,6 +169,7 @@ class Evaluation:
             "capture": self.capture,
             "split": self.origin,
             "means": {name: {"pictures": len(group), **means(group)} for name, group in groups.items()},
+            "crops": {name: {"crops": len(group), **crop_means(group)} for name, group in self.crops().items()},
             "pictures": [picture.as_dict() for picture in self.pictures],
         }
 
@@ -199,37 +213,56 @@ def measure_pictures(
     draw: Picturer,
     *,
     perceptual: Sequence[PerceptualMetric] = (),
+    crops: bool = False,
     tick: Callable[[], None] = lambda: None,
 ) -> tuple[PictureScore, ...]:
-    """Draws and measures every sample. tick: called after each. Errors of files and renderer pass through."""
+    """Draws and measures every sample, crops too where asked for. tick: called after each. Errors of files and renderer
+    pass through."""
     pictures = []
     for category, samples in categories.items():
         for sample in samples:
-            pictures.append(_measure(sample, category, draw, perceptual))
+            pictures.append(_measure(sample, category, draw, perceptual, crops))
             tick()
     return tuple(pictures)
 
 
-def _measure(sample: Sample, category: str, draw: Picturer, perceptual: Sequence[PerceptualMetric]) -> PictureScore:
+def _measure(
+    sample: Sample, category: str, draw: Picturer, perceptual: Sequence[PerceptualMetric], crops: bool
+) -> PictureScore:
     rgba, truth, render_ms = pictured(sample, draw)
     # premultiplied: over black it is the picture
     scores = compare(rgba[..., :3], truth.rgb, truth.mask)
-    scores |= _perceptual_scores(rgba[..., :3], truth.rgb, truth.mask, perceptual)
+    box = mask_box(truth.mask)
+    for region, cut in (("full", lambda picture: picture), ("box", box.of)):
+        far = distances(perceptual, cut(rgba[..., :3]), cut(truth.rgb))
+        scores |= {f"{name}_{region}": value for name, value in far.items()}
+    close = crop_scores(sample, category, rgba[..., :3], truth, perceptual) if crops else ()
     flexion_deg = finger_flexion_deg(sample.joints_m, sample.handedness)
-    return PictureScore(sample, category, flexion_deg, scores, render_ms)
+    return PictureScore(sample, category, flexion_deg, scores, render_ms, close)
 
 
-def _perceptual_scores(
-    rgb: np.ndarray, truth: np.ndarray, mask: np.ndarray, perceptual: Sequence[PerceptualMetric]
-) -> dict[str, float]:
-    box, scores = mask_box(mask), {}
-    with torch.no_grad():
-        for metric in perceptual:
-            key = metric.name.lower().replace("-", "_")
-            for region, ours, theirs in (("full", rgb, truth), ("box", box.of(rgb), box.of(truth))):
-                a, b = (torch.from_numpy(np.clip(picture, 0, 1).astype(np.float32)) for picture in (ours, theirs))
-                scores[f"{key}_{region}"] = float(metric.distance(a, b))
-    return scores
+def ceiling_crops(
+    samples: Iterable[Sample], again: Capture, perceptual: Sequence[PerceptualMetric] = ()
+) -> tuple[CropScore, ...]:
+    """Crops of those samples that `again` has too, made with other noise, against each other: no avatar can do better.
+
+    InputError where it has none of them, shows other joints, or is the same to the bit.
+    """
+    theirs = {(one.pose, one.camera_name): one for one in again.samples}
+    both = [(one, theirs[key]) for one in samples if (key := (one.pose, one.camera_name)) in theirs]
+    remedy = "Make the same capture again with more --samples and another --out."
+    if not both or any(not np.allclose(one.joints_m, two.joints_m, atol=1e-5) for one, two in both):
+        came = "other poses" if both else "none of those that are measured"
+        raise InputError(f"pictures of {again.name}", wanted="the same hand, poses and cameras", came=came,
+                         remedy=remedy)  # fmt: skip
+    crops: list[CropScore] = []
+    for one, two in both:
+        truth, second = (load_image(s) if s.light is None else _exposed(judged_mix(s)) for s in (one, two))
+        if np.array_equal(truth.rgb, second.rgb):
+            raise InputError(f"pictures of {again.name}", wanted="other noise", came="the same pictures to the bit",
+                             remedy=remedy)  # fmt: skip
+        crops += crop_scores(one, "ceiling", second.rgb, truth, perceptual)
+    return tuple(crops)
 
 
 def finger_flexion_deg(joints_m: np.ndarray, handedness: Handedness) -> float:

@@ -10,11 +10,12 @@ read. Both can be a loss: the gradient goes to the first picture.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -80,6 +81,13 @@ def _unit(features: Tensor) -> Tensor:
     square = features.square().sum(1, keepdim=True)
     length = torch.where(square > 0, torch.where(square > 0, square, 1.0).sqrt(), 0.0)
     return features / (length + PERCEPTUAL_NORM_EPS)
+
+
+def distances(metrics: Sequence[PerceptualMetric], rgb: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Of two pictures (H, W, 3), clipped to 0..1: each metric's distance, under its name in lower case."""
+    a, b = (torch.from_numpy(np.clip(picture, 0, 1).astype(np.float32)) for picture in (rgb, truth))
+    with torch.no_grad():
+        return {metric.name.lower().replace("-", "_"): float(metric.distance(a, b)) for metric in metrics}
 
 
 # ---- ST-LPIPS -------------------------------------------------------------------------------------------------------

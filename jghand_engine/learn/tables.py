@@ -10,6 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from jghand_engine.learn.crops import (
+    COARSER_MM_PX,
+    CROP_MM,
+    CROP_MM_PX,
+    CROP_PX,
+    EDGES,
+    INSIDE,
+    OCTAVES_PX,
+    crop_means,
+    detail_key,
+)
 from jghand_engine.learn.evaluate import Evaluation, PictureScore, means
 from jghand_engine.learn.metrics import BOX_RULE
 
@@ -80,6 +91,8 @@ _METRICS = (
     (_ST_LPIPS, "ST-LPIPS", 4),
     (_LPIPS, "LPIPS", 4),
 )
+_DETAIL = tuple((detail_key(octave), f"detail {octave[0]}-{octave[1]} px", 2) for octave in OCTAVES_PX)
+_NO_CROPS = {INSIDE: "that is nothing but hand", EDGES: "that the outline halves"}
 
 
 def rendering_table(evaluations: Sequence[Evaluation]) -> Table:
@@ -111,6 +124,35 @@ def figures_table(evaluation: Evaluation, region: str) -> Table:
 def flexion_table(evaluation: Evaluation) -> Table:
     """Figures of the mask's box by how far the fingers are bent, over all categories."""
     return _grouped(evaluation, evaluation.regions(), "box", "By mean flexion of the fingers' joints, mask's box")
+
+
+def crops_table(evaluation: Evaluation) -> Table:
+    """Figures of crops, by category, kind and scale, the ceiling's among them; no rows where there are none."""
+    groups, title = evaluation.crops(), f"{evaluation.name} on {evaluation.capture}: close up"
+    metrics = [(name, head, decimals) for name, head, decimals in (*_METRICS, *_DETAIL)
+               if any(name in crop_means(crops) for crops in groups.values())]  # fmt: skip
+    rows = []
+    for name, crops in groups.items():
+        values = crop_means(crops)
+        cells = [number(values.get(key), decimals) for key, _, decimals in metrics]
+        rows.append((name, str(len(crops)), *cells))
+    notes = [f"A crop is {CROP_MM:.0f} mm of hand; 1080p is {CROP_MM_PX:g} mm per pixel, crops of {CROP_PX} pixels."]
+    crops = [crop for group in groups.values() for crop in group]
+    coarse = [crop.side_px for crop in crops if crop.mm_px > COARSER_MM_PX]
+    if coarse:
+        sides = " to ".join(map(str, dict.fromkeys((min(coarse), max(coarse)))))
+        notes.append(f"{len(coarse)} are of coarser pictures, at their own scale, and have {sides} pixels.")
+    notes += [f"No picture holds a crop {text}." for kind, text in _NO_CROPS.items()
+              if not any(crop.kind == kind for crop in crops)]  # fmt: skip
+    if not crops:
+        return Table(title, ("Crops", "count"), (), tuple(notes))
+    notes.append("Detail: median of its power over the truth's, by wavelength; blur has less than 1, grain more.")
+    if evaluation.ceiling:
+        notes.append("Ceiling: the truth against the truth with other noise.")
+    else:
+        notes.append("Ceiling: not measured. Make the capture again with more --samples (a --shard of it will do) and "
+                     "give its folder as --beside.")  # fmt: skip
+    return Table(title, ("Crops", "count", *(head for _, head, _ in metrics)), tuple(rows), tuple(notes))
 
 
 def _grouped(evaluation: Evaluation, groups: Mapping[str, Sequence[PictureScore]], region: str, title: str) -> Table:
