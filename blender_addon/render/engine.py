@@ -233,12 +233,6 @@ def on_frame(scene: bpy.types.Scene, *_: Any) -> None:
                 exact_light.prepare(layer.depsgraph)
 
 
-@persistent
-def on_load(*_: Any) -> None:
-    """Another file, which may have been saved while its hands were baked."""
-    exact_light.expect()
-
-
 def _panels() -> Iterator[set[str]]:
     """The sets in which Blender's panels say for which engines they show themselves."""
     for name in _PANELS_OF_OTHERS:
@@ -252,7 +246,6 @@ def register() -> None:
     for engines in _panels():
         engines.add(JGHandRenderEngine.bl_idname)
     bpy.app.handlers.render_pre.append(on_frame)
-    bpy.app.handlers.load_post.append(on_load)
 
 
 def unregister() -> None:
@@ -260,4 +253,3 @@ def unregister() -> None:
     for engines in _panels():
         engines.discard(JGHandRenderEngine.bl_idname)
     bpy.app.handlers.render_pre.remove(on_frame)
-    bpy.app.handlers.load_post.remove(on_load)

@@ -141,14 +141,11 @@ def tend() -> None:
 
 
 def expect() -> None:
-    """After an undo, or in another file: what was saved or remembered during a bake is there again, and goes as soon as
-    it may."""
+    """After an undo: what was remembered during a bake is there again, and goes as soon as it may."""
     global _is_untidy
     _stages.clear()
     _is_untidy = any(map(_made_in, _KINDS))
-    if _is_untidy and bpy.app.background:  # there is no timer
-        clear()
-    elif _is_untidy:
+    if _is_untidy:
         clock.hasten(0.0)
 
 
@@ -218,6 +215,7 @@ def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Seq
     finally:
         for _, thing in made:
             thing[_MARK] = True  # for `clear`
+            thing.is_runtime_data = True  # no file that is saved meanwhile has it
 
 
 def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface], made: list[Any]) -> _Stage:
