@@ -8,15 +8,14 @@ rendered one stand, and the surfaces of the hands: so lamps of every kind, what 
 shine and light linking are as in the picture beside the hands. The engine keeps what skin mirrors to itself.
 
 Where a render runs on the main thread (no window) it is done in render_pre, before the frame: a bake within `render`
-ends Blender. In a window the render's thread waits for the timer, which bakes on the main thread. What was made for
-that stays until no render goes on: what is removed while Blender renders ends it, what is made does not (run, 5.2.2).
+ends Blender. In a window it is handed over to the main thread.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import bpy
@@ -28,17 +27,11 @@ from ..core.stand_in import FINE_POINTS, Surface, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
 from ..hand import armature, stand_ins
-from . import lamps, probe, rendering, samples, scene_light, worlds
+from . import handover, lamps, probe, samples, scene_light, worlds
 
 # paths from each corner of a facet: six corners of a point look along the normal, and the engine takes the mean of some
 # nine points, that is 200 paths, or 2 % of noise
 SAMPLES = 4
-# how often a render looks whether it was canceled, seconds
-_POLL_S = 0.05
-# what a bake makes, each with the probe's name
-_KINDS = ("scenes", "objects", "meshes", "materials", "collections")
-# custom property of all that: names alone may be an artist's
-_MARK = "jghand_exact_light"
 # looks of facets that others must not see; a camera's is none of a bake's
 _SEEN_BY = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
@@ -57,25 +50,18 @@ class _Stage:
 
 
 @dataclass
-class _Ask:
-    """What a render waits for. is_canceled: whether it was given up; baked: the answer, or failure"""
+class _Baked:
+    """What was baked before a frame: fields, see `_bake`, of hands; or failure"""
 
-    scene: bpy.types.Scene
-    layer: str
-    hands: Sequence[HandInSpace]
-    is_canceled: Callable[[], bool]
-    baked: np.ndarray | None = None
+    hands: Sequence[HandInSpace] = ()
+    fields: np.ndarray | None = None
     failure: JGHandFailure | None = None
-    is_done: threading.Event = field(default_factory=threading.Event)
 
 
-# by scene, view layer and hands; whether anything was made that is to be taken away
+# by scene, view layer and hands
 _stages: dict[tuple[object, ...], _Stage] = {}
-_is_untidy = False
-# what the render's thread waits for
-_ask: _Ask | None = None
-# what was baked before the frame that is rendered on the main thread, by scene and view layer
-_ready: dict[tuple[int, str], _Ask] = {}
+# of the frame that is rendered on the main thread, by scene and view layer
+_ready: dict[tuple[int, str], _Baked] = {}
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
@@ -89,12 +75,12 @@ def prepare(depsgraph: bpy.types.Depsgraph) -> None:
     _ready.pop((scene.session_uid, layer.name), None)
     if not is_chosen(scene):
         return
-    ask = _ready[(scene.session_uid, layer.name)] = _Ask(scene, layer.name, (), lambda: False)
+    done = _ready[(scene.session_uid, layer.name)] = _Baked()
     try:
-        ask.hands = samples.hands_to_render(depsgraph)
-        _answer(ask)
+        done.hands = samples.hands_to_render(depsgraph)
+        done.fields = _baked(scene, layer.name, done.hands)
     except JGHandFailure as failure:
-        ask.failure = failure
+        done.failure = failure
     finally:
         clear()
 
@@ -106,78 +92,51 @@ def with_baked(
     is_canceled: Callable[[], bool],
 ) -> SceneLight | None:
     """A light with what falls on the hands of a render, where its scene wants that. Raises JGHandFailure (exact_light,
-    world_bake, no_cycles, canceled, bad_joints)."""
-    global _ask
+    no_cycles, canceled, bad_joints)."""
     scene, layer = depsgraph.scene, depsgraph.view_layer.name
     if light is None or not seen or not is_chosen(scene):
         return light
-    if threading.current_thread() is threading.main_thread():
-        done = _ready.pop((scene.session_uid, layer), None)
-    elif clock.runs():
+    done = _ready.pop((scene.session_uid, layer), _Baked())
+    if handover.is_possible():
         # those of the frame, as without a window, and not of a moment of the shutter
-        done = _ask = _Ask(scene, layer, samples.hands_at(depsgraph), is_canceled)
-        while not done.is_done.wait(_POLL_S):
-            if is_canceled():
-                _ask = None
-                raise JGHandFailure("canceled")
-    else:
-        done = None
-    if done is not None and done.failure is not None:
+        hands = samples.hands_at(depsgraph)
+        done = _Baked(hands, handover.do(partial(_baked, scene, layer, hands), is_canceled))
+    if done.failure is not None:
         raise done.failure
-    if done is None or done.baked is None or _sides(done.hands) != _sides(seen):
+    if done.fields is None or _sides(done.hands) != _sides(seen):
         raise JGHandFailure("exact_light")
-    return replace(light, baked=done.baked)
+    return replace(light, baked=done.fields)
 
 
 def tend() -> None:
-    """For the timer: bakes what a render waits for, and tidies up after the last one."""
-    global _ask
-    ask = _ask
-    if ask is not None:
-        _ask = None
-        _answer(ask)
-    elif _is_untidy and not rendering.is_blender_busy():
-        clear()
+    """For the timer."""
+    if handover.tend():
+        _stages.clear()
 
 
 def expect() -> None:
-    """After an undo: what was remembered during a bake is there again, and goes as soon as it may."""
-    global _is_untidy
+    """After an undo."""
     _stages.clear()
-    _is_untidy = any(map(_made_in, _KINDS))
-    if _is_untidy:
-        clock.hasten(0.0)
+    handover.expect()
 
 
 def clear() -> None:
-    """Takes away what bakes made; known by its mark, as an undo may have taken or renewed some of it."""
-    global _is_untidy
+    """Takes away what bakes made."""
     _stages.clear()
-    for kind in _KINDS:
-        for thing in _made_in(kind):
-            getattr(bpy.data, kind).remove(thing)
-    _is_untidy = False
+    handover.clear()
 
 
-def _made_in(kind: str) -> list[Any]:
-    return [thing for thing in getattr(bpy.data, kind) if _MARK in thing and thing.library is None]
-
-
-def _answer(ask: _Ask) -> None:
-    """Bakes; a failure, whatever it is, ends the wait of the render, too. Not after Esc, which a bake makes Blender
-    forget: it would write an empty frame and go on."""
+def _baked(scene: bpy.types.Scene, layer: str, hands: Sequence[HandInSpace]) -> np.ndarray | None:
+    """What `_bake` finds of any hands. Raises JGHandFailure (exact_light, no_cycles), whatever fails."""
     try:
-        if ask.is_canceled():
-            raise JGHandFailure("canceled")
-        ask.baked = _bake(ask.scene, ask.scene.view_layers[ask.layer], ask.hands) if ask.hands else None
+        return _bake(scene, scene.view_layers[layer], hands) if hands else None
     except JGHandFailure as failure:
-        is_bake = failure.kind == "world_bake"  # which tells of the world
-        ask.failure = JGHandFailure("exact_light", failure.detail) if is_bake else failure
+        if failure.kind != "world_bake":  # which tells of the world
+            raise
+        raise JGHandFailure("exact_light", failure.detail) from failure
     except Exception as error:
         clock.tell_once(error)
-        ask.failure = JGHandFailure("exact_light", f"{type(error).__name__}: {error}")
-    finally:
-        ask.is_done.set()
+        raise JGHandFailure("exact_light", f"{type(error).__name__}: {error}") from error
 
 
 def _sides(hands: Sequence[HandInSpace]) -> list[str]:
@@ -186,7 +145,6 @@ def _sides(hands: Sequence[HandInSpace]) -> list[str]:
 
 def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[HandInSpace]) -> np.ndarray:
     """(hands, FINE_POINTS, 4, 3) light at points of the skin, see the engine's `Baked`. On the main thread."""
-    global _is_untidy
     turn = LIGHT_FROM_WORLD[:3, :3]
     surfaces = [surface_at(hand.joints_world_m @ turn.T, hand.handedness) for hand in hands]
     places = [points_on(surface, FINE_POINTS) for surface in surfaces]
@@ -194,7 +152,6 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
     key = scene.session_uid, layer.name, *_sides(hands)
     stage = _stages.get(key)
     if stage is None:
-        _is_untidy = True
         stage = _stages[key] = _new_stage(scene, layer, surfaces)
     own = stage.scene
     own.world = worlds.world_in(scene, layer)
@@ -213,9 +170,7 @@ def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Seq
     try:
         return _built(scene, layer, surfaces, made)
     finally:
-        for _, thing in made:
-            thing[_MARK] = True  # for `clear`
-            thing.is_runtime_data = True  # no file that is saved meanwhile has it
+        handover.leave(made)
 
 
 def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface], made: list[Any]) -> _Stage:

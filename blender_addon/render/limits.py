@@ -17,7 +17,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from .. import versions
 from ..core.view import LIGHT_FROM_WORLD
 from ..hand import armature, seen_hands
-from . import ENGINE, composite, lamps, rendering, scene_light, scene_shadows, worlds
+from . import ENGINE, composite, handover, lamps, rendering, scene_light, scene_shadows, worlds
 
 # kinds of materials
 PANE, VOLUME = "pane", "volume"
@@ -45,7 +45,7 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
     place = scene.session_uid, layer.name
     last = _kept.get(place, ((), ()))
     is_playing = context.screen is not None and context.screen.is_animation_playing
-    if is_playing or rendering.now() or rendering.is_blender_busy():
+    if is_playing or rendering.now() or handover.is_blender_busy():
         return last[1]
     depsgraph = context.evaluated_depsgraph_get()
     is_mixed = scene.render.engine != ENGINE or composite.has_combination(scene)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A light probe: what comes from a world, whatever its nodes are, and from what is around a place.
 
-Cycles bakes it on a ball of small facets in a scene of its own, which is gone afterwards: nothing of the user's is
-changed, no render is lost. That takes a tenth of a second and more, and is nothing for draw or render handlers.
+Cycles bakes it on a ball of small facets in a scene of its own, which is gone afterwards (`handover`): nothing of the
+user's is changed, no render is lost. That takes a tenth of a second and more, and is nothing for draw or render
+handlers.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from .. import versions
 from ..core import facets, worlds
 from ..errors import JGHandFailure
+from . import handover
 
 # of the ball, meters
 RADIUS_M = 0.02
@@ -68,8 +70,7 @@ def measure(
                 own.collection.objects.link(thing)
         out = bake(own, ball)
     finally:
-        for kind, thing in reversed(made):
-            kind.remove(thing)
+        handover.put_away(made)
     return worlds.measured(looks, out)
 
 
@@ -93,7 +94,7 @@ def _lamps_for_others(
 
 def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | None) -> worlds.WorldLight:
     """The same of an evaluated Sky Texture node alone, in the node's axes, with the sun apart."""
-    world = bpy.data.worlds.new(NAME)
+    made = [(bpy.data.worlds, world := bpy.data.worlds.new(NAME))]
     try:
         tree = versions.ensure_tree(world)
         tree.nodes.clear()
@@ -108,7 +109,7 @@ def measure_sky(scene: bpy.types.Scene, sky: bpy.types.Node, sun: worlds.Sun | N
             world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", SKY_AIM
         return measure(scene, world, sun)
     finally:
-        bpy.data.worlds.remove(world)
+        handover.put_away(made)
 
 
 def new_scene(

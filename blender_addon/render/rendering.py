@@ -74,12 +74,6 @@ def check() -> bool:
     return now()
 
 
-def is_blender_busy() -> bool:
-    """Whether Blender renders or bakes anything beside its free main thread: what adds or removes data must wait, for
-    that can end Blender (BLENDER 8.2)."""
-    return any(map(bpy.app.is_job_running, ("RENDER", "OBJECT_BAKE")))
-
-
 # ---- what is said ----------------------------------------------------------------------------------------------------
 
 

@@ -3,8 +3,8 @@
 
 light = in_view(depsgraph, space, hands)    None: hands are shown in the light of their captures
 
-Worlds whose nodes do not tell their light are measured by `tend`, which the timer calls, and in a Blender without a
-window before each frame that is rendered.
+Worlds whose nodes do not tell their light are measured by `tend`, which the timer calls, for a render in a window while
+it waits, and in a Blender without one before each frame that is rendered.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
 from ..hand import armature, avatar_files, instances, seen_hands
-from . import lamps, probe, scene_shadows, studio, worlds
+from . import handover, lamps, probe, scene_shadows, studio, worlds
 from .lamps import SceneLamps
 from .properties import LIGHT_OF_HANDS
 from .worlds import Reading
@@ -90,12 +91,17 @@ def in_view(
     return _together(lamps.in_view(depsgraph, space, hands), world)
 
 
-def of_render(depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object]) -> SceneLight | None:
-    """What lights hands in a render. Raises JGHandFailure (world_not_measured, world_bake, no_cycles, no_world_image)
-    where the world's light is not known."""
+def of_render(
+    depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object], is_canceled: Callable[[], bool] = lambda: False
+) -> SceneLight | None:
+    """What lights hands in a render; in a window a stale world is measured meanwhile. Raises JGHandFailure
+    (world_not_measured, world_bake, no_cycles, no_world_image, canceled) where the world's light is not known."""
     if not is_chosen(depsgraph.scene):
         return None
     world = _world(depsgraph, hands)
+    if world.stale and handover.is_possible():
+        handover.do(partial(_measure, depsgraph, world), is_canceled)
+        world = _world(depsgraph, hands)
     light = _together(lamps.lamps_of(depsgraph, hands), world)
     if world.failures:
         raise _unmeasured.get(_attempt(world.stale), world.failures[0])

@@ -19,7 +19,7 @@ from .. import clock, ui
 from ..core import pacing
 from ..export import usd_hook
 from ..hand import seen_hands, stand_ins
-from ..render import exact_light, lamps, probe, rendering, scene_light, scene_shadows, worlds
+from ..render import exact_light, handover, lamps, probe, rendering, scene_light, scene_shadows, worlds
 from ..renderer import runtime
 from . import drawing, views
 
@@ -48,7 +48,7 @@ def tick() -> float:
     _follow_status()
     _follow_problems()
     _redraw(views.try_again())
-    if not rendering.is_blender_busy():
+    if not handover.is_blender_busy():
         stand_ins.tend()
         if scene_light.tend():
             _redraw({view.region for view in views.all_views()})

@@ -1,7 +1,7 @@
-"""How much of lamps the engine lets past the flesh of a finger: JSON on standard input and output, in the engine's Python.
+"""What the engine lets of lamps past the flesh of a finger: JSON on standard input and output, in the engine's Python.
 
-In: start_m, end_m (3,) and radius_m of a capsule, points_m (N, 3) of skin that lies on y = 0, and lamps as Blender sends
-them. Out: (lamps, N) the part of each lamp that reaches each point.
+In: start_m, end_m (3,) and radius_m of a capsule, points_m (N, 3) of skin that faces up, lamps as Blender sends them.
+Out: (lamps, N) the part of each lamp that reaches each point.
 """
 
 import json

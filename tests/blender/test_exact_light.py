@@ -28,7 +28,7 @@ from blender_addon.core.stand_in import points_on, surface_at
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, stand_ins
-from blender_addon.render import camera, exact_light, probe, rendering, samples
+from blender_addon.render import camera, exact_light, handover, probe, samples
 
 pytestmark = pytest.mark.usefixtures("linked_extension")
 # a hand, a camera and a lamp in a black world
@@ -312,7 +312,7 @@ def test_a_window_bakes_on_the_main_thread_and_tidies_up_after_the_render(scene,
     hands, found = samples.hands_at(graph), []
     monkeypatch.setattr(clock, "runs", lambda: True)
     is_rendering = True
-    monkeypatch.setattr(rendering, "is_blender_busy", lambda: is_rendering)
+    monkeypatch.setattr(handover, "is_blender_busy", lambda: is_rendering)
     before = len(bpy.data.objects)
     for _ in range(2):
         ask = partial(exact_light.with_baked, SceneLight(), graph, hands, lambda: False)
@@ -351,14 +351,12 @@ def test_a_render_that_is_canceled_does_not_wait(scene, monkeypatch):
     assert len(bpy.data.objects) == objects
 
 
-def test_nothing_is_baked_after_esc(scene, monkeypatch):
+def test_nothing_is_baked_after_esc(monkeypatch):
     """That would make Blender forget the Esc."""
-    scene.jghand.use_exact_light = True
-    graph = bpy.context.evaluated_depsgraph_get()
-    ask = exact_light._Ask(scene, graph.view_layer.name, samples.hands_at(graph), lambda: True)
-    monkeypatch.setattr(exact_light, "_ask", ask)
-    objects = len(bpy.data.objects)
+    done = []
+    errand = handover._Errand(lambda: done.append("baked"), lambda: True)
+    monkeypatch.setattr(handover, "_errand", errand)
     exact_light.tend()
-    assert ask.is_done.is_set()
-    assert ask.failure.kind == "canceled"
-    assert len(bpy.data.objects) == objects
+    assert errand.is_done.is_set()
+    assert errand.failure.kind == "canceled"
+    assert not done

@@ -89,7 +89,7 @@ def edges(engine_python, tmp_path_factory) -> dict[str, tuple[np.ndarray, np.nda
 
 
 def width_m(left: np.ndarray) -> float:
-    """Between a tenth and nine tenths of the way from the darkest point to full light, meters: the mean of both sides."""
+    """From a tenth to nine tenths of the way from the darkest point to full light, meters; mean of both sides."""
     across = (np.arange(POINTS) + 0.5) / POINTS * SEEN_M
     middle = POINTS // 2
     part = (left - left.min()) / (1 - left.min())

@@ -194,7 +194,7 @@ def test_a_second_look_without_an_edit_asks_no_object(scene, monkeypatch):
     assert told() != first
     pane.location.z -= 1.0
     monkeypatch.delattr(limits, "_things")
-    monkeypatch.setattr(limits.rendering, "is_blender_busy", lambda: True)
+    monkeypatch.setattr(limits.handover, "is_blender_busy", lambda: True)
     assert told() != first  # what was found last, until the render is over
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -19,11 +20,12 @@ from test_combine import f12
 from test_limits import material
 from test_render_engine import layers, with_link
 
+from blender_addon import clock
 from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files
-from blender_addon.render import camera, composite, lamps, probe, scene_light
+from blender_addon.render import camera, composite, exact_light, handover, lamps, probe, scene_light
 from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers
 
@@ -293,6 +295,25 @@ def test_a_keyed_world_that_is_measured_lights_each_frame_as_it_is_there(scene, 
         means.append(np.reshape(image.pixels[:], (-1, 4))[:, :3].mean())
     assert means[1] == pytest.approx(2 * means[0], rel=0.05)
     assert len(measured) == 2
+
+
+def test_a_render_in_a_window_has_its_world_measured_on_the_main_thread(scene, monkeypatch):
+    """Its own thread waits meanwhile; what was made for that goes when no render goes on."""
+    untold(scene)
+    graph, found, is_rendering = bpy.context.evaluated_depsgraph_get(), [], True
+    monkeypatch.setattr(clock, "runs", lambda: True)
+    monkeypatch.setattr(handover, "is_blender_busy", lambda: is_rendering)
+    before = len(bpy.data.scenes), len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials)
+    waits = threading.Thread(target=lambda: found.append(scene_light.of_render(graph, [scene.objects[0]])))
+    waits.start()
+    while waits.is_alive():
+        exact_light.tend()
+        waits.join(0.01)
+    assert found[0].picture == pytest.approx(0.5, abs=0.02)
+    assert len(bpy.data.scenes) == 2
+    is_rendering = False
+    exact_light.tend()
+    assert before == (len(bpy.data.scenes), len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.materials))
 
 
 def test_a_window_renders_no_world_that_is_not_measured(scene, monkeypatch, tmp_path):

@@ -49,7 +49,7 @@ def step_esc_ends_an_animation_at_any_moment(window):
     path, (scene.frame_start, scene.frame_end) = scene.render.filepath, (1, 40)
     before = _state()
     for moment, owner, name in (
-        ("before", exact, "_answer"),
+        ("before", window.module("render.handover"), "_run"),
         ("in", exact.probe, "bake"),
         ("after", engine, "_ask"),
     ):
@@ -132,6 +132,37 @@ def step_what_is_saved_while_it_renders_has_no_stage(window):
     yield 1.0
     close_other_windows(window)
     assert _names_in(file) == names
+
+
+def step_a_keyed_sky_lights_each_frame_as_it_is_there(window):
+    """Its world is measured on the main thread while the render waits; Exact Light is off."""
+    scene, world = bpy.context.scene, bpy.data.worlds.new("Sky")
+    scene.world, scene.jghand.use_exact_light = world, False
+    bpy.data.objects["Light"].hide_render = bpy.data.objects["Cube"].hide_render = True
+    if world.node_tree is None:
+        world.use_nodes = True
+    sky = world.node_tree.nodes.new("ShaderNodeTexSky")
+    world.node_tree.links.new(sky.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"])
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.05
+    for frame, elevation in ((1, 0.2), (3, 1.0)):
+        sky.sun_elevation = elevation
+        sky.keyframe_insert("sun_elevation", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 3
+    scene.render.filepath = str(window.out / "sky" / "####.png")
+    before, done = _state(), []
+    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
+    bpy.app.handlers.render_cancel.append(lambda *_: done.append(False))
+    yield from window.point_at_view()
+    yield from window.key("ctrl+F12")
+    yield lambda: done and not bpy.app.is_job_running("RENDER")
+    yield 1.0
+    window.picture("sky")
+    assert done == [True]
+    means = [read(frame).mean() for frame in sorted((window.out / "sky").glob("*"))]
+    assert means[0] < means[1] < means[2], means
+    close_other_windows(window)
+    yield 0.5
+    assert _state() == before
 
 
 def _names_in(file) -> dict[str, list[str]]:
