@@ -18,6 +18,7 @@ import numpy as np
 import tyro
 from PIL import Image
 
+from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.options import AreaLight, Light, Sampling
 from jghand_engine.captures.making.person_skin import PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.plan import CapturePlan, drafted_mesh, write_plan
@@ -77,7 +78,8 @@ def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np
     if options.views == ("maps",):
         return maps(skin, size[1])
     names = sorted({VIEWS[view][0] for view in options.views})
-    pose = hand.pose(np.stack([hand.angles_of(name) for name in names]))
+    closing = Closing(hand)
+    pose = hand.pose(np.stack([closing.closed(hand.angles_of(name)) for name in names]))
     cameras = tuple(camera(view, pose.joints_m[names.index(VIEWS[view][0])], size) for view in options.views)
     sampling = dataclasses.asdict(Sampling(samples=options.samples, subdivisions=0))
     told = {"sampling": sampling, "light": dataclasses.asdict(LIGHT), "skin": skin.material}

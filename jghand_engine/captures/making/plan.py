@@ -27,6 +27,7 @@ import numpy as np
 
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
+from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
 from jghand_engine.captures.making.options import CaptureOptions, Light, is_file, read_input
 from jghand_engine.captures.making.person_skin import MESH_FILE, PERSON_FILES, PersonSkin
@@ -165,8 +166,8 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     camera_plan = CameraPlan(options.cameras, options.close_ups, options.width, options.height, options.seed)
     camera_plan.check()
     if options.motion is None:
-        poses = varied_poses(hand, options.poses, options.seed)
-        names, posed = poses.names, hand.pose(poses.angles_deg)
+        poses, closing = varied_poses(hand, options.poses, options.seed), Closing(hand)
+        names, posed = poses.names, hand.pose(np.stack([closing.closed(angles) for angles in poses.angles_deg]))
     else:
         names, posed = _of_motion(hand, options.motion, options.poses)
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)

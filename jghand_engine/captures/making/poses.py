@@ -2,6 +2,7 @@
 
 They are ordered so that the first n are varied for every n: the kinds take turns, and within its kind the pose comes
 next that is farthest from all that came before. So whoever stops a capture early has lost detail, not a kind of pose.
+They are chosen by their bones; `closing` then brings the skin of the chosen ones together.
 """
 
 from __future__ import annotations

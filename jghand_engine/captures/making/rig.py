@@ -1,10 +1,11 @@
 """The hands that captures show: the mesh of the built-in hand in other shapes, none of them its own, and their rig of
 25 joints, with metacarpals that cup the palm, and plain linear blend skinning. DATA 2.
 
-The shapes are made by scripts/build_identities.py. Faces, UV and skin weights are those of the built-in hand's file.
+The shapes are made by scripts/build_identities.py; their fingers get flesh here. Faces, UV and skin weights are those
+of the built-in hand's file.
 
 The rig shares no rotation with the transform that learns from the images: bones turn about hinge axes (or follow
-directions of a motion), ring and pinky knuckles sink when those fingers bend, and each joint's own
+directions of a motion), knuckles draw together and those of ring and pinky sink when fingers bend, and each joint's own
 rotation carries its skin.
 """
 
@@ -15,14 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import FINGERS
+from jghand_engine.hand.joints import FINGERS, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import CONTACTS, named_angles
 from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation
+from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields
 from jghand_engine.template.checks import expect_shape
+from jghand_engine.template.weights import bone_weights, columns_to_level
 
 # places in the rig of the 21 joints in standard order; the four others are the bases of the metacarpals
 RIG_OF_STANDARD = (0, 1, 2, 3, 4, 6, 7, 8, 9, 11, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23, 24)
@@ -37,6 +40,12 @@ CUP_OPPOSITION = 0.30
 CUP_REST = 0.05
 # how far below flat a stretched finger may press its metacarpal, as a part of the largest turn
 CUP_FLATTEN = 0.25
+# knuckles draw together when fingers bend: the turn of the metacarpals in the palm's plane at a right angle of the
+# knuckle, degrees, towards the thumb's side below 0. First phalanges then touch, as they do in a fist (SKIN 8)
+ARCH_DEG, ARCH_FLEXION_DEG = (2.6, 0.0, -2.0, -7.0), 90.0
+# fingers are so much thicker about their bones than those of the file, which are slim for the breadth of its palm; from
+# no change to all of it where the finger's share of the skin's weights is between these (SKIN 8)
+FLESH, FLESH_SHARES = 1.10, (0.5, 1.0)
 # the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then
 # lie on the palm; judged by eye on images of fists
 PALM_GAP_PART = 0.075
@@ -76,6 +85,14 @@ class Identity:
         """(21, 3) canonical joints, level order."""
         return joints21(self.joints25_m)
 
+    @property
+    def bone_weights(self) -> np.ndarray:
+        """(V, 21) of bones, as an avatar of this hand has them: metacarpals count as the wrist."""
+        lumped = self.weights25.copy()
+        lumped[:, 0] += lumped[:, list(METACARPAL_BASES)].sum(1)
+        of_joints = columns_to_level(lumped[:, list(RIG_OF_STANDARD)], JointOrder.STANDARD)
+        return bone_weights(of_joints, self.vertices_m, self.joints_m)
+
 
 def joints21(joints25: np.ndarray) -> np.ndarray:
     """(..., 25, 3) joints of the rig -> (..., 21, 3), level order."""
@@ -105,14 +122,31 @@ def load_identity(wanted: str) -> Identity:
     shapes, rig = _shapes(), load_fields()
     # the wrist took what was left to 1: round-off below 0
     weights = rig["weights25"].astype(np.float64).clip(0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    joints25_m = shapes["joints25"][place].astype(np.float64)
     return Identity(
         name=name,
-        vertices_m=shapes["vertices"][place].astype(np.float64),
+        vertices_m=_fleshed(shapes["vertices"][place].astype(np.float64), joints25_m, weights),
         faces=rig["faces"].astype(np.int64),
         face_uv=rig["face_uv"].astype(np.float64),
-        joints25_m=shapes["joints25"][place].astype(np.float64),
-        weights25=weights / weights.sum(axis=1, keepdims=True),
+        joints25_m=joints25_m,
+        weights25=weights,
     )
+
+
+def _fleshed(vertices_m: np.ndarray, joints25_m: np.ndarray, weights25: np.ndarray) -> np.ndarray:
+    """The vertices (V, 3) with the skin of index..pinky FLESH times as far from the nearest point of their bones."""
+    fleshed = vertices_m.copy()
+    for first in FIRST_JOINTS[1:]:
+        starts, bones = joints25_m[first : first + 3], np.diff(joints25_m[first : first + 4], axis=0)
+        from_start = vertices_m[:, None] - starts
+        along = ((from_start * bones).sum(-1) / (bones**2).sum(-1)).clip(0, 1)
+        from_bone = from_start - along[..., None] * bones
+        nearest = np.linalg.norm(from_bone, axis=-1).argmin(1)
+        share = np.interp(weights25[:, first : first + 4].sum(1), FLESH_SHARES, (0, 1))
+        amount = (FLESH - 1) * share**2 * (3 - 2 * share)
+        fleshed += amount[:, None] * from_bone[np.arange(len(vertices_m)), nearest]
+    return fleshed
 
 
 def _shapes() -> dict[str, np.ndarray]:
@@ -165,7 +199,8 @@ class RiggedHand(ArticulatedHand):
         return self._chained(palm, fingers)
 
     def angles_of(self, name: str) -> np.ndarray:
-        """(5, 4) angles of a named pose, degrees, with the finger tips on the palm instead of in it."""
+        """(5, 4) angles of a named pose, degrees, with the bones of the finger tips on the palm instead of in it; what
+        of its skin touches is for `closing`."""
         angles = self.eased(np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1]))
         return self.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
 
@@ -216,7 +251,7 @@ class RiggedHand(ArticulatedHand):
 
     def _cupping(self, angles_deg: np.ndarray) -> np.ndarray:
         """(F, 5, 4) -> (F, 5, 3, 3) rotations of the metacarpals (the thumb's has none): the palm hollows when fingers
-        bend and when the thumb comes across, and flattens when they stretch."""
+        bend and when the thumb comes across, and flattens when they stretch; bent knuckles draw together."""
         bent = (angles_deg[:, 1:, 0] / RANGES_DEG[1:, 0, 1]).clip(-1, 1)
         across = (angles_deg[:, :1, 0] / RANGES_DEG[0, 0, 1]).clip(0, 1)
         amount = CUP_FLEXION * bent + CUP_OPPOSITION * across + CUP_REST
@@ -225,7 +260,8 @@ class RiggedHand(ArticulatedHand):
         bones = bones - self.identity.joints25_m[list(METACARPAL_BASES)]
         # positive rotation about cross(bone, out of the palm) is flexion
         axes = _unit(np.cross(bones, [0.0, 0.0, 1.0]))
-        turns = axis_rotation(axes, cup)
+        arch = np.radians(ARCH_DEG) * (angles_deg[:, 1:, 0] / ARCH_FLEXION_DEG).clip(0, 1)
+        turns = axis_rotation(np.array([0.0, 0.0, 1.0]), arch) @ axis_rotation(axes, cup)
         still = np.broadcast_to(np.eye(3), (len(angles_deg), 1, 3, 3))
         return np.concatenate([still, turns], axis=1)
 
@@ -247,6 +283,17 @@ class RiggedHand(ArticulatedHand):
             # a tip carries no skin; its rotation is that of the bone that ends there
             turn[:, first + 3] = fingers[:, 2, finger]
         return RigPose(turn, joints)
+
+
+def driven_skin(
+    vertices_m: np.ndarray, weights: np.ndarray, canonical_joints_m: np.ndarray, joints_m: np.ndarray
+) -> np.ndarray:
+    """(V, 3) that the transform of avatars makes of a shape: vertices_m (V, 3) with weights (V, 21) of bones, both of
+    the canonical right hand, at the joints (21, 3), level order. The rig's skin is another."""
+    bones = Skeleton(canonical_joints_m, handedness=Handedness.RIGHT).bones(joints_m, np.float64)
+    blended = np.einsum("vb,bij->vij", weights, bones.linear_offset)
+    from_root_m = vertices_m - canonical_joints_m[0]
+    return np.einsum("vij,vj->vi", blended[..., :3], from_root_m) + blended[..., 3] + bones.root_m
 
 
 def palm_gaps_m(joints_m: np.ndarray) -> np.ndarray:

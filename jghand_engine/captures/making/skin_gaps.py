@@ -1,0 +1,106 @@
+"""How far the parts of one hand's skin are from one another: of neighboring fingers, of fingers and palm, of the thumb.
+
+Distances are millimeters between the vertices of a smooth mesh and the other part's skin at its nearest vertex;
+negative inside it. SKIN 8.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from jghand_engine.captures.making.rig import FIRST_JOINTS, Identity
+from jghand_engine.template.subdivision import Subdivision
+from jghand_engine.template.surface import unit
+
+MM = 1e-3
+# subdivisions of the mesh that is measured: vertices 2 mm apart
+LEVELS = 1
+# weight of a part's joints from which a vertex is one of that part's own, and of all fingers up to which it is palm
+OWN, PALM = 0.9, 0.3
+# the thumb's last two bones: its skin near the MCP belongs to the hand
+OWN_THUMB = 0.6
+# skin is on the inner side of other skin at most so far from it; farther it is the other side of a thin part
+DEEPEST_MM = 8.0
+# skin beside a vertex by up to this is over it: the mesh goes on there, and its own plane says how far
+SPACING_MM = 2.0
+# what counts of a part's vertices: of a flank its nearest quarter, of a tip the nearest hundredth, so that one vertex
+# does not decide
+FLANK_PART, TIP_PART = 0.25, 0.01
+# finger and the neighbor towards which it turns, thumb 0 .. pinky 4
+NEIGHBORS = ((1, 2), (3, 2), (4, 3))
+FINGERS = (1, 2, 3, 4)
+
+
+class HandSkin:
+    """The skin of an identity and its parts, as vertex numbers of a smooth mesh."""
+
+    def __init__(self, identity: Identity, levels: int = LEVELS) -> None:
+        fine = Subdivision.of(identity.faces, identity.face_uv, levels)
+        self.faces, self.matrix = fine.faces, fine.matrix
+        weights = fine.matrix @ identity.weights25
+
+        def of(finger: int, bones: slice) -> np.ndarray:
+            first = FIRST_JOINTS[finger]
+            return weights[:, first : first + 4][:, bones].sum(1)
+
+        whole = np.stack([of(finger, slice(0, 4)) for finger in range(5)], 1)
+        self.palm = np.flatnonzero(whole.sum(1) < PALM)
+        self.fingers = [np.flatnonzero(whole[:, finger] > OWN) for finger in range(5)]
+        self.ends = [np.flatnonzero(of(0, slice(2, 4)) > OWN_THUMB)]
+        self.ends += [np.flatnonzero(of(finger, slice(1, 4)) > OWN) for finger in FINGERS]
+
+    def gaps(self, vertices_m: np.ndarray) -> SkinGaps:
+        """Of the identity's posed mesh (V, 3)."""
+        return SkinGaps(self, self.matrix @ vertices_m)
+
+
+class SkinGaps:
+    """Distances, mm, of one pose. A finger's end are its last two phalanges."""
+
+    def __init__(self, skin: HandSkin, vertices_m: np.ndarray) -> None:
+        self._skin, self._mm = skin, vertices_m / MM
+        self._trees: dict[int, KDTree] = {}
+
+    def neighbors(self) -> np.ndarray:
+        """(3,) of NEIGHBORS: the finger's end from the other finger, mean of its nearest quarter."""
+        return np.array([self._flank(finger, other) for finger, other in NEIGHBORS])
+
+    def palm(self) -> np.ndarray:
+        """(4,) of index..pinky: the finger's end from the palm, where it is nearest."""
+        parts = self._skin
+        return np.array([_nearest(self._signed(parts.ends[finger], -1, parts.palm)) for finger in FINGERS])
+
+    def thumb(self) -> np.ndarray:
+        """(4,) of index..pinky: the thumb's end from the finger, where it is nearest."""
+        parts = self._skin
+        return np.array([_nearest(self._signed(parts.ends[0], other, parts.fingers[other])) for other in FINGERS])
+
+    def _flank(self, finger: int, other: int) -> float:
+        signed = np.sort(self._signed(self._skin.ends[finger], other, self._skin.fingers[other]))
+        return float(signed[: int(FLANK_PART * len(signed))].mean())
+
+    def _signed(self, vertices: np.ndarray, other: int, others: np.ndarray) -> np.ndarray:
+        """(N,) distances of vertices (N,) from the part whose number is `other` and whose vertices are `others`."""
+        if other not in self._trees:
+            self._trees[other] = KDTree(self._mm[others])
+        distance, nearest = self._trees[other].query(self._mm[vertices])
+        nearest = others[nearest]
+        height = ((self._mm[vertices] - self._mm[nearest]) * self._normals[nearest]).sum(1)
+        beside = np.sqrt(np.maximum(distance**2 - height**2, 0))
+        distance = np.hypot(height, np.maximum(beside - SPACING_MM, 0))
+        return np.where((height < 0) & (distance < DEEPEST_MM), -distance, distance)
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        """(V, 3) unit."""
+        a, b, c = (self._mm[self._skin.faces[:, k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        corner, count = self._skin.faces.T.reshape(-1), len(self._mm)
+        return unit(np.stack([np.bincount(corner, np.tile(axis, 3), count) for axis in normals.T], 1))
+
+
+def _nearest(signed_mm: np.ndarray) -> float:
+    return float(np.quantile(signed_mm, TIP_PART))

@@ -1,0 +1,54 @@
+"""Prints how far the skin of fingers, palm and thumb is apart in a pose, on every hand that captures show: millimeters,
+negative inside.
+
+    python scripts/show_skin_gaps.py --pose fist
+
+captured: as a capture shows the pose · by bones: the same before its skin is closed · driven: the named pose that
+animators apply, on an avatar that is exactly that hand. Neighbors: index to middle, ring to middle, pinky to ring, the
+mean of the nearest quarter of the last two phalanges. Palm: index to pinky; thumb: to index and middle; the nearest
+hundredth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import tyro
+
+from jghand_engine.captures.making.closing import Closing
+from jghand_engine.captures.making.rig import RiggedHand, driven_skin, identity_names, load_identity
+from jghand_engine.captures.making.skin_gaps import HandSkin, SkinGaps
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+
+
+@dataclass(frozen=True)
+class Options:
+    pose: str = "fist"
+
+
+def main(options: Options) -> None:
+    print(f"{options.pose:26}{'neighbors':^24}{'palm':^30}{'thumb':^14}")
+    for name in identity_names():
+        hand = RiggedHand(load_identity(name))
+        by_bones, closing = hand.angles_of(options.pose), Closing(hand)
+        rows = {
+            "by bones": closing.gaps(by_bones),
+            "captured": closing.gaps(closing.closed(by_bones)),
+            "driven": driven_gaps(hand, options.pose),
+        }
+        for kind, gaps in rows.items():
+            parts = (gaps.neighbors(), gaps.palm(), gaps.thumb()[:2])
+            print(f"{name:14}{kind:10}" + "  ".join("".join(f"{gap:7.1f}" for gap in part) for part in parts))
+
+
+def driven_gaps(hand: RiggedHand, pose: str) -> SkinGaps:
+    """Of an avatar that is exactly this hand in a named pose."""
+    identity = hand.identity
+    joints_m = named_pose(pose, identity.joints_m, handedness=Handedness.RIGHT)
+    skin_m = driven_skin(identity.vertices_m, identity.bone_weights, identity.joints_m, joints_m)
+    return HandSkin(identity).gaps(skin_m)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

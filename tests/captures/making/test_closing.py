@@ -1,0 +1,68 @@
+"""Skin that nearly touches touches, on every hand, and none is inside another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jghand_engine.captures.making.closing import Closing
+from jghand_engine.captures.making.rig import RiggedHand, identity_names, load_identity
+from jghand_engine.captures.making.skin_gaps import HandSkin
+from jghand_engine.hand.kinematics import RANGES_DEG
+
+
+@pytest.fixture(scope="module")
+def woman() -> Closing:
+    return Closing(RiggedHand(load_identity("adult_woman")))
+
+
+@pytest.mark.parametrize("name", identity_names())
+def test_a_fist_is_closed_on_every_hand(name):
+    closing = Closing(RiggedHand(load_identity(name)))
+    angles = closing.closed(closing.hand.angles_of("fist"))
+    assert (angles >= RANGES_DEG[..., 0]).all()
+    assert (angles <= RANGES_DEG[..., 1]).all()
+    gaps = closing.gaps(angles)
+    # by the bones alone neighbors are up to 7 mm apart; worst observed 0.4
+    assert gaps.neighbors().min() > -1
+    assert gaps.neighbors().max() < 0.5
+    # worst observed -3.2 and -1.1
+    assert gaps.palm().min() > -4
+    assert gaps.palm().max() < 0
+    # the thumb lies on the index finger, and on the middle one where it is long enough
+    assert -2 < gaps.thumb()[0] < 0
+    assert -2 < gaps.thumb()[1] < 2.5
+
+
+@pytest.mark.parametrize("name", ["pinch", "ok"])
+def test_thumb_and_index_touch_skin_on_skin(woman, name):
+    before = woman.hand.angles_of(name)
+    # where the joints of the tips meet the skin is 4 mm inside
+    assert woman.gaps(before).thumb()[0] < -2
+    assert -1 < woman.gaps(woman.closed(before)).thumb()[0] < 0
+
+
+@pytest.mark.parametrize("name", ["open", "spread", "claw", "table"])
+def test_a_pose_in_which_nothing_nearly_touches_stays(woman, name):
+    angles = woman.hand.angles_of(name)
+    np.testing.assert_array_equal(woman.closed(angles), angles)
+
+
+def test_a_finger_moved_by_a_millimeter_is_a_millimeter_nearer():
+    """What the measure says changes as the skin moves, outside and inside."""
+    identity = load_identity("adult_woman")
+    skin, hand = HandSkin(identity), RiggedHand(identity)
+    posed_m = hand.skin(hand.pose(hand.angles_of("flat")[None]))[0]
+    # of the whole index finger to the middle one
+    to_middle_m = -1e-3 * identity.weights25[:, 6:10].sum(1)[:, None] * [1.0, 0.0, 0.0]
+
+    def gap(moved_mm: float) -> float:
+        return float(skin.gaps(posed_m + moved_mm * to_middle_m).neighbors()[0])
+
+    start = gap(0)
+    moves = np.arange(1, start + 6)
+    seen = np.array([gap(move) for move in moves])
+    # flanks are round and not parallel: observed 0.6 to 1.0 mm for each millimeter
+    assert (np.diff(seen) < -0.4).all()
+    assert (np.diff(seen) > -1.3).all()
+    assert seen[-1] < 0
