@@ -48,207 +48,161 @@ def command(tmp_path, capsys):
 
 
 @pytest.fixture
-def render(tmp_path, command):
-    """Renders an array as a motion file; returns exit code, standard error, and the folder."""
+def refused(tmp_path, command):
+    """Runs a command that is refused in these words, and makes no folder `out`."""
 
-    def run(array, *more, order="standard"):
-        path, out = tmp_path / "motion.npy", tmp_path / "out"
-        np.save(path, array)
-        words = ("render", "--motion", path, "--hand", "right", "--order", order, "--out", out, *SMALL, *more)
-        return *command(*words), out
+    def run(*words, says):
+        was_there = (tmp_path / "out").exists()
+        code, err = command(*words)
+        assert code == 2
+        for each in [says] if isinstance(says, str) else says:
+            assert each in err
+        assert (tmp_path / "out").exists() == was_there
 
     return run
 
 
-def test_joints_that_are_missing_are_held_and_counted(joints, render, capsys):
-    gappy = joints.copy()
-    gappy[4:6, 9] = np.nan
-    code, _, out = render(gappy, "--frames", "0:7", "--on-missing", "hold")
-    assert code == 0
-    assert len(list(out.glob("frame_*.png"))) == 8
-    pictures = [read_png(out / f"frame_{index:05d}.png").tobytes() for index in range(8)]
+def of_motion(folder, array, *more, order="standard"):
+    """The words that render an array as a motion file into `out`."""
+    np.save(folder / "motion.npy", array)
+    words = ("render", "--motion", folder / "motion.npy", "--hand", "right", "--order", order)
+    return *words, "--out", folder / "out", *SMALL, *more
+
+
+def gappy(joints):
+    """Two of its frames lack a joint."""
+    joints = joints.copy()
+    joints[4:6, 9] = np.nan
+    return joints
+
+
+def test_joints_that_are_missing_are_held_and_counted(joints, command, tmp_path):
+    assert command(*of_motion(tmp_path, gappy(joints), "--frames", "0:7", "--on-missing", "hold"))[0] == 0
+    assert len(list((tmp_path / "out").glob("frame_*.png"))) == 8
+    pictures = [read_png(tmp_path / f"out/frame_{index:05d}.png").tobytes() for index in range(8)]
     assert pictures[3] == pictures[4] == pictures[5], "the last whole pose"
     assert pictures[6] != pictures[5]
 
 
-def test_joints_that_are_missing_are_filled_unless_asked_otherwise(joints, render):
-    gappy = joints.copy()
-    gappy[4:6, 9] = np.nan
-    code, _, out = render(gappy, "--frames", "0:7")
-    assert code == 0
-    pictures = [read_png(out / f"frame_{index:05d}.png").tobytes() for index in range(3, 7)]
+def test_joints_that_are_missing_are_filled_unless_asked_otherwise(joints, command, tmp_path):
+    assert command(*of_motion(tmp_path, gappy(joints), "--frames", "0:7"))[0] == 0
+    pictures = [read_png(tmp_path / f"out/frame_{index:05d}.png").tobytes() for index in range(3, 7)]
     assert len(set(pictures)) == 4, "the hand moves on through the gap"
 
 
 def test_filled_frames_are_told(joints, tmp_path, capsys):
-    gappy = joints.copy()
-    gappy[4:6, 9] = np.nan
-    np.save(tmp_path / "motion.npy", gappy)
-    words = ["render", "--motion", str(tmp_path / "motion.npy"), "--hand", "right", "--order", "standard"]
-    assert main([*words, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "report.json"), *SMALL]) == 0
+    words = of_motion(tmp_path, gappy(joints), "--json", tmp_path / "report.json")
+    assert main([str(word) for word in words]) == 0
     assert "2 of 12 frames miss joints" in capsys.readouterr().out
     notes = json.loads((tmp_path / "report.json").read_text())["notes"]
     assert any("2 of 12 frames" in note for note in notes)
 
 
-def test_joints_that_are_missing_stop_the_command_when_asked_for(joints, render):
-    gappy = joints.copy()
-    gappy[4, 9] = np.nan
-    code, err, out = render(gappy, "--on-missing", "stop")
-    assert code == 2
-    assert "1 of 12 frames" in err
-    assert not out.exists()
+def test_joints_that_are_missing_stop_the_command_when_asked_for(joints, refused, tmp_path):
+    refused(*of_motion(tmp_path, gappy(joints), "--on-missing", "stop"), says="2 of 12 frames")
 
 
 @pytest.mark.parametrize(("count", "said"), [(20, "One joint is missing"), (42, "two hands of InterHand2.6M")])
-def test_another_number_of_joints_is_named(joints, render, count, said):
-    code, err, out = render(np.concatenate([joints, joints], 1)[:, :count])
-    assert code == 2
-    assert f"got {count}" in err
-    assert said in err
-    assert not out.exists()
+def test_another_number_of_joints_is_named(joints, refused, tmp_path, count, said):
+    refused(*of_motion(tmp_path, np.concatenate([joints, joints], 1)[:, :count]), says=(f"got {count}", said))
 
 
-def test_millimeters_given_as_meters_are_recognized(joints, render):
-    code, err, out = render(joints * 1000, "--unit", "m")
-    assert code == 2
-    assert "looks like millimeters" in err
-    assert not out.exists()
-    assert render(joints * 1000, "--unit", "mm", "--frames", "0")[0] == 0
+def test_millimeters_given_as_meters_are_recognized(joints, command, refused, tmp_path):
+    refused(*of_motion(tmp_path, joints * 1000, "--unit", "m"), says="looks like millimeters")
+    assert command(*of_motion(tmp_path, joints * 1000, "--unit", "mm", "--frames", "0"))[0] == 0
 
 
-def test_a_unit_that_nobody_said_is_recognized_and_told(joints, render, tmp_path):
+def test_a_unit_that_nobody_said_is_recognized_and_told(joints, command, tmp_path):
     figures = tmp_path / "figures.json"
-    assert render(joints * 1000, "--frames", "0", "--json", figures)[0] == 0
+    assert command(*of_motion(tmp_path, joints * 1000, "--frames", "0", "--json", figures))[0] == 0
     assert "millimeters; --unit sets another" in json.loads(figures.read_text())["notes"][0]
 
 
-def test_a_wrong_order_is_recognized_and_the_right_one_named(joints, render):
-    code, err, out = render(joints, order="interhand")
-    assert code == 2
-    assert "order 'standard'" in err
-    assert not out.exists()
+def test_a_motion_that_cannot_be_shown_is_refused(joints, refused, tmp_path):
+    refused(*of_motion(tmp_path, joints, order="interhand"), says="order 'standard'")
+    refused(*of_motion(tmp_path, np.zeros((0, 21, 3))), says="empty")
+    no_whole_frame = np.where(np.arange(21)[:, None] == 3, np.nan, joints)
+    refused(*of_motion(tmp_path, no_whole_frame), says="at least one frame")
+    refused(*of_motion(tmp_path, joints, "--frames", "50:60"), says="12 frames")
 
 
-def test_an_empty_motion_is_refused(render):
-    code, err, out = render(np.zeros((0, 21, 3)))
-    assert code == 2
-    assert "empty" in err
-    assert not out.exists()
-
-
-def test_a_motion_without_one_whole_frame_is_refused(joints, render):
-    code, err, _ = render(np.where(np.arange(21)[:, None] == 3, np.nan, joints))
-    assert code == 2
-    assert "at least one frame" in err
-
-
-def test_frames_that_the_motion_does_not_have_are_refused(joints, render):
-    code, err, _ = render(joints, "--frames", "50:60")
-    assert code == 2
-    assert "12 frames" in err
-
-
-def test_a_missing_hand_is_asked_for(joints, tmp_path, command):
+def test_a_missing_hand_is_asked_for(joints, tmp_path, refused):
     np.save(tmp_path / "motion.npy", joints)
-    words = ("render", "--motion", tmp_path / "motion.npy", "--order", "standard", "--out", tmp_path / "out")
-    code, err = command(*words)
-    assert code == 2
-    assert "handedness" in err
+    words = ("--motion", tmp_path / "motion.npy", "--order", "standard", "--out", tmp_path / "out")
+    refused("render", *words, says="handedness")
 
 
 @pytest.mark.parametrize("name", ["absent.npz", "absent.json", "motion.txt"])
-def test_a_file_that_is_not_there_or_of_no_known_kind_is_named(tmp_path, command, name):
-    code, err = command("render", "--motion", tmp_path / name, "--hand", "right", "--out", tmp_path / "out")
-    assert code == 2
-    assert name in err
+def test_a_file_that_is_not_there_or_of_no_known_kind_is_named(tmp_path, refused, name):
+    refused("render", "--motion", tmp_path / name, "--hand", "right", "--out", tmp_path / "out", says=name)
 
 
-def test_neither_motion_nor_poses_is_refused(tmp_path, command):
-    assert command("render", "--out", tmp_path / "out")[0] == 2
-    assert command("render", "--out", tmp_path / "out", "--poses", "open", "--motion", "x.npz")[0] == 2
-
-
-def test_an_unknown_pose_lists_the_known_ones(tmp_path, command):
-    code, err = command("render", "--poses", "open,wave", "--out", tmp_path / "out")
-    assert code == 2
-    assert "fist" in err
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), ""),
+        (("--poses", "open", "--motion", "x.npz"), ""),
+        (("--poses", "open,wave"), "fist"),
+        (("--poses", "open", "--avatar", "no.jghand"), "no.jghand"),
+        *((("--poses", "open", *SMALL, *words), "") for words in (
+            ("--size", "0x4"), ("--background", "pink"), ("--camera", "absent.json"), ("--camera", "above"),
+        )),
+    ],
+)  # fmt: skip
+def test_wrong_words_are_refused_before_anything_is_written(tmp_path, refused, words, says):
+    refused("render", "--out", tmp_path / "out", *words, says=says)
 
 
 @pytest.mark.parametrize("verb", ["render", "export"])
-def test_a_file_in_the_way_of_the_folder_is_named(tmp_path, command, verb):
+def test_a_file_in_the_way_of_the_folder_is_named(tmp_path, refused, verb):
     (tmp_path / "out").write_text("mine")
     more = SMALL if verb == "render" else ()
-    code, err = command(verb, "--poses", "open", "--frames", "0", "--out", tmp_path / "out", *more)
-    assert code == 2
-    assert "in the way" in err
+    refused(verb, "--poses", "open", "--frames", "0", "--out", tmp_path / "out", *more, says="in the way")
     assert (tmp_path / "out").read_text() == "mine"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_may_not_be_written_is_named(tmp_path, command):
+def test_a_folder_that_may_not_be_written_is_named(tmp_path, refused):
     (tmp_path / "closed").mkdir(mode=0o500)
-    code, err = command("render", "--poses", "open", "--frames", "0", "--out", tmp_path / "closed" / "out", *SMALL)
-    assert code == 2
-    assert "permission denied" in err
+    out = tmp_path / "closed" / "out"
+    refused("render", "--poses", "open", "--frames", "0", "--out", out, *SMALL, says="permission denied")
 
 
-def test_a_folder_that_the_system_refuses_is_named(tmp_path, command, monkeypatch):
+def test_a_folder_that_the_system_refuses_is_named(tmp_path, refused, monkeypatch):
     """The same for root, who may write everywhere: the refusal is simulated."""
 
     def refuse(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr("pathlib.Path.mkdir", refuse)
-    code, err = command("render", "--poses", "open", "--frames", "0", "--out", tmp_path / "out", *SMALL)
-    assert code == 2
-    assert "permission denied" in err
+    out = tmp_path / "out"
+    refused("render", "--poses", "open", "--frames", "0", "--out", out, *SMALL, says="permission denied")
 
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.5, 0.999])
-def test_a_truncated_avatar_is_refused(tmp_path, command, part):
+def test_a_truncated_avatar_is_refused(tmp_path, refused, part):
     content = (ASSETS / "painted_right.jghand").read_bytes()
-    (tmp_path / "torn.jghand").write_bytes(content[: int(part * len(content))])
-    words = ("--poses", "open", "--out", tmp_path / "out", "--avatar", tmp_path / "torn.jghand")
-    code, err = command("render", *words, *SMALL)
-    assert code == 2
-    assert "torn.jghand" in err
-    assert not (tmp_path / "out").exists()
-    assert command("info", tmp_path / "torn.jghand")[0] == 2
-
-
-def test_an_avatar_that_is_not_there_is_named(tmp_path, command):
-    code, err = command("render", "--poses", "open", "--out", tmp_path / "out", "--avatar", tmp_path / "no.jghand")
-    assert code == 2
-    assert "no.jghand" in err
+    torn = tmp_path / "torn.jghand"
+    torn.write_bytes(content[: int(part * len(content))])
+    refused("render", "--poses", "open", "--out", tmp_path / "out", "--avatar", torn, *SMALL, says="torn.jghand")
+    refused("info", torn, says="")
 
 
 @pytest.mark.parametrize("fps", ["0", "-30", "nan", "inf"])
-def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, command, joints, fps):
-    np.save(tmp_path / "motion.npy", joints)
-    from_file = ("--motion", tmp_path / "motion.npy", "--order", "standard", "--hand", "right")
-    for words in (("--poses", "open"), from_file):
-        code, err = command("render", *words, "--fps", fps, "--out", tmp_path / "out", *SMALL)
-        assert code == 2
-        assert "--fps" in err
-    assert not (tmp_path / "out").exists()
+def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, refused, joints, fps):
+    refused("render", "--poses", "open", "--fps", fps, "--out", tmp_path / "out", *SMALL, says="--fps")
+    refused(*of_motion(tmp_path, joints, "--fps", fps), says="--fps")
 
 
-def test_a_benchmark_of_nothing_is_refused(command):
-    code, err = command("bench", "--rounds", "0")
-    assert code == 2
-    assert "--rounds" in err
+def test_a_benchmark_of_nothing_is_refused(refused):
+    refused("bench", "--rounds", "0", says="--rounds")
 
 
-def test_a_light_that_is_none_is_refused_before_anything_is_written(tmp_path, command):
+def test_a_light_that_is_none_is_refused_before_anything_is_written(tmp_path, refused):
     light = tmp_path / "light.json"
     light.write_text('{"format": "jghand-light", "version": 1, "lamps": [{"kind": "torch"}]}')
-    out = tmp_path / "out"
-    for name, words in (("kind", light), ("ending", tmp_path / "sky"), ("cannot read", tmp_path / "sky.hdr")):
-        code, err = command("render", "--poses", "open", "--light", words, "--out", out, *SMALL)
-        assert code == 2
-        assert name in err
-    assert not out.exists()
+    for name, file in (("kind", light), ("ending", tmp_path / "sky"), ("cannot read", tmp_path / "sky.hdr")):
+        refused("render", "--poses", "open", "--light", file, "--out", tmp_path / "out", *SMALL, says=name)
 
 
 def test_pictures_of_a_longer_render_are_neither_mixed_in_nor_removed(tmp_path, command):
@@ -323,16 +277,6 @@ def test_a_traceback_is_shown_when_asked_for(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("JGHAND_DEBUG", "1")
     assert main(["render", "--poses", "wave", "--out", str(tmp_path)]) == 2
     assert "Traceback" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "words", [("--size", "0x4"), ("--background", "pink"), ("--camera", "absent.json"), ("--camera", "above")]
-)
-def test_a_wrong_option_is_refused_before_anything_is_written(tmp_path, command, words):
-    code, err = command("render", "--poses", "open", "--out", tmp_path / "out", *SMALL, *words)
-    assert code == 2
-    assert err
-    assert not (tmp_path / "out").exists()
 
 
 def test_an_out_folder_that_is_called_like_a_file_is_refused(tmp_path, command):
