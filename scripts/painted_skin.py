@@ -17,7 +17,7 @@ from jghand_engine.captures.making.skin import SkinPoints, noise
 from jghand_engine.captures.skin.noise import gauss, smoothstep
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
-from jghand_engine.template.surface import unit
+from jghand_engine.hand.rotations import unit
 
 MM = 1e-3
 FINGER_JOINTS = {"mcp": (2, 3, 4, 5), "pip": (7, 8, 9, 10), "dip": (12, 13, 14, 15)}

@@ -16,8 +16,8 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt
 from jghand_engine.captures.making.skin import SkinPoints
 from jghand_engine.captures.skin.noise import smoothstep
 from jghand_engine.color import linear_to_srgb
+from jghand_engine.hand.rotations import unit
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.surface import unit
 
 GRID_STEP_M = 0.0007
 GRID_MARGIN_M = 0.004

@@ -130,29 +130,22 @@ def test_an_environment_is_made_once_and_again_when_its_sources_change(tiny, cap
     assert "installing" in capsys.readouterr().out
 
 
-def test_an_environment_whose_installation_broke_off_is_finished(tiny, capsys):
+@pytest.mark.parametrize(
+    ("lost", "said"),
+    [
+        ((environments.STAMP,), "installing the packages"),
+        (("**/bin/python", "**/python.exe"), "unfinished"),
+        ((environments.STAMP, "**/site-packages/pip"), "unfinished"),
+    ],
+    ids=["packages", "python", "pip"],
+)
+def test_an_environment_that_lacks_something_is_finished_or_made_anew(tiny, capsys, lost, said):
     environments.ensure(tiny)
-    (tiny.folder / environments.STAMP).unlink()
+    for path in [path for name in lost for path in tiny.folder.glob(name)]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
     capsys.readouterr()
     environments.ensure(tiny)
-    assert "installing the packages" in capsys.readouterr().out
-
-
-def test_an_environment_without_a_working_python_is_made_anew(tiny, capsys):
-    environments.ensure(tiny)
-    tiny.python.unlink()
-    capsys.readouterr()
-    environments.ensure(tiny)
-    assert "unfinished" in capsys.readouterr().out
-
-
-def test_an_environment_whose_making_broke_off_before_pip_is_made_anew(tiny, capsys):
-    environments.ensure(tiny)
-    (tiny.folder / environments.STAMP).unlink()
-    shutil.rmtree(next(tiny.folder.rglob("site-packages/pip")))
-    capsys.readouterr()
-    environments.ensure(tiny)
-    assert "unfinished" in capsys.readouterr().out
+    assert said in capsys.readouterr().out
 
 
 def test_an_update_that_fails_keeps_the_environment_and_is_tried_again(tiny, tiny_failures, tmp_path, capsys):

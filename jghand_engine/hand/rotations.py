@@ -112,3 +112,9 @@ def alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     sign = np.ones((*u.shape[:-2], 3))
     sign[..., 2] = np.sign(np.linalg.det(u @ vt))
     return (u * sign[..., None, :]) @ vt
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """`vectors` (..., 3) divided by their length; 0 stays 0."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

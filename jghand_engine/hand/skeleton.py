@@ -20,7 +20,7 @@ import numpy as np
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import check_joint_shape
-from jghand_engine.hand.rotations import half_turns
+from jghand_engine.hand.rotations import half_turns, unit
 from jghand_engine.native import library
 
 # ---- thresholds of the transform, relative to the hand's size unless a unit is given ----
@@ -278,7 +278,7 @@ class CanonicalHand:
         u, swing = np.empty((15, 3)), np.empty((15, 3, 3))
         for first in (0, 5, 10):
             here, parent, child = (slice(first + start, first + start + 5) for start in (0, 1, 6))
-            u[here] = _unit(np.einsum("bji,bj->bi", frames[parent], direction[child.start - 1 : child.stop - 1]))
+            u[here] = unit(np.einsum("bji,bj->bi", frames[parent], direction[child.start - 1 : child.stop - 1]))
             swing[here] = euler_swing(u[here])
             frames[child] = frames[parent] @ swing[here]
         if (1 - np.abs(u[:, 1]) < CANONICAL_POLE_MIN).any():
@@ -286,24 +286,20 @@ class CanonicalHand:
         return cls(joints[0], centered, length, direction, frames, u, swing, normal)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def _palm_frame(bones: np.ndarray) -> np.ndarray:
     """(3, 3): z along the sum of the metacarpals index..pinky, x along the area vector of their fan; neither is
     normalized before, so that each metacarpal counts by how well it is conditioned (METHOD 2.7)."""
     fan = bones[1:5]
-    z = _unit(fan.sum(axis=0))
+    z = unit(fan.sum(axis=0))
     area = np.cross(fan[:-1], fan[1:]).sum(axis=0)
-    x = _unit(area - area @ z * z)
+    x = unit(area - area @ z * z)
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
 def _metacarpal_frames(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(5, 3, 3) of the metacarpals (5, 3) from the normals (4, 3) of the palm planes beside them."""
     beside = np.stack([normal[0], normal[1], (normal[1] + normal[2]) / 2, (normal[2] + normal[3]) / 2, normal[3]])
-    y = _unit(np.cross(direction, beside))
+    y = unit(np.cross(direction, beside))
     return np.stack([np.cross(y, direction), y, direction], axis=-1)
 
 

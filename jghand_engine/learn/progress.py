@@ -102,13 +102,12 @@ class LiveLine:
 class PlainLines:
     """One line of status now and then, for logs and pipes."""
 
-    def __init__(self, console: Console, every_s: float = PROGRESS_LINE_S) -> None:
-        self._console, self._every_s = console, every_s
-        self._last_s = -every_s
+    def __init__(self, console: Console) -> None:
+        self._console, self._last_s = console, -PROGRESS_LINE_S
 
     def update(self, status: Status) -> None:
         now_s = time.monotonic()
-        if now_s - self._last_s >= self._every_s or status.step >= status.steps:
+        if now_s - self._last_s >= PROGRESS_LINE_S or status.step >= status.steps:
             self._last_s = now_s
             self.note(status.sentence())
 

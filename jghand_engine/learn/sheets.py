@@ -165,12 +165,12 @@ def hands_between(first: Sample, second: Sample, parts: np.ndarray) -> np.ndarra
     return poses_between(first_m, second_m, parts[:, None, None])
 
 
-def pairs_of(samples: Sequence[Sample], count: int, seed: int = 0) -> list[tuple[Sample, Sample]]:
+def pairs_of(samples: Sequence[Sample], count: int) -> list[tuple[Sample, Sample]]:
     """Random pairs of different poses, at most `count`, no pose twice. InputError when there are not two poses."""
     poses = list({sample.pose: sample for sample in samples}.values())
     if len(poses) < 2:
         raise InputError("poses to go between", wanted="at least two", came=str(len(poses)))
-    order = np.random.default_rng(seed).permutation(len(poses))
+    order = np.random.default_rng(0).permutation(len(poses))
     return [(poses[a], poses[b]) for a, b in zip(order[:-1:2], order[1::2], strict=False)][:count]
 
 

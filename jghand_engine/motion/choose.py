@@ -20,6 +20,7 @@ from jghand_engine.hand.orders import (
     hand_length,
     to_level,
 )
+from jghand_engine.hand.rotations import unit
 from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat
 
 # frames in which joint order and the bend of the fingers are looked for: a hand's bones do not change
@@ -169,11 +170,7 @@ def curl_towards_palm(joints_m: np.ndarray, handedness: Handedness) -> float | N
     whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
     if not len(whole):
         return None
-    knuckles = _unit(whole[:, 2] - whole[:, 5])
+    knuckles = unit(whole[:, 2] - whole[:, 5])
     knuckles = knuckles if handedness is Handedness.RIGHT else -knuckles
-    proximal, middle = (_unit(whole[:, end] - whole[:, start]) for start, end in ((_MCP, _PIP), (_PIP, _DIP)))
+    proximal, middle = (unit(whole[:, end] - whole[:, start]) for start, end in ((_MCP, _PIP), (_PIP, _DIP)))
     return float((np.cross(proximal, middle) * knuckles[:, None]).sum(axis=-1).mean())
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

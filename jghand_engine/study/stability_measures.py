@@ -298,10 +298,10 @@ def hand_picture(avatar: HandAvatar | HandTensors, case: HandCase) -> PictureErr
     return against_reference(gaussians, camera_before(case))
 
 
-def camera_before(case: HandCase, side_px: int = PICTURE_PX) -> Camera:
+def camera_before(case: HandCase) -> Camera:
     """A camera that sees a whole hand whose wrist is at the origin, from the palm's side, however large the hand is."""
     distance_m = max(4.0 * case.size_m, 10 * contract.Z_NEAR_M)
     middle = (case.joints_m - case.joints_m[:1]).mean(0).numpy()
     eye = middle + np.array([0.3, 0.1, 0.95]) * distance_m
-    focal_px = 0.4 * side_px * distance_m / case.size_m
-    return Camera.looking_at(eye, middle, (0.0, 1.0, 0.0), width=side_px, height=side_px, focal_px=focal_px)
+    focal_px = 0.4 * PICTURE_PX * distance_m / case.size_m
+    return Camera.looking_at(eye, middle, (0.0, 1.0, 0.0), width=PICTURE_PX, height=PICTURE_PX, focal_px=focal_px)

@@ -80,8 +80,8 @@ def _needles(aspect: float) -> tuple[Gaussians, Camera]:
     return replace(gaussians, covariance_m2=six), camera
 
 
-def _camera_at(eye_m: list[float], target_m: list[float], width: int = 64, height: int = 64) -> Camera:
-    return Camera.looking_at(eye_m, target_m, (0.0, 1.0, 0.01), width=width, height=height, focal_px=0.9 * 64)
+def _camera_at(eye_m: list[float], target_m: list[float]) -> Camera:
+    return Camera.looking_at(eye_m, target_m, (0.0, 1.0, 0.01), width=64, height=64, focal_px=0.9 * 64)
 
 
 def _at_near_plane() -> tuple[Gaussians, Camera]:

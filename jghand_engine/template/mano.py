@@ -19,10 +19,11 @@ from scipy.sparse import csc_matrix, csr_matrix
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
+from jghand_engine.hand.rotations import unit
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.layout import obj_uv, projected_uv, room_for_disk
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.surface import boundary_loop, disk_uv, fan_faces, unit
+from jghand_engine.template.surface import boundary_loop, disk_uv, fan_faces
 from jghand_engine.template.weights import bone_weights, columns_to_level
 
 VERTICES, FACES, JOINTS = 778, 1538, 16

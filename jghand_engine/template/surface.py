@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jghand_engine.errors import InputError
+from jghand_engine.hand.rotations import unit
 
 
 def directed_edges(faces: np.ndarray) -> np.ndarray:
@@ -90,9 +91,3 @@ def is_closed(faces: np.ndarray) -> bool:
     edges = directed_edges(faces)
     forward = np.unique(edges, axis=0)
     return len(forward) == len(edges) and np.array_equal(forward, np.unique(edges[:, ::-1], axis=0))
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """`vectors` (..., 3) divided by their length; 0 stays 0."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

@@ -153,14 +153,19 @@ def drawn_by_cycles(context: bpy.types.Context, point: np.ndarray, *, radius: fl
     return centroid(alpha_of(folder / "ball.png"))
 
 
+def pixels(path: Path | str, *, as_it_is: bool = False) -> np.ndarray:
+    """(H, W, 4) of a picture file, straight alpha, top row first. as_it_is: its bytes, and not their colors"""
+    image = bpy.data.images.load(str(path))
+    if as_it_is:
+        image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
+    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
+    bpy.data.images.remove(image)
+    return values
+
+
 def alpha_of(path: Path) -> np.ndarray:
     """(H, W) alpha of a picture file, top row first."""
-    image = bpy.data.images.load(str(path))
-    width, height = image.size
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[::-1, :, 3]
+    return pixels(path)[..., 3]
 
 
 def centroid(weight: np.ndarray) -> np.ndarray:

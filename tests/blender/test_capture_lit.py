@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import bpy
 import mathutils
 import numpy as np
 import pytest
+from hands import pixels
+from tiny_captures import HEIGHT, WIDTH, make
 
 from blender_addon.capture import lit
 from blender_addon.capture.png import STAMP_KEY
-
-WIDTH, HEIGHT = 64, 96
-COMMAND = [
-    "capture", "--identity", "adult_woman", "--cameras", "2", "--close-ups", "0", "--poses", "1", "--lights", "varied",
-    "--size", f"{WIDTH}x{HEIGHT}", "--samples", "4", "--subdivisions", "0", "--threads", "1",
-]  # fmt: skip
 
 # the command with a plain skin of few pixels, which it writes itself
 PROGRAM = (
@@ -29,17 +23,15 @@ PROGRAM = (
 )
 
 
-def run(engine_python: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [engine_python, "-c", PROGRAM, *COMMAND, "--out", str(folder), "--blender-python", sys.executable]
-    command += ["--skin", str(folder.with_suffix(".png"))]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def capture(engine_python: str, folder: Path) -> str:
+    words = ("--cameras", "2", "--poses", "1", "--lights", "varied", "--samples", "4", "--subdivisions", "0")
+    return make(engine_python, folder, PROGRAM, *words, "--skin", str(folder.with_suffix(".png")))
 
 
 @pytest.fixture(scope="module")
 def captured(engine_python, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "tiny"
-    done = run(engine_python, folder)
-    assert done.returncode == 0, done.stderr
+    capture(engine_python, folder)
     return folder
 
 
@@ -48,9 +40,7 @@ def test_a_lost_picture_comes_back_byte_for_byte(captured, engine_python):
     before = {path: path.read_bytes() for path in (lost, lost.with_suffix(".png"))}
     times = kept.stat().st_mtime_ns
     lost.unlink()
-    done = run(engine_python, captured)
-    assert done.returncode == 0, done.stderr
-    assert "1 pictures" in done.stdout
+    assert "1 pictures" in capture(engine_python, captured)
     assert {path: path.read_bytes() for path in before} == before
     assert kept.stat().st_mtime_ns == times
 
@@ -65,7 +55,7 @@ def test_a_picture_has_its_groups_its_light_and_a_picture_for_the_eye(captured):
             assert arrays["groups"].dtype == np.float16
             assert not arrays["groups"][:, arrays["alpha"] == 0].any()
             assert f"{STAMP_KEY}\0{arrays['stamp']}".encode() in file.with_suffix(".png").read_bytes()
-            alpha = rgba(file.with_suffix(".png"))[..., 3]
+            alpha = pixels(file.with_suffix(".png"), as_it_is=True)[..., 3]
             np.testing.assert_array_equal(np.rint(255 * alpha[top:bottom, left:right]), arrays["alpha"])
             assert alpha.sum() == pytest.approx(alpha[top:bottom, left:right].sum())
     for world in captured.glob("plan/worlds/*.npy"):
@@ -75,14 +65,6 @@ def test_a_picture_has_its_groups_its_light_and_a_picture_for_the_eye(captured):
         assert (radiance >= 0).all()
         height = np.cos(np.pi * (0.5 - (np.arange(len(radiance)) + 0.5) / len(radiance)))[:, None, None]
         assert (radiance * height).sum() / (3 * 2 * len(radiance) * height.sum()) == pytest.approx(1, rel=2e-3)
-
-
-def rgba(file: Path) -> np.ndarray:
-    """(H, W, 4) of a PNG as it is, top row first."""
-    image = bpy.data.images.load(str(file))
-    image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
-    width, height = image.size
-    return np.array(image.pixels[:], dtype=np.float32).reshape(height, width, 4)[::-1]
 
 
 def test_the_groups_sum_to_the_picture_of_all_lights(captured, tmp_path):

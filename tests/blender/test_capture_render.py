@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
-import bpy
 import numpy as np
 import pytest
+from hands import pixels
+from tiny_captures import HEIGHT, WIDTH, make
 
 from blender_addon.capture.png import SIGNATURE, STAMP_KEY
 
-WIDTH, HEIGHT, CAMERAS = 64, 96, 3
-# of fewer samples the filter, 1.5 pixels wide, leaves half a pixel more of the outline: chance, not geometry
-# a joint lies 4 to 12 mm below the skin: it cannot be nearer to the outline than the smallest of that, in pixels
-COMMAND = [
-    "capture", "--identity", "adult_woman", "--cameras", str(CAMERAS), "--close-ups", "0", "--poses", "2",
-    "--size", f"{WIDTH}x{HEIGHT}", "--samples", "8", "--subdivisions", "1", "--threads", "1",
-]  # fmt: skip
-
+CAMERAS = 3
 # the command with a person's skin of few texels
 PROGRAM = (
     "import sys\nfrom jghand_engine.captures.making import person_skin\nfrom jghand_engine.cli import main\n"
@@ -28,32 +20,22 @@ PROGRAM = (
 )
 
 
-def run(engine_python: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [engine_python, "-c", PROGRAM, *COMMAND, "--out", str(folder), "--blender-python", sys.executable]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def capture(engine_python: str, folder: Path) -> str:
+    # of fewer samples the filter, 1.5 pixels wide, leaves half a pixel more of the outline: chance, not geometry
+    # a joint lies 4 to 12 mm below the skin: it cannot be nearer to the outline than the smallest of that, in pixels
+    words = ("--cameras", str(CAMERAS), "--poses", "2", "--samples", "8", "--subdivisions", "1")
+    return make(engine_python, folder, PROGRAM, *words)
 
 
 @pytest.fixture(scope="module")
 def captured(engine_python, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "tiny"
-    done = run(engine_python, folder)
-    assert done.returncode == 0, done.stderr
+    capture(engine_python, folder)
     return folder
 
 
 def annotations(folder: Path, name: str) -> dict:
     return json.loads((folder / f"annotations/train/InterHand2.6M_train_{name}.json").read_text(encoding="utf-8"))
-
-
-def rgba(path: Path) -> np.ndarray:
-    """(H, W, 4) of the file as it is, top row first."""
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    image.alpha_mode = "CHANNEL_PACKED"
-    width, height = image.size
-    values = np.array(image.pixels[:], dtype=np.float32).reshape(height, width, 4)[::-1]
-    bpy.data.images.remove(image)
-    return values
 
 
 def seen(folder: Path) -> list[tuple[Path, np.ndarray]]:
@@ -73,7 +55,7 @@ def test_every_joint_projects_onto_the_hand(captured, context):
     pictures = seen(captured)
     assert len(pictures) == 2 * CAMERAS
     for path, px in pictures:
-        alpha = rgba(path)[..., 3]
+        alpha = pixels(path, as_it_is=True)[..., 3]
         assert alpha.shape == (HEIGHT, WIDTH)
         # tips lie on the skin, and half a pixel beside it is not on it: the nearest pixels count
         column, row = np.floor(px).astype(int).T
@@ -89,7 +71,7 @@ def test_the_outline_is_that_of_the_annotated_box(captured, context):
     """A shift or a scale of the camera would show here at once."""
     boxes = {a["image_id"]: a["bbox"] for a in annotations(captured, "data")["annotations"]}
     for image in annotations(captured, "data")["images"]:
-        alpha = rgba(captured / "images/train" / image["file_name"])[..., 3]
+        alpha = pixels(captured / "images/train" / image["file_name"], as_it_is=True)[..., 3]
         row, column = np.nonzero(alpha > 0.5)
         found = np.array([column.min(), row.min(), column.max() + 1, row.max() + 1])
         x, y, width, height = boxes[image["id"]]
@@ -103,7 +85,7 @@ def test_pictures_are_lit_hands_with_straight_alpha_and_a_stamp(captured, contex
         assert STAMP_KEY.encode() in path.read_bytes()
         # nothing of the day, the machine or the render time
         assert b"RenderTime" not in path.read_bytes()
-        values = rgba(path)
+        values = pixels(path, as_it_is=True)
         inside = values[values[..., 3] > 0.99][:, :3]
         assert 0.25 < inside.mean() < 0.9
         assert (inside.mean(0)[:-1] > inside.mean(0)[1:]).all()  # skin: red over green over blue
@@ -117,8 +99,6 @@ def test_the_same_plan_gives_the_same_pictures(captured, engine_python, tmp_path
     lost, kept = (path for path, _ in seen(captured)[:2])
     before, kept_at = lost.read_bytes(), kept.stat().st_mtime_ns
     lost.unlink()
-    done = run(engine_python, captured)
-    assert done.returncode == 0, done.stderr
-    assert "1 pictures" in done.stdout
+    assert "1 pictures" in capture(engine_python, captured)
     assert lost.read_bytes() == before
     assert kept.stat().st_mtime_ns == kept_at

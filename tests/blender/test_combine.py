@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 import hands
 import numpy as np
@@ -57,15 +55,7 @@ def f12() -> np.ndarray:
     scene = bpy.context.scene
     scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
     bpy.ops.render.render(write_still=True)
-    return pixels(Path(scene.render.filepath))
-
-
-def pixels(path: Path) -> np.ndarray:
-    """(H, W, 3) of a written picture, top row first."""
-    image = bpy.data.images.load(str(path))
-    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
-    bpy.data.images.remove(image)
-    return values[..., :3]
+    return hands.pixels(scene.render.filepath)[..., :3]
 
 
 def covered(picture: np.ndarray) -> int:
@@ -185,7 +175,11 @@ def test_an_animation_goes_on_with_magenta_frames_and_says_so_once(scene, tmp_pa
     scene.render.filepath, scene.frame_end = str(tmp_path / "frame_"), 3
     bpy.ops.render.render(animation=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"frame_{frame:04d}.png" for frame in (1, 2, 3)]
-    assert [is_magenta(pixels(tmp_path / f"frame_{frame:04d}.png")) for frame in (1, 2, 3)] == [False, True, True]
+    assert [is_magenta(hands.pixels(tmp_path / f"frame_{k:04d}.png")[..., :3]) for k in (1, 2, 3)] == [
+        False,
+        True,
+        True,
+    ]
     assert capfd.readouterr().err.count("failed and are magenta") == 1
     assert runtime.last_render().failure.kind == "zero_scale"
 

@@ -87,15 +87,7 @@ def rendered_frames(scene: bpy.types.Scene) -> list[np.ndarray]:
     """Renders the animation; (H, W, 4) of each file."""
     bpy.ops.render.render(animation=True)
     folder = Path(scene.render.filepath).parent
-    return [pixels(path) for path in sorted(folder.glob("picture_*.png"))]
-
-
-def pixels(path: Path) -> np.ndarray:
-    """(H, W, 4) of a file, straight alpha, top row first."""
-    image = bpy.data.images.load(str(path))
-    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
-    bpy.data.images.remove(image)
-    return values
+    return [hands.pixels(path) for path in sorted(folder.glob("picture_*.png"))]
 
 
 def viewports_picture(link: EngineLink, scene: bpy.types.Scene) -> np.ndarray:
@@ -173,7 +165,7 @@ def test_colors_differ_from_other_viewers(engine, scene, tmp_path):
     (tmp_path / "engine.png").write_bytes(bytes(engine.request(header, arrays).arrays["png"].data))
     scene.render.filepath = str(tmp_path / "f12.png")
     bpy.ops.render.render(write_still=True)
-    ours, own = pixels(tmp_path / "f12.png"), pixels(tmp_path / "engine.png")
+    ours, own = hands.pixels(tmp_path / "f12.png"), hands.pixels(tmp_path / "engine.png")
     opaque = own[..., 3] > 254.5 / 255
     assert opaque.mean() > 0.05
     assert np.abs(ours - own)[opaque].max() <= 1.001 / 255
@@ -284,7 +276,7 @@ def test_one_button_in_an_empty_scene_is_all_that_a_render_needs(stand_in, conte
     context.scene.render.film_transparent = True
     context.scene.render.image_settings.color_mode = "RGBA"
     assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
-    assert (pixels(tmp_path / "first.png")[..., 3] > 0.5).mean() > 0.005  # 21 discs
+    assert (hands.pixels(tmp_path / "first.png")[..., 3] > 0.5).mean() > 0.005  # 21 discs
 
 
 # ---- 4. an external process that hangs on "Starting…" for ever -------------------------------------------------------

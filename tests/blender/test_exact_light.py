@@ -280,13 +280,20 @@ def test_a_bake_that_fails_says_why_and_nothing_of_the_world(scene, tmp_path, mo
         bpy.ops.render.render(write_still=True)
 
 
+def in_a_collection_of_its_own(scene: bpy.types.Scene, **hidden: bool) -> bpy.types.Object:
+    """Another hand, in a collection that is hidden."""
+    hand = next(thing for thing in scene.objects if thing.type == "ARMATURE").copy()
+    unseen = bpy.data.collections.new("unseen")
+    for name, value in hidden.items():
+        setattr(unseen, name, value)
+    scene.collection.children.link(unseen)
+    unseen.objects.link(hand)
+    return hand
+
+
 def test_without_a_window_a_hand_that_renders_lack_is_not_baked(scene, real_engine, tmp_path):
     """The frame would fail: what was baked is not of its hands."""
-    hand = next(thing for thing in scene.objects if thing.type == "ARMATURE")
-    unseen = bpy.data.collections.new("unseen")
-    unseen.hide_render = True
-    scene.collection.children.link(unseen)
-    unseen.objects.link(hand.copy())
+    in_a_collection_of_its_own(scene, hide_render=True)
     scene.jghand.use_exact_light = True
     scene.render.filepath = str(tmp_path / "picture.png")
     bpy.ops.render.render(write_still=True)
@@ -294,14 +301,10 @@ def test_without_a_window_a_hand_that_renders_lack_is_not_baked(scene, real_engi
 
 
 def test_without_a_window_a_hand_that_viewports_lack_is_named(scene, few_points, tmp_path):
-    hand = next(thing for thing in scene.objects if thing.type == "ARMATURE")
-    unseen = bpy.data.collections.new("unseen")
-    unseen.hide_viewport = True
-    scene.collection.children.link(unseen)
-    unseen.objects.link(hand.copy())
+    hand = in_a_collection_of_its_own(scene, hide_viewport=True)
     scene.jghand.use_exact_light = True
     scene.render.filepath = str(tmp_path / "picture.png")
-    with pytest.raises(RuntimeError, match=f"disabled in viewports.*{unseen.objects[0].name}"):
+    with pytest.raises(RuntimeError, match=f"disabled in viewports.*{hand.name}"):
         bpy.ops.render.render(write_still=True)
 
 

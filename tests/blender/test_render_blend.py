@@ -84,19 +84,11 @@ def drawn(report: dict) -> int:
     return sum(not picture["skipped"] for picture in report["pictures"])
 
 
-def pixels(path: Path) -> np.ndarray:
-    """(H, W, 4) of a picture, top row first."""
-    image = bpy.data.images.load(str(path))
-    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
-    bpy.data.images.remove(image)
-    return values
-
-
 def test_every_frame_of_every_camera_becomes_a_picture(engine, blend, capsys):
     code, files, report = rendered(blend, "--camera", "CamPalm,CamSide", "--frames", "1-4,3")
     assert code == 0
     assert files == ["CamPalm/0001.png", "CamPalm/0004.png", "CamSide/0001.png", "CamSide/0004.png"]
-    assert pixels(blend.parent / "out" / "CamPalm" / "0001.png").shape == (*SIZE[::-1], 4)
+    assert hands.pixels(blend.parent / "out" / "CamPalm" / "0001.png").shape == (*SIZE[::-1], 4)
     assert (report["wanted"], drawn(report), report["failure"]) == (4, 4, None)
     for picture in report["pictures"]:
         assert picture["reports"][0]["total_ms"] > 0
@@ -174,7 +166,7 @@ def test_a_combined_scene_keeps_its_engine_and_hands_that_fail_are_in_the_exit_c
     code, files, report = rendered(saved(blend.parent), "--frames", "1-2")
     assert (code, report["failure"]["kind"]) == (2, "zero_scale")
     assert files == ["CamPalm/0001.png", "CamPalm/0002.png"]
-    assert (pixels(blend.parent / "out" / files[0])[..., :3] == (1, 0, 1)).all()
+    assert (hands.pixels(blend.parent / "out" / files[0])[..., :3] == (1, 0, 1)).all()
 
 
 def test_the_file_itself_stays_as_it_was(engine, blend):
@@ -199,7 +191,7 @@ def test_two_hands_are_drawn_into_one_picture_the_nearer_in_front(engine, contex
         assert drawn(report) == 1
         context = bpy.context
         wrist = camera.pinhole(context.scene.camera, context.evaluated_depsgraph_get()).project(np.array([0, 0, 0.05]))
-        color = pixels(tmp_path / "out/Camera/0001.png")[int(wrist[1]), int(wrist[0])]
+        color = hands.pixels(tmp_path / "out/Camera/0001.png")[int(wrist[1]), int(wrist[0])]
         np.testing.assert_array_equal(color, (1, 1, 1, 1) if nearer == "right" else (0, 0, 1, 1))
 
 
@@ -224,7 +216,7 @@ def test_the_hands_of_a_foreign_rig_and_of_21_objects_are_drawn_too(engine, cont
     assert (code, drawn(report)) == (0, 1)
     context = bpy.context
     view = camera.pinhole(context.scene.camera, context.evaluated_depsgraph_get())
-    picture = pixels(tmp_path / "out/Camera/0001.png")
+    picture = hands.pixels(tmp_path / "out/Camera/0001.png")
     shown = {"right": joints["right"][0], "left": joints["left"][0], "objects": joints["left"][0] - (0.6, 0, 0)}
     for name, wrist in shown.items():  # the stand-in draws a right hand white, a left one blue
         column, row, _ = view.project(wrist).astype(int)
@@ -240,8 +232,8 @@ def test_a_hand_that_is_switched_off_in_a_frame_leaves_the_picture_empty(engine,
     bpy.context.scene.frame_set(1)
     code, _, _ = rendered(saved(blend.parent), "--frames", "1-2")
     assert code == 0
-    assert pixels(blend.parent / "out/CamPalm/0001.png").any()
-    assert not pixels(blend.parent / "out/CamPalm/0002.png").any()
+    assert hands.pixels(blend.parent / "out/CamPalm/0001.png").any()
+    assert not hands.pixels(blend.parent / "out/CamPalm/0002.png").any()
 
 
 def test_a_scene_whose_hands_are_never_rendered_is_bad_input_and_no_run_of_empty_pictures(engine, blend):
@@ -365,7 +357,7 @@ def test_a_hand_that_is_only_instanced_is_rendered_with_the_avatar_that_is_asked
     bpy.context.scene.collection.objects.link(instance)
     code, files, _ = rendered(saved(blend.parent), "--frames", "1", "--avatar", "painted")
     assert (code, files) == (0, ["CamPalm/0001.png"])
-    assert pixels(blend.parent / "out" / files[0])[..., 3].max() > 0
+    assert hands.pixels(blend.parent / "out" / files[0])[..., 3].max() > 0
 
 
 def test_region_film_and_depth_of_the_file_are_honored(engine, blend):
@@ -524,7 +516,7 @@ def test_the_real_engine_renders_a_blend_file(engine_python, blend):
     out = blend.parent / "real"
     done = script("render_blend.py", blend, "--out", out, "--frames", "1", "--engine-python", engine_python)
     assert done.returncode == 0, done.stderr
-    picture = pixels(out / "CamPalm" / "0001.png")
+    picture = hands.pixels(out / "CamPalm" / "0001.png")
     assert picture.shape == (*SIZE[::-1], 4)
     assert 0.02 < (picture[..., 3] > 0.5).mean() < 0.7
     skin = picture[picture[..., 3] > 0.9][:, :3].mean(0)

@@ -50,14 +50,7 @@ def f12() -> np.ndarray:
     path = Path(bpy.context.scene.render.filepath)
     path.unlink(missing_ok=True)
     assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
-    return pixels(path)
-
-
-def pixels(path: Path) -> np.ndarray:
-    image = bpy.data.images.load(str(path))
-    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
-    bpy.data.images.remove(image)
-    return values
+    return hands.pixels(path)
 
 
 def layers(scene: bpy.types.Scene, folder: Path, *, names: bool = False) -> dict[str, np.ndarray]:
@@ -101,7 +94,7 @@ def test_f12_writes_the_engines_picture(scene):
 def test_an_animation_writes_every_frame_as_it_is_posed(scene, tmp_path):
     scene.render.filepath = str(tmp_path / "frame_")
     bpy.ops.render.render(animation=True)
-    pictures = [pixels(tmp_path / f"frame_{frame:04d}.png") for frame in (1, 2, 3, 4)]
+    pictures = [hands.pixels(tmp_path / f"frame_{frame:04d}.png") for frame in (1, 2, 3, 4)]
     for frame, picture in enumerate(pictures, 1):
         scene.frame_set(frame)
         np.testing.assert_array_equal(picture, asked(scene, "rgba_f32")[0])
@@ -164,7 +157,7 @@ def test_a_keyed_world_is_that_of_each_frame_however_it_is_rendered(scene, tmp_p
     bpy.ops.render.render(animation=True)
     for frame, gray in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
         encoded = 12.92 * gray if gray <= 0.0031308 else 1.055 * gray ** (1 / 2.4) - 0.055
-        behind = np.median(pixels(tmp_path / f"animation_{frame:04d}.png")[..., :3])
+        behind = np.median(hands.pixels(tmp_path / f"animation_{frame:04d}.png")[..., :3])
         assert behind == pytest.approx(encoded, abs=0.6 / 255)
     monkeypatch.setattr(runtime, "engine_command", lambda *_, **__: stand_in_command)
     assert command.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / "batch")]) == 0
@@ -439,7 +432,7 @@ def test_every_frame_of_an_animation_is_blurred_around_itself(sliding, tmp_path)
     sliding.frame_start, sliding.frame_end = 1, 2
     bpy.ops.render.render(animation=True)
     for frame in (1, 2):
-        came = pixels(tmp_path / f"frame_{frame:04d}.png")
+        came = hands.pixels(tmp_path / f"frame_{frame:04d}.png")
         sliding.frame_set(frame)
         sliding.render.filepath = str(tmp_path / "alone.png")
         np.testing.assert_array_equal(f12(), came)

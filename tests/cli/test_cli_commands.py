@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+from command_line import run
 
 from jghand_engine import __version__
 from jghand_engine.avatar import builtin
@@ -28,10 +29,6 @@ from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.render.settings import PRESETS
 
 SMALL = ("--size", "64x48", "--preset", "draft")
-
-
-def run(*words):
-    return main([str(word) for word in words])
 
 
 @pytest.fixture(scope="module")
@@ -397,7 +394,9 @@ def test_check_usd_of_a_file_that_is_not_there_is_bad_input(tmp_path, capsys):
     assert "absent.usda" in capsys.readouterr().err
 
 
-def test_export_hands_its_options_on(tmp_path, monkeypatch):
+@pytest.fixture
+def usd_options(monkeypatch):
+    """Collects the options with which a stage is to be written; none is."""
     seen = []
 
     def export(folder, avatar, sequence, cameras, options):
@@ -405,10 +404,13 @@ def test_export_hands_its_options_on(tmp_path, monkeypatch):
         raise InputError("enough seen")
 
     monkeypatch.setattr("jghand_engine.cli.export.export_stage", export)
+    return seen
+
+
+def test_export_hands_its_options_on(tmp_path, usd_options):
     words = ("--name", "mine", "--radiance", "linear", "--width-factor", "2", "--sizes", "per_frame")
     assert run("export", "--poses", "open", "--out", tmp_path, *words, "--default-variant", "mesh") == 2
-    [options] = seen
-    assert options == UsdOptions("mine", Variant.MESH, "linear", "per_frame", 2.0)
+    assert usd_options == [UsdOptions("mine", Variant.MESH, "linear", "per_frame", 2.0)]
 
 
 @pytest.mark.parametrize(
@@ -422,16 +424,9 @@ def test_export_hands_its_options_on(tmp_path, monkeypatch):
         (("--for", "blender", "--default-variant", "mesh", "--width-factor", "1.5"), Variant.MESH, 1.5),
     ],
 )
-def test_a_preset_chooses_what_was_not_asked_for(tmp_path, monkeypatch, words, variant, width_factor):
-    seen = []
-
-    def export(folder, avatar, sequence, cameras, options):
-        seen.append(options)
-        raise InputError("enough seen")
-
-    monkeypatch.setattr("jghand_engine.cli.export.export_stage", export)
+def test_a_preset_chooses_what_was_not_asked_for(tmp_path, usd_options, words, variant, width_factor):
     assert run("export", "--poses", "open", "--out", tmp_path, *words) == 2
-    assert seen == [UsdOptions(default_variant=variant, width_factor=width_factor)]
+    assert usd_options == [UsdOptions(default_variant=variant, width_factor=width_factor)]
 
 
 def test_half_precision_says_what_it_costs(tmp_path, capsys):

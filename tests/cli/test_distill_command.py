@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from command_line import run
 from picture_sets import recorded, write_set
 from small_avatars import small_avatar, trained_avatar
 
@@ -15,16 +16,12 @@ from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import LinearCorrectives, Tier
-from jghand_engine.cli import distill, main
+from jghand_engine.cli import distill
 from jghand_engine.cli.distill import Distill
 from jghand_engine.learn import shadow_seen, tier_prices
 from jghand_engine.learn.tier_prices import Offer, best_linear, exact_tier_measure, flat_poses, measured_poses
 from jghand_engine.native.machine import processor
 from jghand_engine.template.builtin import load_template
-
-
-def run(*words):
-    return main([str(word) for word in words])
 
 
 @pytest.fixture(autouse=True)

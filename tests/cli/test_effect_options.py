@@ -6,15 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from command_line import run
 
-from jghand_engine.cli import main
 from jghand_engine.export.pictures import read_png
 
 SMALL = ("--size", "64x48", "--preset", "draft", "--avatar", "painted")
-
-
-def run(*words):
-    return main([str(word) for word in words])
 
 
 def test_explain_prints_a_line_for_every_effect_and_the_sum(tmp_path, capsys):

@@ -6,16 +6,12 @@ import json
 import shutil
 
 import pytest
+from command_line import run
 from picture_sets import recorded, write_set
 from PIL import Image
 
-from jghand_engine.cli import main
 from jghand_engine.export.pictures import read_png
 from jghand_engine.learn import perceptual
-
-
-def run(*words):
-    return main([str(word) for word in words])
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,11 @@ import json
 import motion_samples as samples
 import numpy as np
 import pytest
+from command_line import run
 
-from jghand_engine.cli import main
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.motion.read import read_motion_file
-
-
-def run(*words):
-    return main([str(word) for word in words])
 
 
 @pytest.fixture

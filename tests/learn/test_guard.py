@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
 from dataclasses import replace
 
 import pytest
 import torch
 from small_trainings import read_log
-from stand_in import StandIn
+from stand_in import StandIn, Stops
 
 from jghand_engine import files
 from jghand_engine.errors import JGHandError
@@ -138,20 +136,10 @@ def faulty():
 
 
 def test_a_resumed_training_meets_the_same_fault_and_ends_the_same(options, tmp_path):
-    class FaultyAndStopped(StandIn):
-        def __init__(self, at):
-            super().__init__(faults={FAULT: "planes.d"})
-            self._at = at
-
-        def step(self, number):
-            if number == self._at:
-                os.kill(os.getpid(), signal.SIGINT)
-            return super().step(number)
-
     straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
     train(faulty, straight)
-    train(lambda: FaultyAndStopped(11), options)
-    train(lambda: FaultyAndStopped(20), replace(options, start=Start.RESUME))
+    train(lambda: Stops(11, faults={FAULT: "planes.d"}), options)
+    train(lambda: Stops(20, faults={FAULT: "planes.d"}), replace(options, start=Start.RESUME))
     train(faulty, replace(options, start=Start.RESUME))
     a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000030.safetensors")[0] for o in (straight, options))
     assert a.scalars == b.scalars

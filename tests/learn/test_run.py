@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import torch
 from small_trainings import read_log
-from stand_in import StandIn
+from stand_in import StandIn, Stops
 
 from jghand_engine import files
 from jghand_engine.avatar.file import load_avatar
@@ -37,19 +37,6 @@ def options(tmp_path, monkeypatch):
         out=tmp_path / "hand.jghand", work=tmp_path / "work", stamp={"seed": 0, "model": {"planes": 4}},
         budget=Budget(steps=60), log_steps=5, checkpoint=Every(steps=7), preview=Every(steps=20),
     )  # fmt: skip
-
-
-class Stops(StandIn):
-    """Asks the loop to stop, as Ctrl-C does, in the step with this number."""
-
-    def __init__(self, at: int) -> None:
-        super().__init__()
-        self._at = at
-
-    def step(self, number):
-        if number == self._at:
-            os.kill(os.getpid(), signal.SIGINT)
-        return super().step(number)
 
 
 def newest(work: Path) -> Snapshot:

@@ -15,7 +15,6 @@ from depth_scenes import camera, fingers, plane, planes_of, rays, sphere
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.shadow import darken, normalized_depth, printed_visibility, shade, surface_normals, visibility
-from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library
 from jghand_engine.render import passes
 from jghand_engine.render.shadow import NativeShade, ShadowStyle, vogel_disc
@@ -26,15 +25,6 @@ STYLE = ShadowStyle(samples=64)
 def seen(depth_m: torch.Tensor, view, style: ShadowStyle = STYLE) -> torch.Tensor:
     valid = torch.isfinite(depth_m)
     return visibility(torch.where(valid, depth_m, 0.0), valid, view, style)
-
-
-@pytest.fixture(scope="module", params=native_library.runnable_variants() or ["none"])
-def library(request) -> Library:
-    if request.param == "none":
-        pytest.skip("no native variant runs on this processor")
-    loaded = native_library.load(request.param)
-    assert loaded is not None
-    return loaded
 
 
 # ---- the specification ----------------------------------------------------------------------------------------------

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.subdivision import Subdivision
-from jghand_engine.template.surface import enclosed_volume, is_closed, unit
+from jghand_engine.template.surface import enclosed_volume, is_closed
 
 OCTAHEDRON = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
 FACES = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])

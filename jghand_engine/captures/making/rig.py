@@ -20,7 +20,7 @@ from jghand_engine.hand.joints import FINGERS, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import CONTACTS, named_angles
-from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation
+from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation, unit
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields
@@ -232,7 +232,7 @@ class RiggedHand(ArticulatedHand):
         local = np.einsum("fba,fjb->fja", world, joints_m - joints_m[:, :1])
         directions = (local[:, 6:] - local[:, 1:16]).reshape(-1, 3, 5, 3)
         flexion = np.zeros((len(local), 5, 4))
-        palmar = np.einsum("fkc,c->fk", _unit(directions[:, 0]), [0.0, 0.0, 1.0])
+        palmar = np.einsum("fkc,c->fk", unit(directions[:, 0]), [0.0, 0.0, 1.0])
         flexion[:, :, 0] = np.degrees(np.arcsin(np.clip(palmar, -1, 1)))
         palm = self._cupping(flexion)
         carried = palm[:, None] @ np.broadcast_to(np.eye(3), (len(local), 3, 5, 3, 3))
@@ -259,7 +259,7 @@ class RiggedHand(ArticulatedHand):
         bones = self.identity.joints25_m[[base + 1 for base in METACARPAL_BASES]]
         bones = bones - self.identity.joints25_m[list(METACARPAL_BASES)]
         # positive rotation about cross(bone, out of the palm) is flexion
-        axes = _unit(np.cross(bones, [0.0, 0.0, 1.0]))
+        axes = unit(np.cross(bones, [0.0, 0.0, 1.0]))
         arch = np.radians(ARCH_DEG) * (angles_deg[:, 1:, 0] / ARCH_FLEXION_DEG).clip(0, 1)
         turns = axis_rotation(np.array([0.0, 0.0, 1.0]), arch) @ axis_rotation(axes, cup)
         still = np.broadcast_to(np.eye(3), (len(angles_deg), 1, 3, 3))
@@ -332,10 +332,10 @@ def chain_turns(rest: np.ndarray, directions: np.ndarray, start: np.ndarray | No
     carried = np.broadcast_to(np.eye(3), (frames, 5, 3, 3)) if start is None else start
     turns = []
     for bone in range(3):
-        came = _unit(np.einsum("fkab,kb->fka", carried, rest[bone]))
-        wanted = _unit(directions[:, bone])
+        came = unit(np.einsum("fkab,kb->fka", carried, rest[bone]))
+        wanted = unit(directions[:, bone])
         helper = np.where(np.abs(came[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-        swing = minimal_rotation(came, wanted, half_turns(_unit(np.cross(came, helper))))
+        swing = minimal_rotation(came, wanted, half_turns(unit(np.cross(came, helper))))
         carried = swing @ carried
         turns.append(carried)
     return np.stack(turns, axis=1)
@@ -345,7 +345,3 @@ def _stiff_palm(joints_m: np.ndarray) -> np.ndarray:
     """The stiff part of palms (F, 21, 3), about its middle."""
     palm = joints_m[:, STIFF_PALM]
     return palm - palm.mean(1, keepdims=True)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.finfo(np.float64).tiny)

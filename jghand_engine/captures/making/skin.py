@@ -16,9 +16,10 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from jghand_engine.errors import InputError
+from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.surface import unit, vertex_normals
+from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # edge of the baked texture: 0.4 mm of skin per texel, finer than a pixel of a whole hand at 334 x 512 (0.5 mm)

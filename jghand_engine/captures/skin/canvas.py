@@ -20,9 +20,10 @@ from jghand_engine.captures.making.rig import FIRST_JOINTS, Identity
 from jghand_engine.captures.skin.noise import cells, fractal_noise, noise, smoothstep
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.subdivision import Subdivision
-from jghand_engine.template.surface import unit, vertex_normals
+from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 MM = 1e-3
@@ -218,9 +219,9 @@ class Canvas:
         """The MCP joint of a finger but the thumb, in the directions of its first bone."""
         return Frame(self.joints[1 + finger], self.axis[6 + finger], self.palmar[6 + finger])
 
-    def distance_on_palm(self, center: np.ndarray, on: slice | np.ndarray = slice(None)) -> np.ndarray:
+    def distance_on_palm(self, center: np.ndarray) -> np.ndarray:
         """mm from a point, in the plane of the palm."""
-        x, y = (self.texels.point[on, k] - np.float32(center[k]) for k in (0, 1))
+        x, y = (self.texels.point[:, k] - np.float32(center[k]) for k in (0, 1))
         return np.hypot(x, y)
 
     # ---- chance --------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import numpy as np
 
 from jghand_engine.captures.skin.canvas import NARROWEST_TEXELS, Canvas
 from jghand_engine.captures.skin.noise import fractal_noise, gauss, smoothstep
-from jghand_engine.template.surface import unit
+from jghand_engine.hand.rotations import unit
 
 # furrows between the pillows of the back: edge of a cell, half width, depth; and how high pillows are
 NETWORK, FINE_NETWORK, PILLOW = (0.92, 0.092, 0.050), (0.52, 0.062, 0.028), 0.026

@@ -9,9 +9,10 @@ from jghand_engine.captures.skin.canvas import MM
 from jghand_engine.captures.skin.maps import SkinMaps
 from jghand_engine.captures.skin.noise import gauss, smoothstep
 from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.subdivision import Subdivision
-from jghand_engine.template.surface import unit, vertex_normals
+from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import sample_bilinear
 
 # the joints that bend skin, level order: all that have a bone on both sides
