@@ -13,7 +13,7 @@ import bpy
 import hands
 import numpy as np
 import pytest
-from test_combine import fails_from, is_magenta, pixels
+from test_combine import fails_from, is_magenta
 
 from blender_addon import versions
 from blender_addon.render import composite, preview
@@ -66,7 +66,7 @@ def state(scene: bpy.types.Scene) -> dict:
 
 
 def written(folder: Path) -> dict[str, np.ndarray]:
-    return {path.name: pixels(path) for path in sorted((folder / "movie").iterdir())}
+    return {path.name: hands.pixels(path)[..., :3] for path in sorted((folder / "movie").iterdir())}
 
 
 def test_a_preview_has_hands_and_all_else_over_the_preview_range_and_leaves_nothing(scene, tmp_path):
@@ -81,7 +81,7 @@ def test_a_preview_has_hands_and_all_else_over_the_preview_range_and_leaves_noth
     for frame in (2, 3):
         scene.frame_set(frame)
         bpy.ops.render.render(write_still=True)
-        alone, picture = pixels(tmp_path / "alone.png"), pictures[f"f_{frame:04d}.png"]
+        alone, picture = hands.pixels(scene.render.filepath)[..., :3], pictures[f"f_{frame:04d}.png"]
         hand = np.abs(picture - alone).max(-1) > 0.3
         assert hand.sum() > 10
         assert not is_magenta(picture)
