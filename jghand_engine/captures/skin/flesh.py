@@ -24,20 +24,22 @@ DIP, DIP_WIDTH = 0.95, 3.6
 # extensor tendons of index to pinky
 TENDONS, TENDON_WIDTH = (0.50, 0.60, 0.52, 0.36), 1.7
 # thenar, hypothenar, hollow of the palm, and pads below the fingers: height, width
-THENAR, HYPOTHENAR, HOLLOW, MOUNT = (2.2, 13.0), (1.7, 13.0), (-2.0, 13.0), (0.7, 5.0)
-# veins of the back, on the template's hand: points (x, y), half width, height
+THENAR, HYPOTHENAR, HOLLOW, MOUNT = (3.2, 13.0), (1.7, 13.0), (-2.0, 13.0), (0.7, 5.0)
+# veins of the back, on the template's hand: points (x, y), half width, height. An end that is a point of another vein
+# flows into it
 VEINS = (
     (((13, 84), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), (14, -4)), 1.25, 0.50),
     (((-9, 82), (-7, 68), (-4, 55), (2, 42)), 1.05, 0.42),
     (((-29, 74), (-25, 58), (-18, 42), (-15, 22), (-17, 4), (-17, -6)), 1.25, 0.50),
     (((-7, 68), (-15, 62), (-25, 58)), 0.90, 0.34),
-    (((-18, 42), (-9, 34), (4, 28)), 0.90, 0.28),
+    (((-18, 42), (-9, 34), (5, 24)), 0.90, 0.28),
     (((36, 52), (28, 38), (24, 22), (22, 6)), 1.10, 0.40),
-    (((11, 72), (20, 62), (28, 46)), 0.85, 0.26),
+    (((11, 72), (20, 62), (28, 38)), 0.85, 0.26),
     (((-25, 58), (-33, 48), (-36, 34)), 0.80, 0.22),
 )
-# how far a person's veins depart from these
-VEIN_JITTER = 1.6
+# how far a person's veins depart from these; over what length one that ends dives, and over what its color goes, which
+# depth hides before the swell; the height of those that have all the color
+VEIN_JITTER, VEIN_DIVES, VEIN_PALES, VEIN_FULL = 1.6, 12.0, 20.0, 0.50
 # swells of fat, all over
 UNEVEN, UNEVEN_CELL = 0.10, 7.0
 
@@ -124,9 +126,19 @@ def _veins(canvas: Canvas, curves: PalmCurves) -> None:
     rng, stands_out = canvas.random("veins"), 0.65 + 0.9 * canvas.person.age
     on_back = smoothstep(0.15, 0.7, -canvas.side) * smoothstep(0.6, 0.2, canvas.fingers.sum(1))
     broken = 0.75 + 0.25 * canvas.noise("veins", 9.0)
+    points = [knot for knots, _, _ in VEINS for knot in knots]
+    moved = {knot: np.array(knot) + rng.normal(0, VEIN_JITTER, 2) for knot in dict.fromkeys(points)}
+    swell = np.zeros_like(canvas.side)
     for knots, width, height in VEINS:
-        moved = np.array(knots, float) + rng.normal(0, VEIN_JITTER, (len(knots), 2))
-        on, distance, part = curves.near(moved)
-        seen = smoothstep(0, 0.15, part) * smoothstep(1, 0.8, part) * on_back[on] * broken[on]
-        canvas.raise_by("static", stands_out * height * gauss(distance, width) * seen, on)
-        canvas.mark("vein", gauss(distance, 1.5 * width) * seen, on)
+        on, distance, part = curves.near(np.array([moved[knot] for knot in knots]))
+        length = np.linalg.norm(np.diff(knots, axis=0), axis=1).sum()
+        first = length * part if points.count(knots[0]) == 1 else np.inf
+        last = length * (1 - part) if points.count(knots[-1]) == 1 else np.inf
+        shallow, colored = (
+            smoothstep(0, reach, first) * smoothstep(0, reach, last) for reach in (VEIN_DIVES, VEIN_PALES)
+        )
+        seen = on_back[on] * broken[on]
+        # where two meet they are one
+        swell[on] = np.maximum(swell[on], height * gauss(distance, width) * seen * shallow)
+        canvas.mark("vein", height / VEIN_FULL * gauss(distance, 1.5 * width) * seen * colored, on)
+    canvas.raise_by("static", stands_out * swell)

@@ -6,10 +6,9 @@ import numpy as np
 
 from jghand_engine.captures.skin.canvas import NARROWEST_TEXELS, Canvas
 from jghand_engine.captures.skin.noise import fractal_noise, gauss, smoothstep
-from jghand_engine.hand.rotations import unit
 
 # furrows between the pillows of the back: edge of a cell, half width, depth; and how high pillows are
-NETWORK, FINE_NETWORK, PILLOW = (0.92, 0.092, 0.050), (0.52, 0.062, 0.028), 0.026
+NETWORK, FINE_NETWORK, PILLOW = (0.92, 0.092, 0.042), (0.52, 0.062, 0.028), 0.012
 # cells are longer across a finger than along it, by this part; how points waver, and in what cells
 STRETCH, WAVER, WAVER_CELL = 0.20, 0.16, 1.1
 # part of the network on knuckles that is loose skin, gone when the joint bends; how much stronger it is there
@@ -35,11 +34,8 @@ def paint_relief(canvas: Canvas) -> None:
     back = smoothstep(0.30, -0.15, canvas.side) * skin
     deep = canvas.deep * (0.8 + 0.5 * person.dryness)
     points = canvas.shifted("network", WAVER_CELL, WAVER)
-    shares = canvas.texels.shares
-    axis = (1 - shares.sum((1, 2)))[:, None] * np.array([0, 1, 0], np.float32)
-    axis = unit(axis + np.einsum("nfb,bfc->nc", shares, canvas.axis[6:].reshape(3, 5, 3).astype(np.float32)))
-    along = (points * axis).sum(1, keepdims=True)
-    points = points + STRETCH * along * axis
+    along = way_along(canvas, points)
+    points = points + STRETCH * along
 
     border, _, number = canvas.cells("network", NETWORK[0], points)
     furrows = canvas.furrow(border, NETWORK[1])
@@ -52,7 +48,7 @@ def paint_relief(canvas: Canvas) -> None:
     canvas.mark("network", furrows * back)
 
     cell, width, depth = DRY_LINES
-    lines = canvas.furrow(canvas.cells("dry lines", cell, points + 1.6 * along * axis)[0], width)
+    lines = canvas.furrow(canvas.cells("dry lines", cell, points + 1.6 * along)[0], width)
     lines *= back * smoothstep(0.3, 0.7, canvas.fingers.sum(1))
     relief -= depth * deep * lines
     canvas.mark("network", 0.7 * lines)
@@ -76,6 +72,23 @@ def paint_relief(canvas: Canvas) -> None:
     for number, (cell, height) in enumerate(GRAIN):
         relief += height * canvas.noise(f"grain{number}", cell) * skin
     canvas.raise_by("static", relief)
+
+
+def way_along(canvas: Canvas, points: np.ndarray) -> np.ndarray:
+    """(N, 3) mm: the way to each point that goes along the hand and then along the bones of its finger, so that what is
+    stretched by it hangs together at the joints."""
+    shares, up = canvas.texels.shares, np.array([0, 1, 0], np.float32)
+    total = (1 - shares.sum((1, 2)))[:, None] * (points @ up)[:, None] * up
+    for finger in range(5):
+        joint = 1 + finger
+        begins = canvas.joints[joint] @ up * up
+        for share in shares[:, finger].T:
+            axis = canvas.axis[joint + 5].astype(np.float32)
+            part = (points - canvas.joints[joint].astype(np.float32)) @ axis
+            total += share[:, None] * (begins.astype(np.float32) + part[:, None] * axis)
+            joint += 5
+            begins = begins + canvas.length[joint] * axis
+    return total
 
 
 def _ridge_phase(canvas: Canvas) -> np.ndarray:
