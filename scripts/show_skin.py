@@ -2,8 +2,10 @@
 
     python scripts/show_skin.py --out hand.png --size 960x540 --samples 16 --person.melanin 0.9 --person.age 0.7
     python scripts/show_skin.py --out maps.png --views maps     # color and relief in the template's UV
+    python scripts/show_skin.py --out docs/skin.jpg --views sheet --size 180x200 --samples 12 --levels 2 --texels 1024
 
-Half a minute of one core for the maps, and one for each view of 480x270 at 12 rays.
+Half a minute of one core for the maps, and one for each view of 480x270 at 12 rays. The sheet shows what each number of
+a person does, low, usual and high: seventeen persons, a minute each.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +22,13 @@ from PIL import Image
 
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.options import AreaLight, Light, Sampling
-from jghand_engine.captures.making.person_skin import PERSON_FILES, PersonSkin
+from jghand_engine.captures.making.person_skin import MAP_PX, PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.plan import CapturePlan, drafted_mesh, write_plan
 from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.captures.making.worker import find_blender_python, render
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.color import to_bytes
+from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet
 from jghand_engine.native.threads import processors
 from jghand_engine.render.camera import Camera
 
@@ -37,9 +40,21 @@ VIEWS = {
     "fist": ("fist", 20, 15, (2, 3, 4, 5, 7, 8, 9, 10), 0.120),
     "pinch": ("pinch", 240, 20, (11, 16, 17, 12, 7), 0.110),
     "knuckle": ("open", 180, 20, (8,), 0.040),
-    "nail": ("open", 180, 15, (17, 18), 0.050),
+    "nail": ("open", 180, 15, (17,), 0.040),
+    "lines": ("open", 8, 5, (0, 3, 4), 0.100),
 }
 DISTANCE_M = 0.5
+# what the sheet shows of each number: where it is seen, low, and high; of seeds two others
+SHEET = {
+    "melanin": ("back", 0.05, 1.3),
+    "blood": ("palm", 0.1, 0.9),
+    "warmth": ("palm", 0.0, 0.9),
+    "age": ("back", 0.0, 1.0),
+    "freckles": ("back", 0.0, 1.0),
+    "dryness": ("knuckle", 0.0, 1.0),
+    "nail_mm": ("nail", 0.0, 3.0),
+    "seed": ("lines", 1, 2),
+}
 # one small key high on the left of the palm's side and one of the back's over a weak world: light that shows relief
 LIGHT = Light(
     hdri="studio", hdri_strength=0.35,
@@ -54,7 +69,7 @@ BACKDROP = (0.23, 0.24, 0.26)
 @dataclass(frozen=True)
 class Options:
     """identity: of `jghand capture` · size: of each picture, pixels · samples: rays per pixel
-    levels: of subdivision"""
+    levels: of subdivision · texels: along an edge of the maps"""
 
     out: Path
     identity: str = "adult_woman"
@@ -62,19 +77,38 @@ class Options:
     size: str = "480x270"
     samples: int = 12
     levels: int = 3
+    texels: int = MAP_PX
     person: Person = field(default_factory=Person)
 
 
 def main(options: Options) -> None:
     width, height = map(int, options.size.split("x"))
-    row = pictures(options, options.person, (width, height))
-    Image.fromarray(np.concatenate(row, 1)).save(options.out, quality=90)
+    shown = sheet if options.views == ("sheet",) else row
+    Image.fromarray(shown(options, (width, height))).save(options.out, quality=85)
+
+
+def row(options: Options, size: tuple[int, int]) -> np.ndarray:
+    return np.concatenate(pictures(options, options.person, size), 1)
+
+
+def sheet(options: Options, size: tuple[int, int]) -> np.ndarray:
+    """Each number of SHEET low, usual and high, two numbers a row."""
+    views = tuple(dict.fromkeys(view for view, _, _ in SHEET.values()))
+    usual = dict(zip(views, pictures(replace(options, views=views), options.person, size), strict=True))
+    cells = []
+    for name, (view, low, high) in SHEET.items():
+        for value in (low, getattr(options.person, name), high):
+            person = replace(options.person, **{name: value})
+            is_usual = person == options.person
+            shown = usual[view] if is_usual else pictures(replace(options, views=(view,)), person, size)[0]
+            cells.append(Cell(f"{name} {value:g}", shown))
+    return contact_sheet(cells, SheetStyle(6, size[0], gap_px=4, background=(1, 1, 1), ink=(0.1, 0.1, 0.1)))
 
 
 def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np.ndarray]:
     """(height, width, 3) sRGB of each view."""
     hand = RiggedHand(load_identity(options.identity))
-    skin = PersonSkin.of(hand.identity, person, options.levels)
+    skin = PersonSkin.of(hand.identity, person, options.levels, options.texels)
     if options.views == ("maps",):
         return maps(skin, size[1])
     names = sorted({VIEWS[view][0] for view in options.views})
