@@ -76,7 +76,10 @@ def drawn_by_us(cloud: SplatCloud, camera: Camera) -> np.ndarray:
     """(H, W, 3) uint8 on black of what a file of `cloud`, axes rub, holds."""
     six = clients.Found.of_cloud(cloud).covariance_m2[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     parts = cloud.positions_m, cloud.scales_m.mean(1), cloud.opacity, cloud.rgb, six
-    picture = rasterize(Gaussians(*(torch.tensor(np.array(part), dtype=torch.float32) for part in parts)), camera)
+    position_m, sigma_m, opacity, rgb, covariance_m2 = (
+        torch.tensor(np.array(part), dtype=torch.float32) for part in parts
+    )
+    picture = rasterize(Gaussians(position_m, sigma_m, opacity, rgb, covariance_m2), camera)
     return flatten(torch.cat([picture.rgb, picture.alpha[..., None]], -1).numpy(), BLACK)
 
 

@@ -93,7 +93,7 @@ def names_of(gaussians: Gaussians) -> tuple[str, ...]:
 def changed(gaussians: Gaussians, change: Callable[[str], torch.Tensor]) -> Gaussians:
     """Gaussians of what `change` says of the name of each tensor that is there."""
     names = NAMES if gaussians.covariance_m2 is None else (*NAMES, "covariance_m2")
-    return Gaussians(**{name: change(name) for name in names})
+    return replace(gaussians, **{name: change(name) for name in names})
 
 
 def in_precision(gaussians: Gaussians, dtype: torch.dtype, *, grad: bool = False) -> Gaussians:

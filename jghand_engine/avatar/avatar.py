@@ -26,13 +26,20 @@ UVD_RANGE_M = 0.010
 
 @dataclass(frozen=True)
 class LearnedFrom:
-    """The pictures that an avatar was learned from. capture: its name · split: how the others were held out · pictures:
-    how many · digest: of which they are, see `datasets.image_digest`."""
+    """The pictures that an avatar was learned from.
+
+    capture:  its name
+    split:    how the others were held out
+    pictures: how many
+    digest:   of which they are, see `datasets.image_digest`
+    pixel_m:  size of a pixel where the hand is, meters: a quarter of the pictures have finer ones; 0: not known
+    """
 
     capture: str
     split: str
     pictures: int
     digest: str
+    pixel_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +93,11 @@ class HandAvatar:
 
     def __len__(self) -> int:
         return self.position_m.shape[0]
+
+    @property
+    def pixel_m(self) -> float:
+        """Of the pictures that it was learned from, see `LearnedFrom`; 0: not known."""
+        return 0.0 if self.info.learned_from is None else self.info.learned_from.pixel_m
 
     def for_hand(self, handedness: Handedness) -> HandAvatar:
         """The same avatar, driven by joints of the named hand."""

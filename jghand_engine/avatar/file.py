@@ -194,7 +194,10 @@ def _scale_mode(of: JsonObject) -> ScaleMode:
 def _learned_from(of: JsonObject | None) -> LearnedFrom | None:
     if of is None:
         return None
-    return LearnedFrom(_text(of, "capture"), _text(of, "split"), of.count("pictures", 1, 2**53), _text(of, "digest"))
+    pixel_m = of.number("pixel_m", 0.0, PIXEL_MAX_M) if "pixel_m" in of.fields else 0.0
+    return LearnedFrom(
+        _text(of, "capture"), _text(of, "split"), of.count("pictures", 1, 2**53), _text(of, "digest"), pixel_m
+    )
 
 
 def _pose_statistics(of: JsonObject) -> dict[str, tuple[float, float]]:
@@ -211,6 +214,8 @@ def _pose_statistics(of: JsonObject) -> dict[str, tuple[float, float]]:
 
 # what a float64 holds with room to calculate
 _FINITE_MAX = 1e300
+# meters; coarser pixels show no hand
+PIXEL_MAX_M = 0.1
 
 
 def _is_box(value: object) -> bool:

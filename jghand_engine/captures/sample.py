@@ -15,8 +15,13 @@ from jghand_engine.captures.known_light import KnownLight
 from jghand_engine.captures.masks import lit_part, template_mask
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.mesh import HandTemplate
+
+# of the images of a set, those whose pixels are finer than `pixel_at_hand_m`: close-ups see little of the hand, and
+# what most images see sets the widths of Gaussians
+FINER_PART = 0.25
 
 
 class MaskSource(StrEnum):
@@ -117,6 +122,15 @@ def _check_size(sample: Sample, path: Path, pixels: np.ndarray) -> None:
             came=f"{width} x {height}",
             remedy="Images that were resized need their cameras scaled with them: take the originals.",
         )
+
+
+def pixel_at_hand_m(samples: Sequence[Sample], canonical_joints_m: np.ndarray) -> float:
+    """Size of a pixel where the hand is, meters of a hand of the canonical size: a quarter of the images have finer
+    ones. canonical_joints_m: (21, 3)"""
+    joints_m = np.stack([one.joints_m for one in samples])
+    eyes_m, focal = np.stack([one.camera.eye_m for one in samples]), np.array([one.camera.fx for one in samples])
+    scale = bone_lengths(joints_m).sum(-1) / bone_lengths(canonical_joints_m).sum()
+    return float(np.quantile(np.linalg.norm(eyes_m - joints_m.mean(1), axis=1) / (focal * scale), FINER_PART))
 
 
 # ---- what tells two sets apart, wherever their folders lie -----------------------------------------------------------

@@ -89,14 +89,16 @@ def material(
     by some that are learned. template: where the Gaussians start; None: on the built-in hand."""
     from jghand_engine.avatar.avatar import AvatarInfo, LearnedFrom
     from jghand_engine.avatar.validation import as_text
-    from jghand_engine.captures.sample import image_digest
+    from jghand_engine.captures.sample import image_digest, pixel_at_hand_m
     from jghand_engine.learn.step import Material
 
     choice = split.test or split.train
     count = min(len(choice), JUDGED_VIEWS)
     # the middle of each of so many equal parts
     judged = [choice[(2 * part + 1) * len(choice) // (2 * count)] for part in range(count)]
-    learned_from = LearnedFrom(as_text(capture), as_text(split.origin), len(split.train), image_digest(split.train))
+    template = template or hand_template(None)
+    digest, pixel_m = image_digest(split.train), pixel_at_hand_m(split.train, template.joints_m)
+    learned_from = LearnedFrom(as_text(capture), as_text(split.origin), len(split.train), digest, pixel_m)
     license = as_text(f"that of the pictures: {capture}")
     info = AvatarInfo(as_text(name), template="", license=license, learned_from=learned_from)
-    return Material(split.train, judged, template or hand_template(None), info, perceptual)
+    return Material(split.train, judged, template, info, perceptual)

@@ -39,7 +39,8 @@ def rasterize(gaussians: Gaussians, camera: Camera, settings: RenderSettings | N
     if position.dtype != torch.float32 or position.device.type != "cpu":
         return rasterize_reference(gaussians, camera, alpha_min=settings.alpha_min)
     lease = _Lease(load(settings.backend), thread_count(settings.threads))
-    planes = _NativeRaster.apply(*(getattr(gaussians, name) for name in _NAMES), lease, camera, settings)
+    tensors = (getattr(gaussians, name) for name in _NAMES)
+    planes = _NativeRaster.apply(*tensors, gaussians.pixel_m, lease, camera, settings)
     visible, invalid = lease.rasterizer.visible, lease.rasterizer.invalid
     return Picture.from_planes(planes, visible_gaussians=visible, invalid_gaussians=invalid)  # type: ignore[arg-type]
 
@@ -72,11 +73,11 @@ class _NativeRaster(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any):
-        tensors, (lease, camera, settings) = inputs[: len(_NAMES)], inputs[len(_NAMES) :]
+        tensors, (pixel_m, lease, camera, settings) = inputs[: len(_NAMES)], inputs[len(_NAMES) :]
         arrays: list[Any] = [None if tensor is None else tensor.detach().contiguous().numpy() for tensor in tensors]
         planes = torch.empty(PLANES, camera.height, camera.width)
         lease.rasterizer.forward(
-            GaussianArrays(**dict(zip(_NAMES, arrays, strict=True))),
+            GaussianArrays(**dict(zip(_NAMES, arrays, strict=True)), pixel_m=pixel_m),
             view_of(camera),
             alpha_min=settings.alpha_min,
             t_stop=settings.t_stop,
@@ -96,7 +97,7 @@ class _NativeRaster(torch.autograd.Function):
         gradients = ctx.lease.rasterizer.backward(incoming)
         wanted = zip(_NAMES, ctx.needs_input_grad[: len(_NAMES)], strict=True)
         tensors = [_tensor(getattr(gradients, name)) if want else None for name, want in wanted]
-        return (*tensors, None, None, None)
+        return (*tensors, None, None, None, None)
 
 
 def _tensor(array: np.ndarray | None) -> torch.Tensor | None:

@@ -185,10 +185,11 @@ def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor,
     u, v = jx * x, jy * y
     flat = torch.zeros_like(z)
     jacobian = (jx, jy, flat, flat) if camera.orthographic else (jx, jy, -u / z, -v / z)
+    blur = ((jx * jy).detach() * (contract.BLUR_PX2 * gaussians.pixel_m**2)).clamp_min(contract.BLUR_PX2)
     if covariance is None:
-        shapes = _project_spheres(gaussians.sigma_m[kept], jacobian)
+        shapes = _project_spheres(gaussians.sigma_m[kept], jacobian, blur)
     else:
-        shapes = _project_ellipsoids(covariance[kept], jacobian, camera)
+        shapes = _project_ellipsoids(covariance[kept], jacobian, blur, camera)
     features = torch.cat([rgb, torch.ones_like(z)[:, None], z[:, None]], 1)
     return _Ellipses(u + camera.cx, v + camera.cy, *shapes, z, opacity, features)
 
@@ -196,22 +197,21 @@ def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor,
 _Four = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
-def _project_spheres(sigma: torch.Tensor, jacobian: _Four) -> _Four:
+def _project_spheres(sigma: torch.Tensor, jacobian: _Four, blur: torch.Tensor) -> _Four:
     """a, b, c and determinant, with the low pass added, from radii (M,) and du/dx, dv/dy, du/dz, dv/dz (M,)."""
     jx, jy, jxz, jyz = jacobian
     xx, xz, yy, yz = (sigma * jx) ** 2, (sigma * jxz) ** 2, (sigma * jy) ** 2, (sigma * jyz) ** 2
-    blur = contract.BLUR_PX2
     a, b, c = xx + xz + blur, (sigma * jxz) * (sigma * jyz), yy + yz + blur
     # a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
     return a, b, c, xx * yy + xx * yz + xz * yy + blur * (xx + xz + yy + yz) + blur**2
 
 
-def _project_ellipsoids(covariance: torch.Tensor, jacobian: _Four, camera: Camera) -> _Four:
+def _project_ellipsoids(covariance: torch.Tensor, jacobian: _Four, blur: torch.Tensor, camera: Camera) -> _Four:
     """The same from covariances S (M, 6) of the world: J R S R^T J^T + blur (EWA).
 
     In float64 on the way, for a c - b^2 cancels for long thin ellipses and cannot be multiplied out here.
     """
-    blur, rotation = contract.BLUR_PX2, torch.from_numpy(camera.camera_from_world[:3, :3]).to(covariance.device)
+    rotation = torch.from_numpy(camera.camera_from_world[:3, :3]).to(covariance.device)
     jx, jy, jxz, jyz = (j.to(torch.float64)[:, None] for j in jacobian)
     tu, tv = jx * rotation[0] + jxz * rotation[2], jy * rotation[1] + jyz * rotation[2]
     matrix = covariance.to(torch.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(1, (3, 3))

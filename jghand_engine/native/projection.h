@@ -72,13 +72,19 @@ JG_INLINE vf to_camera(const double* row, vf x, vf y, vf z) {
   return narrow(wide(x) * row[0] + wide(y) * row[1] + wide(z) * row[2] + row[3]);
 }
 
-JG_INLINE void spread(const RasterJob&, const Spheres& shapes, Projection& p) {
+// The low pass: that of a pixel, and never less than the pictures had that the Gaussians were learned from, for what
+// overlaps there leaves gaps where it is drawn sharper. px^2
+JG_INLINE vf low_pass(const RasterJob& job, const Projection& p) {
+  return max(p.jx * p.jy * job.low_pass_m2, all(BLUR_PX2));
+}
+
+JG_INLINE void spread(const RasterJob& job, const Spheres& shapes, Projection& p) {
   // sigma first, then the squares: sigma^2 alone may underflow where the product does not
   const vf s = shapes.sigma, sx = s * p.jx, sy = s * p.jy, sxz = s * p.jxz, syz = s * p.jyz;
-  const vf xx = sx * sx, yy = sy * sy, xz = sxz * sxz, yz = syz * syz;
-  p.a = xx + xz + BLUR_PX2, p.c = yy + yz + BLUR_PX2, p.b = sxz * syz;
+  const vf xx = sx * sx, yy = sy * sy, xz = sxz * sxz, yz = syz * syz, low = low_pass(job, p);
+  p.a = xx + xz + low, p.c = yy + yz + low, p.b = sxz * syz;
   // a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
-  const vf det = xx * yy + xx * yz + xz * yy + (xx + xz + yy + yz) * BLUR_PX2 + BLUR_PX2 * BLUR_PX2;
+  const vf det = xx * yy + xx * yz + xz * yy + (xx + xz + yy + yz) * low + low * low;
   p.inverse_det = 1.0f / det;
 }
 
@@ -107,9 +113,9 @@ JG_INLINE void spread(const RasterJob& job, const Ellipsoids& shapes, Projection
   vd a = dot(tu, mu), b = dot(tu, mv), c = dot(tv, mv);
   // flat Gaussians may be a rounding error beyond flat: the nearest ellipse that exists. A NaN stays one
   a = a < 0 ? vd{} : a, c = c < 0 ? vd{} : c;
-  const vd flat = a * c - b * b, det = (flat < 0 ? vd{} : flat) + (a + c) * BLUR_PX2 + BLUR_PX2 * BLUR_PX2;
-  const vf longest = sqrt(narrow(a * c));
-  p.a = narrow(a) + BLUR_PX2, p.c = narrow(c) + BLUR_PX2, p.b = max(min(narrow(b), longest), -longest);
+  const vf low = low_pass(job, p), longest = sqrt(narrow(a * c));
+  const vd flat = a * c - b * b, det = (flat < 0 ? vd{} : flat) + (a + c + wide(low)) * wide(low);
+  p.a = narrow(a) + low, p.c = narrow(c) + low, p.b = max(min(narrow(b), longest), -longest);
   p.inverse_det = 1.0f / narrow(det);
 }
 

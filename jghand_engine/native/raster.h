@@ -84,6 +84,7 @@ struct RasterJob {
   double camera_from_position[12];    // (3, 4), row by row
   float fx, fy, cx, cy;               // px
   float z_near;                       // m
+  float low_pass_m2;                  // squared width of the low pass where the Gaussians are, at least
   float log2_alpha_min, alpha_max, t_stop;
   int32_t count, width, height, tiles_x, tiles_y;
   int32_t parts;                      // how finely the Gaussians are shared between threads; does not change the result

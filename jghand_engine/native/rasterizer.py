@@ -55,7 +55,7 @@ class _Job(ctypes.Structure):
         ("team", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("list_capacity", "pairs")),
         ("camera_from_position", ctypes.c_double * 12),
-        *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near")),
+        *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near", "low_pass_m2")),
         *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
         *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status", "orthographic")),
@@ -72,6 +72,7 @@ class GaussianArrays:
     """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, meters, colors 0..1.
 
     covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the frame of the positions; then sigma_m is not looked at.
+    pixel_m:       of the pictures that they were learned from: see `learn.gaussians.Gaussians`
     """
 
     position_m: np.ndarray
@@ -79,6 +80,7 @@ class GaussianArrays:
     opacity: np.ndarray
     rgb: np.ndarray
     covariance_m2: np.ndarray | None = None
+    pixel_m: float = 0.0
 
     def __len__(self) -> int:
         return len(self.position_m)
@@ -236,6 +238,7 @@ class NativeRasterizer:
         job.opacity = address(gaussians.opacity, np.float32, "opacity", (n,))
         job.rgb = address(gaussians.rgb, np.float32, "rgb", (n, 3))
         covariance = gaussians.covariance_m2
+        job.low_pass_m2 = contract.BLUR_PX2 * gaussians.pixel_m**2
         job.covariance = None if covariance is None else address(covariance, np.float32, "covariance_m2", (n, 6))
         self._prepared = gaussians
 

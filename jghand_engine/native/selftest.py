@@ -45,8 +45,9 @@ def sample_gaussians() -> GaussianArrays:
     position = np.stack([spread(0.618034) * 0.1 - 0.05, spread(0.754878) * 0.1 - 0.05, 0.5 + spread(0.569840) * 0.1], 1)
     rgb = np.stack([spread(0.245122), spread(0.430160), spread(0.850651)], 1)
     position[7] = np.nan
-    arrays = (position, 0.002 + 0.004 * spread(0.381966), 0.2 + 0.7 * spread(0.324718), rgb)
-    return GaussianArrays(*(np.ascontiguousarray(array, np.float32) for array in arrays))
+    parts = (position, 0.002 + 0.004 * spread(0.381966), 0.2 + 0.7 * spread(0.324718), rgb)
+    position_m, sigma_m, opacity, rgb = (np.ascontiguousarray(part, np.float32) for part in parts)
+    return GaussianArrays(position_m, sigma_m, opacity, rgb)
 
 
 def sample_ellipsoids() -> GaussianArrays:

@@ -100,6 +100,7 @@ class Backend:
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
         self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)))
         self._hands: list[Poser] = []
+        self._pixels_m = [avatar.pixel_m for avatar in avatars]
         first = 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
@@ -123,6 +124,9 @@ class Backend:
         skins: list[Poser] = []
         if poses is not None:
             skins = self._hands
+            # hands of one image share its low pass: it is that of the finest pictures
+            pixels_m = (pixel_m * pose.bones.scale for pixel_m, pose in zip(self._pixels_m, poses, strict=True))
+            self._gaussians = replace(self._gaussians, pixel_m=min(pixels_m))
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
                 keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
                 hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)

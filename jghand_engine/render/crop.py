@@ -57,6 +57,8 @@ class HandFacts:
         # along these a bone is stretched
         self._frames = avatar.skeleton().canonical.frames
         self._moving, self._corners_m = _corners(avatar)
+        # what the low pass of its pictures adds
+        self._low_pass_m = math.sqrt(contract.BLUR_PX2) * avatar.pixel_m
         # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
         # like the corners; twice is more than it does to the skin of a hand
         self._sigma_max_m = float(avatar.sigma_m.max(initial=0.0)) * SIGMA_STRETCH_MAX
@@ -67,7 +69,7 @@ class HandFacts:
     def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
         """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
         may be from its skinned place."""
-        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
+        seen = math.sqrt(2 * math.log(1 / alpha_min)) * math.hypot(self._sigma_max_m, self._low_pass_m)
         # a bone that is longer than the hand's scale says stretches the offsets along it
         longest = float(np.linalg.norm(bones.linear_offset[:, :, :3] @ self._frames, axis=1).max())
         return seen * max(bones.scale, 1.0), self._offset_m * max(longest, 1.0)

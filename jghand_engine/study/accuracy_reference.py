@@ -59,7 +59,9 @@ class ExactPictures64:
     def _posed(self, pose_m: np.ndarray) -> Gaussians:
         avatar = self._subject.avatar
         bones = transform_of(avatar).bones(torch.from_numpy(pose_m))
-        return pose_gaussians(avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(self._subject.camera.eye_m))
+        eye_m = torch.from_numpy(self._subject.camera.eye_m)
+        gaussians = pose_gaussians(avatar, bones, frames=bones.frames, eye_m=eye_m)
+        return replace(gaussians, pixel_m=avatar.pixel_m * float(bones.scale))
 
     def _exact(self, pose_m: np.ndarray) -> np.ndarray:
         with torch.no_grad():

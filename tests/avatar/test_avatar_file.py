@@ -207,7 +207,7 @@ def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_pat
 
 
 def test_the_pictures_that_an_avatar_was_learned_from_are_kept(tmp_path):
-    learned_from = LearnedFrom("id3 train/Capture0", "splits.json of the capture", 360, "0123456789abcdef")
+    learned_from = LearnedFrom("id3 train/Capture0", "splits.json of the capture", 360, "0123456789abcdef", 4.8e-4)
     avatar = small_avatar()
     save_avatar(tmp_path / "hand.jghand", replace(avatar, info=replace(avatar.info, learned_from=learned_from)))
     assert load_avatar(tmp_path / "hand.jghand").info.learned_from == learned_from

@@ -11,7 +11,7 @@ from PIL import Image
 
 from jghand_engine.captures.image_files import probe_image, probe_sized, read_image, read_mask
 from jghand_engine.captures.masks import template_mask
-from jghand_engine.captures.sample import MaskSource, Sample, load_image
+from jghand_engine.captures.sample import MaskSource, Sample, load_image, pixel_at_hand_m
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 
@@ -31,6 +31,15 @@ def save(path, *channels, mode=None, **options):
     image = Image.fromarray(planes[0] if len(planes) == 1 else np.stack(planes, -1))
     (image.convert(mode) if mode else image).save(path, **options)
     return path
+
+
+def test_a_pixel_at_the_hand_is_that_of_a_quarter_of_the_images_on_a_hand_of_canonical_size(sample):
+    near, joints_m = 0.5 * sample.joints_m, sample.joints_m
+    images = [sample, sample, sample, dataclasses.replace(sample, camera=sample.camera.scaled(10.0))]
+    size_m = np.linalg.norm(sample.camera.eye_m - joints_m.mean(0)) / sample.camera.fx
+    assert pixel_at_hand_m(images[:3], joints_m) == pytest.approx(size_m)
+    assert pixel_at_hand_m(images[:3], near) == pytest.approx(0.5 * size_m)
+    assert pixel_at_hand_m(images, joints_m) == pytest.approx(size_m * (0.75 + 0.25 * 0.1))
 
 
 def test_straight_alpha_becomes_the_hand_on_black(sample):

@@ -13,7 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar, trained_avatar
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.corrective_task import NetworkStep
 from jghand_engine.avatar.correctives import CorrectiveChange, PoseNetShape
@@ -40,6 +40,8 @@ from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode, p
 
 RIGHT = load_painted(handedness=Handedness.RIGHT)
 TRAINED = trained_avatar(3000)
+# ... from pictures whose pixels are large
+COARSE = replace(TRAINED, info=replace(TRAINED.info, learned_from=LearnedFrom("it", "all", 1, "0", pixel_m=4e-3)))
 SMALL = RenderSettings(gaussians=4000)
 ALL = Choice.parse("all")
 # cut-off of preset final: contributions between this and 1/255 are the faint tail
@@ -482,7 +484,11 @@ def test_nothing_is_seen_outside_of_the_hands_box(joints_of, avatar):
         assert float(outside.max()) == 0
 
 
-@pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
+@pytest.mark.parametrize(
+    "avatar",
+    [RIGHT, TRAINED, ellipsoid_avatar(1000), COARSE],
+    ids=["painted", "trained", "ellipsoids", "of coarse pictures"],
+)
 def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avatar):
     joints, rng, smaller = pose("relaxed", avatar), np.random.default_rng(3), 0
     scene = SceneRenderer([avatar], replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))

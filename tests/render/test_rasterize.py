@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from splat_scenes import (
     joined,
     planes_of,
     reordered,
+    stretched,
 )
 
 from jghand_engine.errors import InputError
@@ -31,6 +33,31 @@ from jghand_engine.render.camera import Camera
 
 native = pytest.mark.parametrize("backend", NATIVE)
 every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])
+
+
+# ---- the low pass of the pictures that Gaussians were learned from ---------------------------------------------------
+
+
+@native
+@pytest.mark.parametrize("shape", [lambda spheres: spheres, stretched], ids=["spheres", "ellipsoids"])
+def test_pictures_finer_than_those_learned_from_agree_with_the_reference(shape, backend):
+    gaussians = replace(shape(hand_gaussians(1500)), pixel_m=1e-3)
+    for camera in (camera_for(120, 80, distance_m=0.1), camera_for(120, 80, distance_m=2.0)):
+        assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=2.0)
+    coarser = camera_for(60, 40, distance_m=2.0)
+    assert_same_bits(draw(gaussians, coarser, backend), draw(replace(gaussians, pixel_m=0.0), coarser, backend))
+
+
+@every_backend
+def test_a_sheet_is_as_closed_in_finer_pictures_as_in_its_own(backend):
+    """A Gaussian every millimeter, which pixels of half a millimeter blur together, seen five times as fine."""
+    place_m = 1e-3 * np.stack(np.meshgrid(np.arange(-8.0, 9), np.arange(-8.0, 9), [100.0]), -1).reshape(-1, 3)
+    sheet = gaussians_from(place_m, np.full(289, 0.35e-3), np.full(289, 1.0), np.ones((289, 3)))
+    own = draw(sheet, front_camera(12, 12, focal_px=200.0), backend).alpha
+    finer = front_camera(60, 60, focal_px=1000.0)
+    closed, open_ = (draw(replace(sheet, pixel_m=size_m), finer, backend).alpha[2::5, 2::5] for size_m in (0.5e-3, 0.0))
+    assert float((closed - own).abs().max()) < 1e-3
+    assert float((own - open_).min()) > 0.02
 
 
 # ---- promise 3: the picture -----------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from splat_scenes import (
@@ -37,6 +39,7 @@ SCENES = {
     "near": lambda: (hand_gaussians(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.12)),
     "camera inside": lambda: (hand_gaussians(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.02)),
     "one pixel": lambda: (hand_gaussians(300, sigma_mm=(5, 20), opacity=(0.02, 0.1)), camera_for(1, 1)),
+    "coarse pictures": lambda: (replace(hand_gaussians(2000), pixel_m=2e-3), camera_for(128, 84, distance_m=0.15)),
     "odd size": lambda: (hand_gaussians(500, sigma_mm=(2, 5)), camera_for(37, 19)),
 }
 
