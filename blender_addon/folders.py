@@ -92,13 +92,4 @@ def _adapt(thing: bpy.types.Object, name: str, source: bpy.types.Library) -> Non
         setattr(thing.jghand, name, relative(whole) if bpy.data.filepath else whole)
 
 
-def register() -> None:
-    """Begins to look."""
-    if _appended not in bpy.app.handlers.blend_import_post:
-        bpy.app.handlers.blend_import_post.append(_appended)
-
-
-def unregister() -> None:
-    """Ends it."""
-    if _appended in bpy.app.handlers.blend_import_post:
-        bpy.app.handlers.blend_import_post.remove(_appended)
+APP_HANDLERS = (("blend_import_post", _appended),)

@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the extension adds to Blender: classes, then what is no class, in two ordered lists.
 
-A module of the first list has `CLASSES`; one of the second has `register()` and `unregister()`.
+A module of the first list has `CLASSES`; one of the second what it needs of these:
+
+    SETTINGS       (type of Blender's, class of what is saved with it as `jghand`)
+    MENUS          (menu of Blender's, what draws behind its entries)
+    APP_HANDLERS   (name in bpy.app.handlers, function)
+    register(), unregister()
 """
 
 from __future__ import annotations
@@ -58,17 +63,32 @@ def register() -> None:
         return
     _add_classes()
     for module in _WITH_HOOKS:
-        module.register()
+        for owner, settings in getattr(module, "SETTINGS", ()):
+            owner.jghand = bpy.props.PointerProperty(type=settings, override=hand_properties.OVERRIDABLE)
+        for menu, draw in getattr(module, "MENUS", ()):
+            menu.append(draw)
+        for name, function in getattr(module, "APP_HANDLERS", ()):
+            getattr(bpy.app.handlers, name).append(function)
+        if hasattr(module, "register"):
+            module.register()
     atexit.register(_at_exit)
 
 
 def unregister() -> None:
-    """Takes everything away, where it is there."""
+    """Takes everything away, where it is there; what files hold stays in them."""
     if not is_registered():
         return
     atexit.unregister(_at_exit)
     for module in reversed(_WITH_HOOKS):
-        module.unregister()
+        if hasattr(module, "unregister"):
+            module.unregister()
+        for name, function in getattr(module, "APP_HANDLERS", ()):
+            if function in (there := getattr(bpy.app.handlers, name)):
+                there.remove(function)
+        for menu, draw in getattr(module, "MENUS", ()):
+            menu.remove(draw)
+        for owner, _ in getattr(module, "SETTINGS", ()):
+            del owner.jghand
     _remove_classes()
 
 

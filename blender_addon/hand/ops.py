@@ -488,11 +488,4 @@ def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
         self.layout.operator("jghand.add_hand", text=f"JGHand {label} Hand", icon="VIEW_PAN").handedness = side
 
 
-def register() -> None:
-    """Adds Add Hand to Blender's menu of armatures."""
-    bpy.types.VIEW3D_MT_armature_add.append(_add_menu)
-
-
-def unregister() -> None:
-    """Takes it away."""
-    bpy.types.VIEW3D_MT_armature_add.remove(_add_menu)
+MENUS = ((bpy.types.VIEW3D_MT_armature_add, _add_menu),)

@@ -520,11 +520,4 @@ def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv, .bvh, .usd, …)")
 
 
-def register() -> None:
-    """Adds Import Motion to Blender's File > Import."""
-    bpy.types.TOPBAR_MT_file_import.append(_import_menu)
-
-
-def unregister() -> None:
-    """Takes it away."""
-    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
+MENUS = ((bpy.types.TOPBAR_MT_file_import, _import_menu),)

@@ -128,13 +128,4 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (JGHandJoint, JGHandObjectSettings)
-
-
-def register() -> None:
-    """Adds `object.jghand`."""
-    bpy.types.Object.jghand = bpy.props.PointerProperty(type=JGHandObjectSettings, override=OVERRIDABLE)
-
-
-def unregister() -> None:
-    """Takes it away; what files hold stays in them."""
-    del bpy.types.Object.jghand
+SETTINGS = ((bpy.types.Object, JGHandObjectSettings),)

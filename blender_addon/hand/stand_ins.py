@@ -293,16 +293,5 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
             layer.update()
 
 
-_HANDLERS = (("load_post", on_load), ("render_init", on_render))
-
-
-def register() -> None:
-    """Follows what is opened and rendered."""
-    for name, function in _HANDLERS:
-        getattr(bpy.app.handlers, name).append(function)
-
-
-def unregister() -> None:
-    """Ceases to. Stand-ins stay: they work without the extension."""
-    for name, function in _HANDLERS:
-        getattr(bpy.app.handlers, name).remove(function)
+# of what is opened and rendered; without the extension stand-ins stay, and work
+APP_HANDLERS = (("load_post", on_load), ("render_init", on_render))

@@ -241,15 +241,17 @@ def _panels() -> Iterator[set[str]]:
             yield engines
 
 
+# worlds are measured before frames
+APP_HANDLERS = (("render_pre", on_frame),)
+
+
 def register() -> None:
-    """Has Blender's own panels of cameras and output shown for the engine, and worlds measured before frames."""
+    """Has Blender's own panels of cameras and output shown for the engine."""
     for engines in _panels():
         engines.add(JGHandRenderEngine.bl_idname)
-    bpy.app.handlers.render_pre.append(on_frame)
 
 
 def unregister() -> None:
     """As it was before."""
     for engines in _panels():
         engines.discard(JGHandRenderEngine.bl_idname)
-    bpy.app.handlers.render_pre.remove(on_frame)

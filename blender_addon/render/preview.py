@@ -269,15 +269,6 @@ def _draw_in_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
 
 
 CLASSES = (PreviewMovie,)
-
-
-def register() -> None:
-    """Stands in the view's menu, below Blender's own Viewport Render."""
-    bpy.types.VIEW3D_MT_view.append(_draw_in_menu)
-    bpy.app.handlers.render_complete.append(on_complete)
-
-
-def unregister() -> None:
-    """Takes it away."""
-    bpy.types.VIEW3D_MT_view.remove(_draw_in_menu)
-    bpy.app.handlers.render_complete.remove(on_complete)
+# below Blender's own Viewport Render
+MENUS = ((bpy.types.VIEW3D_MT_view, _draw_in_menu),)
+APP_HANDLERS = (("render_complete", on_complete),)

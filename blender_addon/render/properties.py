@@ -10,7 +10,6 @@ import bpy
 
 from ..core.pacing import SHADOW_RADIUS_MAX_MM, SHADOW_RADIUS_MM
 from ..export import properties as output_settings
-from ..hand.properties import OVERRIDABLE
 
 # identifier, name, tooltip, icon, number in files
 PRESETS = (
@@ -143,13 +142,4 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (*output_settings.CLASSES, JGHandSceneSettings)
-
-
-def register() -> None:
-    """Adds `scene.jghand`."""
-    bpy.types.Scene.jghand = bpy.props.PointerProperty(type=JGHandSceneSettings, override=OVERRIDABLE)
-
-
-def unregister() -> None:
-    """Takes it away; what files hold stays in them."""
-    del bpy.types.Scene.jghand
+SETTINGS = ((bpy.types.Scene, JGHandSceneSettings),)

@@ -142,16 +142,11 @@ def was_said(scene: bpy.types.Scene) -> bool:
     return any(uid == scene.session_uid for uid, _ in _said) and ui.later is None
 
 
-def register() -> None:
-    """Looks at every render from now on."""
-    if on_render not in bpy.app.handlers.render_init:
-        bpy.app.handlers.render_init.append(on_render)
+APP_HANDLERS = (("render_init", on_render),)
 
 
 def unregister() -> None:
-    """Does not look any more."""
+    """Forgets what was said."""
     global _failed
-    if on_render in bpy.app.handlers.render_init:
-        bpy.app.handlers.render_init.remove(on_render)
     _said.clear()
     _failed = ""

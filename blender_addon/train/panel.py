@@ -142,10 +142,6 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
 CLASSES = (TrainPanel, TrainingSetPanel)
 
 
-def register() -> None:
-    """Nothing is read before the panel is drawn."""
-
-
 def unregister() -> None:
     """Frees the icons."""
     global _icons, _reader, _shown
