@@ -236,11 +236,25 @@ def test_a_hand_that_is_switched_off_in_a_frame_leaves_the_picture_empty(engine,
     assert not hands.pixels(blend.parent / "out/CamPalm/0002.png").any()
 
 
-def test_a_scene_whose_hands_are_never_rendered_is_bad_input_and_no_run_of_empty_pictures(engine, blend):
+def hidden() -> None:
     bpy.data.objects["right"].hide_render = True
+
+
+def without_a_hand() -> None:
+    bpy.data.objects.remove(bpy.data.objects["right"])
+
+
+def without_a_camera() -> None:
+    bpy.context.scene.camera = None
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"), [(hidden, "no_hand"), (without_a_hand, "no_hand"), (without_a_camera, "no_camera")]
+)
+def test_a_scene_that_shows_no_hand_is_bad_input_and_no_run_of_empty_pictures(engine, blend, change, kind):
+    change()
     code, files, report = rendered(saved(blend.parent))
-    assert code == 2
-    assert report["failure"]["kind"] == "no_hand"
+    assert (code, report["failure"]["kind"]) == (2, kind)
     assert files == []
 
 
@@ -332,19 +346,6 @@ def test_a_camera_that_is_not_there_is_bad_input_and_the_others_are_named(engine
     assert code == 2
     assert report["failure"]["kind"] == "not_a_camera"
     assert "CamSide" in capsys.readouterr().err
-
-
-def test_a_scene_without_a_camera_is_bad_input(engine, blend):
-    bpy.context.scene.camera = None
-    code, _, report = rendered(saved(blend.parent))
-    assert (code, report["failure"]["kind"]) == (2, "no_camera")
-
-
-def test_a_scene_without_a_hand_is_bad_input(engine, blend):
-    bpy.data.objects.remove(bpy.data.objects["right"])
-    code, _, report = rendered(saved(blend.parent))
-    assert code == 2
-    assert report["failure"]["kind"] == "no_hand"
 
 
 def test_a_hand_that_is_only_instanced_is_rendered_with_the_avatar_that_is_asked_for(engine, blend):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 
 import motion_samples as samples
@@ -14,11 +15,6 @@ from jghand_engine.motion.content import MotionFormat
 from jghand_engine.motion.read import read_motion_file
 
 TOLD = MotionFormat(handedness=Handedness.RIGHT)
-
-
-@pytest.fixture(scope="module")
-def rig():
-    return samples.rig(samples.motion(frames=6), scale=1.0)
 
 
 def _written(folder, kind):
@@ -68,17 +64,10 @@ def test_a_file_cut_anywhere_is_an_input_error(tmp_path, kind):
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.startswith("usd")])
 def test_flipped_bits_never_crash(tmp_path, kind):
     path = _written(tmp_path, kind)
-    whole = path.read_bytes()
-    random = np.random.default_rng(2)
-    for _ in range(120):
-        broken = bytearray(whole)
-        for place in random.integers(0, len(whole), 3):
-            broken[place] ^= 1 << int(random.integers(8))
+    for broken in samples.flipped(path.read_bytes(), 120):
         path.write_bytes(broken)
-        try:
+        with contextlib.suppress(InputError):
             read_motion_file(path, MotionFormat(handedness=Handedness.RIGHT, check_hand=False))
-        except InputError:
-            continue
 
 
 HEAD = (

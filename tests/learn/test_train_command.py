@@ -33,6 +33,19 @@ def train(small_capture, tiny, tmp_path, capsys):
     return run
 
 
+@pytest.fixture
+def refused(train):
+    """Runs the command where it is bad input, which it says in these words."""
+
+    def run(*words, says, **where):
+        code, _, err = train(*words, **where)
+        assert code == 2
+        for each in [says] if isinstance(says, str) else says:
+            assert each in err
+
+    return run
+
+
 def in_step(monkeypatch, number, act):
     """Does something in a step of the real training, before or instead of it."""
     step = HandTraining.step
@@ -102,26 +115,18 @@ def test_ctrl_c_is_answered_by_how_to_go_on_and_resume_does(train, tmp_path, mon
     assert (tmp_path / "tiny.jghand").exists()
 
 
-def test_a_second_training_must_say_what_it_means(train, tmp_path):
+def test_a_second_training_must_say_what_it_means(train, refused):
     train("--steps", 2)
-    code, _, err = train("--steps", 2)
-    assert code == 2
-    assert "--resume" in err
-    assert "--fresh" in err
+    refused("--steps", 2, says=("--resume", "--fresh"))
     assert train("--steps", 2, "--fresh")[0] == 0
-    code, _, err = train("--steps", 4, "--resume", "--seed", 3)
-    assert code == 2
-    assert "options.seed: wanted 0, as this training began, got 3" in err
-    code, _, err = train("--steps", 4, "--resume", "--all-pictures")
-    assert code == 2
-    assert "pictures: wanted 20, as this training began, got 24" in err
+    words = ("--steps", 4, "--resume")
+    refused(*words, "--seed", 3, says="options.seed: wanted 0, as this training began, got 3")
+    refused(*words, "--all-pictures", says="pictures: wanted 20, as this training began, got 24")
 
 
-def test_somebodys_file_is_not_replaced(train, tmp_path):
+def test_somebodys_file_is_not_replaced(train, refused, tmp_path):
     (tmp_path / "tiny.jghand").write_text("somebody's")
-    code, _, err = train("--steps", 2)
-    assert code == 2
-    assert "--overwrite" in err
+    refused("--steps", 2, says="--overwrite")
     assert (tmp_path / "tiny.jghand").read_text() == "somebody's"
     assert not (tmp_path / "tiny.training").exists()
     assert train("--steps", 2, "--overwrite")[0] == 0
@@ -139,16 +144,12 @@ def test_somebodys_file_is_not_replaced(train, tmp_path):
         (("--out", "hand.txt"), ".jghand"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(train, words, said):
-    code, _, err = train(*words)
-    assert code == 2
-    assert said in err
+def test_options_that_make_no_sense_are_refused(refused, words, said):
+    refused(*words, says=said)
 
 
-def test_a_folder_without_pictures_is_refused_before_anything_is_written(train, tmp_path):
-    code, _, err = train("--steps", 2, folder=tmp_path)
-    assert code == 2
-    assert str(tmp_path) in err
+def test_a_folder_without_pictures_is_refused_before_anything_is_written(refused, tmp_path):
+    refused("--steps", 2, says=str(tmp_path), folder=tmp_path)
     assert not (tmp_path / "tiny.training").exists()
 
 
