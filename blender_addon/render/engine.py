@@ -241,8 +241,8 @@ def _panels() -> Iterator[set[str]]:
             yield engines
 
 
-# worlds are measured before frames
-APP_HANDLERS = (("render_pre", on_frame),)
+# worlds are measured before frames, and the light of scenes follows hands that come from other files
+APP_HANDLERS = (("render_pre", on_frame), ("blend_import_post", scene_light.on_import))
 
 
 def register() -> None:

@@ -12,14 +12,15 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.files import write_whole
@@ -174,9 +175,28 @@ def follow(scene: bpy.types.Scene, given: Collection[bpy.types.Object]) -> None:
     """Hands were given their avatars: where these are all hands of a scene, and no artist chose its light, that follows
     what they learned in. Known light answers the scene's."""
     is_free = LIGHT_OF_HANDS in scene or not scene.jghand.is_property_set("light")
-    if is_free and scene.is_editable and all(hand in given for hand in filter(armature.is_any_hand, scene.objects)):
+    if is_free and scene.is_editable and all(hand in given for hand in _hands_of(scene)):
         scene.jghand.light = "SCENE" if all(map(_learned_in_known_light, given)) else "CAPTURE"
         scene[LIGHT_OF_HANDS] = True
+
+
+def _hands_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
+    """Its own, and those in the collections that it has instances of."""
+    for thing in scene.objects:
+        inside = thing.instance_collection if thing.instance_type == "COLLECTION" else None
+        yield from filter(armature.is_any_hand, (thing, *(inside.all_objects if inside is not None else ())))
+
+
+@persistent
+def on_import(imported: bpy.types.BlendImportContext, *_: Any) -> None:
+    """Data-blocks were linked or appended: hands among them are added ones."""
+    came = [each.id for each in imported.import_items]
+    objects = [thing for thing in came if isinstance(thing, bpy.types.Object)]
+    for collection in came:  # of a linked one no object is named
+        objects += collection.all_objects if isinstance(collection, bpy.types.Collection) else ()
+    hands = list(filter(armature.is_any_hand, objects))
+    if hands and bpy.context.scene is not None:
+        follow(bpy.context.scene, hands)
 
 
 def _learned_in_known_light(hand: bpy.types.Object) -> bool:

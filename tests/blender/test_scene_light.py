@@ -160,6 +160,30 @@ def test_a_scene_with_hands_keeps_its_light_when_another_is_added_or_its_file_is
     assert not scene_light.is_chosen(bpy.context.scene)
 
 
+@pytest.mark.parametrize("is_linked", [False, True], ids=["appended", "linked"])
+def test_a_hand_of_another_file_decides_as_one_that_is_added(context, avatars, tmp_path, is_linked):
+    for kind in ("known", "unknown"):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        hand = armature.build_armature(bpy.context, kind, posing.rest_joints_m("right"), "right")
+        hand.jghand.avatar = avatars[kind]
+        inside = bpy.data.collections.new("inside")
+        inside.objects.link(hand)
+        bpy.data.libraries.write(str(tmp_path / f"{kind}.blend"), {inside})
+    bring = bpy.ops.wm.link if is_linked else bpy.ops.wm.append
+
+    def light_after(*kinds: str) -> str:
+        for kind in kinds:
+            bring(directory=f"{tmp_path / kind}.blend/Collection/", filename="inside")
+        return bpy.context.scene.jghand.light
+
+    for kinds, light in ((["known"], "SCENE"), (["unknown"], "CAPTURE"), (["known", "unknown"], "SCENE")):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        assert light_after(*kinds) == light
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.jghand.light = "CAPTURE"
+    assert light_after("known") == "CAPTURE"
+
+
 def view(shading: str, **more: bool) -> SimpleNamespace:
     chosen = {"use_scene_lights": True, "use_scene_lights_render": True, "use_scene_world": True, **more}
     return SimpleNamespace(
