@@ -110,6 +110,17 @@ def test_the_penumbra_of_a_round_lamp_is_as_wide_as_it_should_be(context, kind):
     assert _width(left(points, normals, lamp)[0], 0.001) == pytest.approx(wanted, rel=0.3)
 
 
+def test_a_soft_shadow_has_no_blotches(context):
+    """Skin 3.5 mm apart, wholly in the penumbra of a straight edge: each point is near what it should be."""
+    card(2.0, up=0.5, aside=1.0)
+    across, along = np.meshgrid(np.arange(-0.07, 0.07, 0.0035), np.arange(-0.07, 0.07, 0.0035))
+    points = np.stack([across, np.full_like(across, -scene_shadows.LIFT_M), along], -1).reshape(-1, 3)
+    seen = left(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), {**POINT, "radius_m": 0.1})[0]
+    x = across.ravel() / 0.1
+    wanted = 0.5 - (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.pi
+    assert np.sqrt(((seen - wanted) ** 2).mean()) < 0.05
+
+
 def test_instances_units_and_turned_things_throw_shadows_and_stand_ins_none(extension):
     points, normals = line(length=0.1)
     plane = card(0.6, up=0.0)

@@ -1,0 +1,4 @@
+# Comes with bpy, see there.
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
