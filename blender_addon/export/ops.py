@@ -36,9 +36,7 @@ class Export(StartsJob, bpy.types.Operator):
     bl_description = "Write what the hands do over the range of frames into the folder. Esc cancels"
     bl_options = REGISTERED
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands_to_write(cls, context)
+    poll = classmethod(poll_hands_to_write)
 
     @classmethod
     def description(cls, context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:
@@ -179,9 +177,7 @@ class Bake(StartsJob, bpy.types.Operator):
     # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
     bl_options = REGISTERED
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands_to_write(cls, context)
+    poll = classmethod(poll_hands_to_write)
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.bake_folder)
@@ -281,6 +277,13 @@ def _clean(made: Sequence[_NewBake]) -> None:
         shutil.rmtree(bake.made, ignore_errors=True)
 
 
+def _poll_baked(operator: type, context: bpy.types.Context) -> bool:
+    thing = context.object
+    if thing is None or not thing.jghand.bake:
+        return missing(operator, "Select a hand that was baked")
+    return True
+
+
 class PlayBake(Reporting, bpy.types.Operator):
     """Operator: the bake of the active hand as an object."""
 
@@ -299,9 +302,7 @@ class PlayBake(Reporting, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _poll_baked(cls, context)
+    poll = classmethod(_poll_baked)
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
@@ -332,9 +333,7 @@ class CheckBake(StartsJob, bpy.types.Operator):
 
     working = "Comparing with the bake"
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _poll_baked(cls, context)
+    poll = classmethod(_poll_baked)
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         return [context.object]
@@ -368,22 +367,13 @@ class ClearBake(Reporting, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _poll_baked(cls, context)
+    poll = classmethod(_poll_baked)
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
         bakes.stop(context, bakes.folder_of(thing))
         thing.jghand.bake = ""
         thing.jghand.show_in_viewport = True
-
-
-def _poll_baked(operator: type, context: bpy.types.Context) -> bool:
-    thing = context.object
-    if thing is None or not thing.jghand.bake:
-        return missing(operator, "Select a hand that was baked")
-    return True
 
 
 CLASSES = (Export, ExportSceneUsd, Bake, PlayBake, CheckBake, ClearBake)

@@ -274,9 +274,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         default=True,
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _poll_rig(cls, context)
+    poll = classmethod(_poll_rig)
 
     def run(self, context: bpy.types.Context) -> None:
         rig = context.object

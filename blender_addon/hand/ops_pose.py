@@ -27,9 +27,7 @@ class _Posing(Reporting):
         default=False,
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands(cls, context)
+    poll = classmethod(poll_hands)
 
     def hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         """Which are posed: where bones of some are selected in pose mode, those hands alone."""
@@ -190,9 +188,7 @@ class AddControls(Reporting, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_bones(cls, context)
+    poll = classmethod(poll_bones)
 
     def run(self, context: bpy.types.Context) -> None:
         hands = common.chosen_hands(context)
@@ -254,9 +250,7 @@ class _Toggle(Reporting):
 
     bl_options = UNDOABLE
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_controls(cls, context)
+    poll = classmethod(poll_controls)
 
     def toggle(self, hand: bpy.types.Object) -> None:
         """Switches it."""
