@@ -17,18 +17,16 @@ from jghand_engine.hand.kinematics import RANGES_DEG
 
 # skin that is nearer than this part of the hand's length (wrist to middle tip) is meant to touch: 5 mm
 REACH_PART = 0.027
-# the thumb lies across two fingers, and meets the second at an angle: 7 mm
-THUMB_REACH_PART = 0.04
+# the thumb lies across two fingers, and meets the second at an angle: 7 mm; others within so many times it are watched
+THUMB_REACH_PART, THUMB_WATCH = 0.04, 3.0
 # how deep skin is in other skin where it touches, mm: tips press the palm, fingers lie side by side
 TIP_MM, SIDE_MM, THUMB_MM = -1.2, -0.4, -0.5
-# a finger's three flexions are multiplied by one factor from here to there, in so many steps
-FACTORS, FACTOR_STEPS = (0.8, 1.2), 11
-# fingers turn towards their neighbors by so much in a fist, degrees, and in so many steps
-TURNS_DEG, TURN_STEPS = (-12.0, 24.0), 13
+# a finger's three flexions are multiplied by one of these factors, and neighbors turn to one another by one of these
+# angles; then again near what was found, because a turned finger meets the palm elsewhere, and a bent one its neighbor
+FACTORS, TURNS_DEG = np.linspace(0.8, 1.2, 11), np.linspace(-12.0, 24.0, 13)
+NEAR_FACTORS, NEAR_TURNS_DEG = np.linspace(0.94, 1.06, 5), np.linspace(-4.0, 4.0, 5)
 # halvings of the step in which skin begins to touch: to 1/4 of a degree
 HALVINGS = 4
-# a finger that is turned presses the palm elsewhere, and one that is bent is beside its neighbor elsewhere
-ROUNDS = 2
 # the thumb's search: millimeters that a degree away from its start weighs, the step of differences (less is within the
 # noise of distances between vertices), and how often it steps
 THUMB_PULL_MM, THUMB_STEP_DEG, THUMB_STEPS = 0.06, 1.0, 8
@@ -56,51 +54,56 @@ class Closing:
         angles = np.clip(angles_deg, RANGES_DEG[..., 0], RANGES_DEG[..., 1])
         palm = self.gaps(angles).palm()
         on_palm = [finger for finger in FINGERS if palm[finger - 1] < self._reach_mm]
-        pairs = [k for k, pair in enumerate(NEIGHBORS) if set(pair) <= set(on_palm)]
-        for _ in range(ROUNDS if on_palm else 0):
-            angles = self._pressed(angles, on_palm)
-            # the last of them goes to a finger that goes itself
-            angles = self._turned(self._turned(angles, [k for k in pairs if k < 2]), [k for k in pairs if k == 2])
-        return self._thumb_on(self._pressed(angles, on_palm) if on_palm else angles)
+        pairs = [pair for pair in NEIGHBORS if set(pair) <= set(on_palm)]
+        if not on_palm:
+            return self._thumb_on(angles)
+        for factors, turns_deg in ((FACTORS, TURNS_DEG), (NEAR_FACTORS, NEAR_TURNS_DEG)):
+            angles = self._pressed(angles, on_palm, factors)
+            # the pinky goes to a finger that goes itself
+            for part in (slice(0, -1), slice(-1, None)):
+                angles = self._turned(angles, pairs[part], turns_deg)
+            angles = self._thumb_on(angles)
+        # the ball of the thumb is a part of the palm
+        return self._pressed(angles, on_palm, NEAR_FACTORS)
 
-    def _pressed(self, angles: np.ndarray, fingers: list[int]) -> np.ndarray:
+    def _pressed(self, angles: np.ndarray, fingers: list[int], factors: np.ndarray) -> np.ndarray:
         """The fingers bent until they press the palm."""
-        rows = np.array(fingers)
 
-        def bent(factors: np.ndarray) -> np.ndarray:
+        def bent(chosen: np.ndarray) -> np.ndarray:
             trial = angles.copy()
-            trial[np.ix_(rows, (0, 2, 3))] *= factors[:, None]
+            trial[np.ix_(fingers, (0, 2, 3))] *= chosen[:, None]
             return np.clip(trial, RANGES_DEG[..., 0], RANGES_DEG[..., 1])
 
-        grid = np.linspace(*FACTORS, FACTOR_STEPS)
-        return bent(_first_within(grid, len(rows), lambda f: self.gaps(bent(f)).palm()[rows - 1], TIP_MM))
+        return bent(_first_within(factors, len(fingers), lambda f: self.gaps(bent(f)).palm(fingers), TIP_MM))
 
-    def _turned(self, angles: np.ndarray, pairs: list[int]) -> np.ndarray:
-        """The first fingers of these NEIGHBORS turned until they are beside the others."""
-        rows = [NEIGHBORS[pair][0] for pair in pairs]
+    def _turned(self, angles: np.ndarray, pairs: list[tuple[int, int]], turns_deg: np.ndarray) -> np.ndarray:
+        """The first fingers of the pairs turned until they are beside the others."""
+        fingers = [finger for finger, _ in pairs]
 
-        def turned(turns_deg: np.ndarray) -> np.ndarray:
+        def turned(chosen: np.ndarray) -> np.ndarray:
             trial = angles.copy()
-            trial[rows, 1] = turns_deg
-            return trial
+            trial[fingers, 1] += chosen
+            return np.clip(trial, RANGES_DEG[..., 0], RANGES_DEG[..., 1])
 
-        grid = np.linspace(*TURNS_DEG, TURN_STEPS)
         if not pairs:
             return angles
-        return turned(_first_within(grid, len(rows), lambda t: self.gaps(turned(t)).neighbors()[pairs], SIDE_MM))
+        return turned(_first_within(turns_deg, len(pairs), lambda t: self.gaps(turned(t)).neighbors(pairs), SIDE_MM))
 
     def _thumb_on(self, angles: np.ndarray) -> np.ndarray:
         """The thumb on the fingers that it nearly touches."""
-        near = self.gaps(angles).thumb() < self._thumb_reach_mm
+        before = self.gaps(angles).thumb()
+        near = before < self._thumb_reach_mm
         if not near.any():
             return angles
+        # the others must not be entered
+        watched = [finger for finger in FINGERS if before[finger - 1] < THUMB_WATCH * self._thumb_reach_mm]
+        near = near[np.array(watched) - 1]
 
         def placed(thumb: np.ndarray) -> np.ndarray:
             return np.concatenate([thumb[None], angles[1:]])
 
         def residuals(thumb: np.ndarray) -> np.ndarray:
-            gaps = self.gaps(placed(thumb)).thumb() - THUMB_MM
-            # the others must not be entered
+            gaps = self.gaps(placed(thumb)).thumb(watched) - THUMB_MM
             return np.append(np.where(near, gaps, np.minimum(gaps, 0)), THUMB_PULL_MM * (thumb - start))
 
         def jacobian(thumb: np.ndarray) -> np.ndarray:
@@ -110,7 +113,9 @@ class Closing:
 
         low, high = RANGES_DEG[0].T
         lifts = [(1 - part) * angles[0] for part in LIFTS]
-        lifted = next((thumb for thumb in lifts if self.gaps(placed(thumb)).thumb().min() > LIFTED_MM), lifts[-1])
+        lifted = next(
+            (thumb for thumb in lifts if self.gaps(placed(thumb)).thumb(watched).min() > LIFTED_MM), lifts[-1]
+        )
         start = np.clip(lifted, low + ROUND_OFF_DEG, high - ROUND_OFF_DEG)
         return placed(least_squares(residuals, start, jacobian, (low, high), max_nfev=THUMB_STEPS).x)
 

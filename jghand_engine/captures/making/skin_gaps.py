@@ -6,6 +6,7 @@ negative inside it. SKIN 8.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +21,7 @@ MM = 1e-3
 LEVELS = 1
 # weight of a part's joints from which a vertex is one of that part's own, and of all fingers up to which it is palm
 OWN, PALM = 0.9, 0.3
-# the thumb's last two bones: its skin near the MCP belongs to the hand
+# the same of the thumb: its skin near the MCP is the hand's as well
 OWN_THUMB = 0.6
 # skin is on the inner side of other skin at most so far from it; farther it is the other side of a thin part
 DEEPEST_MM = 8.0
@@ -37,8 +38,8 @@ FINGERS = (1, 2, 3, 4)
 class HandSkin:
     """The skin of an identity and its parts, as vertex numbers of a smooth mesh."""
 
-    def __init__(self, identity: Identity, levels: int = LEVELS) -> None:
-        fine = Subdivision.of(identity.faces, identity.face_uv, levels)
+    def __init__(self, identity: Identity) -> None:
+        fine = Subdivision.of(identity.faces, identity.face_uv, LEVELS)
         self.faces, self.matrix = fine.faces, fine.matrix
         weights = fine.matrix @ identity.weights25
 
@@ -49,7 +50,7 @@ class HandSkin:
         whole = np.stack([of(finger, slice(0, 4)) for finger in range(5)], 1)
         self.palm = np.flatnonzero(whole.sum(1) < PALM)
         self.fingers = [np.flatnonzero(whole[:, finger] > OWN) for finger in range(5)]
-        self.ends = [np.flatnonzero(of(0, slice(2, 4)) > OWN_THUMB)]
+        self.ends = [np.flatnonzero(of(0, slice(1, 4)) > OWN_THUMB)]
         self.ends += [np.flatnonzero(of(finger, slice(1, 4)) > OWN) for finger in FINGERS]
 
     def gaps(self, vertices_m: np.ndarray) -> SkinGaps:
@@ -64,19 +65,19 @@ class SkinGaps:
         self._skin, self._mm = skin, vertices_m / MM
         self._trees: dict[int, KDTree] = {}
 
-    def neighbors(self) -> np.ndarray:
-        """(3,) of NEIGHBORS: the finger's end from the other finger, mean of its nearest quarter."""
-        return np.array([self._flank(finger, other) for finger, other in NEIGHBORS])
+    def neighbors(self, pairs: Sequence[tuple[int, int]] = NEIGHBORS) -> np.ndarray:
+        """(pairs,) the first finger's end from the other finger, mean of its nearest quarter."""
+        return np.array([self._flank(finger, other) for finger, other in pairs])
 
-    def palm(self) -> np.ndarray:
-        """(4,) of index..pinky: the finger's end from the palm, where it is nearest."""
+    def palm(self, fingers: Sequence[int] = FINGERS) -> np.ndarray:
+        """(fingers,) the finger's end from the palm, where it is nearest."""
         parts = self._skin
-        return np.array([_nearest(self._signed(parts.ends[finger], -1, parts.palm)) for finger in FINGERS])
+        return np.array([_nearest(self._signed(parts.ends[finger], -1, parts.palm)) for finger in fingers])
 
-    def thumb(self) -> np.ndarray:
-        """(4,) of index..pinky: the thumb's end from the finger, where it is nearest."""
+    def thumb(self, fingers: Sequence[int] = FINGERS) -> np.ndarray:
+        """(fingers,) the thumb's end from the finger, where it is nearest."""
         parts = self._skin
-        return np.array([_nearest(self._signed(parts.ends[0], other, parts.fingers[other])) for other in FINGERS])
+        return np.array([_nearest(self._signed(parts.ends[0], finger, parts.fingers[finger])) for finger in fingers])
 
     def _flank(self, finger: int, other: int) -> float:
         signed = np.sort(self._signed(self._skin.ends[finger], other, self._skin.fingers[other]))
