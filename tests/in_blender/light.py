@@ -54,6 +54,25 @@ def step_a_red_lamp_makes_it_red(window):
     yield 0.5
 
 
+def step_undo_and_redo_take_the_light_along(window):
+    with window.override():
+        bpy.ops.ed.undo_push(message="before")
+    before = _colors(window).mean()
+    _lamp().data.energy = 24.0
+    with window.override():
+        bpy.ops.ed.undo_push(message="a brighter lamp")
+    window.redraw()
+    yield lambda: _is_sharp(window)
+    after = _colors(window).mean()
+    assert after > before + 2 * STEP
+    for key, wanted in (("ctrl+z", before), ("ctrl+shift+z", after), ("ctrl+z", before)):
+        yield from window.point_at_view()
+        yield from window.key(key)
+        yield 0.5
+        yield lambda: _is_sharp(window)
+        assert abs(_colors(window).mean() - wanted) < 2, key
+
+
 def step_a_cube_between_lamp_and_hand_shades_it(window):
     before = _colors(window).mean()
     bpy.ops.mesh.primitive_cube_add(size=0.15, location=tuple(np.array((0.0, 0.0, 0.09)) / 2 + _lamp().location / 2))
