@@ -27,17 +27,18 @@ from jghand_engine.files import writing
 from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.poses import (
+    LETTER_CONTACTS,
     LETTERS_DEG,
     POSES_DEG,
-    SAME_SHAPE,
     angles_on,
-    letter_angles,
 )
 from jghand_engine.hand.rotations import quaternion_rotation
 
 TABLE = ROOT / "blender_addon" / "assets" / "poses.json"
 # digits of a quaternion: a tip of 20 cm is then right to a few micrometers
 DIGITS = 5
+# letters with the same shape, and the one under which it stands
+SAME_SHAPE = {"H": "U", "J": "I", "P": "K", "Q": "G"}
 
 
 def main() -> None:
@@ -65,6 +66,13 @@ def pose_table() -> dict:
             for (name, (kind, text, _)), of_pose in zip(poses.items(), turns, strict=True)
         ],
     }
+
+
+def letter_angles(letter: str, hand: ArticulatedHand) -> np.ndarray:
+    """(5, 4) angles of a letter on a hand, degrees, solved for contact where the thumb touches."""
+    shape = SAME_SHAPE.get(letter, letter)
+    angles = np.array(LETTERS_DEG[shape], dtype=np.float64)
+    return hand.touching(angles, *LETTER_CONTACTS[shape]) if shape in LETTER_CONTACTS else angles
 
 
 def as_text(table: dict) -> str:

@@ -94,8 +94,6 @@ LETTER_CONTACTS = {
     "W": CONTACTS["three"],
     "X": (Contact.REST, 2),
 }
-# letters with the same shape, and the one under which it stands
-SAME_SHAPE = {"H": "U", "J": "I", "P": "K", "Q": "G"}
 
 
 def pose_names() -> tuple[str, ...]:
@@ -123,16 +121,6 @@ def angles_on(hand: ArticulatedHand, name: str) -> np.ndarray:
     """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where tips touch."""
     angles = np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
     return hand.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
-
-
-def letter_angles(letter: str, hand: ArticulatedHand) -> np.ndarray:
-    """(5, 4) angles of a letter on a hand, degrees, solved for contact where the thumb touches; InputError lists the
-    letters."""
-    shape = SAME_SHAPE.get(letter, letter)
-    if shape not in LETTERS_DEG:
-        raise InputError("letter", wanted=f"one of {', '.join(sorted({*LETTERS_DEG, *SAME_SHAPE}))}", came=repr(letter))
-    angles = np.array(LETTERS_DEG[shape], dtype=np.float64)
-    return hand.touching(angles, *LETTER_CONTACTS[shape]) if shape in LETTER_CONTACTS else angles
 
 
 @dataclass(frozen=True)
