@@ -38,6 +38,8 @@ OUT_OF_PALM = np.array([0.0, 0.0, 1.0])
 NAIL_SHARES, THUMB_NAIL_SHARES = (0.3, 0.6, 1.0), (0.9, 1.0, 1.0)
 # sharpness of furrows: between the cusp of exp(-x) and a Gauss curve
 FURROW_EXPONENT = 1.35
+# ages of a child, of the usual person and of an old one
+AGES = (0.0, Person.age, 1.0)
 # narrower marks are widened to this part of a texel and made as much weaker: thinner ones would break up into dots
 NARROWEST_TEXELS = 0.6
 
@@ -182,7 +184,11 @@ class Canvas:
     @property
     def deep(self) -> float:
         """How deep lines are at this age."""
-        return 0.75 + 0.5 * self.person.age
+        return self.by_age(0.65, 0.925, 1.69)
+
+    def by_age(self, child: float, usual: float, old: float) -> float:
+        """What has these values at AGES."""
+        return float(np.interp(self.person.age, AGES, (child, usual, old)))
 
     @cached_property
     def back(self) -> np.ndarray:

@@ -14,7 +14,7 @@ PALM_PALER, DARK_PALM_PALER, DARK = 0.60, 0.80, 0.25
 # melanin that knuckles, creases of dark palms and the network have more, as a part of the tone
 ON_KNUCKLES, IN_CREASES, IN_NETWORK = 0.30, 0.30, 0.22
 # freckles and spots of age: edge of a cell, mm, least radius, how much larger, and the part of cells that have one
-FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8), (13.0, 0.8, 2.2, 1.3)
+FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8), (8.0, 0.8, 2.2, 1.3)
 # age from which there are spots
 SPOTS_FROM_AGE = 0.45
 # blood as a part of the person's: everywhere, more on the palm, and at each mark

@@ -23,6 +23,8 @@ KNUCKLE, KNUCKLE_BENT, KNUCKLE_WIDTH = 0.85, 1.9, 5.0
 DIP, DIP_WIDTH = 0.95, 3.6
 # extensor tendons of index to pinky
 TENDONS, TENDON_WIDTH = (0.50, 0.60, 0.52, 0.36), 1.7
+# how far tendons and veins stand out of the flesh of a child, which hides them, of the usual person, and of an old one
+TENDONS_STAND_OUT, VEINS_STAND_OUT = (0.35, 1.165, 2.85), (0.30, 0.965, 2.87)
 # thenar, hypothenar, hollow of the palm, and pads below the fingers: height, width
 THENAR, HYPOTHENAR, HOLLOW, MOUNT = (3.2, 13.0), (1.7, 13.0), (-2.0, 13.0), (0.7, 5.0)
 # veins of the back, on the template's hand: points (x, y), half width, height. An end that is a point of another vein
@@ -108,7 +110,7 @@ def _knuckles(canvas: Canvas) -> None:
 
 def _tendons(canvas: Canvas) -> None:
     """They fan out from the wrist to the knuckles, with a hollow at each side."""
-    size, stands_out = canvas.size, 0.85 + 0.9 * canvas.person.age
+    size, stands_out = canvas.size, canvas.by_age(*TENDONS_STAND_OUT)
     for finger, height in enumerate(TENDONS, 1):
         knuckle = canvas.joints[1 + finger, :2]
         wrist = canvas.joints[0, :2] + [(0.30 if finger < 4 else 0.25) * knuckle[0], 2]
@@ -123,7 +125,7 @@ def _tendons(canvas: Canvas) -> None:
 
 
 def _veins(canvas: Canvas, curves: PalmCurves) -> None:
-    rng, stands_out = canvas.random("veins"), 0.65 + 0.9 * canvas.person.age
+    rng, stands_out = canvas.random("veins"), canvas.by_age(*VEINS_STAND_OUT)
     on_back = smoothstep(0.15, 0.7, -canvas.side) * smoothstep(0.6, 0.2, canvas.fingers.sum(1))
     broken = 0.75 + 0.25 * canvas.noise("veins", 9.0)
     points = [knot for knots, _, _ in VEINS for knot in knots]
