@@ -13,6 +13,8 @@ from jghand_engine.captures.skin.person import reflectance
 PALM_PALER, DARK_PALM_PALER, DARK = 0.60, 0.80, 0.25
 # melanin that knuckles, creases of dark palms and the network have more, as a part of the tone
 ON_KNUCKLES, IN_CREASES, IN_NETWORK = 0.30, 0.30, 0.22
+# tone from which creases get no darker: beyond it they look inked
+CREASES_DARKEST = 0.9
 # freckles and spots of age: edge of a cell, mm, least radius, how much larger, and the part of cells that have one
 FRECKLES, SPOTS = (3.4, 0.25, 0.75, 0.8), (8.0, 0.8, 2.2, 1.3)
 # age from which there are spots
@@ -66,7 +68,7 @@ def _melanin(canvas: Canvas, palm: np.ndarray) -> np.ndarray:
     uneven += 0.05 * canvas.noise("speckle", 1.7) + 0.05 * canvas.noise("fine speckle", 0.55)
     total = tone * uneven * (1 - palm * (DARK_PALM_PALER if tone > DARK else PALM_PALER))
     total *= 1 + ON_KNUCKLES * of["knuckle"] * (1 - palm) * smoothstep(0, 0.35, tone + 0.05)
-    total += tone * palm * IN_CREASES * of["crease"] * smoothstep(0.25, 0.6, tone)
+    total += min(tone, CREASES_DARKEST) * palm * IN_CREASES * of["crease"] * smoothstep(0.25, 0.6, tone)
     total += tone * IN_NETWORK * of["network"] * (1 - palm) + 0.05 * of["wrinkle"] + 0.04 * of["pore"]
     freckles = _spots(canvas, "freckles", FRECKLES, canvas.person.freckles)
     spots = _spots(canvas, "spots", SPOTS, max(0.0, canvas.person.age - SPOTS_FROM_AGE))
