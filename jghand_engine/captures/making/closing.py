@@ -117,7 +117,9 @@ class Closing:
             (thumb for thumb in lifts if self.gaps(placed(thumb)).thumb(watched).min() > LIFTED_MM), lifts[-1]
         )
         start = np.clip(lifted, low + ROUND_OFF_DEG, high - ROUND_OFF_DEG)
-        return placed(least_squares(residuals, start, jacobian, (low, high), max_nfev=THUMB_STEPS).x)
+        # the stubs know of named schemes alone
+        found = least_squares(residuals, start, jacobian, (low, high), max_nfev=THUMB_STEPS)  # pyright: ignore[reportArgumentType]
+        return placed(found.x)
 
 
 def _first_within(grid: np.ndarray, count: int, gaps: Callable[[np.ndarray], np.ndarray], wanted: float) -> np.ndarray:
