@@ -19,7 +19,7 @@ from blender_addon.core import pacing, posing
 from blender_addon.core.view import part_with
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, seen_hands
-from blender_addon.render import ENGINE, camera, composite, rendering
+from blender_addon.render import ENGINE, camera, composite, handover, rendering
 from blender_addon.renderer import runtime, state
 from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers, views
@@ -159,7 +159,7 @@ def test_while_blender_renders_or_bakes_the_timer_adds_and_removes_nothing(link,
     for job in ("RENDER", "OBJECT_BAKE", None):
         assert job is None or bpy.app.is_job_running(job) is False  # Blender knows it
         running = SimpleNamespace(is_job_running=lambda asked, job=job: asked == job)
-        monkeypatch.setattr(rendering, "bpy", SimpleNamespace(app=running))
+        monkeypatch.setattr(handover, "bpy", SimpleNamespace(app=running))
         handlers.tick()
         assert len(tended) == (2 if job is None else 0)
 
