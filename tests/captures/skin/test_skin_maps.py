@@ -173,6 +173,20 @@ def test_each_number_changes_the_color_that_it_says(canvas):
     assert 0.002 < darker[:, 0].mean() < 0.1
 
 
+def test_creases_of_a_dark_palm_are_darker_than_it_and_not_inked(canvas):
+    for melanin in (0.9, 1.8):
+        person = copy.copy(canvas)
+        person.person = dataclasses.replace(PERSON, melanin=melanin)
+        palm, creased = (paint_color(_with_creases(person, amount))[canvas.side > 0.5].mean() for amount in (0.0, 1.0))
+        # observed 0.43 and 0.46; without a limit 0.43 and 0.28
+        assert 0.35 < creased / palm < 0.6
+
+
+def _with_creases(canvas: Canvas, amount: float) -> Canvas:
+    canvas.amounts = {**canvas.amounts, "crease": np.full_like(canvas.side, amount)}
+    return canvas
+
+
 def test_age_deepens_lines_and_long_nails_have_a_wide_edge():
     old = painted(load_identity("adult_woman"), SIZE, dataclasses.replace(PERSON, age=1.0, nail_mm=2.5))
     young = painted(load_identity("adult_woman"), SIZE, dataclasses.replace(PERSON, age=0.0, nail_mm=0.3))
