@@ -5,8 +5,7 @@ The cases themselves stand in `stability_scenes`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -14,6 +13,7 @@ from torch import Tensor
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.reference import Picture, rasterize_reference
+from jghand_engine.learn.tensors import mapped
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
@@ -68,9 +68,7 @@ def planes_of(picture: Picture) -> Tensor:
 
 def converted(gaussians: Gaussians, dtype: torch.dtype, *, grad: bool = False) -> Gaussians:
     """The same as leaves in another precision."""
-    tensors: dict[str, Any] = {field.name: getattr(gaussians, field.name) for field in fields(gaussians)}
-    there = {name: tensor for name, tensor in tensors.items() if tensor is not None}
-    return Gaussians(**{name: tensor.detach().to(dtype).requires_grad_(grad) for name, tensor in there.items()})
+    return mapped(gaussians, lambda tensor: tensor.detach().to(dtype).requires_grad_(grad))
 
 
 def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:

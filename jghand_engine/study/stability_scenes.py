@@ -177,5 +177,6 @@ def depth_and_shadow_are_finite(case: SceneCase) -> bool:
     dark = [darken(planes, camera, ShadowStyle(samples=8), library=library) for library in (None, load("auto"))]
     values = [picture.depth_m, *dark]
     torch.stack([value.sum() for value in values]).sum().backward()
-    gradients = [leaf.grad for leaf in vars(leaves).values() if leaf is not None and leaf.grad is not None]
+    each = (leaves.position_m, leaves.sigma_m, leaves.opacity, leaves.rgb, leaves.covariance_m2)
+    gradients = [leaf.grad for leaf in each if leaf is not None and leaf.grad is not None]
     return all(bool(torch.isfinite(tensor).all()) for tensor in [*values, *gradients])

@@ -148,14 +148,14 @@ def hand_script(avatar: HandAvatar, sequence: PoseSequence, view: WebView) -> st
     # a hand far from the origin would lose its precision on the graphics card
     origin_m = sequence.joints_m[:, 0].mean(0)
     pack.exact("motion", sequence.joints_m - origin_m, "f4")
-    info = avatar.info
+    info, scale = avatar.info, float(avatar.skeleton().bones(sequence.joints_m[0]).scale)
     description = about | {
         "name": info.name, "license": info.license, "handedness": str(avatar.handedness), "gaussians": len(avatar),
         "learned_from": None if info.learned_from is None else _learned_from(avatar),
         "notes": _notes(avatar), "made_by": f"Made by JGHand {__version__}",
         "fps": sequence.fps, "origin_m": origin_m.tolist(), "articulated": _articulated(avatar, sequence),
         "view": {"to_eye": view.to_eye, "up": view.up, "focal": view.focal, "fill": FILL},
-        "reach_m": view.reach_m, "contract": _contract(), "arrays": pack.about,
+        "reach_m": view.reach_m, "contract": _contract(avatar.pixel_m * scale), "arrays": pack.about,
     }  # fmt: skip
     # a script may not end inside a text, wherever the page puts it
     text = json.dumps(description, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
@@ -172,11 +172,12 @@ def asset(name: str) -> str:
         ) from error  # fmt: skip
 
 
-def _contract() -> dict[str, float]:
-    """How the rasterizer draws (RENDERING 3): its low pass, the opacity that it leaves out, and where in standard
-    deviations an opaque Gaussian gets there."""
-    reach = math.sqrt(-2 * math.log(contract.ALPHA_MIN))
-    return {"blur_px2": contract.BLUR_PX2, "alpha_min": contract.ALPHA_MIN, "reach_sigma": reach}
+def _contract(pixel_m: float) -> dict[str, float]:
+    """How the rasterizer draws (RENDERING 3): its low pass, at least and where the hand is, the opacity that it leaves
+    out, and where in standard deviations an opaque Gaussian gets there."""
+    reach, low_pass_m2 = math.sqrt(-2 * math.log(contract.ALPHA_MIN)), contract.BLUR_PX2 * pixel_m**2
+    blur = {"blur_px2": contract.BLUR_PX2, "low_pass_m2": low_pass_m2}
+    return blur | {"alpha_min": contract.ALPHA_MIN, "reach_sigma": reach}
 
 
 def _learned_from(avatar: HandAvatar) -> str:

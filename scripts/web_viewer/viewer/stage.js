@@ -16,6 +16,7 @@ export class Stage {
     this.canvas = canvas;
     this.beforeDrawing = beforeDrawing;
     this.view = view;
+    this.contract = contract;
     this.points = points;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: true, powerPreference: 'high-performance' });
     this.renderer.setClearColor(0, 0);
@@ -204,6 +205,7 @@ export class Stage {
     this.controls.enableDamping = took < FADE_MS;
     if (!this.fixed) this.controls.update();
     this.camera.updateMatrixWorld();
+    this.soften();
     this.show();
     try {
       await this.spark.update({ scene: this.scene, camera: this.camera });
@@ -215,6 +217,13 @@ export class Stage {
     if (more || this.again) this.ask();
     if (more) this.watchSpeed(took);
     this.running = Boolean(this.asked);
+  }
+
+  // Never sharper than the pictures that the hand was learned from (RENDERING 3), at the depth of the motion's middle
+  soften() {
+    const { camera, contract } = this, depth = -new THREE.Vector3().applyMatrix4(camera.matrixWorldInverse).z;
+    const focal = (camera.projectionMatrix.elements[5] * this.renderer.domElement.height) / 2;
+    this.spark.preBlurAmount = Math.max(contract.blur_px2, contract.low_pass_m2 * (focal / depth) ** 2);
   }
 
   // What changed goes to the graphics card
