@@ -49,11 +49,12 @@ def training_of(samples, options: TrainOptions = OPTIONS) -> HandTraining:
 
 def test_some_steps_find_the_albedo_and_an_avatar_that_answers_light(samples, tmp_path):
     training = training_of(samples)
-    losses = [training.step(number)["loss"] for number in range(18)]
-    assert np.mean(losses[-3:]) < 0.85 * np.mean(losses[:3])
+    training.plan(60)
+    losses = [training.step(number)["loss"] for number in range(60)]
+    assert np.mean(losses[-3:]) < 0.5 * np.mean(losses[:3])
     avatar = training.avatar()
-    red, green, blue = avatar.rgb.mean(0)
-    assert red < green < blue
+    # observed 0.089, and 0.128 where the pose's shade may color all skin
+    assert np.abs(avatar.rgb.mean(0) - BLUE).max() < 0.11
     assert avatar.learned.response.trained_on == {"worlds": 3, "point": 3, "sun": 3}
     save_avatar(tmp_path / "hand.jghand", avatar)
     again = load_avatar(tmp_path / "hand.jghand")

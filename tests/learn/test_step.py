@@ -247,7 +247,7 @@ class Brightness:
 def terms_of(training: HandTraining, samples: list[Sample], part: float = 1.0) -> dict[str, float]:
     views = [training._pictures.view(sample) for sample in samples]
     with torch.no_grad():
-        training.hand.pose_net.out.bias.fill_(0.1)  # no pose changes anything before the first step
+        training.hand.pose_net.out.bias[3:] = 0.1  # no pose shades anything before the first step
         return {name: float(term) for name, term in training._terms(samples[0], views, part).items()}
 
 
