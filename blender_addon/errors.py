@@ -177,7 +177,7 @@ ADVICE = {
     ),
     "world_not_measured": Advice(
         "The light of the world is not measured at this frame",
-        "Show the hand in a view of the scene at this frame for a moment, or render without a window",
+        "Show a hand in a view, then render again, or render without a window",
         TRY_AGAIN,
     ),
     "exact_light": Advice(

@@ -42,6 +42,15 @@ def shows(thing: bpy.types.Object, wanted: Callable[[bpy.types.Object], bool], k
     return known[key]
 
 
+def hands_below(thing: bpy.types.Object, depth: int = 0) -> Iterator[bpy.types.Object]:
+    """The hands of the file that an object is or instances, however deep they lie, whether shown or not."""
+    if armature.is_any_hand(thing):
+        yield thing
+    collection = thing.instance_collection if thing.instance_type == "COLLECTION" else None
+    for part in collection.all_objects if collection is not None and depth < DEPTH_MAX else ():
+        yield from hands_below(part, depth + 1)
+
+
 def hands_shown(
     thing: bpy.types.Object, known: Known, *, for_render: bool, placed: Matrix | None = None, depth: int = 0
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:

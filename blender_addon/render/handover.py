@@ -102,7 +102,7 @@ def put_away(made: Sequence[tuple[Any, Any]]) -> None:
     leave(made)
     for _, scene in made:
         if isinstance(scene, bpy.types.Scene):  # evaluated meshes of every frame would be kept
-            for thing in scene.collection.objects:
+            for thing in list(scene.collection.objects):
                 scene.collection.objects.unlink(thing)
             scene.view_layers[0].update()
 
@@ -127,9 +127,8 @@ def expect() -> None:
 def clear() -> None:
     """Takes away what was left; known by its mark, as an undo may have taken or renewed some of it."""
     global _is_untidy
-    for kind in _KINDS:
-        for thing in _made_in(kind):
-            getattr(bpy.data, kind).remove(thing)
+    # at once: a film leaves some for each of its frames
+    bpy.data.batch_remove([thing for kind in _KINDS for thing in _made_in(kind)])
     _is_untidy = False
 
 

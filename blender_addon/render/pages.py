@@ -20,7 +20,7 @@ from ..renderer import runtime
 from ..viewport import views
 from . import ENGINE
 
-SETTINGS = (
+PRESET_VALUES = (
     *("render_preset", "shadow_strength", "shadow_radius_mm", "motion_samples"),
     *("viewport_preset", "sharpen_when_still", "use_viewport_budget", "viewport_budget_ms", "viewport_density"),
 )
@@ -47,7 +47,7 @@ class AddPicturePreset(AddPresetBase, bpy.types.Operator):
     preset_menu = RENDER_PT_jghand_presets.__name__
     preset_subdir = FOLDER
     preset_defines = ["settings = bpy.context.scene.jghand"]  # noqa: RUF012 - Blender's own name and type
-    preset_values = [f"settings.{name}" for name in SETTINGS]  # noqa: RUF012 - Blender's own name and type
+    preset_values = [f"settings.{name}" for name in PRESET_VALUES]  # noqa: RUF012 - Blender's own name and type
 
 
 class _Page:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from ..core.pacing import SETTLE_S
 from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
-from ..hand import armature, avatar_files, instances, seen_hands
+from ..hand import avatar_files, instances, seen_hands
 from . import handover, lamps, probe, scene_shadows, studio, worlds
 from .lamps import SceneLamps
 from .properties import LIGHT_OF_HANDS
@@ -175,16 +175,10 @@ def follow(scene: bpy.types.Scene, given: Collection[bpy.types.Object]) -> None:
     """Hands were given their avatars: where these are all hands of a scene, and no artist chose its light, that follows
     what they learned in. Known light answers the scene's."""
     is_free = LIGHT_OF_HANDS in scene or not scene.jghand.is_property_set("light")
-    if is_free and scene.is_editable and all(hand in given for hand in _hands_of(scene)):
+    hands = (hand for thing in scene.objects for hand in instances.hands_below(thing))
+    if is_free and scene.is_editable and all(hand in given for hand in hands):
         scene.jghand.light = "SCENE" if all(map(_learned_in_known_light, given)) else "CAPTURE"
         scene[LIGHT_OF_HANDS] = True
-
-
-def _hands_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
-    """Its own, and those in the collections that it has instances of."""
-    for thing in scene.objects:
-        inside = thing.instance_collection if thing.instance_type == "COLLECTION" else None
-        yield from filter(armature.is_any_hand, (thing, *(inside.all_objects if inside is not None else ())))
 
 
 @persistent
@@ -194,7 +188,7 @@ def on_import(imported: bpy.types.BlendImportContext, *_: Any) -> None:
     objects = [thing for thing in came if isinstance(thing, bpy.types.Object)]
     for collection in came:  # of a linked one no object is named
         objects += collection.all_objects if isinstance(collection, bpy.types.Collection) else ()
-    hands = list(filter(armature.is_any_hand, objects))
+    hands = [hand for thing in objects for hand in instances.hands_below(thing)]
     if hands and bpy.context.scene is not None:
         follow(bpy.context.scene, hands)
 

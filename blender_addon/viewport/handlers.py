@@ -240,7 +240,7 @@ def on_render_end(*_: Any) -> None:
     scene_shadows.expect()
 
 
-# the one table of handlers: list of bpy.app.handlers, function
+# what follows views, only with a window: list of bpy.app.handlers, function
 HANDLERS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("frame_change_post", on_frame_change),
     ("depsgraph_update_post", on_change),

@@ -165,6 +165,14 @@ def world_irradiance(light: SceneLight, response: ResponseTensors, normal: Tenso
     return torch.maximum(harmonics(normal) @ coefficients, least)
 
 
+def mean_irradiance(light: SceneLight, response: ResponseTensors, normal: Tensor) -> Tensor:
+    """The same of skin that faces everywhere, for each normal."""
+    if light.world is None:
+        return torch.zeros_like(normal)
+    even = light.world.terms.irradiance(response.softness.detach().double().cpu().numpy())[0]
+    return normal.new_tensor(even).expand_as(normal)
+
+
 @dataclass(frozen=True)
 class Flesh:
     """Capsules that stand before lamps, root-relative.
@@ -286,7 +294,10 @@ def reached(
     facing = facing_back(anchors.normal, hidden @ directions / (much + HIDDEN_MIN))
     weight = (1 + facing @ anchors.normal.T).square()
     of_lamps = weight @ given / weight.sum(1, keepdim=True).clamp_min(WEIGHT_MIN)
-    bounced = much * (world_irradiance(light, response, facing) + of_lamps) * response.bounce * (4 / CELLS)
+    way = unit(facing)
+    length, even = (facing * way).sum(-1, keepdim=True), mean_irradiance(light, response, facing)
+    of_world = torch.lerp(even, world_irradiance(light, response, way), length)
+    bounced = much * (of_world + of_lamps) * response.bounce * (4 / CELLS)
     sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, sky], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
@@ -295,9 +306,11 @@ def reached(
 
 
 def facing_back(normal: Tensor, hidden: Tensor) -> Tensor:
-    """(A, 3) mean normal of the skin that anchors see in place of the world: what stands right before them faces them,
-    what stands beside them is turned half as far. hidden: (A, 3) mean direction of what is hidden"""
-    return unit((1 - (normal * hidden).sum(-1, keepdim=True)) * normal - hidden)
+    """(A, 3) mean normal of the skin that anchors see in place of the world, of length 0 to 1: what stands right before
+    them faces them, what stands beside them is turned half as far, what stands all around has none. hidden: (A, 3)
+    mean direction of what is hidden"""
+    facing = (1 - (normal * hidden).sum(-1, keepdim=True)) * normal - hidden
+    return unit(facing) * (facing * unit(facing)).sum(-1, keepdim=True).clamp_max(1)
 
 
 def matt(

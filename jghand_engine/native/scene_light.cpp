@@ -291,12 +291,16 @@ void anchor_world(const LearnedTask& t, int32_t block) {
       sky += cosine, open_sky += cosine * part;
     }
   }
-  vf facing[3], moment[MOMENTS], back[3], given[4] = {};
+  vf facing[3], way[3], moment[MOMENTS], back[3], given[4] = {};
   const vf hidden = sky - open_sky, inverse = 1.f / (hidden + HIDDEN_MIN);
   const vf beside = 1.f - dot(normal, towards_hidden) * inverse;
-  for (int i = 0; i < 3; i++) facing[i] = beside * normal[i] - inverse * towards_hidden[i];
-  make_unit(facing, t.length2_min);
-  world_irradiance(s, facing, back);
+  for (int i = 0; i < 3; i++) way[i] = facing[i] = beside * normal[i] - inverse * towards_hidden[i];
+  make_unit(way, t.length2_min);
+  // short where skin stands all around: it gets the mean of all directions then, and nothing jumps where it turns over
+  const vf length = min(dot(facing, way), all(1.f));
+  for (int i = 0; i < 3; i++) facing[i] = length * way[i];
+  world_irradiance(s, way, back);
+  for (int i = 0; i < 3; i++) back[i] = s.irradiance[i] + length * (back[i] - s.irradiance[i]);
   moments(facing, moment);
   // (1 + m.n)^2 = n.n + 2 m.n + (m.n)^2
   for (int i = 0; i < 4; i++)

@@ -283,6 +283,13 @@ def test_skin_before_skin_faces_it_and_skin_beside_it_is_turned_half_as_far():
     assert torch_light.facing_back(up, beside).allclose(unit(up - beside))
 
 
+def test_the_mean_normal_of_walls_that_rise_on_all_sides_turns_over_without_a_jump():
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    facing = torch_light.facing_back(up.expand(1001, 3), torch.linspace(0, 1, 1001)[:, None] * up)
+    assert float(facing.diff(dim=0).abs().max()) < 3e-3
+    assert (float(facing[0, 2]), float(facing[-1, 2])) == (1, -1)
+
+
 def test_a_hand_in_two_lights_is_the_sum_of_both_hands():
     bones = bones_of(AVATAR)
     sun, point = LAMPS["sun"], replace(LAMPS["point"], rgb=(1, 1, 1))

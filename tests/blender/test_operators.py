@@ -815,7 +815,7 @@ def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
     settings.render_preset, settings.shadow_strength, settings.viewport_density = "draft", 0.25, 0.5
     assert bpy.ops.jghand.add_picture_preset(name="Quick Look") == {"FINISHED"}
     (path,) = [Path(folder, name) for folder in bpy.utils.preset_paths(pages.FOLDER) for name in os.listdir(folder)]
-    for name in pages.SETTINGS:
+    for name in pages.PRESET_VALUES:
         settings.property_unset(name)
     assert settings.render_preset == "final"
     bpy.ops.script.execute_preset(filepath=str(path), menu_idname="RENDER_PT_jghand_presets")
