@@ -104,8 +104,8 @@ class Evaluate:
         capture = self.pictures.open(self.folder, template)
         if self.beside is not None and self.beside.is_dir():
             if not self.close.crops:
-                raise InputError("--beside", wanted="an avatar, or --crops too", came=f"the folder {self.beside}",
-                                 remedy="A capture with other noise is the ceiling of crops.")  # fmt: skip
+                raise InputError("--beside", wanted="an avatar", came=f"the folder {self.beside}",
+                                 remedy="Add --crops too: a capture with other noise is their ceiling.")  # fmt: skip
             again = self.pictures.open(self.beside, template)
         elif self.beside is not None:
             other = load_avatar_called(str(self.beside))

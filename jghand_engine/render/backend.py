@@ -124,9 +124,9 @@ class Backend:
         skins: list[Poser] = []
         if poses is not None:
             skins = self._hands
-            # hands of one image share its low pass: it is that of the finest pictures
+            # hands of one image share its low pass: it is that of the finest pictures that are known
             pixels_m = (pixel_m * pose.bones.scale for pixel_m, pose in zip(self._pixels_m, poses, strict=True))
-            self._gaussians = replace(self._gaussians, pixel_m=min(pixels_m))
+            self._gaussians = replace(self._gaussians, pixel_m=min(filter(None, pixels_m), default=0.0))
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
                 keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
                 hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)

@@ -3,6 +3,7 @@ said. Skipped without Chromium and playwright-core (scripts/check_splat_files.py
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import check_splat_files
@@ -12,6 +13,7 @@ import pytest
 import show_splat_file
 from small_avatars import known_avatar, small_avatar
 
+from jghand_engine.avatar.avatar import LearnedFrom
 from jghand_engine.export.web.page import WebView, export_web
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
@@ -66,6 +68,18 @@ def test_the_light_is_turned_and_given_back(page, tmp_path):
     assert len({own, right, left}) == 3
     # the sliders follow whoever drives the page
     assert (back, again) == (own, left)
+
+
+def test_a_hand_of_coarse_pictures_is_shown_softer(page, tmp_path):
+    shown, avatar = [], small_avatar()
+    sequence = pose_sequence_of_names(["open"], avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+    for pixel_m in (0.0, 5e-3):
+        info = replace(avatar.info, learned_from=LearnedFrom("it", "all", 1, "0", pixel_m))
+        folder = tmp_path / str(pixel_m)
+        export_web(folder, replace(avatar, info=info), sequence, VIEW)
+        found = check_web_page.visited(folder, [{"name": "still", **WINDOW, "watch": True, "steps": []}], folder)
+        shown.append(found["shots"]["still"]["shown"][0]["picture"])
+    assert shown[0] != shown[1]
 
 
 def test_what_cannot_be_drawn_is_said_at_the_beginning_and_later(page, tmp_path):

@@ -131,6 +131,10 @@ OPTIONAL_FIELDS = {
         {"capture": "a", "split": "b", "digest": "c", "pictures": 0},
         {"capture": "a", "split": 7, "digest": "c", "pictures": 1},
         {"capture": "two\nlines", "split": "b", "digest": "c", "pictures": 1},
+        *(
+            {"capture": "a", "split": "b", "digest": "c", "pictures": 1, "pixel_m": size_m}
+            for size_m in ("1", None, True, -1, 1e300)
+        ),
     ]
 }
 

@@ -6,6 +6,7 @@ import { newSpark, Splats } from './splats.js';
 const NEAR_M = 0.01, FAR_M = 100;
 const NEAREST = 0.3, FARTHEST = 6;  // of the first distance, how far one may zoom
 const PIXEL_RATIO_MAX = 2;
+const SAMPLES = 200, SOFTEST_M = 0.1;  // Gaussians whose mean is the middle; an eye within the hand is taken as so far
 const FADE_MS = 100;  // between pictures, above which turning stops at once
 const SLOW_MS = 45, SLOW_FRAMES = 8;  // so many frames as slow as this, and the picture gets coarser
 
@@ -219,11 +220,15 @@ export class Stage {
     this.running = Boolean(this.asked);
   }
 
-  // Never sharper than the pictures that the hand was learned from (RENDERING 3), at the depth of the motion's middle
+  // Never sharper than the pictures that the hand was learned from (RENDERING 3), at the depth of the hand's middle
   soften() {
-    const { camera, contract } = this, depth = -new THREE.Vector3().applyMatrix4(camera.matrixWorldInverse).z;
+    const { camera, contract } = this, { positions, count } = this.hand, middle = new THREE.Vector3();
+    const step = Math.ceil(count / SAMPLES);
+    for (let i = 0; i < count; i += step) middle.add(new THREE.Vector3().fromArray(positions, 3 * i));
+    middle.divideScalar(Math.ceil(count / step)).applyMatrix4(camera.matrixWorldInverse);
     const focal = (camera.projectionMatrix.elements[5] * this.renderer.domElement.height) / 2;
-    this.spark.preBlurAmount = Math.max(contract.blur_px2, contract.low_pass_m2 * (focal / depth) ** 2);
+    const width = focal / Math.max(-middle.z, SOFTEST_M);
+    this.spark.preBlurAmount = Math.max(contract.blur_px2, contract.low_pass_m2 * width ** 2);
   }
 
   // What changed goes to the graphics card
