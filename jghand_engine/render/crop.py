@@ -57,8 +57,6 @@ class HandFacts:
         # along these a bone is stretched
         self._frames = avatar.skeleton().canonical.frames
         self._moving, self._corners_m = _corners(avatar)
-        # what the low pass of its pictures adds
-        self._low_pass_m = math.sqrt(contract.BLUR_PX2) * avatar.pixel_m
         # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
         # like the corners; twice is more than it does to the skin of a hand
         self._sigma_max_m = float(avatar.sigma_m.max(initial=0.0)) * SIGMA_STRETCH_MAX
@@ -69,7 +67,7 @@ class HandFacts:
     def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
         """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
         may be from its skinned place."""
-        seen = math.sqrt(2 * math.log(1 / alpha_min)) * math.hypot(self._sigma_max_m, self._low_pass_m)
+        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
         # a bone that is longer than the hand's scale says stretches the offsets along it
         longest = float(np.linalg.norm(bones.linear_offset[:, :, :3] @ self._frames, axis=1).max())
         return seen * max(bones.scale, 1.0), self._offset_m * max(longest, 1.0)
@@ -117,6 +115,9 @@ def views_box(views: Iterable[tuple[np.ndarray, Bones, HandFacts, Camera]], alph
     image between two views is in it."""
     # from, to: of columns and rows
     found, width, height = [math.inf, -math.inf, math.inf, -math.inf], 0, 0
+    views, cut = list(views), math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2)
+    # hands share a low pass, `Backend.draw`: whichever of theirs it is
+    low_pass_m = cut * max((hand.avatar.pixel_m * own.scale for _, own, hand, _ in views), default=0.0)
     for joints, own, hand, camera in views:
         rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
         width, height = camera.width, camera.height
@@ -125,6 +126,7 @@ def views_box(views: Iterable[tuple[np.ndarray, Bones, HandFacts, Camera]], alph
             continue
         points = corners @ rotation.T + (rotation @ joints[0] + offset_m)
         (splat_m, offset_by_m), depth_m = hand.reach_m(own, alpha_min), points[:, 2]
+        splat_m = math.hypot(splat_m, low_pass_m)
         reach_m = splat_m + offset_by_m
         nearest_m, farthest_m = float(depth_m.min()) - reach_m, float(depth_m.max()) + reach_m
         # nothing behind the near plane is drawn
@@ -133,7 +135,7 @@ def views_box(views: Iterable[tuple[np.ndarray, Bones, HandFacts, Camera]], alph
         # a flagged hand stretches its skin beyond what is known
         if own.flags or not (nearest_m > -math.inf and farthest_m < math.inf):
             return Box(0, 0, width, height)
-        low_pass_px = math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2) + 1
+        low_pass_px = cut + 1
         if nearest_m <= contract.Z_NEAR_M:
             if camera.orthographic:
                 return Box(0, 0, width, height)

@@ -507,6 +507,22 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avat
     assert smaller > 0 or avatar is not RIGHT  # the others are small avatars whose bones move everything a little
 
 
+def test_nothing_is_seen_outside_of_the_box_of_a_hand_that_another_one_softens():
+    """A painted hand is drawn with the low pass of the pictures of the one beside it, which is behind the eye."""
+    coarse = replace(TRAINED, info=replace(TRAINED.info, learned_from=LearnedFrom("it", "all", 1, "0", pixel_m=0.03)))
+    avatars, view = [RIGHT, coarse], camera(640, 480, focal_px=300.0)
+    joints = [pose("open", RIGHT), pose("open", coarse) + 9 * (view.eye_m - pose("open", RIGHT).mean(0))]
+    scene = SceneRenderer(avatars, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
+    frame = scene.render(joints, view)
+    bones = [avatar.skeleton().bones(each) for avatar, each in zip(avatars, joints, strict=True)]
+    box = effects.Scene(joints, bones, view).box([HandFacts(avatar) for avatar in avatars], contract.ALPHA_MIN)
+    outside = frame.rgba[..., 3].copy()
+    assert float(outside[box.slices].max()) > 0.5
+    outside[box.slices] = 0
+    assert float(outside.max()) == 0
+    assert box.width * box.height < 640 * 480
+
+
 # ---- single effects -------------------------------------------------------------------------------------------------
 
 
