@@ -16,10 +16,12 @@ from dataclasses import dataclass
 import tyro
 
 from jghand_engine.captures.making.closing import Closing
-from jghand_engine.captures.making.rig import RiggedHand, driven_skin, identity_names, load_identity
+from jghand_engine.captures.making.rig import RiggedHand, identity_names, load_identity
 from jghand_engine.captures.making.skin_gaps import HandSkin, SkinGaps
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.template.mesh import skinned
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,8 @@ def driven_gaps(hand: RiggedHand, pose: str) -> SkinGaps:
     """Of an avatar that is exactly this hand in a named pose."""
     identity = hand.identity
     joints_m = named_pose(pose, identity.joints_m, handedness=Handedness.RIGHT)
-    skin_m = driven_skin(identity.vertices_m, identity.bone_weights, identity.joints_m, joints_m)
-    return HandSkin(identity).gaps(skin_m)
+    skeleton = Skeleton(identity.joints_m, handedness=Handedness.RIGHT)
+    return HandSkin(identity).gaps(skinned(identity.vertices_m, identity.bone_weights, skeleton, joints_m))
 
 
 if __name__ == "__main__":

@@ -41,9 +41,14 @@ def posed_vertices(template: HandTemplate, skeleton: Skeleton, joints_m: np.ndar
     template: the right hand, whichever hand is posed
     skeleton: of the template's joints and the hand's handedness
     """
+    return skinned(template.vertices_m, template.bone_weights, skeleton, joints_m)
+
+
+def skinned(vertices_m: np.ndarray, bone_weights: np.ndarray, skeleton: Skeleton, joints_m: np.ndarray) -> np.ndarray:
+    """The same of any shape (V, 3) with bone_weights (V, 21), canonical as the skeleton is."""
     bones = skeleton.bones(joints_m, np.float64)
-    maps = np.einsum("vb,bij->vij", template.bone_weights, bones.linear_offset)
-    relative_m = template.vertices_m - skeleton.canonical_root_m
+    maps = np.einsum("vb,bij->vij", bone_weights, bones.linear_offset)
+    relative_m = vertices_m - skeleton.canonical_root_m
     return np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + bones.root_m
 
 

@@ -16,12 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import FINGERS, Handedness
+from jghand_engine.hand.joints import FINGERS
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import CONTACTS, named_angles
 from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation, unit
-from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields
 from jghand_engine.template.checks import expect_shape
@@ -283,17 +282,6 @@ class RiggedHand(ArticulatedHand):
             # a tip carries no skin; its rotation is that of the bone that ends there
             turn[:, first + 3] = fingers[:, 2, finger]
         return RigPose(turn, joints)
-
-
-def driven_skin(
-    vertices_m: np.ndarray, weights: np.ndarray, canonical_joints_m: np.ndarray, joints_m: np.ndarray
-) -> np.ndarray:
-    """(V, 3) that the transform of avatars makes of a shape: vertices_m (V, 3) with weights (V, 21) of bones, both of
-    the canonical right hand, at the joints (21, 3), level order. The rig's skin is another."""
-    bones = Skeleton(canonical_joints_m, handedness=Handedness.RIGHT).bones(joints_m, np.float64)
-    blended = np.einsum("vb,bij->vij", weights, bones.linear_offset)
-    from_root_m = vertices_m - canonical_joints_m[0]
-    return np.einsum("vij,vj->vi", blended[..., :3], from_root_m) + blended[..., 3] + bones.root_m
 
 
 def palm_gaps_m(joints_m: np.ndarray) -> np.ndarray:

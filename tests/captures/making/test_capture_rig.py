@@ -9,16 +9,18 @@ import torch
 from jghand_engine.captures.making.rig import (
     RiggedHand,
     RigPose,
-    driven_skin,
     identity_names,
     load_identity,
     palm_gaps_m,
     segment_gap,
 )
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, check_hand_size, check_order
 from jghand_engine.hand.poses import POSES_DEG, pose_names
+from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import skinned
 from jghand_engine.template.surface import is_closed
 
 
@@ -102,7 +104,8 @@ def test_even_with_the_captures_own_shape_our_transform_does_not_give_its_skin(h
 
 def _driven_gap_m(vertices_m, weights, canonical_m, hand: RiggedHand, pose: RigPose) -> np.ndarray:
     """(F, V) distance of what our transform makes of a shape with the rig's exact joints from the rig's skin."""
-    driven = np.stack([driven_skin(vertices_m, weights, canonical_m, joints) for joints in pose.joints_m])
+    skeleton = Skeleton(canonical_m, handedness=Handedness.RIGHT)
+    driven = np.stack([skinned(vertices_m, weights, skeleton, joints) for joints in pose.joints_m])
     return np.linalg.norm(driven - hand.skin(pose), axis=-1)
 
 
