@@ -291,12 +291,10 @@ def reached(
     part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
     hidden = cosine * (1 - visible)
     much = hidden.sum(1, keepdim=True)
-    facing = facing_back(anchors.normal, hidden @ directions / (much + HIDDEN_MIN))
-    weight = (1 + facing @ anchors.normal.T).square()
+    way, length = facing_back(anchors.normal, hidden @ directions / (much + HIDDEN_MIN))
+    weight = (1 + length * way @ anchors.normal.T).square()
     of_lamps = weight @ given / weight.sum(1, keepdim=True).clamp_min(WEIGHT_MIN)
-    way = unit(facing)
-    length, even = (facing * way).sum(-1, keepdim=True), mean_irradiance(light, response, facing)
-    of_world = torch.lerp(even, world_irradiance(light, response, way), length)
+    of_world = torch.lerp(mean_irradiance(light, response, way), world_irradiance(light, response, way), length)
     bounced = much * (of_world + of_lamps) * response.bounce * (4 / CELLS)
     sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, sky], 1)))
@@ -305,12 +303,13 @@ def reached(
     return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
 
 
-def facing_back(normal: Tensor, hidden: Tensor) -> Tensor:
-    """(A, 3) mean normal of the skin that anchors see in place of the world, of length 0 to 1: what stands right before
-    them faces them, what stands beside them is turned half as far, what stands all around has none. hidden: (A, 3)
-    mean direction of what is hidden"""
+def facing_back(normal: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean normal of the skin that anchors see in place of the world, (A, 3) unit, and its length (A, 1), 0 to 1: what
+    stands right before them faces them, what stands beside them is turned half as far, what stands all around has
+    none. hidden: (A, 3) mean direction of what is hidden"""
     facing = (1 - (normal * hidden).sum(-1, keepdim=True)) * normal - hidden
-    return unit(facing) * (facing * unit(facing)).sum(-1, keepdim=True).clamp_max(1)
+    way = unit(facing)
+    return way, (facing * way).sum(-1, keepdim=True).clamp_max(1)
 
 
 def matt(

@@ -279,13 +279,15 @@ def test_what_fingers_take_of_an_even_world_they_throw_back(pose):
 def test_skin_before_skin_faces_it_and_skin_beside_it_is_turned_half_as_far():
     up = torch.tensor([[0.0, 0.0, 1.0]])
     before, beside = up, torch.tensor([[1.0, 0.0, 0.0]])
-    assert torch_light.facing_back(up, before).allclose(-up)
-    assert torch_light.facing_back(up, beside).allclose(unit(up - beside))
+    for hidden, wanted in ((before, -up), (beside, unit(up - beside))):
+        way, length = torch_light.facing_back(up, hidden)
+        assert (length * way).allclose(wanted)
 
 
 def test_the_mean_normal_of_walls_that_rise_on_all_sides_turns_over_without_a_jump():
     up = torch.tensor([[0.0, 0.0, 1.0]])
-    facing = torch_light.facing_back(up.expand(1001, 3), torch.linspace(0, 1, 1001)[:, None] * up)
+    way, length = torch_light.facing_back(up.expand(1001, 3), torch.linspace(0, 1, 1001)[:, None] * up)
+    facing = length * way
     assert float(facing.diff(dim=0).abs().max()) < 3e-3
     assert (float(facing[0, 2]), float(facing[-1, 2])) == (1, -1)
 
