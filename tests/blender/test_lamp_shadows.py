@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from test_lamps import add_light, make_card, read
+from test_lamps import add_light, make_card, pictured, read
 
 from blender_addon.core.view import LIGHT_FROM_WORLD
 
@@ -53,14 +53,7 @@ def make_finger() -> bpy.types.Object:
 
 def rows(folder: Path) -> np.ndarray:
     """(POINTS,) how bright the card is across the finger."""
-    scene = bpy.context.scene
-    scene.render.filepath = str(folder / "card.exr")
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    image.colorspace_settings.name = "Non-Color"
-    pixels = np.reshape(image.pixels[:], (-1, POINTS, 4))
-    bpy.data.images.remove(image)
-    return pixels[:, :, 0].mean(0)
+    return pictured(folder)[:, :, 0].mean(0)
 
 
 @pytest.fixture(scope="module")

@@ -71,16 +71,21 @@ def add_light(kind, place=FACING, aim=(0, 0, 0), scale=(1, 1, 1), turn=None, **s
     return thing
 
 
-def measured(folder: Path) -> np.ndarray:
-    """(3,) irradiance of the card, as Cycles has it, W/m2."""
+def pictured(folder: Path) -> np.ndarray:
+    """(H, W, 4) of the card, as Cycles renders it."""
     scene = bpy.context.scene
     scene.render.filepath = str(folder / "card.exr")
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(scene.render.filepath)
     image.colorspace_settings.name = "Non-Color"
-    pixels = np.reshape(image.pixels[:], (-1, 4))
+    pixels = np.reshape(image.pixels[:], (image.size[1], image.size[0], 4))
     bpy.data.images.remove(image)
-    return math.pi * pixels[:, :3].mean(0)
+    return pixels
+
+
+def measured(folder: Path) -> np.ndarray:
+    """(3,) irradiance of the card, as Cycles has it, W/m2."""
+    return math.pi * pictured(folder)[..., :3].reshape(-1, 3).mean(0)
 
 
 def read(*hands: bpy.types.Object) -> lamps.SceneLamps:

@@ -186,13 +186,7 @@ def step_the_camera_button_frames_the_hand(window):
 
 
 def step_f12_renders_the_hand(window):
-    done = []
-    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
-    yield from window.point_at_view()
-    yield from window.key("F12")
-    yield lambda: done
-    yield 2.0
-    window.picture("f12")
+    yield from window.f12()
     path = window.out / "f12.png"
     bpy.context.scene.render.image_settings.color_mode = "RGB"
     bpy.data.images["Render Result"].save_render(str(path))

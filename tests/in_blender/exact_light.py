@@ -175,13 +175,7 @@ def _names_in(file) -> dict[str, list[str]]:
 
 def _rendered(window, name: str):
     """(H, W, 3) of F12."""
-    done = []
-    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
-    yield from window.point_at_view()
-    yield from window.key("F12")
-    yield lambda: done
-    yield 1.0
-    window.picture(name)
+    yield from window.f12(name)
     path = window.out / f"{name}.png"
     bpy.data.images["Render Result"].save_render(str(path))
     close_other_windows(window)

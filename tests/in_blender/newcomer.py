@@ -68,13 +68,7 @@ def step_f12_renders_it(window):
         assert window.call(operator) == {"FINISHED"}
     # that of the default scene stands behind the palm
     bpy.data.objects["Light"].location = (2, -4, 3)
-    done = []
-    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
-    yield from window.point_at_view()
-    yield from window.key("F12")
-    yield lambda: done
-    yield 1.5
-    window.picture("f12")
+    yield from window.f12()
     path = window.out / "f12.png"
     bpy.data.images["Render Result"].save_render(str(path))
     rendered = read(path)

@@ -57,17 +57,14 @@ def step_render_settings(window):
 def step_f12_and_the_animation(window):
     scene = bpy.context.scene
     scene.render.filepath = str(window.out / "frame_")
+    # that of the default scene stands behind the palm
+    bpy.data.objects["Light"].location = (2, -4, 3)
     scene.frame_set(25)
-    done = []
-    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
-    yield from window.point_at_view()
-    yield from window.key("F12")
-    yield lambda: done
-    yield 1.5
-    window.picture("f12")
+    yield from window.f12()
     close_other_windows(window)
     scene.frame_step = 6
-    done.clear()
+    done = []
+    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
     yield from window.point_at_view()
     yield from window.key("ctrl+F12")
     yield lambda: done and len(list(window.out.glob("frame_*.png"))) == 5

@@ -126,6 +126,16 @@ class Window:
 
     # ---- things that many steps want ----
 
+    def f12(self, name: str = "f12") -> Waits:
+        """Renders the image, until it is on the screen, of which that is a picture."""
+        done: list[bool] = []
+        bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
+        yield from self.point_at_view()
+        yield from self.key("F12")
+        yield lambda: done
+        yield 2.0
+        self.picture(name)
+
     def open_sidebar(self, tab: str = "JGHand", width_px: int | None = None) -> Waits:
         """Shows the side bar of the 3D view with one tab in front."""
         self.space().show_region_ui = True
