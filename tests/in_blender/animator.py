@@ -71,6 +71,8 @@ def step_a_picture_without_hands_says_so(window):
 
 
 def step_rendered_mode_shows_it_with_our_engine(window):
+    # that of the default scene stands behind the palm
+    bpy.data.objects["Light"].location = (2, -4, 3)
     yield from window.shading("RENDERED")
     window.picture("rendered_with_eevee")
     assert window.call("jghand.use_engine") == {"FINISHED"}
