@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS, Handedness
@@ -77,7 +78,8 @@ class HandAvatar:
     rgb:                  (N, 3) float32, display-referred sRGB 0..1; of a trained avatar without its light
     bone_weights:         (N, 21) float32, rows sum to 1, column i = B_i
     uvd:                  (N, 3) float32, texture coordinates and normalized signed distance, 0..1
-    learned:               what training adds; None for a painted avatar
+    learned:              what training adds; None for a painted avatar
+    detail:               the texture of what the Gaussians cannot hold; None for none
     """
 
     info: AvatarInfo
@@ -90,6 +92,7 @@ class HandAvatar:
     bone_weights: np.ndarray
     uvd: np.ndarray
     learned: Learned | None = None
+    detail: Detail | None = None
 
     def __len__(self) -> int:
         return self.position_m.shape[0]

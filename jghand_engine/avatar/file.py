@@ -8,8 +8,9 @@ arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3) flo
 order; the engine's level order ends here.
 
 A trained avatar has format_version 2, a description `learnt` and the arrays of `learned_storage`. One that was learned
-in known light has version 3: older JGHands refuse it, who would draw its albedo as its colors. Avatars that were not
-trained are still written as version 1.
+in known light has version 3: older JGHands refuse it, who would draw its albedo as its colors. One with a detail,
+trained or not, has version 4, a description `detail` and the arrays of `detail_storage`. Avatars that were not trained
+are still written as version 1.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import safetensors
 import safetensors.numpy
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearnedFrom
+from jghand_engine.avatar.detail_storage import DetailAbout, expected_detail_arrays, pack_detail, unpack_detail
 from jghand_engine.avatar.learned_storage import LearnedAbout, expected_learned_arrays, pack_learned, unpack_learned
 from jghand_engine.avatar.storage import (
     ARRAY_NAMES,
@@ -41,9 +43,9 @@ from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
 from jghand_engine.json_files import JsonObject, is_number
 
-FORMAT_VERSION = 3
-# the newest without a known light, and without anything learned
-LEARNED_VERSION, PAINTED_VERSION = 2, 1
+FORMAT_VERSION = 4
+# the newest without a detail, without a known light, and without anything learned
+LIT_VERSION, LEARNED_VERSION, PAINTED_VERSION = 3, 2, 1
 METADATA_KEY = "jghand"
 
 
@@ -80,6 +82,10 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     if avatar.learned is not None:
         description["learnt"] = LearnedAbout.of(avatar.learned).as_dict()
         packed |= pack_learned(avatar.learned, storage)
+    if avatar.detail is not None:
+        arrays, about = pack_detail(avatar.detail, storage)
+        packed |= arrays
+        description["detail"] = about.as_dict()
     try:
         text = json.dumps(description, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -98,6 +104,8 @@ def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
     """The avatar that a reader gets back when `avatar` is saved with `storage`."""
     packed, box_m = pack(_arrays(avatar), storage, linear=_is_linear(avatar))
     stored = _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
+    if avatar.detail is not None:
+        stored = replace(stored, detail=unpack_detail(*pack_detail(avatar.detail, storage), avatar.info.name))
     if avatar.learned is None:
         return stored
     return _with_learned(stored, pack_learned(avatar.learned, storage), LearnedAbout.of(avatar.learned))
@@ -131,6 +139,8 @@ def _load(file: Path, thing: str) -> HandAvatar:
     avatar = _avatar(about.info, about.handedness, joints_m, unpack(plain, about.storage, about.box_m))
     if about.learned is not None:
         avatar = _with_learned(avatar, packed, about.learned)
+    if about.detail is not None:
+        avatar = replace(avatar, detail=unpack_detail(packed, about.detail, thing))
     check_avatar(avatar, thing)
     return avatar
 
@@ -172,8 +182,10 @@ class _Description:
             pose_statistics=_pose_statistics(of),
             learned_from=_learned_from(of.object("learnt_from")),
         )
-        is_learned = content["format_version"] > PAINTED_VERSION
-        learned = of.inner(content.get("learnt"), "learnt") if is_learned else None
+        version = content["format_version"]
+        is_learned = PAINTED_VERSION < version <= LIT_VERSION or (version > LIT_VERSION and "learnt" in content)
+        learned = of.needed("learnt") if is_learned else None
+        self.detail = DetailAbout.parsed(of.needed("detail")) if version > LIT_VERSION else None
         self.learned = None if learned is None else LearnedAbout.parsed(learned)
         self.is_linear = self.learned is not None and self.learned.light.is_known
 
@@ -233,6 +245,8 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
     wanted["canonical_joints_m"] = ("F64", (JOINT_COUNT, 3))
     if about.learned is not None:
         wanted |= expected_learned_arrays(about.learned, about.gaussians, about.storage)
+    if about.detail is not None:
+        wanted |= expected_detail_arrays(about.detail, about.storage)
     names = set(content.keys())
     if names != set(wanted):
         missing, unknown = sorted(set(wanted) - names), sorted(names - set(wanted))
@@ -251,9 +265,11 @@ def _is_linear(avatar: HandAvatar) -> bool:
 
 
 def _version(avatar: HandAvatar) -> int:
+    if avatar.detail is not None:
+        return FORMAT_VERSION
     if avatar.learned is None:
         return PAINTED_VERSION
-    return FORMAT_VERSION if _is_linear(avatar) else LEARNED_VERSION
+    return LIT_VERSION if _is_linear(avatar) else LEARNED_VERSION
 
 
 def _arrays(avatar: HandAvatar) -> Arrays:

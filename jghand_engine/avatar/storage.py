@@ -72,10 +72,9 @@ def pack(arrays: Arrays, storage: Storage, *, linear: bool = False) -> tuple[dic
     box_m = [position_m.min(0).tolist(), position_m.max(0).tolist()]
     if storage is Storage.EXACT:
         return {name: np.ascontiguousarray(a) for name, a in (arrays | {"bone_weights": weights}).items()}, box_m
-    low, step = _steps(box_m)
-    bone, weight = _largest_weights(weights)
+    bone, weight = largest_weights(weights)
     packed = {
-        "position": np.rint((position_m - low) / np.where(step > 0, step, 1.0)).astype(np.uint16),
+        "position": on_grid(position_m, box_m),
         "sigma_m": arrays["sigma_m"].astype(np.float16),
         "opacity": np.rint(arrays["opacity"] * np.float64(UINT8_MAX)).astype(np.uint8),
         "uvd": np.rint(arrays["uvd"] * np.float64(UINT16_MAX)).astype(np.uint16),
@@ -94,19 +93,27 @@ def unpack(packed: dict[str, np.ndarray], storage: Storage, box_m: list[list[flo
     """The inverse of `pack`. Bone indices must already be known to be below 21."""
     if storage is Storage.EXACT:
         return packed | {"bone_weights": np.ascontiguousarray(packed["bone_weights"][:, STANDARD_OF_LEVEL])}
-    low, step = _steps(box_m)
-    weights = np.zeros((len(packed["weight"]), JOINT_COUNT))
-    rows = np.arange(len(weights))[:, None]
-    np.add.at(weights, (rows, LEVEL_OF_STANDARD[packed["weight_bone"]]), packed["weight"] / UINT16_MAX)
     rgb = np.square(packed["albedo"] / UINT16_MAX) if "albedo" in packed else packed["rgb"] / UINT8_MAX
     return {
-        "position_m": (low + packed["position"] * step).astype(np.float32),
+        "position_m": from_grid(packed["position"], box_m),
         "sigma_m": packed["sigma_m"].astype(np.float32),
         "opacity": (packed["opacity"] / UINT8_MAX).astype(np.float32),
         "rgb": rgb.astype(np.float32),
-        "bone_weights": weights.astype(np.float32),
+        "bone_weights": all_weights(packed["weight"], packed["weight_bone"]),
         "uvd": (packed["uvd"] / UINT16_MAX).astype(np.float32),
     }
+
+
+def on_grid(position_m: np.ndarray, box_m: list[list[float]]) -> np.ndarray:
+    """(N, 3) uint16: steps from the low corner of their box."""
+    low, step = _steps(box_m)
+    return np.rint((position_m - low) / np.where(step > 0, step, 1.0)).astype(np.uint16)
+
+
+def from_grid(steps: np.ndarray, box_m: list[list[float]]) -> np.ndarray:
+    """The inverse of `on_grid`, float32."""
+    low, step = _steps(box_m)
+    return (low + steps * step).astype(np.float32)
 
 
 def _steps(box_m: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
@@ -115,8 +122,17 @@ def _steps(box_m: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
     return low, (high - low) / UINT16_MAX
 
 
-def _largest_weights(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest STORED_WEIGHTS columns of each row (uint8) and their shares in 1/65535 (uint16), adding up exactly.
+def all_weights(weight: np.ndarray, bone: np.ndarray) -> np.ndarray:
+    """(N, 21) float32 in level order: the inverse of `largest_weights`."""
+    weights = np.zeros((len(weight), JOINT_COUNT))
+    rows = np.arange(len(weights))[:, None]
+    np.add.at(weights, (rows, LEVEL_OF_STANDARD[bone]), weight / UINT16_MAX)
+    return weights.astype(np.float32)
+
+
+def largest_weights(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest STORED_WEIGHTS columns, in standard order, of each row (uint8) and their shares in 1/65535 (uint16),
+    adding up exactly.
 
     Rounded down first; what is missing goes to the largest remainders, so that a stored row packs to itself.
     """

@@ -8,6 +8,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork
+from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
     LIGHT_EXPONENT_MAX,
@@ -36,6 +37,8 @@ SHADOW_GAIN_MAX = 100.0
 POSE_NET_WEIGHT_MAX = 1e4
 # of a response: what per Gaussian the softness is multiplied by, and the least roughness, which highlights divide by
 RESPONSE_SPREAD_MAX, ROUGHNESS_MIN = 10.0, 0.01
+# of a detail: vertices, which two bytes number, faces, texels along a side, and how deep the Gaussians may lie, meters
+DETAIL_VERTICES_MAX, DETAIL_FACES_MAX, DETAIL_SIZE_MAX, DETAIL_DEPTH_MAX_M = 65_536, 131_072, 4096, 0.01
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
 # by how much shares and weights of an anchor, of 8 and 16 bits, may sum to something else than 1
@@ -43,6 +46,9 @@ CAST_SUM_TOLERANCE = 5e-3
 # a row of bone weights, of a template or an avatar, that is further from 1 than this was not meant as weights: float32
 # rounding of 21 summands leaves less than 1e-6
 WEIGHT_SUM_TOLERANCE = 1e-5
+
+# by the name of an array: it, the shape it should have, and the least and the greatest of its numbers
+Ranges = dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]
 
 REMEDY = "The avatar is damaged or was made by another program: export or download it again."
 
@@ -67,15 +73,46 @@ def check_avatar(avatar: HandAvatar, thing: str) -> None:
     _refuse(thing, "bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total)
     if avatar.learned is not None:
         _check_learned(avatar.learned, len(avatar), thing)
+    if avatar.detail is not None:
+        _check_detail(avatar.detail, avatar.canonical_joints_m[0], thing)
+
+
+def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
+    vertices, faces, side = len(detail.position_m), len(detail.faces), detail.size
+    counts = {
+        "vertices": (3 <= vertices <= DETAIL_VERTICES_MAX, f"3 to {DETAIL_VERTICES_MAX}", vertices),
+        "faces": (1 <= faces <= DETAIL_FACES_MAX, f"1 to {DETAIL_FACES_MAX}", faces),
+        "texture": (
+            1 <= side <= DETAIL_SIZE_MAX and side & (side - 1) == 0 and detail.texture.dtype == np.uint8,
+            f"bytes, a power of two up to {DETAIL_SIZE_MAX} along each side",
+            f"{detail.texture.dtype} of {side}",
+        ),
+        "depth_m": (0 <= detail.depth_m <= DETAIL_DEPTH_MAX_M, f"0 to {DETAIL_DEPTH_MAX_M} m", detail.depth_m),
+    }
+    for name, (good, wanted, came) in counts.items():
+        if not good:
+            raise InputError(f"{thing}: {name} of the detail", wanted=wanted, came=str(came), remedy=REMEDY)
+    _check_ranges(
+        thing,
+        {
+            "detail position_m": (detail.position_m - wrist_m, (vertices, 3), -AVATAR_REACH_M, AVATAR_REACH_M),
+            "detail bone_weights": (detail.bone_weights, (vertices, JOINT_COUNT), 0.0, 1.0),
+            "detail faces": (detail.faces, (faces, 3), 0, vertices - 1),
+            "detail face_uv": (detail.face_uv, (faces, 3, 2), 0.0, 1.0),
+            "detail texture": (detail.texture, (side, side, 3), 0, 255),
+        },
+    )
+    total = detail.bone_weights.sum(1, dtype=np.float64)
+    off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
+    _refuse(thing, "detail bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total, "vertex")
 
 
 def _check_learned(learned: Learned, count: int, thing: str) -> None:
     light, lobes = learned.light, learned.light.lobe_direction.shape[0]
     if lobes > LIGHT_LOBES_MAX:
         raise InputError(f"{thing}: lobes of the light", wanted=f"at most {LIGHT_LOBES_MAX}", came=str(lobes))
-    # name: values, shape, least and greatest of each number
     most = LIGHT_VALUE_MAX
-    ranges = {
+    ranges: Ranges = {
         "normal": (learned.normal, (count, 3), -2.0, 2.0),
         "shine": (learned.shine, (count,), 0.0, most),
         "light irradiance": (light.irradiance, (SH_COUNT, 3), -most, most),
@@ -97,12 +134,7 @@ def _check_learned(learned: Learned, count: int, thing: str) -> None:
         ranges |= _response_ranges(learned.response, count)
     if learned.distilled is not None and learned.distilled.linear is not None:
         ranges |= _linear_ranges(learned.distilled.linear, count)
-    for name, (values, shape, low, high) in ranges.items():
-        if tuple(values.shape) != shape:
-            came = f"shape {tuple(values.shape)}"
-            raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
-        flat = values.reshape(-1)
-        _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
+    _check_ranges(thing, ranges)
     _check_lengths(thing, "normal", learned.normal)
     if learned.cast is not None:
         _check_lengths(thing, "cast normal", learned.cast.anchors.normal)
@@ -113,14 +145,21 @@ def _check_learned(learned: Learned, count: int, thing: str) -> None:
     _check_shadow(learned, thing)
 
 
-def _linear_ranges(
-    linear: LinearCorrectives, count: int
-) -> dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]:
+def _check_ranges(thing: str, ranges: Ranges) -> None:
+    for name, (values, shape, low, high) in ranges.items():
+        if tuple(values.shape) != shape:
+            came = f"shape {tuple(values.shape)}"
+            raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
+        flat = values.reshape(-1)
+        _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
+
+
+def _linear_ranges(linear: LinearCorrectives, count: int) -> Ranges:
     """Constants, and what a number of 1 adds, which is its standard deviation, move a Gaussian nowhere beyond a hand.
     What the largest number that the planes can give adds is no bound: products of numbers reach hundreds on a trained
     hand, in poses that no hand takes."""
     steps = np.iinfo(np.int8).max * linear.scale
-    ranges = {}
+    ranges: Ranges = {}
     for part in ("mean", "projection"):
         values = getattr(linear, part)
         ranges[f"linear {part}"] = (values, tuple(values.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
@@ -131,7 +170,7 @@ def _linear_ranges(
     return ranges
 
 
-def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]:
+def _cast_ranges(cast: CastShadow, count: int) -> Ranges:
     anchors = cast.anchors
     return {
         "cast lamp_rgb": (cast.lamp_rgb, (len(cast.lamp_rgb), 3), 0.0, LIGHT_VALUE_MAX),
@@ -144,7 +183,7 @@ def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[np.ndarray, tu
     }
 
 
-def _response_ranges(response: SkinResponse, count: int) -> dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]:
+def _response_ranges(response: SkinResponse, count: int) -> Ranges:
     return {
         "response spread": (response.spread, (count,), 0.0, RESPONSE_SPREAD_MAX),
         "response roughness": (response.roughness, (count,), ROUGHNESS_MIN, 1.0),

@@ -96,7 +96,7 @@ def test_a_pickle_is_refused_and_does_not_run(tmp_path):
 
 def test_a_newer_version_says_to_update(tmp_path):
     arrays, about = parts()
-    refused(written(tmp_path / "new.jghand", arrays, {**about, "format_version": 4}), "newer JGHand", "update")
+    refused(written(tmp_path / "new.jghand", arrays, {**about, "format_version": 5}), "newer JGHand", "update")
 
 
 FIELDS = {

@@ -1,0 +1,55 @@
+"""What Gaussians cannot hold: creases, pores and nail edges, as a texture on a skinned surface.
+
+A renderer draws the Gaussians, finds where the surface is hit at each pixel, and multiplies the color there by the
+ratio that the texture has. What exports Gaussians leaves it out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# the log ratio of the bytes 1 and 255: colors are halved or doubled
+LOG_RATIO_MAX = 0.7
+# the byte that changes nothing, and the steps from it to LOG_RATIO_MAX
+NO_RATIO, RATIO_STEPS = 128, 127
+
+
+@dataclass(frozen=True)
+class Detail:
+    """A surface of the canonical right hand and its texture. A left hand is the same, mirrored by its bones.
+
+    Of a hand that learned in known light (`response`) ratios are of scene-linear light, of others of display-referred
+    sRGB, in which those are blended.
+
+    position_m:   (V, 3) float32, canonical, meters
+    bone_weights: (V, 21) float32, rows sum to 1, column i = B_i
+    faces:        (F, 3) int32, counterclockwise from outside; the skin alone, open at the wrist
+    face_uv:      (F, 3, 2) float32, 0..1, of each corner: seams; the texture's row is 1 - v
+    texture:      (S, S, 3) uint8, S a power of two: log(color / color of the Gaussians) = (byte - 128) / 127 * 0.7
+    depth_m:      how far the blended depth of the Gaussians lies below the surface
+    """
+
+    position_m: np.ndarray
+    bone_weights: np.ndarray
+    faces: np.ndarray
+    face_uv: np.ndarray
+    texture: np.ndarray
+    depth_m: float
+
+    @property
+    def size(self) -> int:
+        """S, texels along a side."""
+        return self.texture.shape[0]
+
+
+def log_ratios(texels: np.ndarray) -> np.ndarray:
+    """float32 of bytes of any shape."""
+    return (texels.astype(np.float32) - NO_RATIO) * np.float32(LOG_RATIO_MAX / RATIO_STEPS)
+
+
+def ratio_bytes(log_ratio: np.ndarray) -> np.ndarray:
+    """uint8, the inverse of `log_ratios`; what is out of range is cut off."""
+    steps = np.rint(np.asarray(log_ratio, np.float64) * (RATIO_STEPS / LOG_RATIO_MAX))
+    return (NO_RATIO + np.clip(steps, -RATIO_STEPS, RATIO_STEPS)).astype(np.uint8)

@@ -1,0 +1,150 @@
+"""The texture of a hand in its file: what is written comes back, small, and what draws nothing is refused."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors
+import safetensors.numpy
+from detail_samples import detail_of, detailed, noise
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, Detail, log_ratios, ratio_bytes
+from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.storage import Storage
+from jghand_engine.errors import InputError
+
+
+def same(one: Detail | None, other: Detail | None) -> bool:
+    assert one is not None
+    assert other is not None
+    return all(np.array_equal(getattr(one, f.name), getattr(other, f.name)) for f in fields(Detail))
+
+
+@pytest.fixture(scope="module")
+def hand() -> HandAvatar:
+    """Few Gaussians: the detail is looked at here."""
+    return detailed(noise(64)).prefix(100)
+
+
+@pytest.mark.parametrize("storage", list(Storage))
+def test_a_file_returns_the_stored_form_of_a_detail(tmp_path, hand, storage):
+    save_avatar(tmp_path / "hand.jghand", hand, storage=storage)
+    again = load_avatar(tmp_path / "hand.jghand").detail
+    assert same(again, stored_form(hand, storage).detail)
+    assert same(again, hand.detail) == (storage is Storage.EXACT)
+
+
+def test_a_compact_detail_costs_what_its_table_says(hand):
+    stored = stored_form(hand, Storage.COMPACT).detail
+    assert np.abs(stored.position_m - hand.detail.position_m).max() < 1.6e-6
+    assert np.abs(stored.face_uv - hand.detail.face_uv).max() <= 1 / 131070 + 1e-7
+    assert np.abs(stored.bone_weights - hand.detail.bone_weights).max() < 0.01
+    assert np.array_equal(stored.texture, hand.detail.texture)
+    assert same(stored_form(replace(hand, detail=stored), Storage.COMPACT).detail, stored)
+
+
+def test_a_detail_of_the_full_size_takes_less_than_four_megabytes(tmp_path, hand):
+    """Noise as strong as skin's, finer than any that a picture shows, on the third of the square that skin takes."""
+    texture = noise(2048, spread=0.03)
+    texture[:, 740:] = 128
+    save_avatar(tmp_path / "hand.jghand", replace(hand, detail=detail_of(texture)), storage=Storage.COMPACT)
+    assert (tmp_path / "hand.jghand").stat().st_size < 4e6
+
+
+def test_bytes_and_ratios_are_each_others_inverse():
+    every = np.arange(1, 256, dtype=np.uint8)
+    assert np.array_equal(ratio_bytes(log_ratios(every)), every)
+    assert log_ratios(np.array([128], np.uint8))[0] == 0
+    assert log_ratios(np.array([255], np.uint8))[0] == pytest.approx(LOG_RATIO_MAX)
+    assert ratio_bytes(np.array([-9.0, 9.0])).tolist() == [1, 255]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"texture": np.zeros((60, 60, 3), np.uint8)}, "texture.*power of two"),
+        ({"texture": np.zeros((64, 32, 3), np.uint8)}, "texture.*shape"),
+        ({"texture": np.zeros((64, 64, 3), np.float32)}, "texture.*bytes"),
+        ({"depth_m": float("nan")}, "depth_m"),
+        ({"depth_m": -0.001}, "depth_m"),
+        ({"faces": np.array([[0, 1, 1_000_000]], np.int32)}, "faces"),
+        ({"face_uv": np.full((1, 3, 2), 0.5, np.float32)}, "face_uv.*shape"),
+        ({"bone_weights": "double"}, "bone_weights.*sum to 1"),
+        ({"position_m": "far"}, "position_m"),
+        ({"position_m": "nan"}, "position_m"),
+    ],
+)
+def test_a_detail_that_draws_nothing_is_not_written(tmp_path, hand, change, named):
+    detail = hand.detail
+    values = {"double": 0.5 * detail.bone_weights, "far": detail.position_m + 2, "nan": detail.position_m * np.nan}
+    change = {name: values[value] if isinstance(value, str) else value for name, value in change.items()}
+    with pytest.raises(InputError, match=named):
+        save_avatar(tmp_path / "hand.jghand", replace(hand, detail=replace(detail, **change)))
+
+
+def parts(path: Path, hand: HandAvatar) -> tuple[dict, dict]:
+    save_avatar(path, hand, storage=Storage.COMPACT)
+    with safetensors.safe_open(str(path), framework="numpy") as content:
+        return safetensors.numpy.load_file(path), json.loads(content.metadata()[METADATA_KEY])
+
+
+@pytest.mark.parametrize(
+    ("array", "value", "named"),
+    [
+        ("texture", np.zeros(200, np.uint8), "texture"),
+        ("texture", "more", "texture"),
+        ("texture", "cut", "texture"),
+        ("weight_bone", "bone 21", "weight_bone"),
+        ("faces", "vertex", "faces"),
+    ],
+)
+def test_a_damaged_detail_is_refused_by_name(tmp_path, hand, array, value, named):
+    path = tmp_path / "hand.jghand"
+    arrays, about = parts(path, hand)
+    name = f"detail.{array}"
+    if isinstance(value, str):
+        old = arrays[name]
+        value = {
+            "more": lambda: np.frombuffer(zlib.compress(bytes(100_000_000), 9), np.uint8),
+            "cut": lambda: old[: len(old) // 2].copy(),
+            "bone 21": lambda: np.full_like(old, 21),
+            "vertex": lambda: np.full_like(old, 65535),
+        }[value]()
+    arrays[name] = value
+    if array == "texture":
+        about["detail"]["texture_bytes"] = len(value)
+    path.write_bytes(safetensors.numpy.save(arrays, metadata={METADATA_KEY: json.dumps(about)}))
+    with pytest.raises(InputError, match=named):
+        load_avatar(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"size": 8192}, {"size": 32}, {"vertices": 0}, {"vertices": 2**40}, {"faces": 0}, {"texture_bytes": 2**40},
+        {"depth_m": 1.0}, {"depth_m": None}, {"box_m": [[0, 0, 0]]}, {"box_m": [[0, 0, 0], [1, 1, 1e300]]},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_description_that_lies_about_the_detail_is_refused(tmp_path, hand, change):
+    path = tmp_path / "hand.jghand"
+    arrays, about = parts(path, hand)
+    about["detail"] |= change
+    path.write_bytes(safetensors.numpy.save(arrays, metadata={METADATA_KEY: json.dumps(about)}))
+    with pytest.raises(InputError) as caught:
+        load_avatar(path)
+    assert caught.value.remedy
+
+
+def test_a_file_without_a_detail_is_written_for_older_readers(tmp_path, hand):
+    path = tmp_path / "hand.jghand"
+    assert parts(path, hand)[1]["format_version"] == 4
+    _, about = parts(path, replace(hand, detail=None))
+    assert about["format_version"] == 1
+    assert "detail" not in about

@@ -1,0 +1,52 @@
+"""A hand with a texture of detail: the painted one, with the template's skin around it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.avatar.detail import Detail, ratio_bytes
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.subdivision import Subdivision
+
+# of the painted hand: its Gaussians sit below the skin
+DEPTH_M = 0.0012
+
+
+def noise(size: int, seed: int = 0, spread: float = 0.2) -> np.ndarray:
+    """(size, size, 3) bytes of a texture of noise."""
+    ratios = np.random.default_rng(seed).normal(0.0, spread, (size, size, 3))
+    return ratio_bytes(ratios)
+
+
+def flat(size: int, log_ratio: float) -> np.ndarray:
+    """One ratio everywhere."""
+    return np.broadcast_to(ratio_bytes(np.array(log_ratio)), (size, size, 3)).copy()
+
+
+@cache
+def _skin() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    template = load_template()
+    fine = Subdivision.of(template.faces, template.face_uv, 1)
+    skin = fine.faces[: 4 * template.skin_face_count]
+    used, corners = np.unique(skin, return_inverse=True)
+    weights = (fine.matrix @ template.bone_weights)[used]
+    return (
+        (fine.matrix @ template.vertices_m)[used].astype(np.float32),
+        (weights / weights.sum(1, keepdims=True)).astype(np.float32),
+        corners.reshape(-1, 3).astype(np.int32),
+        fine.face_uv[: len(skin)].astype(np.float32),
+    )
+
+
+def detail_of(texture: np.ndarray) -> Detail:
+    return Detail(*_skin(), texture, DEPTH_M)
+
+
+def detailed(texture: np.ndarray, handedness: Handedness = Handedness.RIGHT) -> HandAvatar:
+    return replace(load_painted(handedness=handedness), detail=detail_of(texture))
