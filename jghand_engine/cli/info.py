@@ -1,4 +1,4 @@
-"""`jghand info`: what is inside an avatar, a motion, a USD file or a splat file."""
+"""`jghand info`: what is inside an avatar, a motion or a USD file."""
 
 from __future__ import annotations
 
@@ -19,27 +19,24 @@ if TYPE_CHECKING:
     from jghand_engine.avatar.learned import Learned
     from jghand_engine.avatar.tiers import Distilled
 
-DESCRIPTION = """Say what is inside an avatar, a motion, a USD or a splat file, and what is wrong with one of these two.
+DESCRIPTION = """Say what is inside an avatar, a motion or a USD file, and what is wrong with the last.
 
 Examples:
   jghand info hand.jghand
   jghand info builtin
   jghand info capture.npy --hand right
   jghand info dance.bvh --hand left
-  jghand info demo_output/usd/hand.usda
-  jghand info hand.0000.ply"""
+  jghand info demo_output/usd/hand.usda"""
 
 FINDINGS = "what_is_wrong"
 MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh")
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
-SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
 
 
 @dataclass(frozen=True)
 class Info:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """A .jghand avatar (or the word builtin or painted), a motion (docs/MOTION.md), a USD file, or a splat file (.ply,
-    .splat, .glb, .spz)."""
+    """A .jghand avatar (or the word builtin or painted), a motion (docs/MOTION.md) or a USD file."""
     format: FormatOptions = field(default_factory=FormatOptions)
     json: FiguresFile = None
 
@@ -71,10 +68,8 @@ class Info:
             # a rig that moves, of another program
             if "SkelAnimation" in facts["prims"] and not facts["splats"]:
                 facts = motion_facts(path, self.format)
-        elif suffix in SPLAT_SUFFIXES:
-            facts = splat_facts(path)
         else:
-            wanted = ", ".join((".jghand", *MOTION_SUFFIXES, *USD_SUFFIXES, *SPLAT_SUFFIXES))
+            wanted = ", ".join((".jghand", *MOTION_SUFFIXES, *USD_SUFFIXES))
             raise InputError(f"{path}", wanted=f"a file of the kind {wanted}", came=suffix or "no suffix")
         about = path.stat()
         return {**facts, "bytes": about.st_size, "written": time.strftime("%Y-%m-%d", time.localtime(about.st_mtime))}
@@ -190,20 +185,3 @@ def usd_facts(path: Path) -> dict[str, Any]:
     facts = stage_facts(path)
     findings = facts.pop("findings")
     return {"kind": "usd", **facts, FINDINGS: findings}
-
-
-def splat_facts(path: Path) -> dict[str, Any]:
-    """What a splat file holds, and what is suspicious about it."""
-    import numpy as np
-
-    from jghand_engine.export.splats.reading import read_splats, splat_findings
-
-    cloud = read_splats(path)
-    facts: dict[str, Any] = {"kind": f"{path.suffix[1:].lower()} splats", "gaussians": len(cloud)}
-    if len(cloud):
-        facts |= {
-            "size_m": np.ptp(cloud.positions_m.astype(np.float64), axis=0).tolist(),
-            "sigma_m": {"smallest": float(cloud.scales_m.min()), "largest": float(cloud.scales_m.max())},
-            "opacity": {"smallest": float(cloud.opacity.min()), "largest": float(cloud.opacity.max())},
-        }
-    return {**facts, "axes": cloud.axes or "not said", FINDINGS: list(splat_findings(cloud))}

@@ -63,21 +63,6 @@ def _steps(values: np.ndarray) -> np.ndarray:
     return np.clip(np.round(values), 0, 255).astype(np.uint8)
 
 
-def unpacked_smallest_three(packed: np.ndarray) -> np.ndarray:
-    """(N, 4) quaternions w, x, y, z from the four bytes (N, 4) of SPZ 3."""
-    numbers = packed.view("<u4")[:, 0]
-    largest = numbers >> np.uint32(3 * (QUATERNION_BITS + 1))
-    # from the left, the others in their order
-    fields = np.stack([numbers >> np.uint32(place * (QUATERNION_BITS + 1)) for place in (2, 1, 0)], -1)
-    sizes = (fields & np.uint32(2**QUATERNION_BITS - 1)) / np.float32(math.sqrt(2) * (2**QUATERNION_BITS - 1))
-    others = np.where((fields >> np.uint32(QUATERNION_BITS)) & np.uint32(1), -sizes, sizes)
-    xyzw = np.zeros((len(numbers), 4), np.float32)
-    chosen = np.arange(4) == largest[:, None]
-    xyzw[~chosen] = others.ravel()
-    xyzw[chosen] = np.sqrt(np.maximum(0, 1 - np.square(others).sum(1)))
-    return xyzw[:, [3, 0, 1, 2]]
-
-
 def _smallest_three(rotations_xyzw: np.ndarray) -> np.ndarray:
     """(N,) uint32 from unit quaternions (N, 4): index of the largest component, then sign and size of the others."""
     largest = np.abs(rotations_xyzw).argmax(1)
