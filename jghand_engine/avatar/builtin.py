@@ -41,7 +41,7 @@ def load_builtin(*, handedness: Handedness) -> HandAvatar:
 
 
 def load_painted(*, handedness: Handedness) -> HandAvatar:
-    """The painted avatar (scripts/build_avatar.py), which nothing was learned for; as above."""
+    """The painted avatar (jghand_engine/assets/README.md), which nothing was learned for; as above."""
     return _load_right(PAINTED).for_hand(handedness)
 
 

@@ -94,7 +94,7 @@ def _is_of(found: Points, count: int) -> bool:
 def _placed(template: HandTemplate, count: int, *, area_power: float, **numbers: Any) -> CanonicalPoints:
     counts = shared_out(bone_areas(template) ** area_power, count)
     sample = sample_shell(template, per_bone=int(counts.max()), **numbers)
-    chosen, _ = take_turns(sample.bone, counts)
+    chosen = take_turns(sample.bone, counts)
     position_m = sample.position_m[chosen]
     nearest = np.asarray(KDTree(position_m).query(position_m, k=4)[0])[:, 1:]
     return CanonicalPoints(
@@ -123,8 +123,8 @@ def shared_out(share: np.ndarray, count: int) -> np.ndarray:
     return counts
 
 
-def take_turns(bone: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (sum of counts,) into a sample and turns 0..1 in rising order.
+def take_turns(bone: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Indices (sum of counts,) into a sample.
 
     bone (M,) names the bone 1..20 of each point, in farthest-point order within each bone. Bone b gives its first
     counts[b - 1] points, at even steps of the whole list, so that every prefix has the same shares.
@@ -132,7 +132,7 @@ def take_turns(bone: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.nda
     picked = [np.flatnonzero(bone == number)[:count] for number, count in enumerate(counts, start=1)]
     turn = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
     order = np.argsort(turn, kind="stable")
-    return np.concatenate(picked)[order], turn[order]
+    return np.concatenate(picked)[order]
 
 
 # ---- the cache -------------------------------------------------------------------------------------------------------

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
+import trimesh
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.learn import canonical_points
-from jghand_engine.learn.canonical_points import CanonicalPoints, bone_areas, place_points, points_file
+from jghand_engine.learn.canonical_points import (
+    CanonicalPoints,
+    bone_areas,
+    place_points,
+    points_file,
+    shared_out,
+    take_turns,
+)
 from jghand_engine.learn.options import PAPER_FAITHFUL
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
@@ -271,3 +279,27 @@ def test_a_folder_that_cannot_be_written_is_no_trouble(folder, placings):
     folder.write_text("a file is in the way")
     place_points(load_template(), 50, **NUMBERS)
     assert placings == [50]
+
+
+def test_shares_add_up():
+    for count in (20, 999, 60_000):
+        counts = shared_out(bone_areas(load_template()) ** 0.7, count)
+        assert counts.sum() == count
+
+
+def test_bone_areas_cover_the_whole_surface():
+    template = load_template()
+    whole = trimesh.triangles.area(template.vertices_m[template.faces]).sum()
+    assert bone_areas(template).sum() == pytest.approx(whole, rel=1e-12)
+
+
+def test_turns_keep_the_order_of_each_bone_and_every_prefix_its_shares():
+    bone = np.tile(np.arange(1, 21), 50)
+    counts = np.arange(11, 31)
+    chosen = take_turns(bone, counts)
+    for number in range(1, 21):
+        own = chosen[bone[chosen] == number]
+        assert len(own) == number + 10
+        assert (np.diff(own) > 0).all()
+    half = np.bincount(bone[chosen[: len(chosen) // 2]], minlength=21)[1:]
+    assert (abs(half - counts / 2) <= 1).all()

@@ -16,10 +16,8 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # edge of the baked texture: 0.4 mm of skin per texel, finer than a pixel of a whole hand at 334 x 512 (0.5 mm)
@@ -40,23 +38,6 @@ GRAIN_CELL_M = 0.0009
 
 
 @dataclass(frozen=True)
-class SkinPoints:
-    """Points on the skin, in the template's canonical frame: wrist at the origin, +y to the middle MCP, +x to the index
-    side, +z out of the palm.
-
-    position_m:   (N, 3) meters
-    normal:       (N, 3) outward unit normals
-    bone_weights: (N, 21) rows sum to 1; joints in level order
-    nail:         (N,) 0..1, how far the point lies on a nail
-    """
-
-    position_m: np.ndarray
-    normal: np.ndarray
-    bone_weights: np.ndarray
-    nail: np.ndarray
-
-
-@dataclass(frozen=True)
 class CaptureSkin:
     """rgb8 (S, S, 3) sRGB reflectance, relief_m (S, S) height in meters, nail (S, S) 0..1; row = 1 - v."""
 
@@ -69,7 +50,7 @@ def make_skin(texture: Path, seed: int = 0) -> CaptureSkin:
     """InputError for a file that is no usable image."""
     texels = _Texels.of(load_template(), SKIN_PX)
     rgb, relief_m = _photographic(texels, read_texture(texture), seed)
-    rgb, relief_m, nail = (texels.spread(values) for values in (rgb, relief_m, texels.points.nail))
+    rgb, relief_m, nail = (texels.spread(values) for values in (rgb, relief_m, texels.nail))
     rgb[texels.cap] = rgb[texels.wrist].mean(axis=0)
     relief_m[texels.cap] = 0
     return CaptureSkin(np.clip(np.rint(255 * rgb), 0, 255).astype(np.uint8), relief_m, nail)
@@ -100,11 +81,19 @@ def png_bytes(pixels: np.ndarray) -> bytes:
 
 @dataclass(frozen=True)
 class _Texels:
-    """The texels of the hand's island as points of its skin, and which are the wrist's cut and what is around it."""
+    """The texels of the hand's island as points of its skin, and which are the wrist's cut and what is around it.
+
+    covered:    (size, size) texels of the island; N of them
+    position_m: (N, 3) meters, in the template's canonical frame
+    nail:       (N,) 0..1, how far the point lies on a nail
+    uv:         (N, 2)
+    cap, wrist: (size, size)
+    """
 
     size: int
     covered: np.ndarray
-    points: SkinPoints
+    position_m: np.ndarray
+    nail: np.ndarray
     uv: np.ndarray
     cap: np.ndarray
     wrist: np.ndarray
@@ -113,23 +102,20 @@ class _Texels:
     def of(cls, template: HandTemplate, size: int) -> _Texels:
         skin = template.faces[: template.skin_face_count]
         skin_uv, cap_uv = template.face_uv[: len(skin)], template.face_uv[len(skin) :]
-        normals = vertex_normals(template.vertices_m, template.faces)
-        per_vertex = np.concatenate([template.vertices_m, normals, template.bone_weights], axis=1)
-        values, covered = rasterize_uv(skin_uv, per_vertex[skin], size)
-        inside = values[covered]
+        position, covered = rasterize_uv(skin_uv, template.vertices_m[skin], size)
+        position_m = position[covered]
         row, column = np.nonzero(covered)
         uv = np.stack([(column + 0.5) / size, 1 - (row + 0.5) / size], axis=1)
         with (ASSETS / "nails.png").open("rb") as stream, Image.open(stream) as image:
             nails = np.asarray(image.convert("L"), dtype=np.float64)[..., None] / 255
         nail = sample_bilinear(nails, uv)[:, 0]
-        points = SkinPoints(inside[:, :3], unit(inside[:, 3:6]), inside[:, 6:], nail)
         # a texel of margin, so that filtering at the edge of the disk sees nothing else
         radius = np.linalg.norm(cap_uv - cap_uv[0, 2], axis=-1).max() + 2 / size
         grid = (np.arange(size) + 0.5) / size
         cap = (grid[None] - cap_uv[0, 2, 0]) ** 2 + (1 - grid[:, None] - cap_uv[0, 2, 1]) ** 2 <= radius**2
         wrist = np.zeros_like(covered)
-        wrist[covered] = inside[:, 1] <= template.vertices_m[:, 1].min() + WRIST_BAND_M
-        return cls(size, covered, points, uv, cap & ~covered, wrist)
+        wrist[covered] = position_m[:, 1] <= template.vertices_m[:, 1].min() + WRIST_BAND_M
+        return cls(size, covered, position_m, nail, uv, cap & ~covered, wrist)
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """Values of the texels (N,) or (N, C) -> the whole square; outside the island the nearest one goes on."""
@@ -144,15 +130,14 @@ def _photographic(texels: _Texels, image: np.ndarray, seed: int) -> tuple[np.nda
     from its own fine shades (a darker line is a furrow)."""
     large = _enlarged(image, texels.size)
     rgb = sample_bilinear(large, texels.uv)
-    position = texels.points.position_m
-    fine = sum(part * noise(position, cell, seed + 11 + k) for k, (cell, part) in enumerate(MOTTLING))
-    pigment = np.array(MOTTLING_RGB) * np.asarray(fine)[:, None] * (1 - texels.points.nail)[:, None]
+    fine = sum(part * noise(texels.position_m, cell, seed + 11 + k) for k, (cell, part) in enumerate(MOTTLING))
+    pigment = np.array(MOTTLING_RGB) * np.asarray(fine)[:, None] * (1 - texels.nail)[:, None]
     gray = texels.spread(rgb.mean(axis=1))
     px = texels.size / SKIN_PX
     detail = gaussian_filter(gray, 1.2 * px) - gaussian_filter(gray, 7 * px)
     relief = RELIEF_M * np.tanh(detail[texels.covered] / RELIEF_SHADE)
-    relief = relief + GRAIN_M * noise(position, GRAIN_CELL_M, seed + 17)
-    return np.clip(rgb * np.exp(-pigment), 0, 1), relief * (1 - texels.points.nail)
+    relief = relief + GRAIN_M * noise(texels.position_m, GRAIN_CELL_M, seed + 17)
+    return np.clip(rgb * np.exp(-pigment), 0, 1), relief * (1 - texels.nail)
 
 
 def _enlarged(image: np.ndarray, size: int) -> np.ndarray:
