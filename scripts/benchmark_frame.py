@@ -1,4 +1,4 @@
-"""Where the milliseconds of a frame go, on this machine, beside the torch reference and a scalar loop.
+"""Where the milliseconds of a frame go, on this machine, beside the torch reference.
 
     python scripts/benchmark_frame.py [--rounds 100] [--threads 0] [--only frame,trained] [--json FILE]
 
@@ -9,7 +9,6 @@ is a sum of stages. Files and sockets are not part of it.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import itertools
 import json
 import subprocess
@@ -17,7 +16,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -56,7 +54,7 @@ SAMPLES = 64
 # rounds of what takes seconds
 FEW = 3
 WARM_UP = 10
-PARTS = ("frame", "trained", "raster", "parts", "reference", "numba")
+PARTS = ("frame", "trained", "raster", "parts", "reference")
 
 
 def cases(parts: list[str], threads: int) -> Iterator[Case]:
@@ -72,8 +70,6 @@ def cases(parts: list[str], threads: int) -> Iterator[Case]:
         yield from part_cases(library, count)
     if "reference" in parts:
         yield from reference_cases(count)
-    if "numba" in parts:
-        yield from numba_cases()
 
 
 def painted_subject(width: int, height: int) -> Subject:
@@ -245,26 +241,6 @@ def reference_picture(gaussians: Gaussians, camera: Camera) -> None:
 
 def _nothing(_result: object) -> None:
     """A case returns a report or nothing."""
-
-
-def numba_cases() -> Iterator[Case]:
-    """The scalar loop of scripts/numba_loop.py, raster only, on the same pictures; nothing without numba."""
-    if importlib.util.find_spec("numba") is None:
-        say("numba is not installed: the scalar loop is left out")
-        return
-    import numba_loop
-
-    for subject in subjects(*SIZES[0]):
-        gaussians, camera = posed_gaussians(subject), subject.camera
-        matrix = torch.from_numpy(camera.camera_from_world).float()
-        position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
-        view = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-        arrays = (*(t.numpy() for t in (position, gaussians.sigma_m, gaussians.opacity, gaussians.rgb)), view)
-
-        def run(arrays: tuple[Any, ...] = arrays) -> None:
-            numba_loop.draw(*arrays)
-
-        yield Case("scalar loop in numba, raster only, one thread", title_of(subject), run, rounds=FEW, threads=1)
 
 
 def parts_of(text: str) -> list[str]:

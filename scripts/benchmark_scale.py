@@ -1,13 +1,12 @@
-"""How far one machine goes, and what more would cost: every figure of the tables in docs/SCALE.md.
+"""How far one machine goes: what one more picture, step and frame costs, for the table in docs/SCALE.md.
 
-    python scripts/benchmark_scale.py [--page docs/SCALE.md] [--json FILE] [--repeats 3] [--price 0.04]
+    python scripts/benchmark_scale.py [--page docs/SCALE.md] [--json FILE] [--repeats 3]
 
 Runs the commands as anyone would, each as processes of its own. Seconds are what a command says itself (--json), once
 it has started; core-seconds (user and system, of all its processes) and peak memory come from the operating system.
 What one more picture, step or frame costs is the difference of a long and a short run, so that starting is told apart,
 and the median of such differences (--repeats), of short and long runs in turn; how far they lie apart is said below the
-table. In the motion, which begins again and again, 9 of 600 frames are like the one before. The second table
-multiplies; it measures nothing. --page renews the tables of a page between their marks. A repeat takes some five
+table. In the motion, which begins again and again, 9 of 600 frames are like the one before. A repeat takes some five
 minutes on two quiet cores; --quick takes a tenth of the work, to see that it runs.
 """
 
@@ -28,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from other_programs import put_into_page, table
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import Handedness
@@ -36,20 +36,12 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.native.machine import processor
 
-BEGIN, END = "<!-- scripts/benchmark_scale.py: begin -->", "<!-- scripts/benchmark_scale.py: end -->"
 ROOT = Path(__file__).resolve().parents[1]
 JGHAND = (sys.executable, "-m", "jghand_engine")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-# what the table of costs takes for one identity: a capture as that of the built-in hand, and so many steps
-PICTURES, STEPS = 616, 4000
 # the motion that is rendered and exported
 FRAMES, POSES = 600, ["open", "fist", "point", "ok", "spread", "relaxed", "open"]
-# identities, frames rendered of all of them together
-SCALES = ((1, 1_000), (10, 10_000), (100, 100_000), (1_000, 1_000_000))
-HOUR_S, WEEK_H = 3600.0, 168.0
 PARTS = ("render", "capture", "train", "export")
-# what the table of costs is made of
-PRICED = ("render 512x334", "capture", "train")
 BLENDER = ROOT / ".envs" / "blender" / "bin" / "python"
 
 
@@ -91,61 +83,36 @@ class Cost:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", type=Path, help="a page whose tables are renewed")
+    parser.add_argument("--page", type=Path, help="write the table into this page, between its marks")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
-    parser.add_argument("--from-json", type=Path, help="take the figures of an earlier run instead of measuring")
-    parser.add_argument("--price", type=float, default=0.04, help="of a core for an hour; yours (default 0.04)")
     parser.add_argument("--only", default=",".join(PARTS), help="what is measured")
     parser.add_argument("--repeats", type=int, default=3, help="of each difference (default 3)")
     parser.add_argument("--quick", action="store_true", help="a tenth of the work: to see that it runs")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where work files go")
     options = parser.parse_args()
     wanted = options.only.split(",")
-    # what would be refused after the work is refused before it
-    page = Page(options.page) if options.page else None
     if not set(wanted) <= set(PARTS) or options.repeats < 1:
         raise SystemExit(f"--only: some of {', '.join(PARTS)}; --repeats: 1 or more.")
-    if not {"capture", "train"}.isdisjoint(wanted) and not options.from_json and not BLENDER.is_file():
+    if not {"capture", "train"}.isdisjoint(wanted) and not BLENDER.is_file():
         raise SystemExit(f"There is no {BLENDER}, which captures: --only render,export.")
     if options.json and not options.json.parent.is_dir():
         raise SystemExit(f"--json: there is no folder {options.json.parent}.")
-    if page and not options.from_json and set(wanted) != set(PARTS):
+    if options.page and set(wanted) != set(PARTS):
         raise SystemExit("--page wants all figures: leave out --only.")
-    if options.from_json:
-        content = json.loads(options.from_json.read_text(encoding="utf-8"))
-        costs = {name: Cost(**cost) for name, cost in content["costs"].items()}
-        machine = content["machine"]
-    else:
-        load = f"load {os.getloadavg()[0]:.1f} before it began"
-        machine = f"{processor()}, {CORES} cores, {load}, {time.strftime('%Y-%m-%d')}"
-        if options.quick:
-            machine += ", a tenth of the work (--quick)"
-        with tempfile.TemporaryDirectory(dir=options.folder, prefix="jghand_scale_") as folder:
-            costs = measured(Path(folder), wanted, options.repeats, 10 if options.quick else 1)
-    lines = [*measured_table(costs, machine), "", *cost_table(costs, options.price)]
-    print("\n".join(lines))
+    load = f"load {os.getloadavg()[0]:.1f} before it began"
+    machine = f"{processor()}, {CORES} cores, {load}, {time.strftime('%Y-%m-%d')}"
+    if options.quick:
+        machine += ", a tenth of the work (--quick)"
+    with tempfile.TemporaryDirectory(dir=options.folder, prefix="jghand_scale_") as folder:
+        costs = measured(Path(folder), wanted, options.repeats, 10 if options.quick else 1)
+    text = measured_table(costs, machine)
+    print(text)
     if options.json:
         content = {"machine": machine, "costs": {name: asdict(cost) for name, cost in costs.items()}}
         options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    if page:
-        if not costs.keys() >= {*PRICED, "export"}:
-            raise SystemExit("--page wants all figures, and there are not all in --from-json.")
-        page.write(lines)
+    if options.page:
+        put_into_page(options.page, Path(__file__).name, f"\n{text}\n")
     return 0
-
-
-class Page:
-    """What stands between the marks of a page. SystemExit without marks."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, text = path, path.read_text(encoding="utf-8")
-        if text.count(BEGIN) != 1 or text.count(END) != 1:
-            raise SystemExit(f"{path} has not the marks {BEGIN} and {END} once each.")
-        self._before, self._after = text.split(BEGIN)[0], text.split(END)[1]
-
-    def write(self, lines: Sequence[str]) -> None:
-        text = "\n".join([self._before + BEGIN, "", *lines, "", END + self._after])
-        self._path.write_text(text, encoding="utf-8")
 
 
 # ---- measured --------------------------------------------------------------------------------------------------------
@@ -304,10 +271,10 @@ def difference(what: str, per: str, pairs: Sequence[tuple[Run, Run]], more: int,
 # ---- told ------------------------------------------------------------------------------------------------------------
 
 
-def measured_table(costs: dict[str, Cost], machine: str) -> list[str]:
+def measured_table(costs: dict[str, Cost], machine: str) -> str:
     head = ("one", "by", "takes", "core time", "start", "peak memory", "on disk", "command")
-    table = markdown(head, [cost.row() for cost in costs.values()])
-    return [f"Measured on {machine}:", "", *table, "", repeated(list(costs.values()))]
+    rows = table(head, [cost.row() for cost in costs.values()])
+    return f"Measured on {machine}:\n\n{rows}\n\n{repeated(list(costs.values()))}"
 
 
 def repeated(costs: Sequence[Cost]) -> str:
@@ -321,54 +288,8 @@ def repeated(costs: Sequence[Cost]) -> str:
     )
 
 
-def cost_table(costs: dict[str, Cost], price: float) -> list[str]:
-    """Multiplied, not measured."""
-    if not costs.keys() >= set(PRICED):
-        return ["(No table of costs: it needs render, capture and train.)"]
-    render, capture, train = (costs[name] for name in PRICED)
-    rows = []
-    for identities, frames in SCALES:
-        parts_h = [
-            identities * PICTURES * capture.core_s / HOUR_S,
-            identities * STEPS * train.core_s / HOUR_S,
-            frames * render.core_s / HOUR_S,
-        ]
-        disk_gb = (identities * (PICTURES * capture.mb + train.mb) + frames * render.mb) / 1e3
-        total_h = sum(parts_h)
-        rows.append((
-            f"{identities:,}", f"{frames:,}", *(hours(part) for part in parts_h), hours(total_h),
-            days(total_h / CORES), f"{total_h / WEEK_H:,.1f}", f"{disk_gb:,.1f} GB", f"{total_h * price:,.2f}",
-        ))  # fmt: skip
-    head = (
-        "identities", "frames", "captures", "trainings", "rendering", "core time in all", f"on these {CORES} cores",
-        "cores for one week", "on disk", f"at {price:g} per core-hour",
-    )  # fmt: skip
-    return [
-        f"Extrapolated from the core times above, with {PICTURES} pictures and {STEPS:,} steps for each identity and "
-        "pictures of 512 x 334:",
-        "", *markdown(head, rows), "",
-        f"The arithmetic, for I identities and F frames: captures I * {PICTURES} * {capture.core_s:.2f} s, trainings "
-        f"I * {STEPS} * {train.core_s:.3f} s, rendering F * {render.core_s:.4f} s; on disk "
-        f"I * ({PICTURES} * {capture.mb:.3f} MB + {train.mb:.1f} MB) + F * {render.mb:.3f} MB. On the cores of this "
-        "machine: the core time in all, divided by their number.",
-    ]  # fmt: skip
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    rule = ["---", *["---:"] * (len(head) - 1)]
-    return ["| " + " | ".join(row) + " |" for row in (head, rule, *rows)]
-
-
 def seconds(value_s: float) -> str:
     return f"{1e3 * value_s:.1f} ms" if value_s < 1 else f"{value_s:.2f} s"
-
-
-def hours(value_h: float) -> str:
-    return f"{value_h:,.0f} h" if value_h >= 10 else f"{value_h:.1f} h" if value_h >= 1 else f"{60 * value_h:.1f} min"
-
-
-def days(value_h: float) -> str:
-    return f"{value_h / 24:,.1f} days" if value_h >= 48 else hours(value_h)
 
 
 if __name__ == "__main__":
