@@ -189,6 +189,7 @@ def exporting(folders: Sequence[Path], motion: Path, frames: int) -> Cost:
 
 def capturing(folders: Sequence[Path], poses: int) -> Cost:
     words = ["capture", "--identity", "3", "--cameras", "4", "--close-ups", "0", "--subdivisions", "2"]
+    words += ["--size", "334x512", "--samples", "16"]
     pairs = [
         (
             run([[*words, "--poses", "1", "--out", folder / "one"]], folder / "one"),
@@ -196,7 +197,7 @@ def capturing(folders: Sequence[Path], poses: int) -> Cost:
         )
         for folder in folders
     ]
-    said = "jghand capture --subdivisions 2"
+    said = "jghand capture --subdivisions 2 --samples 16"
     return difference("picture of a capture, 334x512", "one process", pairs, 4 * poses, said)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import tyro
 from PIL import Image
 
+from jghand_engine.captures.making.cameras import PlannedCamera
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.options import AreaLight, Light, Sampling
 from jghand_engine.captures.making.person_skin import MAP_PX, PERSON_FILES, PersonSkin
@@ -115,7 +116,7 @@ def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np
     names = sorted({VIEWS[view][0] for view in options.views})
     closing = Closing(hand)
     pose = hand.pose(np.stack([closing.closed(hand.angles_of(name)) for name in names]))
-    cameras = tuple(camera(view, pose.joints_m[names.index(VIEWS[view][0])], size) for view in options.views)
+    cameras = tuple(camera(view, names, pose.joints_m, size) for view in options.views)
     sampling = dataclasses.asdict(Sampling(samples=options.samples, subdivisions=0))
     told = {"sampling": sampling, "light": dataclasses.asdict(LIGHT), "skin": skin.material}
     plan = CapturePlan(
@@ -125,8 +126,7 @@ def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np
     with tempfile.TemporaryDirectory() as folder:
         with drafted_mesh(Path(folder), plan) as mesh:
             write_plan(Path(folder), plan, mesh)
-        wanted = [(names.index(VIEWS[view][0]), number) for number, view in enumerate(options.views)]
-        jobs = [job for job in plan.jobs(Path(folder)) if (job.pose, job.camera) in wanted]
+        jobs = plan.jobs(Path(folder))
         seconds = [done.seconds for done in render(Path(folder), jobs, find_blender_python(), processors())]
         print(f"{person}: {', '.join(f'{one:.0f} s' for one in seconds)}")
         shown = {job.camera: np.asarray(Image.open(job.file), np.float64) / 255 for job in jobs}
@@ -147,14 +147,16 @@ def maps(skin: PersonSkin, edge: int) -> list[np.ndarray]:
     return [np.asarray(one.convert("RGB").resize((edge, edge))) for one in (color, relief)]
 
 
-def camera(view: str, joints_m: np.ndarray, size: tuple[int, int]) -> Camera:
-    _, around, above, looked_at, field_m = VIEWS[view]
-    around, above = np.radians(around), np.radians(above)
-    target = joints_m[list(looked_at)].mean(0)
+def camera(view: str, poses: list[str], joints_m: np.ndarray, size: tuple[int, int]) -> PlannedCamera:
+    """One that sees the pose of its view alone. joints_m: (P, 21, 3)"""
+    name, around, above, looked_at, field_m = VIEWS[view]
+    around, above, pose = np.radians(around), np.radians(above), poses.index(name)
+    target = joints_m[pose, list(looked_at)].mean(0)
     direction = np.array([np.sin(around) * np.cos(above), np.sin(above), np.cos(around) * np.cos(above)])
     focal = size[1] * DISTANCE_M / field_m
     eye, up = target + DISTANCE_M * direction, np.array([0.0, 1.0, 0.0])
-    return Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=focal)
+    seen = Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=focal)
+    return PlannedCamera(seen, pose)
 
 
 if __name__ == "__main__":

@@ -114,11 +114,11 @@ def _merge(into: dict, more: dict) -> None:
 
 
 def _write_pictures(folder: Path, hand: RecordedHand) -> None:
-    for place, frame in enumerate(hand.joints_m):
-        for name, camera in hand.cameras.items():
-            file = hand.image(folder, frame, name)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_picture(file, _mask(camera, place, hand.handedness))
+    place = {frame: number for number, frame in enumerate(hand.joints_m)}
+    for frame, name in hand.boxes_px:
+        file = hand.image(folder, frame, name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_picture(file, _mask(hand.cameras[name], place[frame], hand.handedness))
 
 
 def write_picture(file: Path, mask: np.ndarray) -> None:

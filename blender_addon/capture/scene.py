@@ -49,6 +49,7 @@ class Scene:
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         self._scene.collection.objects.link(self._camera)
         self._scene.camera = self._camera
+        self._samples = plan["sampling"]["samples"]
         _settings(self._scene, plan["sampling"], threads)
         self._pose = None
 
@@ -74,7 +75,8 @@ class Scene:
         return np.array(self._poses[pose, :, :3], np.float32)
 
     def _aim(self, camera: dict) -> None:
-        """An OpenCV pinhole, x_cam = R X + t; square pixels."""
+        """An OpenCV pinhole, x_cam = R X + t; square pixels. samples: rays per pixel, where it has its own"""
+        self._scene.cycles.samples = camera.get("samples", self._samples)
         width, height = camera["width"], camera["height"]
         self._scene.render.resolution_x, self._scene.render.resolution_y = width, height
         camera_from_world = np.array(camera["camera_from_world"])
@@ -237,7 +239,7 @@ def shipped_environment(name: str) -> Path:
 def _settings(scene, sampling: dict, threads: int) -> None:
     scene.render.engine = "CYCLES"
     values = {
-        "device": "CPU", "samples": sampling["samples"], "use_denoising": True, "denoiser": "OPENIMAGEDENOISE",
+        "device": "CPU", "use_denoising": True, "denoiser": "OPENIMAGEDENOISE",
         "denoising_input_passes": "RGB_ALBEDO_NORMAL", "denoising_prefilter": "FAST",
         "max_bounces": sampling["bounces"], "transparent_max_bounces": 4, "use_adaptive_sampling": True,
         "adaptive_threshold": sampling["adaptive_threshold"], "seed": 0,

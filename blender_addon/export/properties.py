@@ -172,14 +172,19 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
     )
     size: bpy.props.IntVectorProperty(
         name="Resolution",
-        description="Width and height of the images",
+        description="Width and height of the images of the whole hand; close-ups are always 384 x 384",
         size=2,
-        default=(334, 512),
+        default=(501, 768),
         min=16,
         max=8192,
     )
     samples: bpy.props.IntProperty(
-        name="Samples", description="Rays per pixel; noise is filtered away", default=16, min=1, soft_max=256, max=4096
+        name="Samples",
+        description="Rays per pixel of images of the whole hand; noise is filtered away",
+        default=6,
+        min=1,
+        soft_max=256,
+        max=4096,
     )
     seed: bpy.props.IntProperty(name="Seed", description="Of poses, cameras and the training", default=0, min=0)
     avatar_file: bpy.props.StringProperty(

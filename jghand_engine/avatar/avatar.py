@@ -33,7 +33,7 @@ class LearnedFrom:
     split:    how the others were held out
     pictures: how many
     digest:   of which they are, see `datasets.image_digest`
-    pixel_m:  size of a pixel where the hand is, meters: a quarter of the pictures have finer ones; 0: not known
+    pixel_m:  size of a pixel where the hand is, meters: two fifths of the pictures have finer ones; 0: not known
     """
 
     capture: str

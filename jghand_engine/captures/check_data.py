@@ -30,7 +30,8 @@ CHECK_MISTAKE_IMAGES = 24
 # part of the joints on the mask below which an image is named, and, as the median over all, the set refused; masks
 # that leave out what an object hides have less than 1
 CHECK_ON_MASK_IMAGE_MIN = 0.7
-# a mask with fewer pixels is empty, one that covers more of its image is most likely inverted or of something else
+# a mask with fewer pixels is empty, one that covers more of an image of a whole hand is most likely inverted or of
+# something else
 CHECK_MASK_MIN_PX = 50
 CHECK_MASK_MAX = 0.9
 # variation of a bone's length, standard deviation over mean, above which joints are told to be noisy (triangulated
@@ -137,7 +138,9 @@ def facts(report: DataReport) -> dict[str, Any]:
     told = _telling(report.seen)
     if told:
         named["joints on the mask %"] = round(100 * float(np.mean([one.on_mask for one in told])), 2)
-        named["mask covers % of the picture"] = round(100 * float(np.mean([one.mask_part for one in told])), 1)
+        for kind, is_whole in (("whole hands", True), ("close-ups", False)):
+            if parts := [one.mask_part for one in told if one.is_whole is is_whole]:
+                named[f"mask covers % of {kind}"] = round(100 * float(np.mean(parts)), 1)
     return named
 
 
@@ -173,7 +176,7 @@ def _on_images(seen: Sequence[Seen]) -> list[Finding]:
     if empty:
         text = f"{len(empty)} of {len(told)} masks are empty, such as that of {empty[0].sample.image}."
         findings.append(Finding(2 * len(empty) > len(told), text))
-    full = [one for one in told if one.mask_part > CHECK_MASK_MAX]
+    full = [one for one in told if one.mask_part > CHECK_MASK_MAX and one.is_whole]
     if full:
         text = f"{len(full)} of {len(told)} masks cover nearly the whole image, such as {full[0].sample.image}."
         findings.append(Finding(2 * len(full) > len(told), text))

@@ -23,11 +23,11 @@ from jghand_engine.render.camera import Camera
 
 @dataclass(frozen=True)
 class RecordedHand:
-    """One hand, seen in every frame by every camera.
+    """One hand in some frames, each seen by some cameras.
 
     cameras:   name (a number as text, as the data set has serials) -> camera, world in meters
     joints_m:  frame number -> (21, 3) joints, level order, world, meters
-    boxes_px:  (frame, camera) -> x, y, width, height of the hand in the image, pixels
+    boxes_px:  (frame, camera) of every image -> x, y, width, height of the hand in it, pixels
     capture, sequence, split, subject: where the images are said to come from
     suffix:    of the image files
     """
@@ -81,18 +81,19 @@ def interhand_texts(hand: RecordedHand) -> dict[str, str]:
 
 def _data(hand: RecordedHand) -> dict[str, Any]:
     images, annotations = [], []
-    for frame in hand.joints_m:
-        for name, camera in hand.cameras.items():
-            number = len(images)
-            images.append({
-                "id": number, "file_name": hand.image_name(frame, name), "width": camera.width,
-                "height": camera.height, "capture": hand.capture, "subject": hand.subject,
-                "seq_name": hand.sequence, "camera": name, "frame_idx": frame,
-            })  # fmt: skip
-            annotations.append({
-                "id": number, "image_id": number, "bbox": list(hand.boxes_px[frame, name]),
-                "joint_valid": _valid(hand, 1, 0), "hand_type": hand.handedness.value, "hand_type_valid": 1,
-            })  # fmt: skip
+    for (frame, name), box in hand.boxes_px.items():
+        if frame not in hand.joints_m:
+            continue
+        camera, number = hand.cameras[name], len(images)
+        images.append({
+            "id": number, "file_name": hand.image_name(frame, name), "width": camera.width,
+            "height": camera.height, "capture": hand.capture, "subject": hand.subject,
+            "seq_name": hand.sequence, "camera": name, "frame_idx": frame,
+        })  # fmt: skip
+        annotations.append({
+            "id": number, "image_id": number, "bbox": list(box),
+            "joint_valid": _valid(hand, 1, 0), "hand_type": hand.handedness.value, "hand_type_valid": 1,
+        })  # fmt: skip
     return {"images": images, "annotations": annotations}
 
 

@@ -34,19 +34,23 @@ _WRIST, _OUTLINE, _OFF, _GRAY = (255, 255, 255), (0, 255, 255), (255, 0, 0), 96
 class Seen:
     """An image that was looked at. The mask itself is not kept: a large set has gigabytes of them.
 
-    mask_px: pixels of its mask · mask_part: part of the image, 0..1 · on_mask: part of its joints on the mask, 0..1
+    mask_px: pixels of its mask · mask_part: part of the image, 0..1 · on_mask: part of its joints on the mask, 0..1 ·
+    is_whole: whether all its joints are inside the image
     """
 
     sample: Sample
     mask_px: float
     mask_part: float
     on_mask: float
+    is_whole: bool
 
 
 def look_at(sample: Sample) -> Seen:
     """Reads an image and compares. InputError when it cannot be read."""
-    mask = load_image(sample).mask
-    return Seen(sample, float(mask.sum()), float(mask.mean()), part_on_mask(sample.camera, sample.joints_m, mask))
+    mask, camera = load_image(sample).mask, sample.camera
+    on_mask = part_on_mask(camera, sample.joints_m, mask)
+    is_whole = bool(_inside(camera, joint_pixels(camera, sample.joints_m)).all())
+    return Seen(sample, float(mask.sum()), float(mask.mean()), on_mask, is_whole)
 
 
 def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
@@ -58,17 +62,22 @@ def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
 def joints_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(21,) float: 1 for joints on the mask or within CHECK_REACH_PX of it, 0 for others, NaN for those that tell
     nothing: beyond a border of the image that the hand reaches."""
-    height, width = mask.shape
     hand = ndimage.binary_dilation(mask >= 0.5, iterations=CHECK_REACH_PX)
     pixels = joint_pixels(camera, joints_m)
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+    inside = _inside(camera, pixels)
     on = np.zeros(len(pixels))
     column, row = np.floor(pixels[inside]).astype(int).T
     on[inside] = hand[row, column]
     cut_off = bool(hand[[0, -1]].any() or hand[:, [0, -1]].any())
     on[~inside & cut_off] = np.nan
     return on
+
+
+def _inside(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(21,) which of the joints (21, 2) are inside the image."""
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0) & (pixels < [camera.width, camera.height])
+    return inside[:, 0] & inside[:, 1]
 
 
 def part_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> float:

@@ -19,9 +19,9 @@ from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.mesh import HandTemplate
 
-# of the images of a set, those whose pixels are finer than `pixel_at_hand_m`: close-ups see little of the hand, and
-# what most images see sets the widths of Gaussians
-FINER_PART = 0.25
+# of the images of a set, those whose pixels are finer than `pixel_at_hand_m`: close-ups, a quarter of a capture, see
+# little of the hand, and what most images see sets the widths of Gaussians
+FINER_PART = 0.4
 
 
 class MaskSource(StrEnum):
@@ -125,7 +125,7 @@ def _check_size(sample: Sample, path: Path, pixels: np.ndarray) -> None:
 
 
 def pixel_at_hand_m(samples: Sequence[Sample], canonical_joints_m: np.ndarray) -> float:
-    """Size of a pixel where the hand is, meters of a hand of the canonical size: a quarter of the images have finer
+    """Size of a pixel where the hand is, meters of a hand of the canonical size: two fifths of the images have finer
     ones. canonical_joints_m: (21, 3)"""
     joints_m = np.stack([one.joints_m for one in samples])
     eyes_m, focal = np.stack([one.camera.eye_m for one in samples]), np.array([one.camera.fx for one in samples])

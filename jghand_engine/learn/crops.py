@@ -72,9 +72,13 @@ def detail_power(rgb: np.ndarray) -> np.ndarray:
 
 
 def millimeters_per_pixel(sample: Sample) -> float:
-    """At the mean depth of the joints."""
-    depth_m = 1.0 if sample.camera.orthographic else float(sample.camera.project(sample.joints_m)[1].mean())
-    return 1e3 * depth_m / sample.camera.fx
+    """At the mean depth of the joints that the picture shows; of all where it shows none."""
+    camera = sample.camera
+    if camera.orthographic:
+        return 1e3 / camera.fx
+    px, depth_m = camera.project(sample.joints_m)
+    shown = ((px >= 0) & (px < [camera.width, camera.height])).all(1)
+    return 1e3 * float(depth_m[shown if shown.any() else slice(None)].mean()) / camera.fx
 
 
 def places(mask: np.ndarray, side_px: int) -> dict[str, list[Box]]:

@@ -183,6 +183,21 @@ def test_empty_masks_and_masks_of_the_whole_picture_are_told(changeable):
         assert any(words in finding.text for finding in check_data(changeable).findings)
 
 
+def test_a_close_up_that_skin_fills_is_no_mask_of_the_whole_picture(tmp_path):
+    hand = recorded(frames=3, cameras=2)
+    # of the second pose alone, around the knuckle of the middle finger
+    near = sets.look(0.0, 334, 512).scaled(8.0)
+    knuckle = near.project(hand.joints_m[2006])[0][3]
+    near = dataclasses.replace(near, width=96, height=96, cx=near.cx - knuckle[0] + 48, cy=near.cy - knuckle[1] + 48)
+    boxes = {**hand.boxes_px, (2006, "400900"): (0.0, 0.0, 96.0, 96.0)}
+    hand = dataclasses.replace(hand, cameras={**hand.cameras, "400900": near}, boxes_px=boxes)
+    report = check_data(write_set(tmp_path, hand))
+    assert not report.findings[:-1], "the split holds out nothing"
+    told = facts(report)
+    assert (told["pictures"], told["sizes"]) == (7, "334 x 512 (3), 512 x 334 (3), 96 x 96 (1)")
+    assert told["mask covers % of close-ups"] > 95 > 3 * told["mask covers % of whole hands"]
+
+
 def test_bones_that_change_their_length_are_told(changeable):
     with edited(changeable, "joint_3d") as content:
         joints = np.array(content["0"]["2000"]["world_coord"])

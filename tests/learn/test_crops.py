@@ -23,10 +23,8 @@ def skin(size, seed=0):
 
 
 def at_scale(sample, mm_px):
-    """`sample` by a camera whose pixels show so much of the hand."""
-    factor = crops.millimeters_per_pixel(sample) / mm_px
-    camera = sample.camera
-    return replace(sample, camera=replace(camera, fx=camera.fx * factor, fy=camera.fy * factor))
+    """`sample` by a camera whose pixels show so much of the hand, all of which it shows."""
+    return replace(sample, camera=sample.camera.scaled(crops.millimeters_per_pixel(sample) / mm_px))
 
 
 def picture(mask, seed=0):
@@ -105,6 +103,20 @@ def test_a_crop_of_1080p_has_256_pixels_and_a_coarser_picture_fewer(sample, disc
     assert inside.scores["detail_2_4"] == pytest.approx(1)
     assert {crop.side_px for crop in coarse} == {128}
     assert "detail_2_4" not in coarse[-1].scores
+
+
+def test_the_scale_of_a_close_up_is_that_of_the_part_which_it_shows(sample):
+    px, depth_m = sample.camera.project(sample.joints_m)
+    nearest = int(np.argmin(depth_m))
+    camera = replace(
+        sample.camera, width=20, height=20, cx=sample.camera.cx - px[nearest, 0] + 10,
+        cy=sample.camera.cy - px[nearest, 1] + 10,
+    )  # fmt: skip
+    close = crops.millimeters_per_pixel(replace(sample, camera=camera))
+    assert close == pytest.approx(1e3 * depth_m[nearest] / camera.fx, rel=1e-3)
+    assert close < 0.995 * crops.millimeters_per_pixel(sample)
+    beside = replace(sample, camera=replace(camera, cx=camera.cx + 5000))
+    assert crops.millimeters_per_pixel(beside) == pytest.approx(crops.millimeters_per_pixel(sample))
 
 
 def test_a_truth_without_detail_has_none_to_compare(sample, disc):

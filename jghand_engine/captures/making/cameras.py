@@ -1,4 +1,4 @@
-"""Where the cameras of a capture stand: all around the hand, from above and below too, and some near it.
+"""Where the cameras of a capture stand: all around the hand, from above and below too. Close-ups: close_ups.py.
 
 Every camera frames all poses as large as they fit, which puts its principal point off the center of the image, as in
 real rigs. Pinholes with square pixels, OpenCV axes.
@@ -24,20 +24,24 @@ ROLL_DEG = 12.0
 MARGIN = 0.03
 # height of the viewing direction beyond which it is steep, and the image's upper edge is no longer the fingers' way
 STEEP = 0.85
-# close-ups: distance, and what the shorter edge of the image shows there, meters: about two fingers' lengths
-CLOSE_M = 0.45
-CLOSE_FIELD_M = 0.11
 
 # the golden angle: points of a Fibonacci sphere
 _GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
-# level-order joints that close-ups look at, by turns: knuckles, finger tips, the thumb, the heel of the hand
-_CLOSE_UPS = ((7, 8, 9), (17, 18, 19), (6, 11), (1, 4))
+
+
+@dataclass(frozen=True)
+class PlannedCamera:
+    """pose: the only one that it sees; None: all · samples: rays per pixel; None: those of the capture"""
+
+    camera: Camera
+    pose: int | None = None
+    samples: int | None = None
 
 
 @dataclass(frozen=True)
 class CameraPlan:
-    """count cameras in all, of which close_ups are near ones; images of width x height pixels; seed of the distances
-    and rolls."""
+    """count cameras in all, of which close_ups are near ones, that are not planned here; images of width x height
+    pixels; seed of the distances and rolls."""
 
     count: int
     close_ups: int
@@ -56,29 +60,17 @@ class CameraPlan:
             raise InputError("image", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
 
 
-def plan_cameras(plan: CameraPlan, vertices_m: np.ndarray, joints_m: np.ndarray) -> list[Camera]:
-    """Cameras for posed hands (P, V, 3) with joints (P, 21, 3) in level order, meters; close-ups are the last ones.
-
-    Every vertex of every pose is inside the image of the former.
-    """
+def plan_cameras(plan: CameraPlan, vertices_m: np.ndarray) -> list[PlannedCamera]:
+    """Cameras for posed hands (P, V, 3), meters. Every vertex of every pose is inside the image of each."""
     plan.check()
     random = np.random.default_rng(plan.seed)
     points = vertices_m.reshape(-1, 3)
     center = (points.min(0) + points.max(0)) / 2
-    whole = plan.count - plan.close_ups
-    reach = DISTANCE_M
     cameras = []
-    for direction in sphere_directions(whole, float(random.uniform(0, 2 * np.pi))):
-        eye = center + random.uniform(*reach) * direction
+    for direction in sphere_directions(plan.count - plan.close_ups, float(random.uniform(0, 2 * np.pi))):
+        eye = center + random.uniform(*DISTANCE_M) * direction
         roll = np.radians(random.uniform(-1, 1) * ROLL_DEG)
-        cameras.append(framed(_towards(eye, center, roll, plan), points))
-    for number, direction in enumerate(sphere_directions(plan.close_ups, float(random.uniform(0, 2 * np.pi)))):
-        target = np.median(joints_m[:, _CLOSE_UPS[number % len(_CLOSE_UPS)]].reshape(-1, 3), axis=0)
-        # a close-up from the tips or from the wrist shows little
-        direction = direction * [1.0, 0.5, 1.0]
-        eye = target + CLOSE_M * direction / np.linalg.norm(direction)
-        focal = min(plan.width, plan.height) * CLOSE_M / CLOSE_FIELD_M
-        cameras.append(replace(_towards(eye, target, 0.0, plan), fx=focal, fy=focal))
+        cameras.append(PlannedCamera(framed(aimed(eye, center, roll, (plan.width, plan.height)), points)))
     return cameras
 
 
@@ -101,7 +93,7 @@ def framed(camera: Camera, points_m: np.ndarray) -> Camera:
     return replace(camera, fx=focal, fy=focal, cx=float(cx), cy=float(cy))
 
 
-def _towards(eye: np.ndarray, target: np.ndarray, roll_rad: float, plan: CameraPlan) -> Camera:
+def aimed(eye: np.ndarray, target: np.ndarray, roll_rad: float, size_px: tuple[int, int]) -> Camera:
     """A camera without a focal length yet, the fingers upwards in the image where that can be."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     # from above and from below: the palm towards the lower edge
@@ -109,4 +101,4 @@ def _towards(eye: np.ndarray, target: np.ndarray, roll_rad: float, plan: CameraP
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     up = np.cos(roll_rad) * np.cross(right, forward) + np.sin(roll_rad) * right
-    return Camera.looking_at(eye, target, up, width=plan.width, height=plan.height, focal_px=float(plan.height))
+    return Camera.looking_at(eye, target, up, width=size_px[0], height=size_px[1], focal_px=float(size_px[1]))

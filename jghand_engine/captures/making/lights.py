@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,18 +72,19 @@ class VariedLight:
 def plan_lights(
     light: VariedLight,
     vertices_m: np.ndarray,
-    cameras: Mapping[str, Camera],
+    cameras: Sequence[Mapping[str, Camera]],
     tests: tuple[set[int], set[str]],
     seed: int,
 ) -> dict[str, Any]:
     """The content of lights.json. The light of a picture depends on its pose, its camera and the seed alone.
 
-    vertices_m: (P, V, 3) of every pose · tests: poses, and cameras, that are kept for the test
+    vertices_m: (P, V, 3) of every pose · cameras: by name, of every pose · tests: poses, and cameras, that are kept for
+    the test
     """
     pictures = {}
     for pose, vertices in enumerate(vertices_m):
         middle_m = vertices.astype(np.float64).mean(0)
-        for number, (name, camera) in enumerate(cameras.items()):
+        for number, (name, camera) in enumerate(cameras[pose].items()):
             rng = np.random.default_rng((seed, 2, pose, number))
             new = pose in tests[0], name in tests[1]
             held_out = all(new) or (not any(new) and bool(rng.random() * EVERY_PICTURE < 1))

@@ -71,10 +71,10 @@ class SkinMaterial:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Rays per pixel, subdivisions of the mesh (Blender's under an image of skin, Loop's under a person's), bounces,
-    and the noise at which a pixel is done."""
+    """Rays per pixel of whole views, subdivisions of the mesh (Blender's under an image of skin, Loop's under a
+    person's), bounces, and the noise at which a pixel is done."""
 
-    samples: int = 16
+    samples: int = 6
     subdivisions: int = 1
     bounces: int = 4
     adaptive_threshold: float = 0.02
@@ -85,10 +85,10 @@ class CaptureOptions:
     """What decides the images of a capture.
 
     identity:       number or name
-    cameras:        in all
+    cameras:        that see a pose
     close_ups:      of them
     poses:          how many
-    width, height:  pixels
+    width, height:  pixels of pictures of the whole hand
     skin:           a person, or an image in the template's UV
     motion:         where poses come from instead of the generator
     wrist_turn_deg: how far hands turn as a whole, so that light falls from different sides
@@ -98,10 +98,10 @@ class CaptureOptions:
 
     identity: str
     cameras: int = 16
-    close_ups: int = 2
+    close_ups: int = 4
     poses: int = 60
-    width: int = 334
-    height: int = 512
+    width: int = 501
+    height: int = 768
     skin: Person | Path = field(default_factory=Person)
     motion: PoseSequence | None = None
     wrist_turn_deg: float = 25.0

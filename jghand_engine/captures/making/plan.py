@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
-from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
+from jghand_engine.captures.making.cameras import CameraPlan, PlannedCamera, plan_cameras
+from jghand_engine.captures.making.close_ups import plan_close_ups
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
 from jghand_engine.captures.making.options import CaptureOptions, Light, is_file, read_input
@@ -45,9 +46,11 @@ from jghand_engine.lock import locked
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.render.camera import Camera
 
-# every fifth pose, and one of six cameras, is kept for the test
+# every fifth pose, one of six cameras that see all, and every seventh close-up are kept for the test. Seven has no
+# factor with the parts that close-ups show by turns, nor with the usual numbers of them in a pose
 EVERY_POSE = 5
 EVERY_CAMERA = 6
+EVERY_CLOSE_UP = 7
 
 FORMAT = 1
 FOLDER = "plan"
@@ -62,12 +65,13 @@ _FIRST_SERIAL = 400000
 
 @dataclass(frozen=True)
 class Job:
-    """One image: which pose and camera, where it goes, the stamp that it must carry, and its entry in lights.json, or
-    '' where the light does not vary."""
+    """One image: which pose and camera, where it goes, width and height, the stamp that it must carry, and its entry in
+    lights.json, or '' where the light does not vary."""
 
     pose: int
     camera: int
     file: Path
+    size_px: tuple[int, int]
     stamp: str
     light: str = ""
 
@@ -83,6 +87,7 @@ class CapturePlan:
     vertices_m:  (P, V, 3) float32 of the rig, world, meters
     faces:       (F, 3) of what is rendered: the rig's mesh, or a person's finer one
     face_uv:     (F, 3, 2) float32
+    cameras:     those that see all poses, then close-ups, which see one
     files:       name -> bytes, of the skin, of an environment that is the user's, of lights that vary and of skies
     person:      makes the fine mesh of a new plan; None where it is made, or the skin is an image
     """
@@ -94,20 +99,28 @@ class CapturePlan:
     vertices_m: np.ndarray
     faces: np.ndarray
     face_uv: np.ndarray
-    cameras: tuple[Camera, ...]
+    cameras: tuple[PlannedCamera, ...]
     files: dict[str, bytes]
     person: PersonSkin | None = None
 
     @cached_property
     def record(self) -> RecordedHand:
         """The capture as InterHand2.6M sees it."""
-        names = [str(_FIRST_SERIAL + number) for number in range(len(self.cameras))]
+        cameras = {str(_FIRST_SERIAL + number): planned.camera for number, planned in enumerate(self.cameras)}
         boxes = {
-            (frame, name): _box(camera, self.vertices_m[frame])
-            for frame in range(len(self.joints_m))
-            for name, camera in zip(names, self.cameras, strict=True)
+            (pose, name): _box(camera, self.vertices_m[pose])
+            for pose in range(len(self.joints_m))
+            for name, camera in self.cameras_of(pose).items()
         }
-        return RecordedHand(dict(zip(names, self.cameras, strict=True)), dict(enumerate(self.joints_m)), boxes)
+        return RecordedHand(cameras, dict(enumerate(self.joints_m)), boxes)
+
+    def cameras_of(self, pose: int) -> dict[str, Camera]:
+        """Those that see a pose, by name."""
+        return {
+            str(_FIRST_SERIAL + number): planned.camera
+            for number, planned in enumerate(self.cameras)
+            if planned.pose in (None, pose)
+        }
 
     def jobs(self, folder: Path, shard: tuple[int, int] = (1, 1)) -> list[Job]:
         """The images of a shard (number from 1, of how many): whole poses, all cameras of each."""
@@ -117,11 +130,11 @@ class CapturePlan:
         record = self.record
         return [
             Job(
-                pose, camera, record.image(folder, pose, name), self.stamp(pose, camera),
-                f"{pose}/{name}" if LIGHTS_FILE in self.files else "",
+                pose, int(name) - _FIRST_SERIAL, record.image(folder, pose, name), (camera.width, camera.height),
+                self.stamp(pose, int(name) - _FIRST_SERIAL), f"{pose}/{name}" if LIGHTS_FILE in self.files else "",
             )
             for pose in range(number - 1, len(self.joints_m), count)
-            for camera, name in enumerate(record.cameras)
+            for name, camera in self.cameras_of(pose).items()
         ]  # fmt: skip
 
     def stamp(self, pose: int, camera: int) -> str:
@@ -146,8 +159,11 @@ class CapturePlan:
         """Which poses, cameras and lights are kept for the test; see captures/splits.py."""
         frames = list(range(len(self.joints_m)))
         names = list(self.record.cameras)
-        tests = len(names) // EVERY_CAMERA
-        chosen = {names[int((k + 0.5) * len(names) / tests)] for k in range(tests)}
+        close_ups = [name for name, planned in zip(names, self.cameras, strict=True) if planned.pose is not None]
+        whole = names[: len(names) - len(close_ups)]
+        tests = len(whole) // EVERY_CAMERA
+        chosen = {whole[int((k + 0.5) * len(whole) / tests)] for k in range(tests)}
+        chosen.update(close_ups[EVERY_CLOSE_UP // 2 :: EVERY_CLOSE_UP])
         test_frames = frames[EVERY_POSE - 1 :: EVERY_POSE]
         split = {
             "format": SPLITS_FORMAT, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)
@@ -173,7 +189,9 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
-    cameras = tuple(plan_cameras(camera_plan, vertices_m, posed.joints_m))
+    cameras = plan_cameras(camera_plan, vertices_m)
+    samples = options.sampling.samples
+    cameras += plan_close_ups(hand.identity, vertices_m, options.close_ups, options.seed, samples)
     faces, face_uv, person = hand.identity.faces, hand.identity.face_uv, None
     sampling = dataclasses.asdict(options.sampling)
     if isinstance(options.skin, Person):
@@ -193,7 +211,7 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
         vertices_m=vertices_m.astype(np.float32),
         faces=faces,
         face_uv=face_uv.astype(np.float32),
-        cameras=cameras,
+        cameras=tuple(cameras),
         files={**files, **lit_by},
         person=person,
     )
@@ -201,7 +219,8 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
         return plan
     split = plan.split()
     tests = set(split["test_frames"][plan.record.sequence]), set(split["test_cameras"])
-    lights = plan_lights(options.light, plan.vertices_m, plan.record.cameras, tests, options.seed)
+    seen_by = [plan.cameras_of(pose) for pose in range(len(names))]
+    lights = plan_lights(options.light, plan.vertices_m, seen_by, tests, options.seed)
     return dataclasses.replace(plan, files={**plan.files, LIGHTS_FILE: lights_bytes(lights)})
 
 
@@ -418,15 +437,20 @@ def _box(camera: Camera, vertices_m: np.ndarray) -> tuple[float, float, float, f
     return (float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1]))
 
 
-def _camera_json(camera: Camera) -> dict[str, Any]:
+def _camera_json(planned: PlannedCamera) -> dict[str, Any]:
+    """Of a camera that sees all poses its own fields alone, as in plans of versions without others."""
+    camera = planned.camera
+    of_close_up = {"pose": planned.pose, "samples": planned.samples}
     return {
         **{name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")},
         "camera_from_world": camera.camera_from_world.tolist(),
+        **{name: value for name, value in of_close_up.items() if value is not None},
     }
 
 
-def _camera(content: dict[str, Any]) -> Camera:
-    return Camera(**content)
+def _camera(content: dict[str, Any]) -> PlannedCamera:
+    of_close_up = {name: content.pop(name) for name in ("pose", "samples") if name in content}
+    return PlannedCamera(Camera(**content), **of_close_up)
 
 
 def _write(file: Path, data: bytes) -> None:

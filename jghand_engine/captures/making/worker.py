@@ -50,15 +50,15 @@ class Finished:
     seconds: float
 
 
-def fault_of(job: Job, size: tuple[int, int]) -> str:
+def fault_of(job: Job) -> str:
     """What is wrong with a job's image, by the test that opening the data set makes; '' for a whole one of the plan."""
     if not job.file.exists():
         return "missing"
     try:
-        probe_sized(job.file, size, "the plan")
+        probe_sized(job.file, job.size_px, "the plan")
         stamps = {image_texts(job.file).get(STAMP_KEY)}
         if job.light:
-            stamps.add(str(read_groups(groups_file(job.file), size)["stamp"]))
+            stamps.add(str(read_groups(groups_file(job.file), job.size_px)["stamp"]))
     except InputError as error:
         return f"broken: {error.came}"
     return "" if stamps == {job.stamp} else "made for another plan"

@@ -21,6 +21,7 @@ from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.making import person_skin, skin, worker
 from jghand_engine.captures.making import plan as plan_module
+from jghand_engine.captures.making.close_ups import CLOSE_PX, CLOSE_SAMPLES
 from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
 from jghand_engine.captures.making.person_skin import PersonSkin
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
@@ -83,7 +84,7 @@ def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
     assert len(capture.samples) == 42
     names = list(plan.record.cameras)
     for sample in capture.samples:
-        camera = plan.cameras[names.index(sample.camera_name)]
+        camera = plan.cameras[names.index(sample.camera_name)].camera
         # millimeters in between: observed 1e-16 m and 1e-13
         np.testing.assert_allclose(sample.joints_m, plan.joints_m[sample.frame], atol=1e-15)
         difference = sample.camera.camera_from_world - camera.camera_from_world
@@ -92,15 +93,46 @@ def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
         assert sample.handedness is Handedness.RIGHT
 
 
-def test_the_split_keeps_poses_and_cameras_for_the_test(made):
+def test_whole_views_and_close_ups_have_sizes_of_their_own_and_a_close_up_sees_one_pose(made):
+    samples = open_capture(made).samples
+    sizes = {one.camera_name: (one.camera.width, one.camera.height) for one in samples}
+    close_ups = [one.camera_name for one in samples if sizes[one.camera_name] == (CLOSE_PX, CLOSE_PX)]
+    assert sorted(set(sizes.values())) == [(32, 48), (CLOSE_PX, CLOSE_PX)]
+    assert (len(close_ups), len(set(close_ups)), len(sizes)) == (6, 6, 12)
+    by_pose = open_capture(made).by_pose()
+    assert all(len(of_pose) == 7 for of_pose in by_pose.values())
+    cameras = json.loads((made / "plan" / "plan.json").read_text(encoding="utf-8"))["cameras"]
+    assert [(one.get("pose"), one.get("samples")) for one in cameras] == [
+        *[(None, None)] * 6, *[(pose, CLOSE_SAMPLES) for pose in range(6)]
+    ]  # fmt: skip
+
+
+def test_the_split_keeps_poses_and_cameras_of_both_sizes_for_the_test(made):
     split = split_capture(open_capture(made))
     frames = {sample.frame for sample in split.train}
     cameras = {sample.camera_name for sample in split.train}
     assert len(frames) == 5
-    assert len(cameras) == 6
-    assert all(s.frame not in frames and s.camera_name in cameras for s in split.novel_pose)
+    assert len(cameras) == 5 + 4
+    assert all(s.frame not in frames for s in split.novel_pose)
     assert all(s.frame in frames and s.camera_name not in cameras for s in split.novel_view)
-    assert (len(split.train), len(split.novel_pose), len(split.novel_view), len(split.novel_both)) == (30, 6, 5, 1)
+    assert (len(split.train), len(split.novel_pose), len(split.novel_view), len(split.novel_both)) == (29, 6, 6, 1)
+    for held_out in (split.novel_pose, split.novel_view):
+        assert {sample.camera.width for sample in held_out} == {32, CLOSE_PX}
+
+
+def test_a_capture_of_an_older_jghand_whose_close_ups_saw_every_pose_is_gone_on_with(tmp_path, capsys):
+    folder = tmp_path / "older"
+    assert capture(folder, "--close-ups", "0") == 0
+    file = folder / "plan" / "plan.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    content["options"]["close_ups"] = 1
+    file.write_text(json.dumps(content), encoding="utf-8")
+    before = contents(folder)
+    pictures(folder)[-1].unlink()
+    capsys.readouterr()
+    assert capture(folder) == 0
+    assert "1 pictures" in capsys.readouterr().out
+    assert contents(folder) == before
 
 
 def test_a_second_run_makes_nothing_again(copied, capsys):
