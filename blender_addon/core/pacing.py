@@ -41,8 +41,6 @@ ASKS_KEPT, FAILURES_KEPT = 8, 32
 # how often in a row a view tries to draw what the graphics driver refuses, and its rest between, seconds: after
 # a lost context a driver needs a moment; one that cannot draw at all would fail, and say so, at every redraw
 DRAW_TRIES, DRAW_REST_S = 3, 2.0
-# reach of shadows, millimeters: the renderer's own, and the most that it takes
-SHADOW_RADIUS_MM, SHADOW_RADIUS_MAX_MM = 20.0, 200.0
 
 
 class Grade(IntEnum):
@@ -64,14 +62,11 @@ class Activity(Enum):
 @dataclass(frozen=True)
 class ViewSettings:
     """What the scene says. preset: of pictures while nothing moves · sharp_preset: after a pause, None to leave it at
-    that · budget_ms: choose the settings by this time instead of by presets · density: part of the splats"""
+    that · budget_ms: choose the settings by this time instead of by presets"""
 
     preset: str = "viewport"
     sharp_preset: str | None = "final"
     budget_ms: float | None = None
-    density: float = 1.0
-    shadow_strength: float = 1.0
-    shadow_radius_m: float = SHADOW_RADIUS_MM / 1e3
 
 
 @dataclass(frozen=True)
@@ -80,22 +75,7 @@ class Quality:
 
     preset: str
     budget_ms: float | None
-    density: float
-    shadow_strength: float
-    shadow_radius_m: float
     pixels_max: int
-
-    def settings(self) -> dict[str, str | float]:
-        """For the request."""
-        wanted: dict[str, str | float] = {
-            "preset": self.preset,
-            "density": self.density,
-            "shadow_strength": self.shadow_strength,
-            "shadow_radius_m": self.shadow_radius_m,
-        }
-        if self.budget_ms is not None:
-            wanted["budget_ms"] = self.budget_ms
-        return wanted
 
 
 @dataclass(frozen=True)
@@ -212,13 +192,12 @@ def digest(parts: Iterable[bytes | str]) -> str:
 
 def quality_of(grade: Grade, settings: ViewSettings) -> Quality:
     """The settings of a picture of a grade."""
-    shadow = settings.shadow_strength, settings.shadow_radius_m
     if grade is Grade.SHARP and settings.sharp_preset is not None:
-        return Quality(settings.sharp_preset, None, 1.0, *shadow, SHARP_PIXELS_MAX)
+        return Quality(settings.sharp_preset, None, SHARP_PIXELS_MAX)
     moving = grade is Grade.MOVING
     preset = "draft" if moving and settings.budget_ms is None else settings.preset
     pixels_max = MOVING_PIXELS_MAX if moving else STILL_PIXELS_MAX
-    return Quality(preset, settings.budget_ms, settings.density, *shadow, pixels_max)
+    return Quality(preset, settings.budget_ms, pixels_max)
 
 
 def step(pace: Pace, want: Want, moment: DrawMoment, settings: ViewSettings) -> tuple[Pace, Decision]:
@@ -406,8 +385,7 @@ def _content(want: Want) -> str:
 def _tag(want: Want, quality: Quality) -> str:
     pixels = min(want.pixels, quality.pixels_max)
     budget = "" if quality.budget_ms is None else f"{quality.budget_ms:g}ms"
-    shadow = f"{quality.shadow_strength:g}.{quality.shadow_radius_m:g}"
-    return f"{_content(want)}{pixels}.{quality.preset}{budget}.{quality.density:g}.{shadow}"
+    return f"{_content(want)}{pixels}.{quality.preset}{budget}"
 
 
 @dataclass(frozen=True)

@@ -161,16 +161,15 @@ def picture_request(
     *,
     outputs: Sequence[str],
     preset: str = "viewport",
-    settings: Mapping[str, Any] | None = None,
+    budget_ms: float | None = None,
     light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
     """Header and arrays of a `render_picture` request: all hands of one view in one request.
 
-    outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids, png. settings: of budget_ms, density, shadow_strength,
-    shadow_radius_m, correctives, effects, as `image_request.ImageSettings` of the engine has them; what is left out
-    is the preset's. light: of the scene, in which rgba_f32 is scene-linear; None for that of the captures.
+    outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids. budget_ms: instead of the preset, what draws in that time.
+    light: of the scene, in which rgba_f32 is scene-linear; None for that of the captures.
     """
-    return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, settings=settings, light=light)
+    return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, budget_ms=budget_ms, light=light)
 
 
 def moments_request(
@@ -178,7 +177,7 @@ def moments_request(
     *,
     outputs: Sequence[str],
     preset: str = "viewport",
-    settings: Mapping[str, Any] | None = None,
+    budget_ms: float | None = None,
     light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
     """The same for a picture of several moments in the order of time (motion blur): the engine averages them in linear
@@ -190,7 +189,7 @@ def moments_request(
         "width": first.view.width,
         "height": first.view.height,
         "orthographic": first.view.orthographic,
-        "settings": {"preset": preset, **(settings or {})},
+        "settings": {"preset": preset, "budget_ms": budget_ms},
         "outputs": list(outputs),
         "hands": [{"avatar": hand.avatar, "handedness": hand.handedness} for hand in first.hands],
     }

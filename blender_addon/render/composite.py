@@ -37,15 +37,7 @@ _RENDER = (
     *("use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y"),
     *("use_motion_blur", "motion_blur_shutter", "motion_blur_position", "frame_map_old", "frame_map_new"),
 )
-_HANDS = (
-    "light",
-    "use_surroundings",
-    "use_exact_light",
-    "render_preset",
-    "shadow_strength",
-    "shadow_radius_mm",
-    "motion_samples",
-)
+_HANDS = ("light", "use_surroundings", "use_exact_light", "render_preset", "motion_samples")
 # what Blender takes from the first scene by itself when it renders both
 _FOLLOWS = ("frame_start", "frame_end", "frame_step", "resolution_x", "resolution_y", "resolution_percentage")
 _GAP_PX = 250

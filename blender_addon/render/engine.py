@@ -133,10 +133,6 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             seen,
             outputs=outputs,
             preset=scene.jghand.render_preset,
-            settings={
-                "shadow_strength": scene.jghand.shadow_strength,
-                "shadow_radius_m": scene.jghand.shadow_radius_mm / 1e3,
-            },
             light=light,
         )
         chosen = preferences()

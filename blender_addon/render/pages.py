@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of pictures in the Properties editor, as Cycles has its own, and what the last pictures took.
 
-Quality and shadow apply to every scene with hands, for the viewport and the compositor draw them with other engines
+Quality applies to every scene with hands, for the viewport and the compositor draw them with other engines
 too; film, motion blur and passes are Blender's own there.
 """
 
@@ -21,8 +21,8 @@ from ..viewport import views
 from . import ENGINE
 
 PRESET_VALUES = (
-    *("render_preset", "shadow_strength", "shadow_radius_mm", "motion_samples"),
-    *("viewport_preset", "sharpen_when_still", "use_viewport_budget", "viewport_budget_ms", "viewport_density"),
+    *("render_preset", "motion_samples"),
+    *("viewport_preset", "sharpen_when_still", "use_viewport_budget", "viewport_budget_ms"),
 )
 FOLDER = "jghand/pictures"
 
@@ -41,7 +41,7 @@ class AddPicturePreset(AddPresetBase, bpy.types.Operator):
 
     bl_idname = "jghand.add_picture_preset"
     bl_label = "Add JGHand Preset"
-    bl_description = "Keep quality, shadow and speed of hands in the viewport and in renders under a name"
+    bl_description = "Keep quality and speed of hands in the viewport and in renders under a name"
     bl_options = PLUMBING
 
     preset_menu = RENDER_PT_jghand_presets.__name__
@@ -82,10 +82,8 @@ class QualityPage(_Page, bpy.types.Panel):
         """The presets."""
         RENDER_PT_jghand_presets.draw_panel_header(self.layout)
 
-    def draw(self, context: bpy.types.Context) -> None:
-        column, settings = ui.settings(self.layout), context.scene.jghand
-        column.prop(settings, "shadow_strength", slider=True)
-        column.prop(settings, "shadow_radius_mm")
+    def draw(self, _context: bpy.types.Context) -> None:
+        pass
 
 
 class ViewportPage(_Page, bpy.types.Panel):
@@ -108,7 +106,6 @@ class ViewportPage(_Page, bpy.types.Panel):
         preset = column.row()
         preset.active = not settings.use_viewport_budget
         preset.prop(settings, "viewport_preset", text="Quality")
-        column.prop(settings, "viewport_density", slider=True)
         column.prop(settings, "sharpen_when_still")
 
 

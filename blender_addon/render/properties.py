@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.pacing import SHADOW_RADIUS_MAX_MM, SHADOW_RADIUS_MM
 from ..export import properties as output_settings
 
 # identifier, name, tooltip, icon, number in files
@@ -33,8 +32,6 @@ LIGHTS = (
 LIGHT_OF_HANDS = "jghand_light_of_hands"
 # a viewport image at sixty frames a second
 BUDGET_MS = 16.0
-# below this part of its splats a hand has holes
-DENSITY_MIN = 0.1
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES, MOTION_SAMPLES_MAX = 8, 64
 
@@ -77,14 +74,6 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         soft_max=100.0,
         precision=1,
     )
-    viewport_density: bpy.props.FloatProperty(
-        name="Density",
-        description="Part of the avatar's splats that the viewport draws",
-        subtype="FACTOR",
-        default=1.0,
-        min=DENSITY_MIN,
-        max=1.0,
-    )
     render_preset: bpy.props.EnumProperty(
         name="Render Quality",
         description="How F12 and animation renders are made",
@@ -109,23 +98,6 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         description="Renders bake all light that falls on the hands with Cycles, frame by frame: soft shadows, panels "
         "that shine, what walls throw back. Takes a second or more for each frame; views stay as they are",
         default=False,
-    )
-    shadow_strength: bpy.props.FloatProperty(
-        name="Shadow Strength",
-        description="How dark the shadow is that a hand casts on itself and on the other",
-        subtype="FACTOR",
-        default=1.0,
-        min=0.0,
-        max=1.0,
-    )
-    shadow_radius_mm: bpy.props.FloatProperty(
-        name="Shadow Radius",
-        description="How far a shadow reaches from what casts it, in the size of a real hand",
-        unit="CAMERA",  # millimeters whatever the scene's unit is: a hand is as large in all of them
-        default=SHADOW_RADIUS_MM,
-        min=1.0,
-        max=SHADOW_RADIUS_MAX_MM,
-        soft_max=60.0,
     )
     motion_samples: bpy.props.IntProperty(
         name="Motion Samples",

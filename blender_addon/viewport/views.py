@@ -136,9 +136,6 @@ def settings_of(scene: bpy.types.Scene) -> ViewSettings:
         preset=chosen.viewport_preset,
         sharp_preset=chosen.render_preset if chosen.sharpen_when_still else None,
         budget_ms=chosen.viewport_budget_ms if chosen.use_viewport_budget else None,
-        density=chosen.viewport_density,
-        shadow_strength=chosen.shadow_strength,
-        shadow_radius_m=chosen.shadow_radius_mm / 1e3,
     )
 
 
@@ -375,7 +372,7 @@ def _ask(view: View, ask: pacing.Ask) -> None:
         pinhole,
         view.hands,
         outputs=_OUTPUTS if view.light is None else _LIT_OUTPUTS,
-        settings=ask.quality.settings(),
+        budget_ms=ask.quality.budget_ms,
         light=view.light,
     )
     kept = {each.tag for each in view.pace.asks}

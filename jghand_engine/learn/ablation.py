@@ -129,16 +129,10 @@ class LiveHand:
             strength = large * fade(self._gate.score(joints_m, float(bones.scale)))
             if self._look is not None and self._look.printed:
                 seen = printed_visibility(picture.depth_sum, picture.alpha, settings.shadow_samples)
-                dark = settings.shadow_strength * (1 - seen)
-                planes[:3] *= 1 - dark * torch.tensor(self._look.tint)[:, None, None]
+                planes[:3] *= 1 - (1 - seen) * torch.tensor(self._look.tint)[:, None, None]
             elif self._look is not None and strength > 0:
-                style = ShadowStyle(
-                    samples=settings.shadow_samples,
-                    strength=settings.shadow_strength * strength,
-                    radius_m=settings.shadow_radius_m,
-                    gain=self._look.gain,
-                    tint=self._look.tint,
-                )
+                look = self._look
+                style = ShadowStyle(settings.shadow_samples, strength, gain=look.gain, tint=look.tint)
                 rgb = darken(planes, camera, style, library=self._library, threads=thread_count(settings.threads))
                 planes = torch.cat([rgb, planes[3:]])
             return planes[:4].permute(1, 2, 0).contiguous().numpy()

@@ -46,7 +46,6 @@ GRADIENT_STRIPES = 4
 
 # reach, meters; one longer than a hand finds nothing more
 SHADOW_RADIUS_M = 0.020
-SHADOW_RADIUS_MAX_M = 0.2
 # occlusion curve, and darkness before an avatar has learned its own
 SHADOW_BIAS = 0.15
 SHADOW_SOFTNESS = 0.05

@@ -259,13 +259,13 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     looks = [hand.look for hand in hands if hand.look is not None]
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     extents_px = [extent_px(pixels, depth, scene.camera) for pixels, depth in scene.seen_joints]
-    darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
+    darkest = max((max(look.tint) for look in looks), default=0.0)
     near = len(hands) > 1 and gap_between(scene.joints_m) < GATE_RADIUS_M
-    seen = settings.shadow_strength * max((_seen(hand, settings, near=near) for hand in hands), default=0.0)
+    seen = max((_seen(hand, near=near) for hand in hands), default=0.0)
     large = 1.0 if always else fade_with_size(max(extents_px))
     gated = [hand.gated for hand in hands]
     strength, worst, figure = 0.0, darkest, 0.0
-    if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
+    if settings.shadow is ShadowMode.OFF:
         why = "switched off"
     elif not looks:
         why = "the avatar was learned without one"
@@ -276,12 +276,12 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     elif large == 0:
         why, figure, worst = "hand {0:.0f} px", max(extents_px), min(darkest, SHADOW_MISSED)
     elif always and not any(gated):
-        why, strength = "on every frame", settings.shadow_strength
+        why, strength = "on every frame", 1.0
     else:
         triples = zip(hands, scene.joints_m, scene.bones, strict=True)
         figure = max(hand.gate.score(joints, bones.scale) for hand, joints, bones in triples)
         figure += contact_between(scene.joints_m) if near else 0.0
-        why, strength = "gate {0:.2f}", large * fade(figure) * settings.shadow_strength
+        why, strength = "gate {0:.2f}", large * fade(figure)
         if strength == 0:
             # colors that were learned under a shadow that fades with the pose have in them what it leaves out
             worst = 0.0 if all(gated) else min(darkest, SHADOW_MISSED)
@@ -292,14 +292,13 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     return strength, Decision(Effect.SHADOW, strength > 0, why, lost, worst, cost, (figure, 100 * worst))
 
 
-def _seen(hand: HandFacts, settings: RenderSettings, *, near: bool) -> float:
-    """The most that the shadow changes a pixel of a hand, as it was measured at the usual reach, of one hand alone: two
+def _seen(hand: HandFacts, *, near: bool) -> float:
+    """The most that the shadow changes a pixel of a hand, as it was measured of one hand alone: two
     near each other do without it where each casts its shadow on the other. Infinite where that is not known."""
     if hand.look is None:
         return 0.0
     casts = hand.learned is not None and hand.learned.cast is not None
-    usual = settings.shadow_radius_m == contract.SHADOW_RADIUS_M and (casts or not near)
-    return math.inf if hand.look.seen is None or not usual else hand.look.seen
+    return math.inf if hand.look.seen is None or (near and not casts) else hand.look.seen
 
 
 def _blur(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[int, tuple[Decision, Decision]]:

@@ -402,8 +402,7 @@ class SceneRenderer:
         """One pass shades all hands: hands of different looks get the mean of them."""
         gain = float(np.mean([look.gain for look in self._looks]))
         red, green, blue = np.mean([look.tint for look in self._looks], axis=0).tolist()
-        radius_m = self.settings.shadow_radius_m
-        return ShadowStyle(self.settings.shadow_samples, strength, radius_m, gain=gain, tint=(red, green, blue))
+        return ShadowStyle(self.settings.shadow_samples, strength, gain=gain, tint=(red, green, blue))
 
     def _finished(self, drawn: Image, camera: Camera, report: FrameReport) -> Frame:
         whole, settings = drawn.laid_out(camera.width, camera.height), self.settings

@@ -29,8 +29,7 @@ class RenderSettings:
 
     gaussians:         how many of the avatar's Gaussians: a prefix; 0 = all
     alpha_min, t_stop: cut-offs of the blend
-    shadow, shadow_samples, shadow_strength: the self-shadow pass
-    shadow_radius_m:   how far it reaches, meters
+    shadow, shadow_samples: the self-shadow pass
     correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
     threads:           0 = as many as is sensible
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
@@ -50,8 +49,6 @@ class RenderSettings:
     t_stop: float = contract.T_STOP
     shadow: ShadowMode = ShadowMode.GATED
     shadow_samples: int = 16
-    shadow_strength: float = 1.0
-    shadow_radius_m: float = contract.SHADOW_RADIUS_M
     correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
@@ -73,12 +70,6 @@ class RenderSettings:
                 "shadow_samples",
                 1 <= self.shadow_samples <= contract.SHADOW_SAMPLES_MAX,
                 f"1 to {contract.SHADOW_SAMPLES_MAX}",
-            ),
-            ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
-            (
-                "shadow_radius_m",
-                0 < self.shadow_radius_m <= contract.SHADOW_RADIUS_MAX_M,
-                f"above 0, at most {contract.SHADOW_RADIUS_MAX_M:g} meters",
             ),
             ("correctives", self.correctives in tuple(Tier), " | ".join(Tier)),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),

@@ -85,10 +85,6 @@ class ImageSource(Protocol):
         """Gives back the memory that only images need: nobody has asked for one for some time."""
         ...
 
-    def encode_png(self, rgba: np.ndarray) -> bytes:
-        """A premultiplied (H, W, 4) float32 image as the bytes of an RGBA8 PNG (straight alpha)."""
-        ...
-
 
 @dataclass(frozen=True)
 class Reply:
@@ -147,7 +143,6 @@ class Commands:
             "depth": lambda: _array(_or_nothing(image.depth_m, size), np.float32),
             "depth_covered": lambda: _array(_or_nothing(image.covered_depth_m, size), np.float32),
             "ids": lambda: _array(_or_nothing(image.ids, size), np.uint8),
-            "png": lambda: Array.of(self.source.encode_png(np.asarray(shown(), np.float32))),
         }
         reports = [image.report] if request.hands else []
         return Reply({"reports": reports, "linear": image.linear}, {name: makers[name]() for name in outputs})

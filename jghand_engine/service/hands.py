@@ -18,7 +18,6 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
 from jghand_engine.avatar.scene_light import Baked, SceneLight, Shades, World
-from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
@@ -28,7 +27,6 @@ from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
 from jghand_engine.render.blur import Moment
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, never
@@ -79,12 +77,8 @@ class _Version(NamedTuple):
         return cls(avatar, found.st_mtime_ns, found.st_size)
 
 
-# settings that change while a renderer lives
-_LIVE = ("shadow_strength", "shadow_radius_m")
-
-
 class _Key(NamedTuple):
-    """What a renderer is made for; how strong and long shadows are is none of it (`_LIVE`)."""
+    """What a renderer is made for."""
 
     hands: tuple[tuple[_Version, str], ...]
     settings: ImageSettings
@@ -153,13 +147,6 @@ class HandImages:
             renderer.rest()
         return_free_memory()
 
-    def encode_png(self, rgba: np.ndarray) -> bytes:
-        """(H, W, 4) premultiplied float32 -> the bytes of a PNG with straight alpha."""
-        # needs Pillow, which Blender's own Python does not have
-        from jghand_engine.export.pictures import encode_png
-
-        return encode_png(rgba)
-
     @contextmanager
     def _telling(self, doing: str) -> Iterator[None]:
         """Says what takes long while it does."""
@@ -227,7 +214,7 @@ class HandImages:
         return self._points[key]
 
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
-        wanted = replace(request.settings, **{name: getattr(ImageSettings, name) for name in _LIVE})
+        wanted = request.settings
         size_px = _measured_size(request.width * request.height) if wanted.budget_ms is not None else None
         hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in request.hands)
         key = _Key(hands, wanted, request.depth, size_px, light is not None)
@@ -235,15 +222,13 @@ class HandImages:
             with self._telling("Loading the avatar"):
                 avatars = [self._avatar(*hand) for hand in hands]
                 settings = replace(_settings(wanted, avatars, size_px), depth=request.depth)
-                drawn = [_thinned(avatar, settings.gaussians, wanted.density) for avatar in avatars]
                 while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
-                self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0), light)
+                self._renderers[key] = SceneRenderer(avatars, settings, light)
                 self._drop_idle()
         self._renderers.move_to_end(key)
         renderer = self._renderers[key]
-        chosen = {name: getattr(request.settings, name) for name in _LIVE}
-        renderer.settings, renderer.light = replace(renderer.settings, **chosen), light
+        renderer.light = light
         return renderer
 
     def _avatar(self, version: _Version, handedness: str) -> HandAvatar:
@@ -317,17 +302,11 @@ def _wrong(name: str, wanted: str, came: object) -> InputError:
 
 
 def _settings(wanted: ImageSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
-    """The preset, or what the budget buys, each hand taking an equal part of it; then what was asked for by name."""
+    """The preset, or what the budget buys, each hand taking an equal part of it."""
     settings = preset(wanted.preset)
     if wanted.budget_ms is not None and size_px is not None:
         largest = max(avatars, key=len)
         settings = budget.best_for(wanted.budget_ms / len(avatars), largest, size_px).settings
-    if wanted.correctives is not None:
-        if wanted.correctives not in tuple(Tier):
-            raise InputError("settings: correctives", wanted=" | ".join(Tier), came=wanted.correctives[:80])
-        settings = replace(settings, correctives=Tier(wanted.correctives))
-    if wanted.effects != "auto":
-        settings = replace(settings, effects=Choice.parse(wanted.effects))
     return settings
 
 
@@ -337,12 +316,6 @@ def _measured_size(pixels: int) -> tuple[int, int]:
     widths = BUDGET_WIDTHS_PX
     sizes = [(width, round(width / BUDGET_ASPECT)) for width in widths]
     return next((size for size in sizes if size[0] * size[1] >= pixels), sizes[-1])
-
-
-def _thinned(avatar: HandAvatar, gaussians: int, density: float) -> HandAvatar:
-    """So many of an avatar's Gaussians (0 = all), and of them the part that was asked for."""
-    count = min(gaussians, len(avatar)) if gaussians else len(avatar)
-    return avatar.prefix(max(1, round(density * count)))
 
 
 def _moment(exposure: Exposure, request: ImageRequest) -> Moment:

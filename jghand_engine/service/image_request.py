@@ -36,8 +36,8 @@ PINHOLE_MAX_PX = 1e9
 # by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale
 RIGID_MAX = 1e-4
 
-# outputs that an image may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
-OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "depth_covered": 4, "ids": 1, "png": 5}
+# outputs that an image may be asked for -> bytes per pixel
+OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "depth_covered": 4, "ids": 1}
 JOINTS = 21
 
 
@@ -45,22 +45,12 @@ JOINTS = 21
 class ImageSettings:
     """How an image is made.
 
-    preset:          name of a preset of RenderSettings
-    budget_ms:       instead of the preset's, the most accurate settings that draw a frame in so many milliseconds
-    density:         part of each avatar's Gaussians that is drawn
-    shadow_strength: 0..1
-    shadow_radius_m: how far shadows reach, meters
-    correctives:     a tier of `avatar.tiers`, None for the preset's
-    effects:         in the words of `effect_plan.Choice`
+    preset:    name of a preset of RenderSettings
+    budget_ms: instead of the preset's, the most accurate settings that draw a frame in so many milliseconds
     """
 
     preset: str = "viewport"
     budget_ms: float | None = None
-    density: float = 1.0
-    shadow_strength: float = 1.0
-    shadow_radius_m: float = contract.SHADOW_RADIUS_M
-    correctives: str | None = None
-    effects: str = "auto"
 
     @classmethod
     def parse(cls, value: Any) -> ImageSettings:
@@ -91,14 +81,6 @@ _CHECKS = {
         lambda v: v is None or (_is_number(v) and 0 < v <= BUDGET_MAX_MS),
         f"null, or milliseconds above 0, at most {BUDGET_MAX_MS:g}",
     ),
-    "density": (lambda v: _is_number(v) and 0 < v <= 1, "a part above 0, at most 1"),
-    "shadow_strength": (lambda v: _is_number(v) and 0 <= v <= 1, "a number from 0 to 1"),
-    "shadow_radius_m": (
-        lambda v: _is_number(v) and 0 < v <= contract.SHADOW_RADIUS_MAX_M,
-        f"meters above 0, at most {contract.SHADOW_RADIUS_MAX_M:g}",
-    ),
-    "correctives": (lambda v: v is None or _is_text(v), "null, or the name of a tier"),
-    "effects": (_is_text, "auto | all | none | names of effects"),
 }
 
 

@@ -81,9 +81,8 @@ class ExactPictures64:
         look = ShadowLook() if learned is None else learned.shadow
         if plan is None or plan.strength == 0 or look is None:
             return None
-        settings = PRESETS["reference"]
-        radius_m = settings.shadow_radius_m
-        return ShadowStyle(settings.shadow_samples, plan.strength, radius_m, gain=look.gain, tint=look.tint)
+        samples = PRESETS["reference"].shadow_samples
+        return ShadowStyle(samples, plan.strength, gain=look.gain, tint=look.tint)
 
 
 def spread_poses(subject: Subject, count: int) -> np.ndarray:

@@ -324,9 +324,9 @@ def test_a_picture_that_somebody_gave_up_is_asked_for_at_the_next_draw_and_not_b
 
 def test_a_budget_replaces_the_presets_while_moving_and_still():
     settings = ViewSettings(budget_ms=12.0)
-    moving, still, sharp = (pacing.quality_of(grade, settings).settings() for grade in Grade)
-    assert moving["budget_ms"] == still["budget_ms"] == 12.0
-    assert "budget_ms" not in sharp
+    moving, still, sharp = (pacing.quality_of(grade, settings) for grade in Grade)
+    assert moving.budget_ms == still.budget_ms == 12.0
+    assert sharp.budget_ms is None
 
 
 def test_digests_do_not_mix_up_where_parts_end():

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_addon.core import pacing
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import (
     HandInSpace,
@@ -20,8 +19,7 @@ from blender_addon.core.view import (
     pinhole_from,
 )
 from jghand_engine.errors import InputError
-from jghand_engine.native import contract
-from jghand_engine.service.image_request import ImageSettings, read_request
+from jghand_engine.service.image_request import read_request
 from jghand_engine.service.protocol import Message
 
 
@@ -61,7 +59,7 @@ def test_up_in_blender_is_up_in_the_light_of_captures():
     """+z of Blender is +y of captures; who looks from the front (-y) stands where captures look at the palm from."""
     upright = np.array([[1.0, 0, 0, 2], [0, 0, -1, 3], [0, 1, 0, 4], [0, 0, 0, 1]])  # +y of the hand along +z
     hand = replace(HANDS[0], world_from_hand=upright)
-    request, _ = understood(*picture_request(VIEW, [hand], outputs=["png"]))
+    request, _ = understood(*picture_request(VIEW, [hand], outputs=["rgba_u8"]))
     place = request.exposures[0].world_from_hand[0]
     np.testing.assert_allclose(place[:3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(place[:3, 3], (2, 4, -3))
@@ -91,22 +89,14 @@ def test_a_world_without_key_or_picture_is_refused(world, picture):
 
 def test_settings_lens_and_rays_arrive():
     view = replace(VIEW, aperture_m=0.01, focus_m=0.7)
-    settings = {"budget_ms": 9.5, "density": 0.5, "shadow_strength": 0.25, "shadow_radius_m": 0.03}
-    request, _ = understood(*picture_request(view, HANDS, outputs=["ids"], preset="final", settings=settings))
+    request, _ = understood(*picture_request(view, HANDS, outputs=["ids"], preset="final", budget_ms=9.5))
     assert (request.exposures[0].aperture_m, request.exposures[0].focus_m) == (0.01, 0.7)
     assert request.ids
     assert not request.depth
     assert (request.settings.preset, request.settings.budget_ms) == ("final", 9.5)
-    assert (request.settings.density, request.settings.shadow_strength) == (0.5, 0.25)
-    assert request.settings.shadow_radius_m == 0.03
-    request, _ = understood(*picture_request(replace(VIEW, orthographic=True), [], outputs=["png"]))
+    request, _ = understood(*picture_request(replace(VIEW, orthographic=True), [], outputs=["rgba_u8"]))
     assert request.orthographic
     assert request.hands == ()
-
-
-def test_shadows_reach_as_far_as_the_engines_own_unless_it_is_said():
-    assert ImageSettings().shadow_radius_m == pacing.SHADOW_RADIUS_MM / 1e3
-    assert pacing.SHADOW_RADIUS_MAX_MM / 1e3 == contract.SHADOW_RADIUS_MAX_M
 
 
 def test_moments_arrive_in_their_order_with_their_weights():

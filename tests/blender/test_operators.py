@@ -812,14 +812,14 @@ def test_names_and_tooltips_follow_blenders_habits(extension):
 
 def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
     settings = extension.scene.jghand
-    settings.render_preset, settings.shadow_strength, settings.viewport_density = "draft", 0.25, 0.5
+    settings.render_preset, settings.motion_samples, settings.viewport_budget_ms = "draft", 4, 9.0
     assert bpy.ops.jghand.add_picture_preset(name="Quick Look") == {"FINISHED"}
     (path,) = [Path(folder, name) for folder in bpy.utils.preset_paths(pages.FOLDER) for name in os.listdir(folder)]
     for name in pages.PRESET_VALUES:
         settings.property_unset(name)
     assert settings.render_preset == "final"
     bpy.ops.script.execute_preset(filepath=str(path), menu_idname="RENDER_PT_jghand_presets")
-    assert (settings.render_preset, settings.shadow_strength, settings.viewport_density) == ("draft", 0.25, 0.5)
+    assert (settings.render_preset, settings.motion_samples, settings.viewport_budget_ms) == ("draft", 4, 9.0)
     bpy.ops.jghand.add_picture_preset(name="Quick Look", remove_name=True)
     assert not path.exists()
 

@@ -330,11 +330,10 @@ def test_the_avatar_of_each_hand_is_asked_for(scene, tmp_path, asked_for):
     avatar = tmp_path / "mine.jghand"
     bpy.data.objects["right"].jghand.avatar = str(avatar)
     avatar.touch()
-    scene.jghand.render_preset, scene.jghand.shadow_strength = "draft", 0.5
-    scene.jghand.shadow_radius_mm = 25.0
+    scene.jghand.render_preset = "draft"
     f12()
     assert [hand["avatar"] for hand in asked_for[0]["hands"]] == [str(avatar)]
-    assert asked_for[0]["settings"] == {"preset": "draft", "shadow_strength": 0.5, "shadow_radius_m": 0.025}
+    assert asked_for[0]["settings"] == {"preset": "draft", "budget_ms": None}
 
 
 def test_persistent_data_do_not_hide_what_was_changed(scene, tmp_path, asked_for):

@@ -14,6 +14,9 @@ import pytest
 SAVED = Path(__file__).with_name("saved_by_0_1_0.blend")
 # settings of version 0.1.0 that this version does not have, and why
 GONE = {
+    "scene.viewport_density": "a view that is to be faster has a frame budget",
+    "scene.shadow_strength": "the hands that ship have no such shadow, and no light of a scene has",
+    "scene.shadow_radius_mm": "as the strength",
     "scene.output.use_cache": "a bake is played by Blender's own USD reader alone",
     "scene.output.replace_others": "a click is asked about what it overwrites",
     "hand.bake_id": "a bake lies in the folder of its hand's name",

@@ -327,7 +327,7 @@ def test_nothing_is_asked_for_while_nothing_changes(link, extension, monkeypatch
     assert pacing.due_s(view.pace, view.settings) == float("inf")
 
 
-@pytest.mark.parametrize("change", ["pose", "place", "avatar", "shadow", "radius"])
+@pytest.mark.parametrize("change", ["pose", "place", "avatar", "quality"])
 def test_whatever_changes_the_picture_is_asked_for(link, extension, change):
     context = extension
     context.scene.jghand.sharpen_when_still = False
@@ -340,10 +340,8 @@ def test_whatever_changes_the_picture_is_asked_for(link, extension, change):
         hand.location.x += 0.01
     elif change == "avatar":
         hand.jghand.avatar = "/nowhere/at.jghand"
-    elif change == "shadow":
-        context.scene.jghand.shadow_strength = 0.5
     else:
-        context.scene.jghand.shadow_radius_mm = 30.0
+        context.scene.jghand.viewport_preset = "reference"
     context.view_layer.update()
     before = view.pace.asks
     look(context, view, hand)

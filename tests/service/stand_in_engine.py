@@ -12,10 +12,8 @@ import json
 import os
 import signal
 import socket
-import struct
 import sys
 import time
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -111,20 +109,6 @@ class StandInHands:
                 raise ZeroDivisionError("a bug")
             case "print":
                 print("printed by a library " * 10000)
-
-    def encode_png(self, rgba: np.ndarray) -> bytes:
-        """The smallest PNG writer there is."""
-        height, width = rgba.shape[:2]
-        straight = rgba.copy()
-        straight[..., :3] /= np.maximum(straight[..., 3:], 1e-6)
-        rows = np.zeros((height, 1 + 4 * width), np.uint8)
-        rows[:, 1:] = np.rint(straight.clip(0, 1) * 255).astype(np.uint8).reshape(height, -1)
-        head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
-        chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes())), (b"IEND", b""))
-        return b"\x89PNG\r\n\x1a\n" + b"".join(
-            struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-            for name, data in chunks
-        )
 
 
 def _discs(picture: ImageRequest, moment: Exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -292,7 +292,7 @@ REQUESTS = st.fixed_dictionaries(
         "id": st.integers(0, 3) | VALUES,
         "width": st.integers(1, 64) | VALUES,
         "height": st.integers(1, 64) | VALUES,
-        "outputs": st.just(["png"]) | VALUES,
+        "outputs": st.just(["rgba_u8"]) | VALUES,
         "hands": st.just(PICTURE["hands"]) | VALUES,
         "settings": st.just({"preset": "draft"}) | VALUES,
         "avatar": VALUES,
