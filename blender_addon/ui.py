@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import blf
 import bpy
 import bpy.utils.previews
-import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 
 from . import clock
@@ -170,15 +169,6 @@ def show_message(text: str, *, icon: str, operators: Iterable[tuple[str, str]] =
 
     with bpy.context.temp_override(window=windows[-1]):  # the newest: that of the picture, if it has one
         bpy.context.window_manager.popup_menu(draw, title="JGHand", icon=icon)
-
-
-def store_picture(icons: bpy.utils.previews.ImagePreviewCollection, key: str, picture: np.ndarray) -> None:
-    """Puts an (H, W, 4) picture of straight sRGB, 0 to 1, top row first, into a collection, in place of one before."""
-    icon = icons[key] if key in icons else icons.new(key)
-    icon.image_size = icon.icon_size = (picture.shape[1], picture.shape[0])
-    pixels = np.ascontiguousarray(picture[::-1], np.float32).ravel()
-    icon.image_pixels_float.foreach_set(pixels)
-    icon.icon_pixels_float.foreach_set(pixels)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from ..export.recording import Recording
 from ..ops import REGISTERED, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from .training_folder import TrainingReader, capture_words, folder_of, train_words
+from .training_folder import TrainingFolder, capture_words, folder_of, train_words
 
 STARTS = (
     ("new", "New", "There is no training yet", "NONE", 0),
@@ -100,11 +100,9 @@ class Train(StartsJob, bpy.types.Operator):
         """Hours of training, or an avatar's file that no training of this folder wrote."""
         out = place(context, context.scene.jghand.training.avatar_file)
         work = folder_of(out)
-        seen = TrainingReader(work).look()
+        seen = TrainingFolder.look(work)
         if self.start == "fresh" and seen.can_go_on:
-            return rpt_("The training in {folder} is lost: {what}.").format(
-                folder=work.name, what=seen.lost_sentence(rpt_)
-            )
+            return rpt_("The training in {folder} is lost: {what}.").format(folder=work.name, what=seen.sentence(rpt_))
         if self.start == "new" and out.is_file():
             return rpt_("{file} is replaced.").format(file=out)
         return ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The training set, and the training with its loss and newest image."""
+"""The training set, and the training with its newest image."""
 
 from __future__ import annotations
 
@@ -17,15 +17,11 @@ from ..preferences import preferences
 from ..renderer import runtime
 from ..renderer.panel import draw_job
 from ..ui import Sidebar
-from .training_folder import TrainingFolder, TrainingReader, curve_picture, folder_of
+from .training_folder import TrainingFolder, folder_of
 
-# width and height of the picture of the loss
-_CURVE_PX = (256, 160)
-
-_reader: TrainingReader | None = None
 _icons: Any = None  # Blender's collection of previews, once there are some
-# what the icons show
-_shown = TrainingFolder(Path())
+# the image that is among them
+_shown: Path | None = None
 
 
 class TrainPanel(Sidebar, bpy.types.Panel):
@@ -79,8 +75,7 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
 
 
 def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingFolder | None:
-    """What lies in the folder of the training that runs, or of the one beside the avatar's file; the log is read on."""
-    global _reader
+    """What lies in the folder of the training that runs, or of the one beside the avatar's file."""
     job = runtime.jobs().get(runtime.TRAINING)
     if job is not None and runtime.jobs().runs(runtime.TRAINING):
         path = job.spec.folder
@@ -89,28 +84,23 @@ def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingF
             path = folder_of(ops_common.place(context, avatar_file))
         except JGHandFailure:
             return None
-    if _reader is None or _reader.path != path:
-        _reader = TrainingReader(path)
-    seen = _reader.look()
+    seen = TrainingFolder.look(path)
     if not bpy.app.background:  # where there are icons
-        _show(seen)
+        _show(seen.picture)
     return seen
 
 
-def _show(seen: TrainingFolder) -> None:
-    """Makes icons of the loss and of the newest image, where they are others than before."""
+def _show(picture: Path | None) -> None:
+    """Makes an icon of the newest image, where it is another than before."""
     global _icons, _shown
     if _icons is None:  # without icons it is false
         _icons = bpy.utils.previews.new()
-    before, _shown = _shown, seen
-    if before.loss != seen.loss or before.path != seen.path:
-        _icons.pop("loss", None)
-        if seen.loss.steps:
-            ui.store_picture(_icons, "loss", curve_picture(seen.loss, *_CURVE_PX))
-    if before.picture != seen.picture:
-        _icons.pop("picture", None)
-        if seen.picture is not None:
-            _icons.load("picture", str(seen.picture), "IMAGE")
+    if picture == _shown:
+        return
+    _shown = picture
+    _icons.pop("picture", None)
+    if picture is not None:
+        _icons.load("picture", str(picture), "IMAGE")
 
 
 def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:
@@ -129,12 +119,13 @@ _PICTURE_UNITS = 9.0
 
 
 def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: TrainingFolder) -> None:
-    said = seen.sentence(iface_)
-    if said:
-        ui.paragraph(layout, context, said)
-    for name in ("loss", "picture"):
-        if _icons is not None and name in _icons:
-            layout.template_icon(icon_value=_icons[name].icon_id, scale=_PICTURE_UNITS)
+    job = runtime.jobs().get(runtime.TRAINING)
+    if job is not None and not job.is_over:
+        ui.paragraph(layout, context, job.state.text)  # whole: the bar of its progress has no room for loss and dB
+    elif seen.can_go_on:
+        layout.label(text=seen.sentence(iface_))
+    if _icons is not None and "picture" in _icons:
+        layout.template_icon(icon_value=_icons["picture"].icon_id, scale=_PICTURE_UNITS)
     if seen.avatar is not None:
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
@@ -144,7 +135,7 @@ CLASSES = (TrainPanel, TrainingSetPanel)
 
 def unregister() -> None:
     """Frees the icons."""
-    global _icons, _reader, _shown
+    global _icons, _shown
     if _icons is not None:
         bpy.utils.previews.remove(_icons)
-    _icons, _reader, _shown = None, None, TrainingFolder(Path())
+    _icons, _shown = None, None

@@ -16,7 +16,7 @@ from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import JobState
 from blender_addon.train import ops as training
 from blender_addon.train import panel as training_panel
-from blender_addon.train.training_folder import Curve, TrainingFolder
+from blender_addon.train.training_folder import TrainingFolder
 
 _NAMES = {"ROTATION": r"angle", "CAMERA": r"hand_length", "TIME_ABSOLUTE": r"time(out)?_s"}
 
@@ -62,6 +62,6 @@ def test_panels_translate_what_core_says(extension, monkeypatch):
     output._draw_size(MagicMock(), extension, "")
     assert "Up to {size}" in words
     monkeypatch.setattr(training_panel, "iface_", lambda text: words.append(text) or text)
-    monkeypatch.setattr(training_panel.ui, "paragraph", lambda *_: None)
-    training_panel._draw_course(MagicMock(), extension, TrainingFolder(Path(), loss=Curve((1,), (0.5,))))
-    assert "step {step}, loss {loss:.4f}" in words
+    monkeypatch.setattr(runtime, "jobs", dict)
+    training_panel._draw_course(MagicMock(), extension, TrainingFolder(Path(), can_go_on=True, steps=5))
+    assert "{count} steps" in words
