@@ -75,8 +75,7 @@ def read(collection, name: str, width: int) -> np.ndarray:
     return values.reshape(-1, width)
 
 
-@pytest.mark.parametrize("variant", ["points", "splats"])
-@pytest.mark.parametrize("handedness", ["right", "left"])
+@pytest.mark.parametrize(("variant", "handedness"), [("points", "right"), ("splats", "left")])
 def test_points_have_position_radius_and_color_on_every_frame(exported, variant, handedness):
     stage, truth = exported(variant, handedness)
     imported(stage)

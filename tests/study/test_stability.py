@@ -1,4 +1,4 @@
-"""Every row of the stability study holds its bound, and chance finds no worse: see docs/STABILITY.md."""
+"""The rows of the stability study hold their bounds, and chance finds no worse: see docs/STABILITY.md."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import FrameFlag
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.study import stability_curves as curves
-from jghand_engine.study.stability import FAR_OUTSIDE
 from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, HandCase, hand_cases, posed, template_size_m
 from jghand_engine.study.stability_measures import (
     GAUSSIANS,
@@ -38,6 +37,8 @@ from jghand_engine.study.stability_measures import (
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
 RIGHT = Handedness.RIGHT
+# two of the study's seven, as each takes 4 s: the worst that are flagged, in precision, and that are not, in steadiness
+FAR_TESTED = ("random points that are no hand", "middle finger sideways, +90 degrees")
 
 
 @pytest.mark.parametrize("name", hand_cases())
@@ -58,7 +59,7 @@ def test_a_hard_picture_is_finite_and_like_the_reference(name):
     assert row.missed == []
 
 
-@pytest.mark.parametrize("name", FAR_OUTSIDE)
+@pytest.mark.parametrize("name", FAR_TESTED)
 def test_the_trained_hand_far_outside_training_is_finite_drawn_right_and_steady(name):
     row = correctives_row(hand_cases()[name])
     assert row.ours.finite
