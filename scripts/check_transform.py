@@ -22,12 +22,12 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from hand import sampled_hands as hands  # pyright: ignore[reportMissingImports]
-from hard_cases.hard_hands import hard_hands, size_of  # pyright: ignore[reportMissingImports]
 from learn.factored import factored  # pyright: ignore[reportMissingImports]
 
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.skeleton import JointTransform
+from jghand_engine.study.stability_hands import beside, hand_cases, template_joints_m
 from jghand_engine.template.builtin import load_template
 
 CANONICAL = hands.canonical()
@@ -117,40 +117,31 @@ def chain_and_symmetry() -> Iterator[Figure]:
 
 
 def hard_cases() -> Iterator[Figure]:
-    """The 27 hard hands and hands beside them: non-finite numbers, joint error, gradients."""
+    """The hard hands of the stability study and hands beside them: non-finite numbers, joint error, gradients."""
+    canonical = template_joints_m()
     for swing in SWINGS:
         for dtype, error_limit, gradient_limit in ((torch.float32, 1e-5, 1e5), (torch.float64, 1e-14, None)):
             bad, worst_error, worst_gradient = 0, 0.0, 0.0
-            for name, joints in hard_hands().items():
-                handedness = Handedness.LEFT if name == "left hand" else Handedness.RIGHT
-                transform = JointTransform(CANONICAL, handedness=handedness, swing=swing)
-                for batch in _beside(name, joints):
-                    x = batch.to(dtype).requires_grad_()
-                    bones = transform.bones(x)
-                    frames = bones.frames
-                    total = bones.linear.sum() + frames.angles.sum() + frames.palm_p.sum() + frames.palm_n.sum()
-                    (gradient,) = torch.autograd.grad(total, x)
-                    matrices = bones.matrices().detach()
-                    bad += int((~torch.isfinite(matrices)).sum() + (~torch.isfinite(gradient)).sum())
-                    if "away" in name:
-                        continue
-                    error = hands.joint_error_mm(matrices, CANONICAL, x.detach()) / 1e3 / size_of(joints)
-                    worst_error = max(worst_error, error)
-                    if not name.startswith("units"):
-                        worst_gradient = max(worst_gradient, (gradient.abs().max() * size_of(joints)).item())
-            of = f"27 hard hands and 2500 beside them, {swing}, {str(dtype)[6:]}"
+            for case in hand_cases().values():
+                transform = JointTransform(canonical.numpy(), handedness=case.handedness, swing=swing)
+                x = beside(case, 25).to(dtype).requires_grad_()
+                bones = transform.bones(x)
+                frames = bones.frames
+                total = bones.linear.sum() + frames.angles.sum() + frames.palm_p.sum() + frames.palm_n.sum()
+                (gradient,) = torch.autograd.grad(total, x)
+                matrices = bones.matrices().detach()
+                bad += int((~torch.isfinite(matrices)).sum() + (~torch.isfinite(gradient)).sum())
+                if "origin" in case.name:
+                    continue
+                error = hands.joint_error_mm(matrices, canonical, x.detach()) / 1e3 / case.size_m
+                worst_error = max(worst_error, error)
+                # one without a size has none that gradients could be bounded by
+                if not case.name.startswith("units") and case.name != "all joints at one point":
+                    worst_gradient = max(worst_gradient, (gradient.abs().max() * case.size_m).item())
+            of = f"{len(hand_cases())} hard hands and 125 beside most, {swing}, {str(dtype)[6:]}"
             yield Figure(f"{of}: non-finite numbers", bad, 0.0)
             yield Figure(f"{of}: joint error / size", worst_error, error_limit)
             yield Figure(f"{of}: |gradient| * size", worst_gradient, gradient_limit)
-
-
-def _beside(name: str, joints: torch.Tensor) -> Iterator[torch.Tensor]:
-    yield joints.unsqueeze(0)
-    if name.startswith("units") or "away" in name:
-        return
-    generator = torch.Generator().manual_seed(len(name))
-    for part in (1e-12, 1e-9, 1e-7, 1e-5, 1e-3):
-        yield joints + part * size_of(joints) * torch.randn(25, 21, 3, dtype=torch.float64, generator=generator)
 
 
 def native_agreement() -> Iterator[Figure]:

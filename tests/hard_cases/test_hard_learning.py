@@ -9,20 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hard_cases.hard_hands import hard_hands
 from painted_samples import camera_at, discs, painted_samples, sample_of, write_rgba
 from small_hands import INFO, SMALL_MODEL, bones_of, joints_of, small_hand
 from small_trainings import SMALL, parameters_of, small_training
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.guard import find_non_finite
 from jghand_engine.learn.skinning import pose_skin, seen_from
+from jghand_engine.study.stability_hands import hand_cases
 
 ANISO = replace(SMALL_MODEL, anisotropic=True)
-CASES = [
-    name for name in hard_hands() if not name.startswith("units x 1e") or name in ("units x 1e-06", "units x 1000")
-]
+CASES = [case for case in hand_cases().values() if not case.name.startswith("units")]
 
 
 def all_finite(tensors) -> bool:
@@ -33,14 +30,13 @@ def all_finite(tensors) -> bool:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("name", CASES)
-def test_a_degenerate_hand_teaches_finite_gradients(name, dtype):
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_degenerate_hand_teaches_finite_gradients(case, dtype):
     """Features, network, skin, light and gloss of a hand that has learned something; to the joints, too."""
-    handedness = Handedness.LEFT if name == "left hand" else Handedness.RIGHT
-    joints_m = hard_hands()[name].clone().to(dtype).requires_grad_(True)
-    bones = bones_of(joints_m, handedness)
+    joints_m = case.joints_m.clone().to(dtype).requires_grad_(True)
+    bones = bones_of(joints_m, case.handedness)
     hand = small_hand(replace(ANISO, gaussians=60))
-    avatar = hand.avatar(INFO, handedness=handedness)
+    avatar = hand.avatar(INFO, handedness=case.handedness)
     correction = hand.pose_net(bones.frames)
     eye_m = bones.root_m.detach() + torch.tensor([0.1, 0.2, 0.5], dtype=dtype)
     skin = pose_skin(avatar, bones, correction)
@@ -71,11 +67,13 @@ def test_joints_that_are_no_numbers_are_noticed_and_teach_nothing(monkeypatch, t
     assert [name for name, tensor in parameters_of(training).items() if not torch.equal(tensor, before[name])] == []
 
 
-@pytest.mark.parametrize("name", ["all joints coincide", "all joints on a line", "index folded back at PIP"])
+@pytest.mark.parametrize(
+    "name", ["all joints at one point", "all joints on a line", "index folded back at its middle joint"]
+)
 def test_a_step_on_a_degenerate_hand_is_finite(monkeypatch, tmp_path, name):
     camera, joints_m = camera_at(), joints_of("open")
     picture = write_rgba(tmp_path / "hand.png", discs(camera, joints_m))
-    sample = sample_of(picture, camera, hard_hands()[name].numpy())
+    sample = sample_of(picture, camera, hand_cases()[name].joints_m.numpy())
     training = small_training(monkeypatch, [sample])
     assert find_non_finite(training.step(0), training) == []
     assert all_finite(parameters_of(training).values())
