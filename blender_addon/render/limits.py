@@ -3,7 +3,8 @@
 
 Hands come into the pictures of Cycles and EEVEE by depth, and what is seen through has one depth. Panels look by
 `ui.kept`, on its timer; where no material is seen through, or nothing was edited since the last look, no object is
-asked, nor is any while Blender renders or plays.
+asked, nor is any while Blender renders or plays. Things are asked by their boxes: a hollow one may be named too often,
+but not a room with windows around both a hand and what sees or lights it.
 """
 
 from __future__ import annotations
@@ -28,8 +29,6 @@ _OPAQUE = {"Alpha": 1.0, "Transmission Weight": 0.0}
 _FAR = 1e4
 # what Blender gives as meshes beside itself
 _AS_MESHES = {"CURVE", "SURFACE", "FONT", "META"}
-# a ray that came through a face goes on behind it, by this part of its thing's size, and through so many at most
-_BEHIND, _FACES = 1e-4, 32
 # sentences name the first of them
 _NAMED = 3
 # scenes whose sentences are kept
@@ -84,20 +83,19 @@ def _between(
     from_lamps: np.ndarray,
 ) -> Iterator[str]:
     """About what is between the joints (N, 3), and what sees and lights them; kinds: of materials, by their names."""
-    panes, volumes, shades, parts = {}, {}, {}, {}
+    panes, volumes, shades = {}, {}, {}
     for thing, matrix in _things(depsgraph):
         own = _kinds_of(thing, kinds)
         if VOLUME in own and _meet(from_eye, joints, thing, matrix):
             volumes[thing.name] = None
-        if PANE in own and _are_seen_through(from_eye, joints, thing, matrix, own):
+        if PANE in own and _meet(from_eye, joints, thing, matrix, around=False):
             panes[thing.name] = None
-        if PANE in own and thing.visible_shadow and _are_seen_through(from_lamps, joints, thing, matrix, own):
-            (shades if set(own) == {PANE} else parts)[thing.name] = None
+        if PANE in own and thing.visible_shadow and _meet(from_lamps, joints, thing, matrix, around=False):
+            shades[thing.name] = None
     for names, text in (
         (panes, rpt_("{name}: no hand is seen through it; move it out of the camera's way")),
         (volumes, rpt_("{name}: a volume does not dim hands; add mist in the compositor")),
-        (shades, rpt_("{name}: seen through, but shades hands as a whole; turn off Shadow in its Ray Visibility")),
-        (parts, rpt_("{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility")),
+        (shades, rpt_("{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility")),
     ):
         if names:
             yield text.format(name=", ".join([*names][:_NAMED]) + ", …" * (len(names) > _NAMED))
@@ -197,49 +195,16 @@ def _ways_of_light(found: lamps.SceneLamps, joints: np.ndarray, unit_m: float) -
 
 
 def _meet(
-    ways: np.ndarray, joints: np.ndarray, thing: bpy.types.Object, matrix: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Those of ways from the joints, in turn, that come through the box of a thing: start and way, in its own space."""
+    ways: np.ndarray, joints: np.ndarray, thing: bpy.types.Object, matrix: np.ndarray, *, around: bool = True
+) -> bool:
+    """Whether one of the ways from the joints, in turn, comes through the box of a thing. around: or lies inside it."""
     if not len(ways) or not np.linalg.det(matrix[:3, :3]):
-        return []
+        return False
     back = np.linalg.inv(matrix)
     corners = np.array([tuple(corner) for corner in thing.bound_box])
+    box = np.stack([corners.min(0), corners.max(0)])
     starts = np.tile(joints, (len(ways) // len(joints), 1)) @ back[:3, :3].T + back[:3, 3]
     ways = ways @ back[:3, :3].T
-    near = scene_shadows.meet_box(starts, ways, np.stack([corners.min(0), corners.max(0)]))
-    return list(zip(starts[near], ways[near], strict=True))
-
-
-def _are_seen_through(
-    ways: np.ndarray, joints: np.ndarray, thing: bpy.types.Object, matrix: np.ndarray, own: list[str]
-) -> bool:
-    """Whether one of the ways comes through panes of a mesh and no other face of it, which hides what they show. own:
-    kinds of its slots."""
-    near = _meet(ways, joints, thing, matrix)
-    if not near:
-        return False
-    low, high = (np.array(thing.bound_box[corner]) for corner in (0, 6))
-    step = _BEHIND * float(np.linalg.norm(high - low))
-    faces = thing.to_mesh().polygons
-    try:
-        for start, way in near:
-            met = {own[min(faces[at].material_index, len(own) - 1)] for at in _faces(start, way, thing, step)}
-            if met == {PANE}:
-                return True
-        return False
-    finally:
-        thing.to_mesh_clear()
-
-
-def _faces(start: np.ndarray, way: np.ndarray, thing: bpy.types.Object, step: float) -> Iterator[int]:
-    """The faces of a thing along a way in its space; it goes on by a step behind each."""
-    length = float(np.linalg.norm(way))
-    along = 0.0
-    for _ in range(_FACES):
-        if along >= length:
-            return
-        is_met, place, _, face = thing.ray_cast(start + way * (along / length), way, distance=length - along)
-        if not is_met:
-            return
-        yield face
-        along = float(np.linalg.norm(np.array(place) - start)) + step
+    ends = np.stack([starts, starts + ways])
+    inside = ((ends > box[0]) & (ends < box[1])).all((0, -1))
+    return bool((scene_shadows.meet_box(starts, ways, box) & (around | ~inside)).any())
