@@ -14,8 +14,8 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.subdivision import Subdivision
 
-# of the painted hand: its Gaussians sit below the skin
-DEPTH_M = 0.0012
+# the Gaussians of the painted hand lie on its skin
+DEPTH_M = 0.0
 
 
 def noise(size: int, seed: int = 0, spread: float = 0.2) -> np.ndarray:

@@ -6,14 +6,20 @@ ratio that the texture has. What exports Gaussians leaves it out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+
+from jghand_engine.avatar.detail_mips import Mips, mips
 
 # the log ratio of the bytes 1 and 255: colors are halved or doubled
 LOG_RATIO_MAX = 0.7
 # the byte that changes nothing, and the steps from it to LOG_RATIO_MAX
 NO_RATIO, RATIO_STEPS = 128, 127
+# of the surface the part whose texels are the largest, which is not looked at: slivers of the template's texture
+LARGEST_PART = 0.01
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,31 @@ class Detail:
     def size(self) -> int:
         """S, texels along a side."""
         return self.texture.shape[0]
+
+    @cached_property
+    def mips(self) -> Mips:
+        """What is drawn, made once."""
+        return mips(self.texture, self.face_uv)
+
+    @cached_property
+    def texels_per_m(self) -> float:
+        """On the canonical skin, where there are the fewest: the root of the mean square over all directions."""
+        corners = self.position_m[self.faces].astype(np.float64)
+        sides, uv_sides = (at[:, 1:] - at[:, :1] for at in (corners, self.face_uv.astype(np.float64)))
+        metric = sides @ sides.swapaxes(1, 2)
+        area = np.sqrt(np.maximum(np.linalg.det(metric), 0))
+        good = area > 0
+        spread = np.einsum("fij,fik,fjk->f", uv_sides[good], uv_sides[good], np.linalg.inv(metric[good])) / 2
+        order = np.argsort(spread)
+        covered = np.cumsum(area[good][order])
+        first = int(np.searchsorted(covered, LARGEST_PART * covered[-1])) if len(order) else 0
+        return self.size * math.sqrt(float(spread[order][first])) if len(order) else math.inf
+
+    def strongest(self, texels_per_px: float) -> float:
+        """The largest log ratio that is left of the texture where a pixel spans so many texels, or more."""
+        most = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
+        level = math.log2(max(texels_per_px, 1.0))
+        return float(np.interp(level, np.arange(len(most)), most))
 
 
 def log_ratios(texels: np.ndarray) -> np.ndarray:

@@ -71,6 +71,13 @@ def albedo_gain(avatar: HandAvatar) -> np.ndarray:
     return np.array(MEAN_ALBEDO) / np.maximum(weight @ linear / weight.sum(), 1e-6)
 
 
+def detail_power(avatar: HandAvatar, *, in_scene: bool) -> float:
+    """Of the ratios of an avatar's detail: those of light are to be ones of display-referred colors, or the other way
+    round, where it is drawn in other light than it learned in. A power stands in for sRGB's curve."""
+    of_light = avatar.learned is not None and avatar.learned.response is not None
+    return 1.0 if of_light == in_scene else SHADE_GAIN if in_scene else LIGHT_TO_DISPLAY
+
+
 def relightable(avatar: HandAvatar) -> HandAvatar:
     """The avatar as the light of a scene lights it: as it is, if it learned in known light; else `estimated`. A painted
     hand has no skin that light falls on: it shines with its own colors, made linear."""

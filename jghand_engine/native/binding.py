@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError, RetryError
 
-ABI = 7
+ABI = 8
 
 _P, _I32 = ctypes.c_void_p, ctypes.c_int32
 
@@ -32,6 +32,9 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_shade_gradient_bytes": (_I32, ()),
     "jg_shade": (None, (_P, _P)),
     "jg_shade_backward": (None, (_P, _P, _P)),
+    "jg_detail_hand_bytes": (_I32, ()),
+    "jg_detail_task_bytes": (_I32, ()),
+    "jg_detail": (None, (_P, _P)),
     "jg_ssim_task_bytes": (_I32, ()),
     "jg_ssim": (None, (_P, _P)),
     "jg_enlarge_task_bytes": (_I32, ()),

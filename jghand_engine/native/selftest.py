@@ -17,6 +17,7 @@ from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import RetryError
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
+from jghand_engine.native.detail_task import DetailHand, DetailTask
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.mean import MeanTask, NativeMean
@@ -74,6 +75,8 @@ def check(library: Library) -> None:
         (call.jg_learned_task_bytes, LearnedTask),
         (call.jg_scene_light_task_bytes, SceneLightTask),
         (call.jg_shade_task_bytes, ShadeTask),
+        (call.jg_detail_hand_bytes, DetailHand),
+        (call.jg_detail_task_bytes, DetailTask),
         (call.jg_ssim_task_bytes, SsimTask),
         (call.jg_enlarge_task_bytes, EnlargeTask),
         (call.jg_mean_task_bytes, MeanTask),

@@ -23,6 +23,7 @@ from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRaster
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.detail import DetailedHand, NativeDetail
 from jghand_engine.render.light_effects import limits_of
 from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
 from jghand_engine.render.report import FrameReport
@@ -30,7 +31,15 @@ from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
 # names of the stages
-SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE = "skin", "light", "gloss", "raster", "shadow + compose", "compose"
+SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE, DETAIL = (
+    "skin",
+    "light",
+    "gloss",
+    "raster",
+    "shadow + compose",
+    "compose",
+    "detail",
+)
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,7 @@ class Canvas:
     alpha_min: cut-off of the blend
     depth:     whether somebody wants it
     light:     of the scene; None for that of the capture
+    detail:    strength of each hand's, 0..1; empty for none
     """
 
     camera: Camera
@@ -67,10 +77,13 @@ class Canvas:
     alpha_min: float
     depth: bool = False
     light: SceneLight | None = None
+    detail: tuple[float, ...] = ()
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
         if other is None or self.alpha_min != other.alpha_min or self.light != other.light:
+            return False
+        if self.detail != other.detail:
             return False
         mine, theirs = self.camera, other.camera
         numbers = ("width", "height", "fx", "fy", "cx", "cy", "orthographic")
@@ -93,7 +106,8 @@ class Backend:
     light:   of the scene, in which the Gaussians stand
     """
 
-    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
+    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings, detail_powers: Sequence[float]) -> None:
+        """detail_powers: per avatar, of the ratios of its detail"""
         library = native_library.load(settings.backend)
         self.variant, self.threads = library.variant, thread_count(settings.threads)
         self._library, self._settings = library, settings
@@ -109,6 +123,13 @@ class Backend:
         self._padding = rows - sum(len(avatar) for avatar in avatars)
         self._rasterizer = NativeRasterizer(library, self.threads)
         self._shade: NativeShade | None = None
+        # numbers of the hands that have one
+        self._detailed = [place for place, avatar in enumerate(avatars) if avatar.detail is not None]
+        self._detail: NativeDetail | None = None
+        if self._detailed:
+            self._detail = NativeDetail(
+                library, [DetailedHand.of(avatars[place], detail_powers[place]) for place in self._detailed]
+            )
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
         self.light: SceneLight | None = None
 
@@ -130,6 +151,9 @@ class Backend:
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
                 keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
                 hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
+            if self._detail is not None:
+                posed = [poses[place] for place in self._detailed]
+                self._detail.pose([pose.bones for pose in posed], [pose.shift_m for pose in posed])
         elif light is not None and light != self.light:
             skins = [hand for place, hand in enumerate(self._hands) if hand.prepare_light(light.on_hand(place))]
         self.light = light
@@ -137,6 +161,10 @@ class Backend:
             self._planes = self._rasterizer.prepare(
                 self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
             )
+        # an image that is kept has its own
+        detail = self._detail if canvas.detail and not keep_image else None
+        if detail is not None:
+            detail.prepare(self._planes, camera, [canvas.detail[place] for place in self._detailed])
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
@@ -146,6 +174,7 @@ class Backend:
             # an image that is kept is of the same camera
             shining=[] if keep_image else [hand for hand in self._hands if hand.prepare_gloss(canvas.camera.eye_m)],
             rasterizer=None if keep_image else self._rasterizer,
+            detail=detail,
             shade=shade,
         )
         work.run(shared_pool(self.threads))
@@ -212,21 +241,23 @@ class _Work:
         skins: Sequence[Poser],
         shining: Sequence[Poser],
         rasterizer: NativeRasterizer | None,
+        detail: NativeDetail | None,
         shade: NativeShade,
     ) -> None:
         self._skins, self._shining, self._rasterizer, self._shade = skins, shining, rasterizer, shade
-        self._times = [0.0] * 5
+        self._detail, self._times = detail, [0.0] * 6
 
     def run(self, pool: WorkerPool) -> None:
         pool.run(self._walk)
         while self._rasterizer is not None and not self._rasterizer.finished():
             # the lists of the tiles had no room: everything again, which costs least where it never happens
-            for team in (self._shade.team, *(team for hand in (*self._skins, *self._shining) for team in hand.teams)):
+            after = [self._shade.team, *([] if self._detail is None else [self._detail.team])]
+            for team in (*after, *(team for hand in (*self._skins, *self._shining) for team in hand.teams)):
                 team.fill(0)
             pool.run(self._walk)
 
     def _walk(self, thread: int) -> None:
-        times = self._times if thread == 0 else [0.0] * 5
+        times = self._times if thread == 0 else [0.0] * 6
         times[0] = time.perf_counter()
         for hand in self._skins:
             hand.run()
@@ -237,16 +268,21 @@ class _Work:
         if self._rasterizer is not None:
             self._rasterizer.run()
         times[3] = time.perf_counter()
-        self._shade.run()
+        if self._detail is not None:
+            self._detail.run()
         times[4] = time.perf_counter()
+        self._shade.run()
+        times[5] = time.perf_counter()
 
     def report_to(self, report: FrameReport, first: str, last: str) -> None:
         """Writes the stages into the report; `first` is what was done to the skins, `last` what the shade call did."""
-        skin_ms, gloss_ms, raster_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
+        skin_ms, gloss_ms, raster_ms, detail_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
         if self._skins:
             report.ran(first, skin_ms)
         if self._shining:
             report.ran(GLOSS, gloss_ms)
         if self._rasterizer is not None:
             report.ran(RASTER, raster_ms)
+        if self._detail is not None:
+            report.ran(DETAIL, detail_ms)
         report.ran(last, shade_ms)

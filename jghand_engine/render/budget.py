@@ -57,7 +57,7 @@ LOOKS_CLOSE_DB = 30.0
 # of the file
 FORMAT = 3
 APPROXIMATE = "approximate creases"
-NO_CORRECTIVES = Choice(frozenset(CHOOSABLE) - {Effect.CORRECTIVES})
+NO_CORRECTIVES, NO_DETAIL = (Choice(frozenset(CHOOSABLE) - {one}) for one in (Effect.CORRECTIVES, Effect.DETAIL))
 
 Row = TypeVar("Row")
 
@@ -109,6 +109,8 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
     if avatar.learned is not None and avatar.learned.correctives is not None:
         found["viewport, no correctives"] = replace(viewport, effects=NO_CORRECTIVES)
         found["draft, no correctives"] = replace(draft, effects=NO_CORRECTIVES)
+    if avatar.detail is not None:
+        found["viewport, no detail"] = replace(viewport, effects=NO_DETAIL)
     if size_px[0] * size_px[1] >= HALF_PIXELS_MIN:
         found["viewport, half size"] = replace(viewport, half=True)
         found["draft, half size"] = replace(draft, half=True)
@@ -182,6 +184,7 @@ def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
     seen = {
         "resolution": "soft everywhere" if settings.half else "",
         "correctives": "" if settings.effects.allows(Effect.CORRECTIVES) else "flat creases and knuckles",
+        "detail": "" if settings.effects.allows(Effect.DETAIL) else "smooth skin",
         "Gaussians": "soft fingertips" if (settings.gaussians or total) < total else "",
         "shadow": "no shadow between the fingers" if settings.shadow is ShadowMode.OFF else "",
         "blend": "thin edges" if settings.alpha_min > contract.ALPHA_MIN else "",
@@ -236,7 +239,8 @@ def profile_file(avatar: HandAvatar) -> Path:
     machine = [processor(), platform.machine(), os.cpu_count(), library.variant, repr(read_stamp(library.path))]
     learned = None if avatar.learned is None else LearnedAbout.of(avatar.learned).as_dict()
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine, learned]).encode())
-    for array in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb):
+    detail = () if avatar.detail is None else (avatar.detail.texture,)
+    for array in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, *detail):
         digest.update(array.tobytes())
     return cache_folder() / f"profile_{digest.hexdigest()[:24]}.json"
 

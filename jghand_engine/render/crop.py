@@ -38,10 +38,11 @@ class HandFacts:
     keeps_correctives: whether it is worth while to use those of the last pose again
     sigma_m:           of its median Gaussian
     corrective_change: bounds how far its correctives differ between two poses
+    detail_power:      of the ratios of its detail in the light that it is drawn in
     """
 
-    def __init__(self, avatar: HandAvatar) -> None:
-        self.avatar, self.learned = avatar, avatar.learned
+    def __init__(self, avatar: HandAvatar, detail_power: float = 1.0) -> None:
+        self.avatar, self.learned, self.detail_power = avatar, avatar.learned, detail_power
         self.joints_m = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
         self.gate = ShadowGate(avatar.canonical_joints_m)
         self.look = ShadowLook() if self.learned is None else self.learned.shadow

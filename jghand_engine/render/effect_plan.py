@@ -17,6 +17,7 @@ class Effect(StrEnum):
     SKIN = "skin"
     CORRECTIVES = "correctives"
     CAST = "cast-shadow"
+    DETAIL = "detail"
     FILTER = "filter"
     SHADOW = "self-shadow"
     MOTION = "motion-blur"
@@ -131,6 +132,7 @@ class EffectPlan:
     enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not
     plain:     share, 0..1, of the image that is not
     exposures: images that are averaged for motion and focus
+    detail:    strength of each hand's detail, 0..1; empty where none is drawn
     """
 
     decisions: tuple[Decision, ...]
@@ -139,6 +141,7 @@ class EffectPlan:
     enlarged: int = 1
     plain: float = 1.0
     exposures: int = 1
+    detail: tuple[float, ...] = ()
 
     def __getitem__(self, effect: Effect) -> Decision:
         return next(decision for decision in self.decisions if decision.effect is effect)

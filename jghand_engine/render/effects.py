@@ -50,9 +50,15 @@ CROP_SHADOW = 0.015
 # what a shadow would darken at most where its gate is closed or the hand too small for it (painted hand, worst seen
 # 0.27, 3 cm from the skin)
 SHADOW_MISSED = 0.35
+# detail that changes no color, of 1 at most, by more is left out: half an 8-bit step. From twice that on it is whole
+DETAIL_UNSEEN = 0.5 / 255
 # estimated cost on one core, milliseconds per Gaussian, per pixel, and per pixel and sample of the shadow
 SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1.3e-4
 MAP_MS, SHADOW_MS = 1e-6, 3e-7
+# ... of detail, per face and per pixel
+FACE_MS, TEXEL_MS = 1e-4, 2e-5
+# skin is nearer to a camera than the nearest joint by this much, at most, meters on the canonical hand
+SKIN_BEFORE_JOINTS_M = 0.02
 
 
 def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
@@ -66,7 +72,7 @@ def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     if learned is not None and learned.response is not None and not allows(Effect.GLOSS):
         matt = replace(learned.response, reflectance=np.zeros_like(learned.response.reflectance))
         learned = replace(learned, response=matt)
-    return replace(avatar, learned=learned)
+    return replace(avatar, learned=learned, detail=avatar.detail if allows(Effect.DETAIL) else None)
 
 
 # ---- reuse ----------------------------------------------------------------------------------------------------------
@@ -170,8 +176,9 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
-    decisions = (*_reuse(scene, hands, settings), smooth, *light, *blur, crop)
-    return EffectPlan(decisions, box, strength, enlarged, plain, exposures)
+    detail, seen = plan_detail(scene, hands, settings)
+    decisions = (*_reuse(scene, hands, settings), seen, smooth, *light, *blur, crop)
+    return EffectPlan(decisions, box, strength, enlarged, plain, exposures, detail)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:
@@ -232,6 +239,37 @@ def _filter(
     plain, worst = (max(part, 0.0), 1.0) if enlarged > 1 else (1.0, None)
     lost = "hands swell by up to 2 px"
     return enlarged, plain, Decision(Effect.FILTER, enlarged > 1, why, lost, worst, cost, (*figures, enlarged))
+
+
+def plan_detail(
+    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings
+) -> tuple[tuple[float, ...], Decision]:
+    """Strength of each hand's detail, 0..1, and why: a pixel that covers much skin sees a mean of its texture, of which
+    nothing may be left."""
+    effects = settings.effects
+    if not effects.allows(Effect.DETAIL):
+        return (), Decision(Effect.DETAIL, False, NOT_CHOSEN, "smooth skin", None)
+    if all(hand.avatar.detail is None for hand in hands):
+        return (), Decision(Effect.DETAIL, False, "no hand has a texture of it")
+    seen, spans, cost = [], [], 0.0
+    for hand, bones, (pixels, depth) in zip(hands, scene.bones, scene.seen_joints, strict=True):
+        detail, nearest_m = hand.avatar.detail, float(depth.min())
+        if detail is None:
+            seen.append(0.0)
+            continue
+        # skin may be nearer than its joints; from within the hand it is seen at any size
+        nearest_m = nearest_m - SKIN_BEFORE_JOINTS_M * bones.scale
+        size = bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
+        spans.append(detail.texels_per_m / max(size, 1e-9))
+        seen.append(math.expm1(hand.detail_power * detail.strongest(spans[-1])))
+        extent = min(extent_px(pixels, depth, scene.camera), scene.camera.width, scene.camera.height)
+        cost += len(detail.faces) * FACE_MS + 0.5 * extent**2 * TEXEL_MS
+    strengths = tuple(1.0 if effects.forces(Effect.DETAIL) else min(max(s / DETAIL_UNSEEN - 1, 0.0), 1.0) for s in seen)
+    worst, figures = max(seen), (min(spans), 100 * max(seen))
+    if not any(strengths):
+        return (), Decision(Effect.DETAIL, False, "a pixel covers {0:.0f} texels", "{1:.2g} %", worst, cost, figures)
+    why = "a pixel covers {0:.2g} texels" if figures[0] >= 1 else "a texel is larger than a pixel"
+    return strengths, Decision(Effect.DETAIL, True, why, "{1:.2g} %", min(worst, 1.0), cost, figures)
 
 
 def _crop(scene: Scene, settings: RenderSettings, box: Box, shaded: bool) -> Decision:

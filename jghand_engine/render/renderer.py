@@ -17,7 +17,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar, bone_numbers, check_follows_joints
 from jghand_engine.avatar.pose_range import outside, trained_range
-from jghand_engine.avatar.relighting import in_studio, relightable
+from jghand_engine.avatar.relighting import detail_power, in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import displayed
@@ -106,6 +106,7 @@ class SceneRenderer:
             raise InputError("hands of an image", wanted="at least one avatar", came="none")
         for avatar in avatars:
             check_follows_joints(avatar)
+        powers = [detail_power(avatar, in_scene=light is not None) for avatar in avatars]
         if light is not None:
             avatars = [relightable(avatar) for avatar in avatars]
             # what fingers hide of lamps and world is found for each of them
@@ -116,7 +117,7 @@ class SceneRenderer:
         chosen = [_with_tier(avatar, self.settings.correctives) for avatar in allowed]
         self._avatars = [avatar for avatar, _ in chosen]
         self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
-        self._facts = [HandFacts(avatar) for avatar in self._avatars]
+        self._facts = [HandFacts(avatar, power) for avatar, power in zip(self._avatars, powers, strict=True)]
         self._transforms = [
             Skeleton(
                 avatar.canonical_joints_m,
@@ -129,7 +130,7 @@ class SceneRenderer:
         ]
         self._ranges = [trained_range(avatar.info) for avatar in self._avatars]
         self._looks = [facts.look for facts in self._facts if facts.look is not None]
-        self._backend = Backend(self._avatars, self.settings)
+        self._backend = Backend(self._avatars, self.settings, powers)
         self._posed: _Posed | None = None
         self._empty = False  # whether the last image shows no hand, and the backend still has the pose before it
         self._drawn: Canvas | None = None  # what the backend's image shows
@@ -375,6 +376,7 @@ class SceneRenderer:
         # normals are those of the depth
         depth = settings.depth or settings.normals
         canvas = self._canvas(shot.posed, camera, plan.strength, settings.alpha_min, depth=depth)
+        canvas = replace(canvas, detail=plan.detail)
         poses = None if shot.moved_m is not None else shot.posed.poses
         keeps = poses is None and not settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # an image that fails half way may leave the backend with half of these Gaussians: then the next one poses anew

@@ -9,7 +9,12 @@ from typing import Any
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 
 # effects that are stages of their own; the others are parts of stages
-STAGE_OF_EFFECT = {Effect.SKIN: "skin", Effect.SHADOW: "shadow + compose", Effect.GLOSS: "gloss"}
+STAGE_OF_EFFECT = {
+    Effect.SKIN: "skin",
+    Effect.DETAIL: "detail",
+    Effect.SHADOW: "shadow + compose",
+    Effect.GLOSS: "gloss",
+}
 
 
 @dataclass

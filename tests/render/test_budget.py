@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from detail_samples import detailed, flat
 from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
@@ -101,6 +102,13 @@ def test_candidates_hold_the_presets_and_name_each_setting_once():
     bare = found["draft, no correctives"]
     assert not bare.effects.allows(Effect.CORRECTIVES)
     assert "draft, no correctives" not in candidates(small_avatar(100), (512, 334))
+
+
+def test_detail_can_be_shed():
+    found = candidates(detailed(flat(4, 0.5)), (512, 334))
+    assert not found["viewport, no detail"].effects.allows(Effect.DETAIL)
+    assert left_out(found["viewport, no detail"], 100)["detail"] == "smooth skin"
+    assert "viewport, no detail" not in candidates(small_avatar(100), (512, 334))
     assert not any(settings.half for settings in found.values())
     assert "viewport, no shadow" in found
     assert any(settings.half for settings in candidates(small_avatar(100), (1920, 1080)).values())

@@ -1,0 +1,106 @@
+"""Mip levels of a texture of detail: log ratios averaged over the skin alone.
+
+The islands of the skin cover a third of the square. On every level the texels beside one take the mean of their
+neighbors on it: a look-up at a seam meets nothing but skin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine.native.detail_task import TEXEL_ZERO, packed_texels
+
+# steps of a packed texel per step of a byte: finer, because means lie between bytes
+STEPS_PER_BYTE = 4
+# texels around an island that a look-up may meet: one that the island touches, without its center, and its neighbor
+RINGS = 2
+# texels that are tested together, at most: what that takes of memory
+CELLS_MAX = 4_000_000
+
+
+@dataclass(frozen=True)
+class Mips:
+    """texels: uint32, all levels, the finest first, row by row, see `packed_texels`
+    start:  (levels,) int32 where each begins
+    most:   (levels,) the largest step away from the ratio 1 on the skin, of a byte
+    """
+
+    texels: np.ndarray
+    start: np.ndarray
+    most: np.ndarray
+
+
+def mips(texture: np.ndarray, face_uv: np.ndarray) -> Mips:
+    """texture (S, S, 3) bytes whose 128 is the ratio 1, S a power of two; face_uv (F, 3, 2)."""
+    skin = skin_texels(face_uv, len(texture))
+    value = np.where(skin[..., None], texture.astype(np.float32) - 128, np.float32(0))
+    weight, steps, most = skin.astype(np.float32), [], []
+    while True:
+        mean = value / np.maximum(weight, 1)[..., None]
+        most.append(float(np.abs(mean).max()))
+        for _ in range(RINGS):
+            skin = _with_ring(mean, skin)
+        steps.append(np.rint(STEPS_PER_BYTE * mean).astype(np.int32).reshape(-1, 3))
+        if len(mean) == 1:
+            break
+        # sums: each texel counts as much as there is skin in it
+        value, weight = _halved(value), _halved(weight)
+        skin = weight > 0
+    start = np.cumsum([0, *(len(level) for level in steps[:-1])]).astype(np.int32)
+    limit = TEXEL_ZERO - 1
+    return Mips(packed_texels(np.concatenate(steps).clip(-limit, limit)), start, np.array(most))
+
+
+def _halved(values: np.ndarray) -> np.ndarray:
+    """Sums of squares of four texels."""
+    rows = values[::2] + values[1::2]
+    return rows[:, ::2] + rows[:, 1::2]
+
+
+def _with_ring(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Gives texels beside those that are known the mean of these, in place; which are known then."""
+    padded, size = np.pad(known, 1), len(known)
+    rows = padded[:-2] | padded[1:-1] | padded[2:]
+    wider = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+    row, column = np.nonzero(wider & ~known)
+    total, count = np.zeros((len(row), 3), np.float32), np.zeros((len(row), 1), np.float32)
+    for y in (-1, 0, 1):
+        for x in (-1, 0, 1):
+            there = padded[1 + row + y, 1 + column + x, None]
+            total += values[(row + y).clip(0, size - 1), (column + x).clip(0, size - 1)] * there
+            count += there
+    values[row, column] = total / count
+    return wider
+
+
+def skin_texels(face_uv: np.ndarray, size: int) -> np.ndarray:
+    """(size, size) bool: which texels have their center in a face of (F, 3, 2); the row is 1 - v."""
+    corners = np.stack([face_uv[..., 0], 1 - face_uv[..., 1]], -1).astype(np.float32) * size
+    first = np.floor(corners.min(1) - 0.5).astype(np.int32).clip(0, size - 1)
+    last = np.ceil(corners.max(1) - 0.5).astype(np.int32).clip(0, size - 1)
+    # faces of like size together
+    side = 1 << np.ceil(np.log2((last - first + 1).max(1))).astype(np.int32)
+    first = np.minimum(first, size - side[:, None])
+    skin = np.zeros((size, size), bool)
+    for cells in np.unique(side):
+        of_size = np.nonzero(side == cells)[0]
+        for some in np.array_split(of_size, -(-len(of_size) * cells**2 // CELLS_MAX)):
+            _cover(skin, corners[some], first[some], int(cells))
+    return skin
+
+
+def _cover(skin: np.ndarray, corners: np.ndarray, first: np.ndarray, cells: int) -> None:
+    """Marks what faces (F, 3, 2), texels, cover of squares of so many cells from `first` (F, 2) on, in place."""
+    grid = np.arange(cells, dtype=np.int32)
+    column, row = first[:, :1] + grid, first[:, 1:] + grid
+    x, y = column + np.float32(0.5), row + np.float32(0.5)
+    sides = corners[:, [1, 2, 0]] - corners
+    turn = np.sign(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])[:, None]
+    inside = np.broadcast_to(turn[..., None] != 0, (len(corners), cells, cells)).copy()
+    for k in range(3):
+        (x0, y0), (dx, dy) = corners[:, k].T[..., None], turn * sides[:, k].T[..., None]
+        inside &= (dx * (y - y0))[:, :, None] >= (dy * (x - x0))[:, None, :]
+    place = row[:, :, None] * len(skin) + column[:, None, :]
+    skin.reshape(-1)[place[inside]] = True

@@ -1,0 +1,320 @@
+// Detail: a textured surface that follows the bones, found at each pixel, multiplies the colors of drawn Gaussians.
+//
+//   skin     vertices of all hands to pixels
+//   set up   per face the planes of what is interpolated, and what it may touch; groups of sixteen neighbors
+//   shade    per tile: the nearest face of each pixel, then the texture there
+//
+// What is nearer is a larger `near`, 1/z or, of parallel rays, -z: it is linear on the image, and so are the texture's
+// coordinates times it (of parallel rays: by themselves).
+#include "export.h"
+#include "projection.h"
+#include "shadow.h"
+#include "skin.h"
+#include "team.h"
+
+namespace jg {
+
+// Of one hand. Mirrored field by field in native/detail_task.py.
+struct DetailHand {
+  const SkinTask* skin;      // of the vertices: rest, bones, weights, linear_offset, shift
+  float* vertex;             // (3, 16 blocks): x, y px, near
+  const int32_t* corner;     // (groups, 3, 16): rows of vertices
+  const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
+  float* planes;             // (groups, FACE_ROWS, 16)
+  int32_t* bounds;           // (groups, 4, 16): pixels x0, x1, y0, y1 of each face, both ends included; x0 > x1: none
+  int32_t* box;              // (4, groups up to 16): the same of a group
+  const uint32_t* texels;    // every level, row by row: three channels of ten bits, 512 changes nothing
+  const int32_t* level_start;
+  int32_t levels, groups;
+  float facing;              // sign of the area on the image of a face seen from outside
+  float depth;               // m, of the Gaussians below the surface, times the hand's scale
+  float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
+  float exponent;            // log2 of a ratio per step of a texel, with all that weakens it; 0: not drawn
+};
+
+// Mirrored field by field in native/detail_task.py.
+struct DetailTask {
+  const DetailHand* hands;
+  float* picture;  // (5, H, W) premultiplied R G B, alpha, sum of weight * z
+  double camera_from_position[12];
+  float fx, fy, cx, cy, z_near;
+  float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
+  int32_t hand_count, width, height, orthographic;
+};
+
+namespace {
+
+constexpr int PARTS = 32;            // items per hand of the steps over vertices and faces
+constexpr int TILE_X = 64, TILE_Y = 32;
+constexpr float EDGE_PX = 1.f / 512;  // faces reach so much farther: no gaps between neighbors
+constexpr float AREA_MIN_PX2 = 1e-9f;
+constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
+constexpr int TEXEL_ZERO = 512, TEXEL_BITS = 10;
+
+// rows of a face: its first corner; corners' shares 1 and 2 by x and y; the constants of all three; planes of near and
+// of the texture's column and row, each at the corner, by x, by y
+enum { X, Y, S1X, S1Y, S2X, S2Y, S0, S1, S2, NEAR, NEAR_X, NEAR_Y, U, U_X, U_Y, V, V_X, V_Y, FACE_ROWS };
+
+JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
+JG_INLINE vi least(vi a, vi b) { return a < b ? a : b; }
+JG_INLINE vi most(vi a, vi b) { return a > b ? a : b; }
+
+void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
+  const SkinTask& s = *hand.skin;
+  vf m[MAP_ENTRIES], p[3];
+  blend(s, block, m);
+  posed_center(s, block, m, p);
+  for (int i = 0; i < 3; i++) p[i] += s.shift[i];
+  const vf z = to_camera(t.camera_from_position + 8, p[0], p[1], p[2]);
+  const vf iz = t.orthographic ? all(1.f) : 1.f / z;
+  const vf x = to_camera(t.camera_from_position, p[0], p[1], p[2]) * iz * t.fx + t.cx;
+  const vf y = to_camera(t.camera_from_position + 4, p[0], p[1], p[2]) * iz * t.fy + t.cy;
+  const int64_t rows = LANES * (int64_t)s.blocks, row = LANES * (int64_t)block;
+  // a face with a corner that is no number is not drawn
+  store(hand.vertex + row, select(z > t.z_near, x, all(__builtin_nanf(""))));
+  store(hand.vertex + rows + row, y);
+  store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
+}
+
+// Pixels whose centers lie from `low` to `high`, as far as the image reaches.
+JG_INLINE void centers(vf low, vf high, int32_t size, vi& first, vi& last) {
+  const vf limit = all((float)size);
+  first = -floor_to_int(-min(max(low - 0.5f - EDGE_PX, vf{}), limit));
+  last = floor_to_int(min(max(high - 0.5f + EDGE_PX, all(-1.f)), limit - 1.f));
+}
+
+struct Plane {
+  vf x, y;
+};
+// How what is a at the first corner and da more at the others changes along the image.
+JG_INLINE Plane slope(vf da1, vf da2, const vf face[FACE_ROWS]) {
+  return {da1 * face[S1X] + da2 * face[S2X], da1 * face[S1Y] + da2 * face[S2Y]};
+}
+
+void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
+  const int64_t rows = LANES * (int64_t)hand.skin->blocks;
+  const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
+  vf x[3], y[3], near[3];
+  for (int k = 0; k < 3; k++) {
+    vi row;
+    memcpy(&row, hand.corner + (3 * (int64_t)group + k) * LANES, sizeof row);
+    x[k] = gather(hand.vertex, row), y[k] = gather(hand.vertex + rows, row), near[k] = gather(hand.vertex + 2 * rows, row);
+  }
+  const vf x1 = x[1] - x[0], y1 = y[1] - y[0], x2 = x[2] - x[0], y2 = y[2] - y[0], area = x1 * y2 - x2 * y1;
+  vi first_x, last_x, first_y, last_y;
+  centers(min(min(x[0], x[1]), x[2]), max(max(x[0], x[1]), x[2]), t.width, first_x, last_x);
+  centers(min(min(y[0], y[1]), y[2]), max(max(y[0], y[1]), y[2]), t.height, first_y, last_y);
+  const vi seen = (area * hand.facing > AREA_MIN_PX2) & (first_x <= last_x) & (first_y <= last_y);
+  const vi nowhere = all((int32_t)INT32_MAX);
+  first_x = seen ? first_x : nowhere, last_x = seen ? last_x : all(-1);
+  first_y = seen ? first_y : nowhere, last_y = seen ? last_y : all(-1);
+  int32_t* bounds = hand.bounds + 4 * LANES * (int64_t)group;
+  store(bounds, first_x), store(bounds + LANES, last_x), store(bounds + 2 * LANES, first_y);
+  store(bounds + 3 * LANES, last_y);
+  int32_t box[4] = {INT32_MAX, -1, INT32_MAX, -1};
+  for (int i = 0; i < LANES; i++) {
+    if (bounds[i] < box[0]) box[0] = bounds[i];
+    if (bounds[LANES + i] > box[1]) box[1] = bounds[LANES + i];
+    if (bounds[2 * LANES + i] < box[2]) box[2] = bounds[2 * LANES + i];
+    if (bounds[3 * LANES + i] > box[3]) box[3] = bounds[3 * LANES + i];
+  }
+  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
+  for (int k = 0; k < 4; k++) hand.box[k * stride + group] = box[k];
+  if (box[1] < 0) return;
+  vf face[FACE_ROWS];
+  const vf inverse = 1.f / select(seen, area, all(1.f));
+  face[X] = x[0], face[Y] = y[0];
+  face[S1X] = y2 * inverse, face[S1Y] = -x2 * inverse, face[S2X] = -y1 * inverse, face[S2Y] = x1 * inverse;
+  const vf s0x = face[S1X] + face[S2X], s0y = face[S1Y] + face[S2Y];
+  face[S0] = 1.f + EDGE_PX * sqrt(s0x * s0x + s0y * s0y);
+  face[S1] = EDGE_PX * sqrt(face[S1X] * face[S1X] + face[S1Y] * face[S1Y]);
+  face[S2] = EDGE_PX * sqrt(face[S2X] * face[S2X] + face[S2Y] * face[S2Y]);
+  const Plane d = slope(near[1] - near[0], near[2] - near[0], face);
+  face[NEAR] = near[0], face[NEAR_X] = d.x, face[NEAR_Y] = d.y;
+  for (int k = 0; k < 2; k++) {
+    vf w[3];
+    for (int i = 0; i < 3; i++) w[i] = load(uv + LANES * (2 * i + k)) * (t.orthographic ? all(1.f) : near[i]);
+    const Plane e = slope(w[1] - w[0], w[2] - w[0], face);
+    face[U + 3 * k] = w[0], face[U_X + 3 * k] = e.x, face[U_Y + 3 * k] = e.y;
+  }
+  float* out = hand.planes + FACE_ROWS * LANES * (int64_t)group;
+  for (int k = 0; k < FACE_ROWS; k++) store(out + LANES * k, face[k]);
+}
+
+// The nearest face of each pixel of a part of the image.
+struct Surface {
+  alignas(64) float near[TILE_Y][TILE_X];
+  alignas(64) int32_t face[TILE_Y][TILE_X];  // its number and its hand's; -1: none
+  int32_t x, y;
+};
+
+const vf LANE = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+
+// Puts what a face covers of the tile where nothing is nearer.
+JG_INLINE void cover_face(Surface& tile, const float* f, int32_t number, int32_t x0, int32_t x1, int32_t y0, int32_t y1) {
+  const auto at = [f](int row) __attribute__((always_inline)) { return f[LANES * row]; };
+  const float s1x = at(S1X), s1y = at(S1Y), s2x = at(S2X), s2y = at(S2Y), near_x = at(NEAR_X), near_y = at(NEAR_Y);
+  for (int32_t x = x0 / LANES * LANES; x <= x1; x += LANES) {
+    const vf dx = LANE + ((float)(tile.x + x) + 0.5f - at(X));
+    const vf share1 = dx * s1x + at(S1), share2 = dx * s2x + at(S2), near = dx * near_x + at(NEAR);
+    const vf share0 = at(S0) - dx * (s1x + s2x);
+    for (int32_t y = y0; y <= y1; y++) {
+      const float dy = (float)(tile.y + y) + 0.5f - at(Y);
+      const vf inside = min(min(share1 + dy * s1y, share2 + dy * s2y), share0 - dy * (s1y + s2y)), n = near + dy * near_y;
+      const vf before = load(&tile.near[y][x]);
+      const vi closer = (inside >= 0) & (n > before);
+      if (!bit_mask(closer)) continue;
+      vi face;
+      memcpy(&face, &tile.face[y][x], sizeof face);
+      store(&tile.near[y][x], select(closer, n, before));
+      store(&tile.face[y][x], closer ? all(number) : face);
+    }
+  }
+}
+
+// Whether anything of a hand is in the tile.
+bool cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
+  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
+  const int32_t right = tile.x + TILE_X - 1, bottom = tile.y + TILE_Y - 1;
+  const auto touching = [&](const int32_t* p, int64_t step) __attribute__((always_inline)) {
+    vi x0, x1, y0, y1;
+    memcpy(&x0, p, sizeof x0), memcpy(&x1, p + step, sizeof x1);
+    memcpy(&y0, p + 2 * step, sizeof y0), memcpy(&y1, p + 3 * step, sizeof y1);
+    return bit_mask((x0 <= right) & (x1 >= tile.x) & (y0 <= bottom) & (y1 >= tile.y));
+  };
+  bool any = false;
+  for (int32_t sixteen = 0; sixteen < hand.groups; sixteen += LANES) {
+    for (uint32_t groups = touching(hand.box + sixteen, stride); groups; groups &= groups - 1) {
+      const int32_t group = sixteen + __builtin_ctz(groups);
+      const int32_t* bounds = hand.bounds + 4 * LANES * (int64_t)group;
+      for (uint32_t faces = touching(bounds, LANES); faces; faces &= faces - 1, any = true) {
+        const int i = __builtin_ctz(faces);
+        const int32_t x0 = bounds[i] - tile.x, x1 = bounds[LANES + i] - tile.x;
+        const int32_t y0 = bounds[2 * LANES + i] - tile.y, y1 = bounds[3 * LANES + i] - tile.y;
+        cover_face(tile, hand.planes + FACE_ROWS * LANES * (int64_t)group + i, number << FACE_BITS | (LANES * group + i),
+                   x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0, y1 < TILE_Y ? y1 : TILE_Y - 1);
+      }
+    }
+  }
+  return any;
+}
+
+struct Color {
+  vf r, g, b;
+};
+
+// A level of the texture at (u, v), bilinear, in steps of a texel.
+JG_INLINE Color look_up(const DetailHand& hand, vi level, vf u, vf v) {
+  const vi size = all(1 << (hand.levels - 1)) >> level, last = size - 1, start = gather_bits(hand.level_start, level);
+  const vf limit = to_float(size);
+  // in floats first: coordinates of pixels that another hand covers may be no numbers
+  const vf x = min(max(u * limit - 0.5f, all(-1.f)), limit), y = min(max(v * limit - 0.5f, all(-1.f)), limit);
+  const vi x0 = floor_to_int(x), y0 = floor_to_int(y);
+  const vf fx = x - to_float(x0), fy = y - to_float(y0);
+  const vi left = most(x0, vi{}), right = least(x0 + 1, last);
+  const vi top = start + most(y0, vi{}) * size, bottom = start + least(y0 + 1, last) * size;
+  Color out = {};
+  const auto add = [&](vi index, vf weight) __attribute__((always_inline)) {
+    const vi texel = gather_bits(hand.texels, index), mask = all((1 << TEXEL_BITS) - 1);
+    out.r += weight * to_float((texel & mask) - TEXEL_ZERO);
+    out.g += weight * to_float(((texel >> TEXEL_BITS) & mask) - TEXEL_ZERO);
+    out.b += weight * to_float(((texel >> (2 * TEXEL_BITS)) & mask) - TEXEL_ZERO);
+  };
+  const vf wx = 1.f - fx, wy = 1.f - fy;
+  add(top + least(left, last), wx * wy), add(top + right, fx * wy);
+  add(bottom + least(left, last), wx * fy), add(bottom + right, fx * fy);
+  return out;
+}
+
+// 1 from `full` on, 0 up to `none`, smooth between.
+JG_INLINE vf smooth(vf x, float none, float full) {
+  const vf s = min(max((x - none) * (1.f / (full - none)), vf{}), all(1.f));
+  return s * s * (3.f - 2.f * s);
+}
+
+// What the colors of sixteen pixels of a row are multiplied by, where the face of `mine` is the nearest.
+JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi mine, vf x, float y, vf alpha, vf depth) {
+  const vi place = mine ? face & all((1 << FACE_BITS) - 1) : vi{};
+  const vi base = (place >> 4) * (FACE_ROWS * LANES) + (place & all(LANES - 1));
+  const auto of = [&](int row) __attribute__((always_inline)) { return gather(hand.planes + LANES * row, base); };
+  const vf dx = x - of(X), dy = y - of(Y), near_x = of(NEAR_X), near_y = of(NEAR_Y);
+  const vf near = of(NEAR) + dx * near_x + dy * near_y, z = t.orthographic ? -near : 1.f / near;
+  const vf over = t.orthographic ? all(1.f) : z;
+  const vf u_x = of(U_X), u_y = of(U_Y), v_x = of(V_X), v_y = of(V_Y);
+  const vf u = (of(U) + dx * u_x + dy * u_y) * over, v = (of(V) + dx * v_x + dy * v_y) * over;
+  // how many texels a pixel spans: the mean square of its two sides
+  const vf turn = t.orthographic ? vf{} : all(1.f), nu = u * turn, nv = v * turn;
+  const vf ux = u_x - nu * near_x, uy = u_y - nu * near_y, vx = v_x - nv * near_x, vy = v_y - nv * near_y;
+  const float size = (float)(1 << (hand.levels - 1));
+  const vf spans2 = (ux * ux + uy * uy + vx * vx + vy * vy) * over * over * (0.5f * size * size);
+  const vf level = min(max(0.5f * log2(spans2), vf{}), all((float)(hand.levels - 1)));
+  const vi fine = floor_to_int(level), coarse = least(fine + 1, all(hand.levels - 1));
+  const vf part = level - to_float(fine);
+  Color texel = look_up(hand, fine, u, v);
+  if (bit_mask(mine & (part > 0))) {
+    const Color other = look_up(hand, coarse, u, v);
+    texel.r += part * (other.r - texel.r), texel.g += part * (other.g - texel.g), texel.b += part * (other.b - texel.b);
+  }
+  const vf apart = abs(depth - z - hand.depth);
+  vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * (1.f - smooth(apart, hand.fade_from, hand.fade_to));
+  weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.exponent;
+  return {exp2(weight * texel.r), exp2(weight * texel.g), exp2(weight * texel.b)};
+}
+
+void shade_row(const DetailTask& t, const Surface& tile, int32_t row) {
+  const int64_t pixels = (int64_t)t.width * t.height;
+  for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
+    vi face;
+    memcpy(&face, &tile.face[row][x], sizeof face);
+    if (!bit_mask(face >= 0)) continue;
+    const int32_t left = tile.x + x, n = t.width - left;
+    float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
+    const vf alpha = load_first(p + 3 * pixels, n), covered = max(alpha, all(t.alpha_from));
+    const vf depth = load_first(p + 4 * pixels, n) / covered;
+    if (!bit_mask((face >= 0) & (alpha > t.alpha_from))) continue;
+    vf r = load_first(p, n), g = load_first(p + pixels, n), b = load_first(p + 2 * pixels, n);
+    for (int32_t hand = 0; hand < t.hand_count; hand++) {
+      const vi mine = face >> FACE_BITS == all(hand);
+      if (t.hands[hand].exponent == 0 || !bit_mask(mine)) continue;
+      const float y = (float)(tile.y + row) + 0.5f;
+      const Color ratio = ratios(t, t.hands[hand], face, mine, LANE + ((float)left + 0.5f), y, alpha, depth);
+      r *= ratio.r, g *= ratio.g, b *= ratio.b;
+    }
+    store_first(p, r, n), store_first(p + pixels, g, n), store_first(p + 2 * pixels, b, n);
+  }
+}
+
+void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
+  Surface tile;
+  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y;
+  const vf nothing = all(-3.0e38f);
+  const vi no_face = all(-1);
+  for (int y = 0; y < TILE_Y; y++)
+    for (int x = 0; x < TILE_X; x += LANES) store(&tile.near[y][x], nothing), store(&tile.face[y][x], no_face);
+  bool any = false;
+  // one that is not drawn hides others all the same
+  for (int32_t hand = 0; hand < t.hand_count; hand++) any |= cover_hand(tile, t.hands[hand], hand);
+  for (int32_t y = 0; any && y < TILE_Y && tile.y + y < t.height; y++) shade_row(t, tile, y);
+}
+
+}  // namespace
+}  // namespace jg
+
+JG_API int32_t jg_detail_hand_bytes() { return sizeof(jg::DetailHand); }
+JG_API int32_t jg_detail_task_bytes() { return sizeof(jg::DetailTask); }
+
+// Multiplies the colors of a drawn picture by detail, together with the other threads of the team.
+JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
+  const jg::DetailTask t = *task;
+  const auto parts = [&](int step, auto count, auto work) {
+    jg::share(*team, step, t.hand_count * jg::PARTS, [&](int32_t item) {
+      const jg::DetailHand& hand = t.hands[item / jg::PARTS];
+      const jg::Range range = jg::part_of(count(hand), item % jg::PARTS, jg::PARTS);
+      for (int64_t i = range.begin; i < range.end; i++) work(t, hand, (int32_t)i);
+    });
+  };
+  parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.skin->blocks; }, jg::skin_vertices);
+  parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.groups; }, jg::set_up_group);
+  const int32_t tiles_x = (t.width + jg::TILE_X - 1) / jg::TILE_X, tiles_y = (t.height + jg::TILE_Y - 1) / jg::TILE_Y;
+  jg::share(*team, 2, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
+}

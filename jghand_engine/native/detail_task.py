@@ -1,0 +1,44 @@
+"""What the call for detail takes: mirrors of the structures in native/detail.cpp, and how its texels are written."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+_I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
+
+# floats that the kernel keeps of a face
+FACE_ROWS = 18
+# faces that it numbers of a hand
+FACES_MAX = 1 << 20
+# a texel is three channels of so many bits in 32; the middle one is the ratio 1
+TEXEL_BITS, TEXEL_ZERO = 10, 512
+
+
+class DetailHand(ctypes.Structure):
+    """DetailHand of native/detail.cpp, field by field."""
+
+    _fields_ = (
+        *((name, _P) for name in ("skin", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
+        ("level_start", _P),
+        *((name, _I32) for name in ("levels", "groups")),
+        *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "exponent")),
+    )
+
+
+class DetailTask(ctypes.Structure):
+    """DetailTask of native/detail.cpp, field by field."""
+
+    _fields_ = (
+        *((name, _P) for name in ("hands", "picture")),
+        ("camera_from_position", ctypes.c_double * 12),
+        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to")),
+        *((name, _I32) for name in ("hand_count", "width", "height", "orthographic")),
+    )
+
+
+def packed_texels(steps: np.ndarray) -> np.ndarray:
+    """(N,) uint32 of (N, 3) whole steps away from the ratio 1."""
+    channel = (steps + TEXEL_ZERO).astype(np.uint32)
+    return channel[:, 0] | channel[:, 1] << np.uint32(TEXEL_BITS) | channel[:, 2] << np.uint32(2 * TEXEL_BITS)

@@ -1,0 +1,134 @@
+"""Detail on drawn Gaussians, by the compiled kernel (native/detail.cpp): the texture of each hand's skin, found at each
+pixel, multiplies the color there.
+
+The surface is skinned as Gaussians are, without their correctives, and of several hands the nearest counts. A pixel
+gets the level of the texture whose texels are as large as it is, and a mean of two levels between. Detail fades out at
+the outline, and where the Gaussians lie elsewhere than the surface: where something else is in front of it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import Blocks, set_pointers
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
+from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
+from jghand_engine.avatar.skin_task import skin_task
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import JOINT_COUNT, Handedness
+from jghand_engine.hand.skeleton import Bones
+from jghand_engine.native import contract
+from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
+from jghand_engine.native.detail_task import FACE_ROWS, DetailHand, DetailTask
+from jghand_engine.native.tasks import LANES
+from jghand_engine.render.camera import Camera
+
+# Gaussians that lie apart from the depth that the surface gives them belong to something else: how far apart, meters on
+# the canonical hand, detail begins to fade, and is gone
+FADE_FROM_M, FADE_TO_M = 0.002, 0.004
+# alpha between which it fades in: the last pixel of an outline is that of the Gaussians
+ALPHA_FROM, ALPHA_TO = 0.5, 0.9
+# log2 of a ratio per step of a packed texel
+_LOG2_PER_STEP = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0)
+
+
+@dataclass(frozen=True)
+class DetailedHand:
+    """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters"""
+
+    detail: Detail
+    power: float
+    joints_m: np.ndarray
+    handedness: Handedness
+
+    @classmethod
+    def of(cls, avatar: HandAvatar, power: float) -> DetailedHand:
+        if avatar.detail is None:
+            raise InputError("detail of a hand", wanted="an avatar with one", came=avatar.info.name)
+        return cls(avatar.detail, power, avatar.canonical_joints_m, avatar.handedness)
+
+
+class NativeDetail:
+    """Draws the detail of hands. Buffers are allocated once; one image at a time."""
+
+    def __init__(self, library: Library, hands: Sequence[DetailedHand]) -> None:
+        self._call, self._hands = library.call, [_Hand(hand) for hand in hands]
+        self._tasks = (DetailHand * len(hands))(*(hand.task for hand in self._hands))
+        self._task = DetailTask(
+            hands=ctypes.addressof(self._tasks),
+            hand_count=len(hands),
+            z_near=contract.Z_NEAR_M,
+            alpha_from=ALPHA_FROM,
+            alpha_to=ALPHA_TO,
+        )
+        self.team = new_team()
+        self._keep: np.ndarray | None = None
+
+    def pose(self, bones: Sequence[Bones], shifts_m: Sequence[np.ndarray]) -> None:
+        """Sets the next pose; shifts_m: (3,) of each hand's root from the origin of the positions, meters."""
+        for hand, task, own, shift_m in zip(self._hands, self._tasks, bones, shifts_m, strict=True):
+            hand.pose(own, shift_m)
+            task.depth, task.fade_from, task.fade_to = (
+                own.scale * length_m for length_m in (hand.depth_m, FADE_FROM_M, FADE_TO_M)
+            )
+
+    def prepare(self, planes: np.ndarray, camera: Camera, strengths: Sequence[float]) -> None:
+        """Sets the next image, (5, H, W) as the rasterizer leaves it: its colors are changed in place.
+        strengths: 0..1 per hand"""
+        task, self._keep = self._task, planes
+        task.picture = address(planes, np.float32, "planes", (5, camera.height, camera.width), writable=True)
+        task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
+        task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
+        task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
+        for hand, own, strength in zip(self._hands, self._tasks, strengths, strict=True):
+            own.exponent = strength * hand.power * _LOG2_PER_STEP
+        self.team.fill(0)
+
+    def run(self) -> None:
+        """Draws what was prepared; every thread of a team calls it."""
+        self._call.jg_detail(self.team.ctypes.data, ctypes.addressof(self._task))
+
+
+class _Hand:
+    """One hand's arrays, and the task that points to them."""
+
+    def __init__(self, hand: DetailedHand) -> None:
+        detail, self.power, self.depth_m = hand.detail, hand.power, hand.detail.depth_m
+        blocks, mips = Blocks(detail.position_m), detail.mips
+        relative = detail.position_m.astype(np.float64) - hand.joints_m[0]
+        self._skin_arrays = {"rest": blocks.blocked(np.pad(relative, ((0, 0), (0, 1))))}
+        self._skin_arrays |= blocks.bones(detail.bone_weights)
+        self._skin = skin_task(blocks)
+        set_pointers(self._skin, self._skin_arrays)
+        # neighbors stand together; a group is filled up with faces without area
+        faces = Blocks(detail.position_m[detail.faces].mean(1))
+        corner = faces.in_rows(np.argsort(blocks.order)[detail.faces], np.int32)
+        texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1)
+        groups, boxes = faces.count, -(-faces.count // LANES) * LANES
+        self._arrays = {
+            "vertex": aligned_zeros((3, blocks.rows)),
+            "corner": np.ascontiguousarray(corner.reshape(groups, LANES, 3).swapaxes(1, 2)),
+            "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
+            "planes": aligned_zeros((groups, FACE_ROWS, LANES)),
+            "bounds": aligned_zeros((groups, 4, LANES), np.int32),
+            "box": aligned_zeros((4, boxes), np.int32),
+            "texels": mips.texels,
+            "level_start": mips.start,
+        }
+        # what is beyond the last group touches nothing
+        self._arrays["box"][::2], self._arrays["box"][1::2] = np.iinfo(np.int32).max, -1
+        # a face seen from outside turns left; on the image, whose rows go down, its area is negative
+        facing = -1.0 if hand.handedness is Handedness.RIGHT else 1.0
+        self.task = DetailHand(skin=ctypes.addressof(self._skin), levels=len(mips.start), groups=groups, facing=facing)
+        set_pointers(self.task, self._arrays)
+        self._linear_offset: np.ndarray | None = None
+
+    def pose(self, bones: Bones, shift_m: np.ndarray) -> None:
+        self._linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
+        self._skin.linear_offset = address(self._linear_offset, np.float32, "linear_offset", (JOINT_COUNT, 3, 4))
+        self._skin.shift = tuple(shift_m)

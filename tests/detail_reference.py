@@ -1,0 +1,116 @@
+"""What detail does to a picture, in plain float64: the specification of native/detail.cpp.
+
+For each pixel: the nearest face that looks at the camera; its place on the texture, by perspective; a level of the
+texture by how many texels the pixel spans; the ratio there, weakened at the outline and where the Gaussians lie
+elsewhere than the surface.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
+from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.native import contract
+from jghand_engine.native.detail_task import TEXEL_BITS, TEXEL_ZERO
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M
+
+
+def levels_of(detail: Detail) -> list[np.ndarray]:
+    """The log ratios of each level, (S, S, 3), (S / 2, S / 2, 3), …"""
+    texels, size, found = detail.mips.texels.astype(np.int64), detail.size, []
+    for start in detail.mips.start:
+        some = texels[start : start + size * size]
+        channels = [(some >> (TEXEL_BITS * k) & (1 << TEXEL_BITS) - 1) - TEXEL_ZERO for k in range(3)]
+        found.append(np.stack(channels, -1).reshape(size, size, 3) * (LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE))
+        size //= 2
+    return found
+
+
+def posed_surface(avatar: HandAvatar, joints_m: np.ndarray) -> tuple[np.ndarray, float]:
+    """(V, 3) world, meters, and the hand's scale."""
+    detail, skeleton = avatar.detail, avatar.skeleton()
+    bones = skeleton.bones(joints_m, np.float64)
+    maps = np.einsum("vb,bij->vij", detail.bone_weights.astype(np.float64), bones.linear_offset)
+    relative = detail.position_m - avatar.canonical_joints_m[0]
+    return np.einsum("vij,vj->vi", maps[..., :3], relative) + maps[..., 3] + bones.root_m, bones.scale
+
+
+def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.ndarray, depth_m: np.ndarray):
+    """-> (H, W, 3) what colors are multiplied by, (H, W) depth of the surface, infinite where there is none.
+
+    alpha, depth_m: (H, W) of the Gaussians
+    """
+    detail = avatar.detail
+    points_m, scale = posed_surface(avatar, joints_m)
+    pixels, depth = camera.project(points_m)
+    near = -depth if camera.orthographic else 1 / depth
+    facing = -1 if avatar.handedness is Handedness.RIGHT else 1
+    height, width = alpha.shape
+    nearest = np.full((height, width), -np.inf)
+    uv, spans = np.zeros((height, width, 2)), np.zeros((height, width))
+    texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1).astype(np.float64)
+    for corners, places in zip(detail.faces, texture_xy, strict=True):
+        (x, y), n = pixels[corners].T, near[corners]
+        area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+        if not (depth[corners] > contract.Z_NEAR_M).all() or area * facing <= 0:
+            continue
+        x0, x1 = max(int(np.ceil(x.min() - 0.5)), 0), min(int(np.floor(x.max() - 0.5)), width - 1)
+        y0, y1 = max(int(np.ceil(y.min() - 0.5)), 0), min(int(np.floor(y.max() - 0.5)), height - 1)
+        if x0 > x1 or y0 > y1:
+            continue
+        column, row = np.meshgrid(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
+
+        def shares_at(dx, dy, x=x, y=y, area=area, column=column, row=row):
+            px, py = column + 0.5 + dx - x[0], row + 0.5 + dy - y[0]
+            first = (px * (y[2] - y[0]) - py * (x[2] - x[0])) / area
+            second = (py * (x[1] - x[0]) - px * (y[1] - y[0])) / area
+            return np.stack([1 - first - second, first, second], -1)
+
+        def places_at(shares, n=n, places=places):
+            weight = shares if camera.orthographic else shares * n / (shares * n).sum(-1, keepdims=True)
+            return weight @ places
+
+        shares = shares_at(0, 0)
+        here = (shares >= 0).all(-1) & (shares @ n > nearest[row, column])
+        place, step = places_at(shares), 1e-4
+        along = [(places_at(shares_at(*d)) - place) / step for d in ((step, 0), (0, step))]
+        nearest[row[here], column[here]] = (shares @ n)[here]
+        uv[row[here], column[here]] = place[here]
+        spans[row[here], column[here]] = np.sqrt(sum((a**2).sum(-1) for a in along) / 2)[here] * detail.size
+    hit = np.isfinite(nearest)
+    surface_m = np.where(hit, -nearest if camera.orthographic else 1 / np.where(hit, nearest, 1.0), np.inf)
+    log = looked_up(levels_of(detail), uv, spans)
+    apart = np.abs(depth_m - surface_m - scale * detail.depth_m)
+    weight = smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - smooth(apart, scale * FADE_FROM_M, scale * FADE_TO_M)) * hit
+    return np.exp(weight[..., None] * log), surface_m
+
+
+def looked_up(levels: list[np.ndarray], uv: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    """(H, W, 3) of places (H, W, 2), 0..1, and texels per pixel (H, W): bilinear, and between two levels."""
+    level = np.clip(np.log2(np.maximum(spans, 1e-9)), 0, len(levels) - 1)
+    fine = np.floor(level).astype(int)
+    each = [bilinear(texels, uv) for texels in levels]
+    stack = np.stack([*each, each[-1]])
+    pick = np.indices(fine.shape)
+    first, second = stack[fine, *pick], stack[fine + 1, *pick]
+    return first + (level - fine)[..., None] * (second - first)
+
+
+def bilinear(texels: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    size = len(texels)
+    at = uv * size - 0.5
+    corner = np.floor(at).astype(int)
+    part = at - corner
+    (x0, y0), (x1, y1) = (np.moveaxis((corner + k).clip(0, size - 1), -1, 0) for k in (0, 1))
+    fx, fy = part[..., :1], part[..., 1:]
+    top, bottom = ((1 - fx) * texels[y, x0] + fx * texels[y, x1] for y in (y0, y1))
+    return (1 - fy) * top + fy * bottom
+
+
+def smooth(x: np.ndarray, none: float, full: float) -> np.ndarray:
+    s = np.clip((x - none) / (full - none), 0, 1)
+    return s * s * (3 - 2 * s)
