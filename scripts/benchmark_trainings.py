@@ -28,7 +28,7 @@ from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli.console import err, say, say_whole_table
-from jghand_engine.cli.learning import material
+from jghand_engine.cli.learning import hand_template, material
 from jghand_engine.files import writing
 from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.learn.options import TrainOptions
@@ -112,7 +112,8 @@ def run(cell: Cell, capture: Capture, folder: Path) -> bool:
     say(f"{cell.minutes:g} minutes, {cell.gaussians:,} Gaussians")
 
     def build() -> HandTraining:
-        return HandTraining(material(out.stem, capture.name, split, None), options)
+        template = hand_template(None, forearm=capture.shows_forearm)
+        return HandTraining(material(out.stem, capture.name, split, None, template), options)
 
     # a kill right behind the avatar leaves one that its training does not know as its own
     how = RunOptions(out, work, stamp_of(options, split.train), budget, start, overwrite=True)

@@ -77,6 +77,7 @@ def main() -> None:
             names=np.array(list(hands)),
             vertices=np.stack([hand["vertices"] for hand in hands.values()]),
             joints25=np.stack([hand["joints25"] for hand in hands.values()]),
+            forearm_vertices=np.stack([hand["forearm_vertices"] for hand in hands.values()]),
         )
     print(f"written to {out}")
 

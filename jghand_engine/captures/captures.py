@@ -54,6 +54,7 @@ class Capture:
     train_sequences, test_sequences: what that protocol learns from and shows; empty: the split is found otherwise
     dropped:    why images of the choice were left out, with their number
     notes:      what a user should know, as sentences
+    shows_forearm: whether its pictures go on behind the wrist, and its masks with them
     """
 
     name: str
@@ -66,6 +67,7 @@ class Capture:
     test_sequences: tuple[str, ...] = ()
     dropped: tuple[tuple[str, int], ...] = ()
     notes: tuple[str, ...] = ()
+    shows_forearm: bool = False
 
     def __post_init__(self) -> None:
         if not self.samples:

@@ -57,7 +57,7 @@ class Ablate:
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
         from jghand_engine.captures.splits import split_capture
-        from jghand_engine.cli.learning import device_called, material, train_options
+        from jghand_engine.cli.learning import device_called, hand_template, material, train_options
         from jghand_engine.learn.ablation import (
             SHARED,
             LiveHand,
@@ -82,7 +82,8 @@ class Ablate:
         known_light = any(sample.light is not None for sample in split.train)
         variants = chosen_variants(full, self.variants, known_light=known_light)
         categories = light_categories(split, self.limit) if known_light else categories_of(split, "test", self.limit)
-        learned_from = material("ablation", capture.name, split, perceptual)
+        template = hand_template(None, forearm=capture.shows_forearm)
+        learned_from = material("ablation", capture.name, split, perceptual, template)
         drawers, results, first = {}, {}, None
         for name, options in variants.items():
             say(f"\n{name}")

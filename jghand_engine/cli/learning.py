@@ -71,12 +71,14 @@ def train_options(
     return options, metric
 
 
-def hand_template(mano: Path | None) -> HandTemplate:
-    """The surface on which a hand is learned: that of the user's own MANO file, or else the built-in one. InputError"""
-    if mano is None:
-        from jghand_engine.template.builtin import load_template
+def hand_template(mano: Path | None, *, forearm: bool = False) -> HandTemplate:
+    """The surface on which a hand is learned: that of the user's own MANO file, or else the built-in one. InputError
 
-        return load_template()
+    forearm: whether the pictures show it: the built-in hand has one then, and MANO's never"""
+    if mano is None:
+        from jghand_engine.template.builtin import load_template, load_template_with_forearm
+
+        return load_template_with_forearm() if forearm else load_template()
     from jghand_engine.template.mano import load_mano
 
     return load_mano(mano)

@@ -108,13 +108,15 @@ class Train:
         template = hand_template(self.template)
         check_places(run)
         capture = self.pictures.open(self.folder, template)
+        if self.template is None:
+            template = hand_template(None, forearm=capture.shows_forearm)
         split = split_capture(capture)
         split = split.all_learned() if self.all_pictures else split
         if split.train and split.train[0].light is not None:
             options = in_known_light(options)
             say("The light of every picture is known: the hand learns how it answers light.")
         stamp = stamp_of(options, split.train)
-        if self.template is not None:
+        if self.template is not None or capture.shows_forearm:
             stamp["template"] = template.identifier
         if perceptual is not None:
             stamp["perceptual"] = f"{perceptual.name}, {perceptual.note}"

@@ -22,7 +22,7 @@ from jghand_engine.export.splats.files import FrameFiles
 from jghand_engine.files import check_room, make_folder, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import template_called
 from jghand_engine.template.mesh import HandTemplate, mirrored, posed_vertices
 from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv
@@ -90,7 +90,7 @@ def export_meshes(
 def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: Handedness) -> HandTemplate:
     """The surface of the avatar's hand, mirrored for a left one. InputError when it is not the one the avatar was
     made on: the skin would follow other joints."""
-    template = template or load_template()
+    template = template or template_called(avatar.info.template)
     if template.identifier != avatar.info.template or not np.allclose(
         template.joints_m, np.asarray(avatar.canonical_joints_m), rtol=0, atol=1e-7
     ):

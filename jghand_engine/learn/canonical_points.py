@@ -30,6 +30,8 @@ from jghand_engine.template.weight_field import WeightField
 
 # placed points that the cache keeps, the newest: 5 MB each at 40,000 Gaussians
 POINTS_CACHE_FILES = 8
+# Gaussians of the forearm for the same area, as a part of the hand's: nobody looks at its pores
+FOREARM_DENSITY = 0.125
 PACKAGE = Path(__file__).resolve().parents[1]
 # what placing is made of: a change of any of them makes other points, perhaps
 _CODE = ("learn/canonical_points.py", "hand/joints.py", "avatar/avatar.py", "template/*.py")
@@ -70,8 +72,8 @@ def place_points(
     """`count` points in the shell of `depth_m` under the skin; the same arguments give the same points.
 
     area_power: bones share the points as their area to this power: 0 equally, as the paper does, 1 evenly over the
-    skin. depth_of_points: as of `sample_shell`. InputError for numbers out of range. Points that were placed before
-    come from the user's cache.
+    skin; a forearm has FOREARM_DENSITY. depth_of_points: as of `sample_shell`. InputError for numbers out of range.
+    Points that were placed before come from the user's cache.
     """
     numbers = {"depth_m": depth_m, "area_power": area_power, "seed": seed, "depth_of_points": depth_of_points}
     file = points_file(template, {"count": count, **numbers})
@@ -92,7 +94,7 @@ def _is_of(found: Points, count: int) -> bool:
 
 
 def _placed(template: HandTemplate, count: int, *, area_power: float, **numbers: Any) -> CanonicalPoints:
-    counts = shared_out(bone_areas(template) ** area_power, count)
+    counts = shared_out(bone_shares(template, area_power), count)
     sample = sample_shell(template, per_bone=int(counts.max()), **numbers)
     chosen = take_turns(sample.bone, counts)
     position_m = sample.position_m[chosen]
@@ -108,16 +110,26 @@ def _placed(template: HandTemplate, count: int, *, area_power: float, **numbers:
     )
 
 
+def bone_shares(template: HandTemplate, area_power: float) -> np.ndarray:
+    """(20,) how many of the points are each bone's, in proportion; (21,) with those of a forearm."""
+    areas = bone_areas(template)
+    hand, forearm = areas[:BONE_COUNT], areas[BONE_COUNT:]
+    shares = hand**area_power
+    return np.concatenate([shares, FOREARM_DENSITY * forearm / hand.sum() * shares.sum()])
+
+
 def bone_areas(template: HandTemplate) -> np.ndarray:
-    """(20,) area of the closed surface that is nearest to each of the bones 1..20, square meters."""
+    """(20,) area of the closed surface that is nearest to each of the bones 1..20, square meters; (21,) with that of a
+    forearm's skin."""
     corners = template.vertices_m[template.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     nearest = bone_distances(corners.mean(1), template.joints_m).argmin(1)
-    return np.bincount(nearest, area, minlength=BONE_COUNT)
+    nearest[template.is_forearm] = BONE_COUNT
+    return np.bincount(nearest, area * template.has_points, minlength=BONE_COUNT)
 
 
 def shared_out(share: np.ndarray, count: int) -> np.ndarray:
-    """(20,) whole numbers in proportion to `share` (20,) that add up to `count`."""
+    """(B,) whole numbers in proportion to `share` (B,) that add up to `count`."""
     counts = np.floor(share / share.sum() * count).astype(int)
     counts[np.argsort(-share, kind="stable")[: count - counts.sum()]] += 1
     return counts
@@ -126,7 +138,7 @@ def shared_out(share: np.ndarray, count: int) -> np.ndarray:
 def take_turns(bone: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Indices (sum of counts,) into a sample.
 
-    bone (M,) names the bone 1..20 of each point, in farthest-point order within each bone. Bone b gives its first
+    bone (M,) names the bone from 1 of each point, in farthest-point order within each bone. Bone b gives its first
     counts[b - 1] points, at even steps of the whole list, so that every prefix has the same shares.
     """
     picked = [np.flatnonzero(bone == number)[:count] for number, count in enumerate(counts, start=1)]
@@ -141,7 +153,7 @@ def take_turns(bone: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def points_file(template: HandTemplate, numbers: Mapping[str, float]) -> Path:
     """The cache's file for the points of `template` under `numbers`, whether it is there or not."""
     libraries = [torch.__version__, np.__version__, scipy.__version__]
-    about = [template.identifier, template.skin_face_count, dict(numbers), libraries]
+    about = [template.identifier, template.skin_face_count, template.forearm_face_count, dict(numbers), libraries]
     digest = hashlib.sha256(json.dumps(about).encode())
     for array in (template.vertices_m, template.faces, template.face_uv, template.bone_weights, template.joints_m):
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())

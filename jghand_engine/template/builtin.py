@@ -17,9 +17,10 @@ from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import bone_weights, columns_to_level
 
 IDENTIFIER = "makehuman-soma-right-1"
+WITH_FOREARM = f"{IDENTIFIER}-forearm"
 ASSETS = files("jghand_engine") / "assets"
 
-# field: (kinds of dtype, shape with V vertices, F faces, S skin vertices)
+# field: (kinds of dtype, shape with V vertices, F faces, S skin vertices, A vertices and B faces of the forearm)
 FIELDS = {
     "vertices": ("f", ("V", 3)),
     "faces": ("i", ("F", 3)),
@@ -35,30 +36,72 @@ FIELDS = {
     "names25": ("U", (25,)),
     "weights25": ("f", ("V", 25)),
     "base_index": ("i", ("S",)),
+    "forearm_vertices": ("f", ("A", 3)),
+    "forearm_faces": ("i", ("B", 3)),
+    "forearm_face_uv": ("f", ("B", 3, 2)),
+    "n_forearm_faces": ("i", ()),
 }
+_WEIGHTS = ("weights", "weights25")
 
 
 @functools.cache
 def load_template() -> HandTemplate:
     """The built-in right hand; read once, arrays read-only. A damaged installation raises InputError."""
+    return _template(IDENTIFIER, _fields_of_installation())
+
+
+@functools.cache
+def load_template_with_forearm() -> HandTemplate:
+    """The same hand, to the bit, whose skin goes on to the middle of the forearm; as above."""
+    return _template(WITH_FOREARM, with_forearm(_fields_of_installation()))
+
+
+def template_called(identifier: str) -> HandTemplate:
+    """The built-in hand, with its forearm where an avatar was made on that one."""
+    return load_template_with_forearm() if identifier == WITH_FOREARM else load_template()
+
+
+def _fields_of_installation() -> dict[str, np.ndarray]:
     try:
-        fields = load_fields()
+        return load_fields()
     except InputError as error:
         raise InputError("the built-in hand", came=str(error), remedy="Install JGHand again.") from error
+
+
+def _template(identifier: str, fields: dict[str, np.ndarray]) -> HandTemplate:
     vertices = fields["vertices"].astype(np.float64)
     joints = to_level(fields["joints"].astype(np.float64), JointOrder.STANDARD)
     weights = columns_to_level(fields["weights"].astype(np.float64), JointOrder.STANDARD)
     weights /= weights.sum(axis=1, keepdims=True)
     template = HandTemplate(
-        identifier=IDENTIFIER,
+        identifier=identifier,
         vertices_m=vertices,
         faces=fields["faces"].astype(np.int64),
         face_uv=fields["face_uv"].astype(np.float64),
         skin_face_count=int(fields["n_skin_faces"]),
         joints_m=joints,
         bone_weights=bone_weights(weights, vertices, joints),
+        forearm_face_count=int(fields["n_forearm_faces"]) if identifier == WITH_FOREARM else 0,
     )
     return _read_only(check_template(template))
+
+
+def with_forearm(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The fields of a template file with the forearm in the place of the wrist's cap. It moves with the wrist alone.
+
+    The hand's skin keeps its numbers: vertices 0..S-1 and faces 0..n_skin_faces-1.
+    """
+    skin, faces = len(fields["base_index"]), int(fields["n_skin_faces"])
+    # of the wrist, as the middle of its cap has them
+    follow = {name: np.repeat(fields[name][skin:], len(fields["forearm_vertices"]), 0) for name in _WEIGHTS}
+    return {
+        **fields,
+        "vertices": np.concatenate([fields["vertices"][:skin], fields["forearm_vertices"]]),
+        "faces": np.concatenate([fields["faces"][:faces], fields["forearm_faces"]]),
+        "face_uv": np.concatenate([fields["face_uv"][:faces], fields["forearm_face_uv"]]),
+        "n_skin_faces": fields["n_skin_faces"] + fields["n_forearm_faces"],
+        **{name: np.concatenate([fields[name][:skin], follow[name]]) for name in _WEIGHTS},
+    }
 
 
 def load_fields(source: Traversable = ASSETS / "hand_right.npz") -> dict[str, np.ndarray]:
@@ -69,7 +112,7 @@ def load_fields(source: Traversable = ASSETS / "hand_right.npz") -> dict[str, np
     """
     name = source.name
     fields = read_arrays(source, FIELDS, f"template file {name}")
-    counted = {"V": "vertices", "F": "faces", "S": "base_index"}
+    counted = {"V": "vertices", "F": "faces", "S": "base_index", "A": "forearm_vertices", "B": "forearm_faces"}
     sizes = {letter: len(np.atleast_1d(fields[field])) for letter, field in counted.items()}
     for field, (kind, shape) in FIELDS.items():
         array = fields[field]

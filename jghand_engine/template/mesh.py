@@ -18,9 +18,10 @@ class HandTemplate:
     identifier:      name and version of the surface, stored with every avatar made from it
     vertices_m:      (V, 3) float64
     faces:           (F, 3) int64, counter-clockwise seen from outside; the first `skin_face_count` are skin, the rest
-                     closes the wrist
+                     closes the wrist, or the forearm
     face_uv:         (F, 3, 2) float64, one UV per face corner; texture row = 1 - v
     skin_face_count: number of skin faces
+    forearm_face_count: how many of these, the last ones, are the forearm's; 0: the hand ends at the wrist
     joints_m:        (21, 3) float64, level order
     bone_weights:    (V, 21) float64, rows sum to 1; column i is the bone that *ends* at joint i (B_i), column 0 the
                      palm's B_0 (METHOD 2.7)
@@ -33,6 +34,19 @@ class HandTemplate:
     skin_face_count: int
     joints_m: np.ndarray
     bone_weights: np.ndarray
+    forearm_face_count: int = 0
+
+    @property
+    def is_forearm(self) -> np.ndarray:
+        """(F,) whether a face is of the forearm's skin."""
+        number = np.arange(len(self.faces))
+        return (number >= self.skin_face_count - self.forearm_face_count) & (number < self.skin_face_count)
+
+    @property
+    def has_points(self) -> np.ndarray:
+        """(F,) whether Gaussians lie under a face: not where a forearm is cut, which nobody is shown."""
+        number = np.arange(len(self.faces))
+        return (number < self.skin_face_count) | (self.forearm_face_count == 0)
 
 
 def posed_vertices(template: HandTemplate, skeleton: Skeleton, joints_m: np.ndarray) -> np.ndarray:

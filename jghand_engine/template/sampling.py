@@ -1,7 +1,8 @@
 """Where the Gaussians of an untrained hand lie: a thin shell under the skin, equally many for every bone.
 
 Deeper Gaussians are hidden and wasted. The points of each bone are in farthest-point order and the bones take turns,
-so that every prefix of the list is a coarser sample of the whole hand: a level of detail. METHOD 3.2 and 3.3.
+so that every prefix of the list is a coarser sample of the whole hand: a level of detail. METHOD 3.2 and 3.3. A
+forearm, where the template has one, counts as one more bone, whose points are those under its own skin.
 """
 
 from __future__ import annotations
@@ -28,14 +29,17 @@ SHELL_DEPTH_MAX_M = 0.030
 SHELL_CELL_M = 0.003
 # draws per wanted point after which a bone is taken to have no skin (built-in hand: at most 11)
 SHELL_DRAWS_MAX = 1000
+# the number of the forearm among the bones
+FOREARM = JOINT_COUNT
 
 
 @dataclass(frozen=True)
 class ShellSample:
-    """N = 20 * per_bone points under the skin of a template, every prefix of which covers the whole hand.
+    """N = 20 * per_bone points under the skin of a template, 21 * per_bone of one with a forearm, every prefix of which
+    covers the whole hand.
 
     position_m:  (N, 3) float64, canonical frame, meters
-    bone:        (N,) int64, 1..20: the nearest bone, named by the joint it ends at (level order)
+    bone:        (N,) int64, 1..20: the nearest bone, named by the joint it ends at (level order); FOREARM
     uvd:         (N, 3) float64, 0..1: texture coordinates of the closest skin, and the normalized signed distance
     normal:      (N, 3) float64, unit outward normal of the skin there
     face:        (N,) int64, closest face of the template
@@ -74,13 +78,14 @@ def sample_shell(
     surface = Surface(template.vertices_m, template.faces)
     points_m, drawn = _draw(template, surface, per_bone, depth_m, np.random.default_rng(seed))
     order = farthest_point_order(points_m)
-    ranked = (order + per_bone * np.arange(BONE_COUNT)[:, None]).T.ravel()
+    bones = len(points_m)
+    ranked = (order + per_bone * np.arange(bones)[:, None]).T.ravel()
     ranked_m, near = points_m.reshape(-1, 3)[ranked], drawn.rows(ranked)
     signed_m = near.signed_m
     spread_m = (float(signed_m.min()), float(signed_m.max())) if depth_of_points else (-UVD_RANGE_M, UVD_RANGE_M)
     return ShellSample(
         position_m=ranked_m,
-        bone=np.tile(np.arange(1, JOINT_COUNT), per_bone),
+        bone=np.tile(np.arange(1, 1 + bones), per_bone),
         uvd=uvd_coordinates(template, near, spread_m),
         normal=surface.normals(near.face, near.barycentric),
         face=near.face,
@@ -133,16 +138,19 @@ def farthest_point_order(points_m: np.ndarray) -> np.ndarray:
 def _draw(
     template: HandTemplate, surface: Surface, per_bone: int, depth_m: float, random: np.random.Generator
 ) -> tuple[np.ndarray, ClosestPoints]:
-    """(20, per_bone, 3) points, uniform in the part of the shell that belongs to each bone, by rejection; and, for
-    20 * per_bone, what is closest to them."""
+    """(bones, per_bone, 3) points, uniform in the part of the shell that belongs to each bone, by rejection; and, for
+    bones * per_bone, what is closest to them."""
     cells_m, half_m = _shell_cells(template, surface, depth_m)
     reach = bone_distances(cells_m, template.joints_m)
     # distances change by at most the way gone: other cells cannot hold a point nearest to this bone
     possible = reach <= reach.min(axis=1, keepdims=True) + 2 * np.sqrt(3) * half_m
-    cells_of_bone = [np.flatnonzero(possible[:, k]) for k in range(BONE_COUNT)]
-    found: list[list[np.ndarray]] = [[] for _ in range(BONE_COUNT)]
-    closest: list[list[ClosestPoints]] = [[] for _ in range(BONE_COUNT)]
-    count, drawn = np.zeros(BONE_COUNT, dtype=int), np.zeros(BONE_COUNT, dtype=int)
+    if template.forearm_face_count:
+        possible = np.column_stack([possible, _near_forearm(template, cells_m, half_m)])
+    bones = possible.shape[1]
+    cells_of_bone = [np.flatnonzero(possible[:, k]) for k in range(bones)]
+    found: list[list[np.ndarray]] = [[] for _ in range(bones)]
+    closest: list[list[ClosestPoints]] = [[] for _ in range(bones)]
+    count, drawn = np.zeros(bones, dtype=int), np.zeros(bones, dtype=int)
     while (count < per_bone).any():
         wanted = np.where(count < per_bone, _draws(per_bone, count, drawn), 0)
         for k in np.flatnonzero(wanted):
@@ -155,9 +163,12 @@ def _draw(
                 )
             cell = random.choice(cells_of_bone[k], wanted[k])
             points_m = cells_m[cell] + random.uniform(-half_m, half_m, (wanted[k], 3))
-            kept = points_m[_nearest_bone(points_m, template.joints_m, random) == k]
+            is_forearm = k == BONE_COUNT
+            kept = points_m if is_forearm else points_m[_nearest_bone(points_m, template.joints_m, random) == k]
             near = surface.closest(kept)
-            inside = np.flatnonzero((near.signed_m <= 0) & (near.signed_m >= -depth_m))
+            inside = (near.signed_m <= 0) & (near.signed_m >= -depth_m)
+            inside &= template.has_points[near.face] & (template.is_forearm[near.face] == is_forearm)
+            inside = np.flatnonzero(inside)
             kept = kept[inside]
             found[k].append(kept)
             closest[k].append(near.rows(inside))
@@ -180,6 +191,12 @@ def _nearest_bone(points_m: np.ndarray, joints_m: np.ndarray, random: np.random.
     distance = bone_distances(points_m, joints_m)
     tied = distance <= distance.min(axis=1, keepdims=True)
     return np.where(tied, random.random(distance.shape), -1).argmax(axis=1)
+
+
+def _near_forearm(template: HandTemplate, cells_m: np.ndarray, half_m: float) -> np.ndarray:
+    """(C,) whether a cell may hold a point that is closest to the forearm: those no higher than where it begins."""
+    top_m = template.vertices_m[template.faces[template.is_forearm], 1].max()
+    return cells_m[:, 1] <= top_m + half_m
 
 
 def _shell_cells(template: HandTemplate, surface: Surface, depth_m: float) -> tuple[np.ndarray, float]:

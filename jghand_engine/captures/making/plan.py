@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from jghand_engine.captures.capture_folder import FOREARM
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, PlannedCamera, plan_cameras
 from jghand_engine.captures.making.close_ups import plan_close_ups
@@ -45,6 +46,7 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.lock import locked
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.render.camera import Camera
+from jghand_engine.template.builtin import load_fields
 
 # every fifth pose, one of six cameras that see all, and every seventh close-up are kept for the test. Seven has no
 # factor with the parts that close-ups show by turns, nor with the usual numbers of them in a pose
@@ -103,12 +105,17 @@ class CapturePlan:
     files: dict[str, bytes]
     person: PersonSkin | None = None
 
+    @property
+    def hand_vertices_m(self) -> np.ndarray:
+        """(P, V, 3) of the hand alone, without its forearm."""
+        return self.vertices_m[:, : len(load_fields()["base_index"])] if self.render.get(FOREARM) else self.vertices_m
+
     @cached_property
     def record(self) -> RecordedHand:
         """The capture as InterHand2.6M sees it."""
         cameras = {str(_FIRST_SERIAL + number): planned.camera for number, planned in enumerate(self.cameras)}
         boxes = {
-            (pose, name): _box(camera, self.vertices_m[pose])
+            (pose, name): _box(camera, self.hand_vertices_m[pose])
             for pose in range(len(self.joints_m))
             for name, camera in self.cameras_of(pose).items()
         }
@@ -178,7 +185,9 @@ class CapturePlan:
 def make_plan(options: CaptureOptions) -> CapturePlan:
     """Everything of a capture but its images. InputError for options that cannot be."""
     options.check()
-    hand = RiggedHand(load_identity(options.identity))
+    # pictures of skin were made for the hand alone
+    forearm = isinstance(options.skin, Person)
+    hand = RiggedHand(load_identity(options.identity, forearm=forearm))
     camera_plan = CameraPlan(options.cameras, options.close_ups, options.width, options.height, options.seed)
     camera_plan.check()
     if options.motion is None:
@@ -189,7 +198,8 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
-    cameras = plan_cameras(camera_plan, vertices_m)
+    hand_vertices_m = vertices_m[:, : hand.identity.hand_vertex_count] if forearm else vertices_m
+    cameras = plan_cameras(camera_plan, hand_vertices_m)
     samples = options.sampling.samples
     cameras += plan_close_ups(hand.identity, vertices_m, options.close_ups, options.seed, samples)
     faces, face_uv, person = hand.identity.faces, hand.identity.face_uv, None
@@ -203,9 +213,10 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     else:
         material, files = _picture_skin(options.skin, options)
     light, lit_by = _light(options.light)
+    render = {"sampling": sampling, "light": light, "skin": material} | ({FOREARM: True} if forearm else {})
     plan = CapturePlan(
         description=json.loads(json.dumps(options.description())),
-        render=json.loads(json.dumps({"sampling": sampling, "light": light, "skin": material})),
+        render=json.loads(json.dumps(render)),
         pose_names=names,
         joints_m=posed.joints_m,
         vertices_m=vertices_m.astype(np.float32),
@@ -220,7 +231,7 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     split = plan.split()
     tests = set(split["test_frames"][plan.record.sequence]), set(split["test_cameras"])
     seen_by = [plan.cameras_of(pose) for pose in range(len(names))]
-    lights = plan_lights(options.light, plan.vertices_m, seen_by, tests, options.seed)
+    lights = plan_lights(options.light, plan.hand_vertices_m, seen_by, tests, options.seed)
     return dataclasses.replace(plan, files={**plan.files, LIGHTS_FILE: lights_bytes(lights)})
 
 

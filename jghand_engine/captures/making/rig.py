@@ -22,7 +22,7 @@ from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import CONTACTS, named_angles
 from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation, unit
 from jghand_engine.npz_files import read_arrays
-from jghand_engine.template.builtin import ASSETS, load_fields
+from jghand_engine.template.builtin import ASSETS, load_fields, with_forearm
 from jghand_engine.template.checks import expect_shape
 from jghand_engine.template.weights import bone_weights, columns_to_level
 
@@ -70,6 +70,9 @@ class Identity:
     face_uv:    (F, 3, 2)
     joints25_m: (25, 3)
     weights25:  (V, 25) of the joints, rows sum to 1
+    skin_face_count: number of skin faces, which come first
+    hand_vertex_count: how many vertices, the first ones, are the hand's skin: all others are of the forearm or of what
+                closes it
     """
 
     name: str
@@ -78,6 +81,8 @@ class Identity:
     face_uv: np.ndarray
     joints25_m: np.ndarray
     weights25: np.ndarray
+    skin_face_count: int
+    hand_vertex_count: int
 
     @property
     def joints_m(self) -> np.ndarray:
@@ -114,22 +119,29 @@ def identity_name(wanted: str) -> str:
     raise InputError("identity", wanted=f"a number or a name of {known}", came=repr(wanted))
 
 
-def load_identity(wanted: str) -> Identity:
-    """The identity of a name or of a number from 0; InputError lists them."""
+def load_identity(wanted: str, *, forearm: bool = False) -> Identity:
+    """The identity of a name or of a number from 0; InputError lists them. forearm: with it, which goes on where the
+    hand's skin ends"""
     name = identity_name(wanted)
     place = identity_names().index(name)
     shapes, rig = _shapes(), load_fields()
+    vertices_m, skin = shapes["vertices"][place], len(rig["base_index"])
+    if forearm:
+        rig = with_forearm(rig)
+        vertices_m = np.concatenate([vertices_m[:skin], shapes["forearm_vertices"][place]])
     # the wrist took what was left to 1: round-off below 0
     weights = rig["weights25"].astype(np.float64).clip(0)
     weights /= weights.sum(axis=1, keepdims=True)
     joints25_m = shapes["joints25"][place].astype(np.float64)
     return Identity(
         name=name,
-        vertices_m=_fleshed(shapes["vertices"][place].astype(np.float64), joints25_m, weights),
+        vertices_m=_fleshed(vertices_m.astype(np.float64), joints25_m, weights),
         faces=rig["faces"].astype(np.int64),
         face_uv=rig["face_uv"].astype(np.float64),
         joints25_m=joints25_m,
         weights25=weights,
+        skin_face_count=int(rig["n_skin_faces"]),
+        hand_vertex_count=skin,
     )
 
 
@@ -150,9 +162,10 @@ def _fleshed(vertices_m: np.ndarray, joints25_m: np.ndarray, weights25: np.ndarr
 
 def _shapes() -> dict[str, np.ndarray]:
     thing = "the identities that come with JGHand"
-    shapes = read_arrays(ASSETS / "identities.npz", ("names", "vertices", "joints25"), thing)
-    count, vertices = len(shapes["names"]), len(load_fields()["vertices"])
-    expect_shape(f"{thing}, vertices", shapes["vertices"], (count, vertices, 3))
+    shapes = read_arrays(ASSETS / "identities.npz", ("names", "vertices", "joints25", "forearm_vertices"), thing)
+    count, fields = len(shapes["names"]), load_fields()
+    for name in ("vertices", "forearm_vertices"):
+        expect_shape(f"{thing}, {name}", shapes[name], (count, len(fields[name]), 3))
     expect_shape(f"{thing}, joints25", shapes["joints25"], (count, RIG_JOINTS, 3))
     return shapes
 

@@ -21,7 +21,7 @@ from jghand_engine.captures.skin.noise import cells, fractal_noise, noise, smoot
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.rotations import unit
-from jghand_engine.template.builtin import ASSETS, load_template
+from jghand_engine.template.builtin import ASSETS
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
@@ -36,6 +36,9 @@ OUT_OF_PALM = np.array([0.0, 0.0, 1.0])
 # share of the direction away from a finger's own nail in where its bones flex, from the first bone to the last; the
 # rest is that of the palm
 NAIL_SHARES, THUMB_NAIL_SHARES = (0.3, 0.6, 1.0), (0.9, 1.0, 1.0)
+# skin of the forearm, over these millimeters behind the wrist: no palm, but skin of the back all around, on its palm
+# side less so
+FOREARM_FROM_TO, FOREARM_SIDE, FOREARM_SIDES = (-7.0, -22.0), -0.55, 0.4
 # sharpness of furrows: between the cusp of exp(-x) and a Gauss curve
 FURROW_EXPONENT = 1.35
 # ages of a child, of the usual person and of an old one
@@ -90,7 +93,7 @@ class Texels:
         # a tip carries no bone: its weight is that of the one that ends there
         shares = np.stack([weights[:, first : first + 3] for first in FIRST_JOINTS], 1)
         shares[:, :, 2] += weights[:, [first + 3 for first in FIRST_JOINTS]]
-        skin = load_template().skin_face_count
+        skin = identity.skin_face_count
         corners = np.broadcast_to(np.eye(3), (skin, 3, 3))
         numbers = np.broadcast_to(np.arange(skin)[:, None, None], (skin, 3, 1))
         laid, covered = rasterize_uv(identity.face_uv[:skin], np.concatenate([corners, numbers], -1), size)
@@ -177,6 +180,8 @@ class Canvas:
         towards = towards + np.einsum("nfb,bfc->nc", shares, palmar[6:].reshape(3, 5, 3))
         side = (texels.normal * unit(towards)).sum(1).astype(np.float32)
         scale = float(np.clip(length[[12, 13, 14]].mean() / USUAL_PHALANX_MM, *SIZES))
+        forearm = smoothstep(*FOREARM_FROM_TO, texels.point[:, 1] / scale)
+        side += forearm * (FOREARM_SIDE + FOREARM_SIDES * side - side)
         return cls(texels, person, joints, axis, palmar, length, scale, side)
 
     # ---- where ---------------------------------------------------------------------------------------------------

@@ -28,16 +28,21 @@ TENDONS_STAND_OUT, VEINS_STAND_OUT = (0.35, 1.165, 2.85), (0.30, 0.965, 2.87)
 # thenar, hypothenar, hollow of the palm, and pads below the fingers: height, width
 THENAR, HYPOTHENAR, HOLLOW, MOUNT = (3.2, 13.0), (1.7, 13.0), (-2.0, 13.0), (0.7, 5.0)
 # veins of the back, on the template's hand: points (x, y), half width, height. An end that is a point of another vein
-# flows into it
+# flows into it. Three run on along the forearm, and out of it
+_MEDIAN = ((13, -6), (6, -30), (2, -56), (5, -80), (0, -104), (4, -130), (2, -150))
+_ULNAR = ((-17, -10), (-13, -36), (-16, -60), (-13, -88), (-16, -118), (-14, -150))
+_CEPHALIC = ((22, -16), (19, -42), (20, -72), (17, -108), (19, -150))
 VEINS = (
-    (((13, 84), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), (14, -4)), 1.25, 0.50),
+    (((13, 84), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), *_MEDIAN), 1.25, 0.50),
     (((-9, 82), (-7, 68), (-4, 55), (2, 42)), 1.05, 0.42),
-    (((-29, 74), (-25, 58), (-18, 42), (-15, 22), (-17, 4), (-17, -6)), 1.25, 0.50),
+    (((-29, 74), (-25, 58), (-18, 42), (-15, 22), (-17, 4), *_ULNAR), 1.25, 0.50),
     (((-7, 68), (-15, 62), (-25, 58)), 0.90, 0.34),
     (((-18, 42), (-9, 34), (5, 24)), 0.90, 0.28),
-    (((36, 52), (28, 38), (24, 22), (22, 6)), 1.10, 0.40),
+    (((36, 52), (28, 38), (24, 22), (22, 6), *_CEPHALIC), 1.10, 0.42),
     (((11, 72), (20, 62), (28, 38)), 0.85, 0.26),
     (((-25, 58), (-33, 48), (-36, 34)), 0.80, 0.22),
+    (((2, -56), (-6, -74), (-13, -88)), 0.95, 0.30),
+    (((19, -42), (13, -62), (5, -80)), 0.85, 0.26),
 )
 # how far a person's veins depart from these; over what length one that ends dives, and over what its color goes, which
 # depth hides before the swell; the height of those that have all the color
@@ -126,7 +131,9 @@ def _tendons(canvas: Canvas) -> None:
 
 def _veins(canvas: Canvas, curves: PalmCurves) -> None:
     rng, stands_out = canvas.random("veins"), canvas.by_age(*VEINS_STAND_OUT)
-    on_back = smoothstep(0.15, 0.7, -canvas.side) * smoothstep(0.6, 0.2, canvas.fingers.sum(1))
+    # the forearm's side says nothing of where its own back is
+    outwards = np.minimum(-canvas.side, -canvas.texels.normal[:, 2])
+    on_back = smoothstep(0.15, 0.7, outwards) * smoothstep(0.6, 0.2, canvas.fingers.sum(1))
     broken = 0.75 + 0.25 * canvas.noise("veins", 9.0)
     points = [knot for knots, _, _ in VEINS for knot in knots]
     moved = {knot: np.array(knot) + rng.normal(0, VEIN_JITTER, 2) for knot in dict.fromkeys(points)}

@@ -10,7 +10,6 @@ from jghand_engine.captures.skin.maps import SkinMaps
 from jghand_engine.captures.skin.noise import gauss, smoothstep
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.rotations import unit
-from jghand_engine.template.builtin import load_template
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import sample_bilinear
@@ -34,7 +33,7 @@ class SkinSurface:
     def __init__(self, identity: Identity, levels: int, maps: SkinMaps) -> None:
         fine = Subdivision.of(identity.faces, identity.face_uv, levels)
         self.faces, self.face_uv, self._matrix = fine.faces, fine.face_uv, fine.matrix
-        cap = fine.faces[load_template().skin_face_count * 4**levels :]
+        cap = fine.faces[identity.skin_face_count * 4**levels :]
         is_skin = np.ones(len(fine.corner))
         is_skin[cap] = 0
         uv = fine.face_uv.reshape(-1, 2)[fine.corner]

@@ -473,8 +473,9 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     assert plan.render["skin"]["person"] == dataclasses.asdict(Person(melanin=0.9, seed=4))
     # Loop's surface, whose vertices the worker takes as they are; the engine keeps the rig's
     mesh = np.load(tmp_path / "ann" / "plan" / person_skin.MESH_FILE, mmap_mode="r")
-    assert mesh.shape == (2, 6434, 4)
-    assert plan.vertices_m.shape == (2, 1610, 3)
+    assert mesh.shape == (2, 6994, 4)
+    # 1609 of the hand, 141 of its forearm
+    assert plan.vertices_m.shape == (2, 1750, 3)
     np.testing.assert_allclose(mesh[..., :3].mean(1), plan.vertices_m.mean(1), atol=5e-3)
     assert 0 <= mesh[..., 3].min() < mesh[..., 3].max() <= 1
     assert plan.render["sampling"]["subdivisions"] == 0
@@ -522,6 +523,18 @@ def test_two_shards_of_a_person_begin_together(tmp_path, monkeypatch, person_pla
     assert names == {"plan.json", "hands.npz", "plan.lock", person_skin.MESH_FILE, *person_skin.PERSON_FILES}
 
 
+def test_images_and_boxes_are_those_of_the_hand_whatever_its_forearm_does(person_plan):
+    (camera,), box = person_plan.record.cameras.values(), person_plan.record.boxes_px[0, "400000"]
+    hand, forearm = np.split(person_plan.vertices_m[0].astype(float), [1609])
+    seen, behind = camera.project(hand)[0], camera.project(forearm)[0]
+    np.testing.assert_allclose([*seen.min(0), *(seen.max(0) - seen.min(0))], box, atol=1e-3)
+    size = np.array([camera.width, camera.height])
+    assert (seen >= 0).all()
+    assert (seen <= size).all()
+    # the forearm runs out of the image
+    assert ((behind < 0) | (behind > size)).any()
+
+
 def test_the_mesh_of_many_poses_takes_the_memory_of_one(tmp_path, person_plan):
     assert person_plan.person is not None
     vertices_m, joints_m = (np.repeat(array[:1], 100, 0) for array in (person_plan.vertices_m, person_plan.joints_m))
@@ -532,7 +545,7 @@ def test_the_mesh_of_many_poses_takes_the_memory_of_one(tmp_path, person_plan):
     finally:
         tracemalloc.stop()
     mesh = np.load(tmp_path / "mesh.npy", mmap_mode="r")
-    assert mesh.shape == (100, 6434, 4)
+    assert mesh.shape == (100, 6994, 4)
     np.testing.assert_array_equal(mesh[99], mesh[0])
     # observed 3.1 MB, against 10 of the file
     assert most < mesh.nbytes / 2

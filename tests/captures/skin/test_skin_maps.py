@@ -24,7 +24,7 @@ PERSON = Person(seed=3)
 
 @pytest.fixture(scope="module", params=["child", "big_man"])
 def canvas(request) -> Canvas:
-    return painted(load_identity(request.param), SIZE, PERSON)
+    return painted(load_identity(request.param, forearm=True), SIZE, PERSON)
 
 
 @pytest.fixture(scope="module")
