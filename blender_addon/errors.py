@@ -101,7 +101,7 @@ ADVICE = {
     "interrupted": Advice("The run was interrupted", "Start it again to continue where it stopped", INTERRUPTED),
     "no_place": Advice("There is no folder to write to yet", "Save the file first, or choose a folder", BAD_INPUT),
     "no_bake": Advice("There is no finished bake here", 'Press "Bake", or choose the folder of a bake', BAD_INPUT),
-    "stale_bake": Advice("The bake is not of what the scene has now", 'Bake again, or press "Play Anyway"', BAD_INPUT),
+    "stale_bake": Advice("The bake is not of what the scene has now", "Bake again", BAD_INPUT),
     "no_pictures": Advice(
         "There are no images to learn from",
         'Press "Render Training Set", or choose the folder of a "Training Set"',

@@ -14,7 +14,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -32,10 +31,7 @@ from .recording import Recording, avatar_digest, check_made
 
 STAMP = "bake.json"
 _FORMAT, _VERSION = "jghand bake", 1
-# of a bake's files beside the stamp
-_SUFFIXES = (".usda", ".usdc", ".npz", ".json")
 _KINDS = {"str": str, "int": int, "float": float}
-_MOVES = "the hand moves in another way"
 # custom property of a playing object: the folder of its bake, relative where the bake's settings are so
 BAKE_PROPERTY = "jghand_bake"
 MATERIAL, LIT_MATERIAL = "JGHand Points", "JGHand Lit Points"
@@ -83,9 +79,9 @@ def folder_of(thing: bpy.types.Object) -> Path:
 
 
 def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> None:
-    """Finishes a bake: what the engine made of the recordings replaces the bake that lies in the folder.
+    """Finishes a bake: what the engine made of the recordings is moved into the folder, over the bake before.
 
-    Other files there stay. The earlier bake is moved aside and goes at the end: who is killed half-way loses neither.
+    The stamp goes first and comes last: who is killed half-way leaves no bake instead of a mixture.
     JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than it was given.
     """
     hands = []
@@ -105,45 +101,13 @@ def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> N
         )
     content = {"format": _FORMAT, "version": _VERSION, "hands": [asdict(hand) for hand in hands]}
     write_whole(made / STAMP, json.dumps(content, indent=1).encode())
-    before = _set_aside(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        before.mkdir()
-        for path in _files_of(folder):
-            os.replace(path, before / path.name)
+        (folder / STAMP).unlink(missing_ok=True)
         for path in sorted(made.iterdir(), key=lambda path: path.name == STAMP):
             os.replace(path, folder / path.name)
     except OSError as error:
-        bring_back(folder)
         raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
-    bring_back(folder)
-
-
-def _set_aside(folder: Path) -> Path:
-    """Where the bake of a folder lies while another takes its place."""
-    return folder.with_name(f".{folder.name}.before")
-
-
-def bring_back(folder: Path) -> None:
-    """Puts back the bake that was moved aside for one that did not come; one whose successor is there goes."""
-    before = _set_aside(folder)
-    try:
-        if before.is_dir() and not (folder / STAMP).is_file():
-            for path in sorted(before.iterdir(), key=lambda path: path.name == STAMP):
-                os.replace(path, folder / path.name)
-    except OSError as error:
-        raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
-    shutil.rmtree(before, ignore_errors=True)
-
-
-def _files_of(folder: Path) -> list[Path]:
-    """The files of the bake in a folder, the stamp first: half a bake is none."""
-    try:
-        names = [hand.name for hand in read_bake(folder)]
-    except JGHandFailure:  # there is none
-        return []
-    found = [path for name in names for path in folder.glob(f"{name}.*") if path.suffix in _SUFFIXES]
-    return [folder / STAMP, *found]
 
 
 def read_bake(folder: Path) -> list[BakedHand]:
@@ -172,32 +136,19 @@ def read_bake(folder: Path) -> list[BakedHand]:
 # ---- whether it is what the scene has --------------------------------------------------------------------------------
 
 
-def stale_reasons(hand: BakedHand, *, recording: Recording | None = None, avatar: str | None = None) -> list[str]:
-    """Why a bake does not show what the scene has now, as far as that is given; [] when nothing speaks against it."""
-    reasons = []
-    if recording is not None:
-        if (recording.first_frame, len(recording.joints_m), recording.fps) != (hand.first_frame, hand.frames, hand.fps):
-            reasons.append("the frames or the frame rate are others")
-        elif recording.digest != hand.joints_sha256:
-            reasons.append(_MOVES)
-        avatar = recording.avatar
-    if avatar is not None and avatar_digest(avatar) != hand.avatar:
-        reasons.append("the avatar is another one")
-    return reasons
-
-
 def stale_now(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, hands: Sequence[BakedHand]) -> list[str]:
     """Why the bake of a hand does not show the frame that is evaluated; [] when nothing speaks against it.
 
-    Going through all frames would take the time of a bake. JGHandFailure: no_bake, bad_motion.
+    Only this frame: to go through all would take the time of a bake. JGHandFailure: no_bake, bad_motion.
     """
     folder, frame = folder_of(thing), depsgraph.scene.frame_current_final
     now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
     reasons = []
     for hand in hands:
-        reasons += stale_reasons(hand, avatar=avatar_of(thing))
+        if avatar_digest(avatar_of(thing)) != hand.avatar:
+            reasons.append("the avatar is another one")
         if hand.handedness in now and _moved_at(hand, folder, frame, now[hand.handedness]):
-            reasons.append(_MOVES)
+            reasons.append("the hand moves in another way")
     return list(dict.fromkeys(reasons))
 
 
@@ -226,33 +177,20 @@ def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
 # ---- the object that plays -------------------------------------------------------------------------------------------
 
 
-def play(context: bpy.types.Context, folder: Path, released: Sequence[tuple[str, bpy.types.Object]] = ()) -> None:
+def play(context: bpy.types.Context, folder: Path) -> None:
     """Brings all hands of a bake into the scene, as objects that play; what was active and selected stays so.
 
-    released: what `release` returned: it plays the hand of its name again, or the one hand where it was the one, else
-    it goes. JGHandFailure: no_usd, no_bake.
+    JGHandFailure: no_usd, no_bake.
     """
     if not versions.has_usd():
         raise JGHandFailure("no_usd")
     layer = context.view_layer.objects
     active, selected = layer.active, list(layer.selected)
-    hands, names = read_bake(folder), {name for name, _ in released}
-    # the one hand of a bake may have another name now
-    renamed = len(hands) == len(names) == 1
-    for hand in hands:
-        cloud = _play_hand(context, hand, folder)
-        cloud.select_set(False)
-        again = [thing for name, thing in released if name == hand.name or renamed]
-        for thing in again:
-            _take_over(thing, cloud)
-        if again:
-            bpy.data.objects.remove(cloud)
-    known = {hand.name for hand in hands}
-    gone = [] if renamed else [thing for name, thing in released if name not in known]
-    for thing in (each for each in selected if each not in gone):
+    for hand in read_bake(folder):
+        _play_hand(context, hand, folder).select_set(False)
+    for thing in selected:
         thing.select_set(True)
-    layer.active = None if active in gone else active
-    _remove(gone)
+    layer.active = active
 
 
 def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types.Object:
@@ -279,61 +217,21 @@ def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy
     return cloud
 
 
-def release(context: bpy.types.Context, folder: Path) -> list[tuple[str, bpy.types.Object]]:
-    """Lets what plays a bake go of its files, and returns it with the name of its hand: USD keeps a file that is open
-    as it was read, and a new bake would not be seen. `play` has these objects play again, with all that an artist did
-    to them."""
-    released = []
-    for thing in playing(context.scene, folder):
-        name = ""
-        for modifier in _caches(thing):
-            name = Path(modifier.cache_file.filepath).stem if modifier.cache_file is not None else name
-            modifier.cache_file = None
-        released.append((name, thing))
-    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
-    return released
-
-
-def _caches(thing: bpy.types.Object) -> list[bpy.types.Modifier]:
-    return [modifier for modifier in thing.modifiers if modifier.type == "MESH_SEQUENCE_CACHE"]
-
-
-def _take_over(thing: bpy.types.Object, cloud: bpy.types.Object) -> None:
-    """Has a released object play what a new one does."""
-    before, thing[BAKE_PROPERTY] = thing.data, cloud[BAKE_PROPERTY]
-    for mine, new in zip(_caches(thing), _caches(cloud), strict=False):
-        mine.cache_file, mine.object_path = new.cache_file, new.object_path
-    if before == cloud.data:
-        return
-    cloud.data.materials.clear()
-    for material in before.materials:
-        cloud.data.materials.append(material)
-    thing.data, name = cloud.data, before.name
-    if not before.users:
-        bpy.data.batch_remove([before])
-        thing.data.name = name
-
-
 def stop(context: bpy.types.Context, folder: Path) -> bool:
     """Takes the objects that play a bake out of the scene; returns whether there were any.
 
     Their cache goes with them: USD keeps a file that is open as it was read, and a new bake would not be seen.
     """
     old = playing(context.scene, folder)
-    _remove(old)
-    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
-    if old:
-        context.view_layer.update()
-    return bool(old)
-
-
-def _remove(things: Sequence[bpy.types.Object]) -> None:
-    """Takes objects that play away, and their points."""
-    for thing in things:
+    for thing in old:
         cloud = thing.data
         bpy.data.objects.remove(thing)
         if not cloud.users:
             bpy.data.batch_remove([cloud])
+    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
+    if old:
+        context.view_layer.update()
+    return bool(old)
 
 
 def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:

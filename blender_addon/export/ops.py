@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -184,10 +183,8 @@ class Bake(StartsJob, bpy.types.Operator):
         runtime.program(usd=True)
 
     def overwritten(self, context: bpy.types.Context) -> str:
-        folders_ = _bake_folders(context, ops_common.hands_to_write(context))
-        for folder in folders_:
-            bakes.bring_back(folder)
-        there = [str(folder) for folder in folders_ if (folder / bakes.STAMP).is_file()]
+        things = ops_common.hands_to_write(context)
+        there = [str(folder) for folder in _bake_folders(context, things) if (folder / bakes.STAMP).is_file()]
         return rpt_("There is a bake in {folders}").format(folders=", ".join(there)) if there else ""
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -230,16 +227,15 @@ def _bake_folders(context: bpy.types.Context, things: Sequence[bpy.types.Object]
 
 
 def _folder_beside(folder: Path) -> Path:
-    """A new folder in which a bake is made: what lies in `folder` stays until it is finished. What bakes of it left
-    there that were killed goes, for this Blender makes one at a time."""
+    """A folder in which a bake is made, on the same disk: what lies in `folder` stays until it is finished. What was
+    left there by one that was killed goes."""
+    made = folder.with_name(f".{folder.name}.new")
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        bakes.bring_back(folder)
-        for left in folder.parent.glob(f".{folder.name}.*"):
-            shutil.rmtree(left, ignore_errors=True)
-        return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        shutil.rmtree(made, ignore_errors=True)
+        made.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise JGHandFailure("cannot_write", f"{folder}: {error.strerror or error}") from error
+        raise JGHandFailure("cannot_write", f"{made}: {error.strerror or error}") from error
+    return made
 
 
 def _things_of(context: bpy.types.Context, uids: list[int]) -> list[bpy.types.Object]:
@@ -251,25 +247,25 @@ def _things_of(context: bpy.types.Context, uids: list[int]) -> list[bpy.types.Ob
 
 
 def _finish(made: Sequence[_NewBake]) -> None:
-    """The engine has succeeded: the new bakes replace the earlier ones, hands and what plays go over to them. Whoever
-    looks after the job calls this, perhaps while another file is open: then no hand is touched."""
+    """The engine has succeeded: the new bakes replace the earlier ones, and what plays plays them. Whoever looks after
+    the job calls this, perhaps while another file is open: then no hand is touched."""
     with ui.one_step("Bake") as context:
         for bake in made:
             thing = next((thing for thing in bpy.data.objects if thing.session_uid == bake.uid), None)
             has_bake = thing is not None and bool(thing.jghand.bake)
             before = {bake.folder, bakes.folder_of(thing)} if has_bake else {bake.folder}
-            played = {folder: things for folder in before if (things := bakes.release(context, folder))}
+            played = [folder for folder in before if bakes.stop(context, folder)]  # files that are open stay as read
             try:
                 bakes.put_in_place(bake.made, bake.folder, bake.recordings)
             except JGHandFailure:
-                for folder, things in played.items():
+                for folder in played:
                     with contextlib.suppress(JGHandFailure):  # no half of a bake plays
-                        bakes.play(context, folder, things)
+                        bakes.play(context, folder)
                 raise
             if thing is not None and thing.is_editable:
                 thing.jghand.bake = folders.beside_the_file(context, bake.folder)
             if played:
-                bakes.play(context, bake.folder, [each for things in played.values() for each in things])
+                bakes.play(context, bake.folder)
 
 
 def _clean(made: Sequence[_NewBake]) -> None:
@@ -295,65 +291,21 @@ class PlayBake(Reporting, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
-    accept_stale: bpy.props.BoolProperty(
-        name="Play Anyway",
-        description="Play a bake of another pose or avatar too",
-        default=False,
-        options={"SKIP_SAVE"},
-    )
-
     poll = classmethod(_poll_baked)
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
         folder = bakes.folder_of(thing)
-        bakes.bring_back(folder)
-        hands = bakes.read_bake(folder)
-        reasons = bakes.stale_now(thing, context.evaluated_depsgraph_get(), hands)
-        if reasons and not self.accept_stale:
-            raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(map(rpt_, reasons))}")
+        reasons = bakes.stale_now(thing, context.evaluated_depsgraph_get(), bakes.read_bake(folder))
         with wait_cursor(context):  # Blender's own import cannot be cut into turns
             bakes.stop(context, folder)
             bakes.play(context, folder)
         thing.jghand.show_in_viewport = False
         if reasons:
             said = ", ".join(map(rpt_, reasons))
-            self.warn(rpt_("The bake is played as it is, but {reasons}.").format(reasons=said))
+            self.warn(rpt_("An old bake plays: {reasons}. Bake again to play what the scene has.").format(reasons=said))
         else:
             self.tell(rpt_("{name} plays from {folder}.").format(name=thing.name, folder=folder))
-
-
-class CheckBake(StartsJob, bpy.types.Operator):
-    """Operator: whether a bake is still of what the scene has, on every frame."""
-
-    bl_idname = "jghand.check_bake"
-    bl_label = "Check Bake"
-    bl_description = "Go through all frames and compare this hand with its bake: pose, avatar and frames"
-    bl_options = REGISTERED
-
-    working = "Comparing with the bake"
-
-    poll = classmethod(_poll_baked)
-
-    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
-        return [context.object]
-
-    def job(self, context: bpy.types.Context, recordings: list[Recording]) -> None:
-        folder = bakes.folder_of(context.object)
-        bakes.bring_back(folder)
-        found = {hand.handedness: hand for hand in bakes.read_bake(folder)}
-        reasons = []
-        for recording in recordings:
-            hand = found.get(recording.handedness)
-            if hand is None:
-                reasons.append("a hand is not in it")
-            else:
-                reasons += bakes.stale_reasons(hand, recording=recording)
-        if reasons:
-            raise JGHandFailure("stale_bake", ", ".join(map(rpt_, dict.fromkeys(reasons))))
-
-    def done(self, context: bpy.types.Context) -> str:
-        return rpt_("The bake of {name} is what the scene has.").format(name=context.object.name)
 
 
 class ClearBake(Reporting, bpy.types.Operator):
@@ -376,4 +328,4 @@ class ClearBake(Reporting, bpy.types.Operator):
         thing.jghand.show_in_viewport = True
 
 
-CLASSES = (Export, ExportSceneUsd, Bake, PlayBake, CheckBake, ClearBake)
+CLASSES = (Export, ExportSceneUsd, Bake, PlayBake, ClearBake)

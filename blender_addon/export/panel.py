@@ -39,11 +39,9 @@ class BakePanel(ui.HandSidebar, bpy.types.Panel):
         if hand is None or not hand.jghand.bake:
             return
         column.prop(hand.jghand, "bake", text="Baked Into")
-        stale = _draw_bake(layout, context, hand)
+        _draw_bake(layout, context, hand)
         row = layout.row(align=True)
-        play = row.operator("jghand.play_bake", text="Play Anyway" if stale else "Play Bake", icon="PLAY")
-        play.accept_stale = stale
-        row.operator("jghand.check_bake", text="", icon="CHECKMARK")
+        row.operator("jghand.play_bake", icon="PLAY")
         row.operator("jghand.clear_bake", text="", icon="TRASH")
 
 
@@ -93,14 +91,14 @@ def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.ty
     return column
 
 
-def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> bool:
-    """What the bake of a hand holds, and why it does not show what is seen now. Returns whether it is stale."""
+def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """What the bake of a hand holds, and why it does not show what is seen now."""
     seen = ui.kept(context, _look_at_bake, hand.session_uid)
     if seen is None:
-        return False
+        return
     if seen.problem:
         ui.paragraph(layout, context, iface_(seen.problem) + ".", icon="ERROR")
-        return False
+        return
     text = iface_("Baked: frames {first} to {last}").format(first=seen.first, last=seen.last)
     layout.label(text=text, icon="CHECKMARK" if not seen.reasons else "BLANK1", translate=False)
     if seen.reasons:
@@ -110,7 +108,6 @@ def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy
     space = context.space_data
     if seen.plays and isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "SOLID":
         ui.paragraph(layout, context, "The colors of a bake show in Material Preview and Rendered", icon="INFO")
-    return bool(seen.reasons)
 
 
 @dataclass(frozen=True)

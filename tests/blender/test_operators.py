@@ -43,7 +43,7 @@ NOT_UNDONE = {
     **dict.fromkeys(("explain", "open_preferences", "show_log", "show_job_log"), _SHOWS),
     "restart_engine": _ENGINE,
     "preview_movie": "writes pictures, and leaves the scene as it is",
-    **dict.fromkeys(("bake", "check_bake", "export", "render_training_set", "train"), _JOB),
+    **dict.fromkeys(("bake", "export", "render_training_set", "train"), _JOB),
     "cancel_job": "a job is none of the file",
     **dict.fromkeys(("install_tools", "remove_tools"), "the training tools are none of the file"),
     "make_pose_assets": "writes files and a preference",

@@ -288,15 +288,16 @@ def test_a_bake_plays_where_the_hand_is_without_engine_and_extension(baked, tmp_
     blender_addon.register()
 
 
-def test_a_bake_of_another_pose_is_said_and_not_played(baked):
+def test_a_bake_of_another_pose_or_avatar_says_so_where_it_is_played(baked, capfd):
     context, hand, _ = baked
-    hand.location.x += 0.01
-    context.view_layer.update()
-    with pytest.raises(RuntimeError, match="moves in another way"):
-        bpy.ops.jghand.play_bake()
-    with pytest.raises(RuntimeError, match="moves in another way"):
-        bpy.ops.jghand.check_bake()
-    assert bpy.ops.jghand.play_bake(accept_stale=True) == {"FINISHED"}
+    for change in ("moves in another way", "avatar is another one"):
+        if "moves" in change:
+            hand.location.x += 0.01
+        else:
+            hand.jghand.avatar = ""
+        context.view_layer.update()
+        assert bpy.ops.jghand.play_bake() == {"FINISHED"}
+        assert change in capfd.readouterr().out
     assert bpy.ops.jghand.clear_bake() == {"FINISHED"}
     assert not [thing for thing in context.scene.objects if thing.type == "POINTCLOUD"]
     assert hand.jghand.show_in_viewport
@@ -310,9 +311,6 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     context.scene.frame_set(3)
     (played,) = bakes.playing(context.scene, folder)
     before = cloud_positions(context, played)
-    played.name, played.pass_index = "Mine", 7
-    played.data.materials[0] = bpy.data.materials.new("My Skin")
-    played.modifiers.new("Mine", "NODES")
     hand.location.x += 0.25
     context.view_layer.update()
     assert bpy.ops.jghand.bake() == {"FINISHED"}
@@ -321,9 +319,6 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     after = cloud_positions(context, cloud)
     assert np.abs(after - before - [0.25, 0, 0]).max() < 1e-5
     assert len(bpy.data.cache_files) == len(bpy.data.pointclouds) == 1
-    assert (cloud, cloud.name, cloud.pass_index) == (played, "Mine", 7), "the object stays, with what was done to it"
-    assert [material.name for material in cloud.data.materials] == ["My Skin"]
-    assert [modifier.type for modifier in cloud.modifiers] == ["MESH_SEQUENCE_CACHE", "NODES"]
 
 
 def test_the_panel_says_what_is_baked_and_that_what_plays_is_stale(baked):
@@ -334,22 +329,10 @@ def test_the_panel_says_what_is_baked_and_that_what_plays_is_stale(baked):
     hand.location.x += 0.01
     context.view_layer.update()
     assert "The bake is not what the scene has: the hand moves" in " ".join(draw(output.BakePanel, context).texts)
-    bpy.ops.jghand.play_bake(accept_stale=True)
+    bpy.ops.jghand.play_bake()
     assert "What plays here is not what the scene has" in " ".join(draw(output.BakePanel, context).texts)
     (bakes.folder_of(hand) / bakes.STAMP).unlink()
     assert "no finished bake" in " ".join(draw(output.BakePanel, context).texts)
-
-
-def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
-    context, hand, _ = baked
-    assert bpy.ops.jghand.check_bake() == {"FINISHED"}
-    context.scene.frame_end += 1
-    with pytest.raises(RuntimeError, match="frames"):
-        bpy.ops.jghand.check_bake()
-    context.scene.frame_end -= 1
-    hand.jghand.avatar = ""
-    with pytest.raises(RuntimeError, match="avatar"):
-        bpy.ops.jghand.play_bake()
 
 
 def failing_engine(monkeypatch):
@@ -573,7 +556,6 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
     assert folder.name == "Body"
     assert [hand.handedness for hand in bakes.read_bake(folder)] == ["right", "left"]
     extension.view_layer.objects.active = rig
-    assert bpy.ops.jghand.check_bake() == {"FINISHED"}
     assert bpy.ops.jghand.play_bake() == {"FINISHED"}
     for cloud, side in zip(bakes.playing(extension.scene, folder), ("right", "left"), strict=True):
         far = np.linalg.norm(cloud_positions(extension, cloud) - joints[side][9], axis=1).min()
@@ -582,49 +564,6 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
     stage = Usd.Stage.Open(str(tmp_path / "whole.usdc"))
     found = [prim.GetPath() for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
     assert sorted(map(str, found)) == ["/root/Body_left/Splats", "/root/Body_right/Splats"]
-
-
-@pytest.mark.parametrize("operator", ["play_bake", "check_bake", "bake"])
-def test_a_bake_that_a_killed_blender_moved_aside_is_there_again(baked, operator):
-    context, hand, _ = baked
-    folder = bakes.folder_of(hand)
-    aside = bakes._set_aside(folder)
-    folder.rename(aside)
-    folder.mkdir()
-    if operator == "bake":
-        assert overwritten(Bake, context) == f"There is a bake in {folder}"
-    else:
-        assert getattr(bpy.ops.jghand, operator)() == {"FINISHED"}
-    assert bakes.read_bake(folder)
-    assert not aside.exists()
-
-
-def test_a_bake_of_more_or_fewer_hands_than_before_leaves_no_ghost_of_an_earlier_one(extension, engine, tmp_path):
-    rig, joints = mixamo_rig(extension)
-    rig.jghand.avatar = "painted"
-    extension.scene.frame_end = 4
-    settings = extension.scene.jghand.output
-    settings.bake_folder, settings.hands = str(tmp_path / "bakes"), "all"
-    maps = {side: sources.recognize(rig, side).bone_map for side in joints}
-    played = {}
-    for sides in (("right",), ("right", "left"), ("right",)):
-        for side, bone_map in maps.items():
-            if side in sides:
-                sources.store_map(rig, bone_map)
-            else:
-                sources.forget_map(rig, side)
-        assert bpy.ops.jghand.bake() == {"FINISHED"}
-        extension.view_layer.objects.active = rig
-        folder = Path(rig.jghand.bake)
-        if not played:
-            assert bpy.ops.jghand.play_bake() == {"FINISHED"}
-            extension.view_layer.objects.active = rig
-        clouds = bakes.playing(extension.scene, folder)
-        assert len(clouds) == len(bpy.data.pointclouds) == len(bpy.data.cache_files) == len(sides)
-        for cloud, side in zip(clouds, sides, strict=True):
-            assert np.linalg.norm(cloud_positions(extension, cloud) - joints[side][9], axis=1).min() < 0.03
-            assert list(cloud.data.materials) == [bakes.points_material()]
-        played = clouds
 
 
 def test_a_hand_that_is_not_exported_brings_no_splats(baked, tmp_path):
