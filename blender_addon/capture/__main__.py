@@ -2,9 +2,9 @@
 """The process: `python blender_addon/capture PLAN_FOLDER --threads 2`, jobs as lines of JSON on standard input.
 
 A job is {"pose": 0, "camera": 3, "file": "…/image0.png", "stamp": "…", "light": "…"}, the light where that of the plan
-varies; the answer is a line on standard output: {"ready": "5.0.1"} once, then {"file": …, "seconds": …} for every
-picture, or {"error": …, "file": …} and the end. What Blender itself prints goes to standard error. The end of the input
-is the end of the work.
+varies; the answer is a line on standard output: {"ready": "5.0.1"} once, then {"file": …, "seconds": …,
+"cpu_seconds": …} for every picture, or {"error": …, "file": …} and the end. What Blender itself prints goes to standard
+error. The end of the input is the end of the work.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def main() -> int:
     _say(answers, {"ready": bpy.app.version_string})
     for line in sys.stdin:
         job = json.loads(line)
-        started = time.perf_counter()
+        started, cpu_started = time.perf_counter(), time.process_time()
         target = Path(job["file"])
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -49,7 +49,8 @@ def main() -> int:
         except (OSError, ValueError, RuntimeError) as error:
             _say(answers, {"error": f"{type(error).__name__}: {error}", "file": job["file"]})
             return 1
-        _say(answers, {"file": job["file"], "seconds": round(time.perf_counter() - started, 3)})
+        took = {"seconds": time.perf_counter() - started, "cpu_seconds": time.process_time() - cpu_started}
+        _say(answers, {"file": job["file"], **{name: round(value, 3) for name, value in took.items()}})
     return 0
 
 

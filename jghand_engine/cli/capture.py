@@ -15,6 +15,7 @@ from jghand_engine.errors import InputError, RetryError
 
 if TYPE_CHECKING:
     from jghand_engine.captures.making.plan import CapturePlan
+    from jghand_engine.captures.making.worker import Finished
     from jghand_engine.captures.skin.person import Person
 
 DESCRIPTION = """Make a training set: pictures of a rigged hand of another shape, path traced from all sides.
@@ -130,16 +131,19 @@ class Capture:
         say(f"{len(plan.pose_names)} poses x {cameras} cameras; shard {self.shard} has {len(jobs)} pictures.")
         if len(todo) < len(jobs) or spoilt:
             say(f"{len(jobs) - len(todo)} are there already, {spoilt} are broken or of another plan and made again.")
-        seconds = self._render(todo, python)
+        finished = self._render(todo, python)
         broken = {job.file: fault for job in todo if (fault := fault_of(job))}
         if broken:
             file, fault = next(iter(broken.items()))
             raise RetryError(f"{len(broken)} pictures are not whole, the first {file}: {fault}", remedy="Start again.")
-        each = sum(seconds) / len(seconds) if seconds else 0.0
+        each = sum(done.seconds for done in finished) / len(finished) if finished else 0.0
         say(f"Wrote {self.out}: {len(todo)} pictures, {each:.1f} s each.")
+        by_size = _costs(finished)
+        for size, cost in by_size.items():
+            say(f"{size}: {cost['cpu_seconds_each']:.1f} CPU seconds, {1e-6 * cost['bytes_each']:.2f} MB each.")
         write_figures(self.json, {
             "command": "capture", "pictures": len(jobs), "rendered": len(todo), "remade": spoilt,
-            "seconds_each": each, "poses": list(plan.pose_names), "cameras": cameras,
+            "seconds_each": each, "by_size": by_size, "poses": list(plan.pose_names), "cameras": cameras,
         })  # fmt: skip
 
     def _annotate_finished(self, options) -> None:
@@ -154,23 +158,23 @@ class Capture:
         annotate(self.out, plan, finished)
         say(f"Annotated {len(finished)} of {len(plan.pose_names)} poses; without --finished-only it is all of them.")
 
-    def _render(self, todo: list, python: Path) -> list[float]:
+    def _render(self, todo: list, python: Path) -> list[Finished]:
         from jghand_engine.captures.making.worker import render
         from jghand_engine.learn.progress import duration
         from jghand_engine.native.threads import processors
 
-        seconds: list[float] = []
+        finished: list[Finished] = []
         started = shown = time.monotonic()
         with progress("pictures", len(todo)) as bar:
             for done in render(self.out, todo, python, self.threads or processors()):
-                seconds.append(done.seconds)
+                finished.append(done)
                 bar.advance(bar.task_ids[0])
                 now = time.monotonic()
                 if bar.disable and now - shown > _LINE_EVERY_S:
-                    left_s = (now - started) / len(seconds) * (len(todo) - len(seconds))
-                    say(f"{len(seconds)} of {len(todo)} pictures, {duration(left_s)} left")
+                    left_s = (now - started) / len(finished) * (len(todo) - len(finished))
+                    say(f"{len(finished)} of {len(todo)} pictures, {duration(left_s)} left")
                     shown = now
-        return seconds
+        return finished
 
     def _options(self):
         from jghand_engine.captures.making.lights import VariedLight
@@ -202,3 +206,19 @@ class Capture:
         if given.isdecimal():
             return Person.drawn(int(given))
         return Person.of_file(Path(given)) if Path(given).suffix.lower() == ".json" else Path(given)
+
+
+def _costs(finished: list[Finished]) -> dict[str, dict[str, float]]:
+    """What a picture took of processors and of the disk, by its size in pixels."""
+    from jghand_engine.captures.known_light import groups_file
+
+    sizes = dict.fromkeys(done.job.size_px for done in finished)
+    costs = {}
+    for size in sizes:
+        alike = [done for done in finished if done.job.size_px == size]
+        files = [file for done in alike for file in (done.job.file, groups_file(done.job.file)) if file.exists()]
+        costs["{}x{}".format(*size)] = {
+            "cpu_seconds_each": sum(done.cpu_seconds for done in alike) / len(alike),
+            "bytes_each": sum(file.stat().st_size for file in files) / len(alike),
+        }
+    return costs

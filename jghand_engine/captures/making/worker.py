@@ -44,10 +44,11 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class Finished:
-    """An image that is there now, and how long it took."""
+    """An image that is there now, how long it took, and how much of all processors."""
 
     job: Job
     seconds: float
+    cpu_seconds: float
 
 
 def fault_of(job: Job) -> str:
@@ -113,7 +114,8 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
                 _stream(process.stdin).flush()
             except OSError as error:
                 raise _ended(process, log) from error
-            yield Finished(job, float(_answer(process, log, python)["seconds"]))
+            answer = _answer(process, log, python)
+            yield Finished(job, float(answer["seconds"]), float(answer["cpu_seconds"]))
 
 
 def _clear_leftovers(files: set[Path]) -> None:

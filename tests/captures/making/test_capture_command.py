@@ -107,6 +107,18 @@ def test_whole_views_and_close_ups_have_sizes_of_their_own_and_a_close_up_sees_o
     ]  # fmt: skip
 
 
+def test_what_pictures_of_each_size_cost_is_told(copied, capsys):
+    whole, close_up = pictures(copied)[0], pictures(copied)[-1]
+    size = close_up.stat().st_size
+    whole.unlink()
+    close_up.unlink()
+    assert capture(copied, "--json", str(copied / "figures.json")) == 0
+    assert "384x384: 0.2 CPU seconds" in capsys.readouterr().out
+    by_size = json.loads((copied / "figures.json").read_text(encoding="utf-8"))["by_size"]
+    assert list(by_size) == ["32x48", "384x384"]
+    assert by_size["384x384"] == {"cpu_seconds_each": 0.2, "bytes_each": size}
+
+
 def test_the_split_keeps_poses_and_cameras_of_both_sizes_for_the_test(made):
     split = split_capture(open_capture(made))
     frames = {sample.frame for sample in split.train}
