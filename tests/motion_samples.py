@@ -7,7 +7,7 @@ as its joints do. Skeletons are written as BVH, glTF 2.0 and UsdSkel; detections
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -342,13 +342,3 @@ def freemocap_lines(sequences: Sequence[PoseSequence], version: int) -> str:
         else:
             lines.append(f"{frame},left_hand_root,1.0,2.0,3.0,rtmpose.left_body,3d_xyz,")
     return "\n".join(lines) + "\n"
-
-
-def flipped(whole: bytes, count: int) -> Iterator[bytes]:
-    """So many copies of a file, in each of which three bits are flipped."""
-    random = np.random.default_rng(1)
-    for _ in range(count):
-        broken = bytearray(whole)
-        for place in random.integers(0, len(whole), 3):
-            broken[place] ^= 1 << int(random.integers(8))
-        yield bytes(broken)

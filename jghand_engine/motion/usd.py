@@ -49,7 +49,10 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(f"cannot read {path}: {error.strerror or error}", remedy="Check its rights.") from error
     # USD looks for the table of contents where the header says, also behind the end of the file
     contents = int.from_bytes(head[16:24], "little")
-    if head.startswith(CRATE) and not _CRATE_HEADER_BYTES <= contents < path.stat().st_size:
+    cut_off = head.startswith(CRATE) and not _CRATE_HEADER_BYTES <= contents < path.stat().st_size
+    # USD opens an archive whose end is missing, without the layers that are missing with it
+    cut_off = cut_off or (path.suffix.lower() == ".usdz" and head.startswith(b"PK") and not zipfile.is_zipfile(path))
+    if cut_off:
         raise InputError(name, wanted="a whole file", came="one that was cut off", remedy="Copy or export it again.")
     try:
         yield
@@ -60,7 +63,10 @@ def reading(path: Path) -> Iterator[None]:
 
 def usd_reason(error: Exception) -> str:
     """What went wrong first, of a Tf.ErrorException, without where in USD's source."""
-    text = str(error).strip()
+    try:
+        text = str(error).strip()
+    except UnicodeDecodeError:
+        return "its names are no text"
     quoted = re.search(r" in file \S+ : '(.*?)'\s*(?:\n\tError in '|\Z)", text, re.DOTALL)
     return (quoted.group(1) if quoted else text).strip()
 

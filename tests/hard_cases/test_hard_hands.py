@@ -42,6 +42,15 @@ def test_values_and_gradients_are_finite_and_joints_exact(case, swing):
             assert gradient.abs().max() * case.size_m < GRADIENT_MAX
 
 
+def test_a_scale_mode_between_has_finite_gradients_on_every_hard_hand():
+    for case in hand_cases().values():
+        x = case.joints_m[None].clone().requires_grad_()
+        bones = JointTransform(CANONICAL_M, handedness=case.handedness, scale_mode=0.3).bones(x)
+        (gradient,) = torch.autograd.grad(bones.matrices().sum(), x)
+        assert torch.isfinite(bones.linear).all(), case.name
+        assert torch.isfinite(gradient).all(), case.name
+
+
 @pytest.mark.parametrize(
     ("name", "minimal", "euler"),
     [

@@ -1,0 +1,521 @@
+"""Files that are whole and lie: about their sizes, their numbers, or what lies beside them. Refused by name, soon."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import random
+import shutil
+import struct
+import subprocess
+import tracemalloc
+import zipfile
+import zlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors
+import safetensors.numpy
+from picture_sets import edited, recorded, write_hanco, write_set
+from sound_files import CAMERA, KINDS, TOLD, motion_bytes
+
+from jghand_engine.avatar.file import METADATA_KEY, load_avatar
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.captures import CaptureChoice
+from jghand_engine.captures.image_files import probe_image, read_image, read_mask
+from jghand_engine.cli import main
+from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.export.camera_file import read_camera
+from jghand_engine.export.usd.check import check_usd
+from jghand_engine.export.video import ffmpeg_program, write_video
+from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
+from jghand_engine.json_files import JSON_BYTES_MAX
+from jghand_engine.learn.skeleton import JointTransform
+from jghand_engine.motion import content
+from jghand_engine.motion.read import read_motion_file
+from jghand_engine.npz_files import read_arrays
+from jghand_engine.template.builtin import ASSETS, FIELDS, load_fields, load_template
+from jghand_engine.template.checks import check_template
+from jghand_engine.track import video
+from jghand_engine.track.video import open_video, read_frames
+
+Parts = tuple[dict[str, np.ndarray], dict[str, Any]]
+
+
+# ---- avatars ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=["avatar", "trained avatar", "avatar in known light", "distilled avatar"])
+def parts(request, tmp_path_factory) -> Parts:
+    """A sound avatar file as arrays and description."""
+    path = tmp_path_factory.mktemp("sound") / "a.jghand"
+    path.write_bytes(KINDS[request.param].sound(path))
+    with safetensors.safe_open(str(path), framework="numpy") as opened:
+        return safetensors.numpy.load_file(path), json.loads(opened.metadata()[METADATA_KEY])
+
+
+def refused_avatar(folder: Path, arrays: dict[str, np.ndarray], about: Any, *words: str) -> None:
+    path = folder / "wrong.jghand"
+    text = about if isinstance(about, str) else json.dumps(about)
+    whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    path.write_bytes(safetensors.numpy.save(whole, metadata={METADATA_KEY: text}))
+    with pytest.raises(InputError) as caught:
+        load_avatar(path)
+    message = str(caught.value)
+    assert all(word in message for word in (path.name, *words)), message
+    assert caught.value.remedy
+
+
+def test_an_avatar_of_a_newer_version_says_to_update(tmp_path, parts):
+    arrays, about = parts
+    refused_avatar(tmp_path, arrays, {**about, "format_version": 99}, "newer JGHand", "update")
+
+
+def test_every_array_of_an_avatar_is_missed_and_its_length_type_and_numbers_looked_at(tmp_path, parts):
+    arrays, about = parts
+    for name, array in arrays.items():
+        refused_avatar(tmp_path, {k: a for k, a in arrays.items() if k != name}, about, name)
+        refused_avatar(tmp_path, {**arrays, name: array[:-1]}, about, name)
+        refused_avatar(tmp_path, {**arrays, name: array.astype(np.int64)}, about, name, "I64")
+        if array.dtype in (np.float16, np.float32):
+            bad = array.copy()
+            bad.reshape(-1)[-1] = np.nan
+            refused_avatar(tmp_path, {**arrays, name: bad}, about)
+    refused_avatar(tmp_path, {**arrays, "payload": np.zeros(3)}, about, "payload")
+
+
+def test_a_description_without_a_field_or_with_nonsense_in_it_is_refused(tmp_path, parts):
+    arrays, about = parts
+    for text in ("", "{", "[]", "null", "[" * 20_000, '{"format_version": 1e999}', "NaN"):
+        refused_avatar(tmp_path, arrays, text)
+    for field in ("name", "template", "handedness", "joint_names", "swing", "scale_mode", "storage", "gaussians"):
+        refused_avatar(tmp_path, arrays, {name: value for name, value in about.items() if name != field})
+        refused_avatar(tmp_path, arrays, {**about, field: None})
+    refused_avatar(tmp_path, arrays, {**about, "gaussians": 10**12})
+    learned = about.get("learnt") or {}
+    for field in set(learned) - {"shadow", "baked", "light"}:
+        for value in ({}, -1, "no", 10**12):
+            refused_avatar(tmp_path, arrays, {**about, "learnt": {**learned, field: value}})
+
+
+def bent_sideways(joints_m: np.ndarray) -> np.ndarray:
+    """The small finger along its flexion axis, its bones as long as before; standard order."""
+    level = joints_m[[STANDARD_NAMES.index(name) for name in LEVEL_NAMES]]
+    frames = JointTransform(level, handedness=Handedness.RIGHT).canonical
+    along_m = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(joints_m[17:], axis=0), axis=1))])[:, None]
+    return np.concatenate([joints_m[:17], joints_m[17] + along_m * frames.S[:, 1, 4, 0].numpy()])
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda joints: np.where(np.arange(21)[:, None] == 9, joints[5], joints), "palm bones"),
+        (bent_sideways, "sideways"),
+        (lambda joints: joints[[0, *range(1, 5), *range(17, 21), *range(5, 17)]], "joints read in level order"),
+        (lambda joints: np.where(np.arange(21)[:, None] == 6, joints[5], joints), "index2"),
+        (lambda joints: 1e3 * joints, "wrist"),
+    ],
+)
+def test_a_canonical_hand_that_no_joints_can_drive_is_refused(tmp_path, parts, change, named):
+    """Found when the file is read, not when the first frame is drawn."""
+    arrays, about = parts
+    joints = change(arrays["canonical_joints_m"]).astype(arrays["canonical_joints_m"].dtype)
+    refused_avatar(tmp_path, {**arrays, "canonical_joints_m": joints}, about, named)
+
+
+# ---- motions ---------------------------------------------------------------------------------------------------------
+
+
+def header(shape: str) -> bytes:
+    """The start of an .npy file that promises `shape`, without the numbers."""
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    text += b" " * (-(len(text) + 11) % 64) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+@pytest.mark.parametrize("shape", ["(1000000000000, 21, 3)", "(-1, 21, 3)", "(2, 21, 3, 10**9)"])
+def test_headers_that_promise_too_much_are_refused(tmp_path, shape):
+    plain, packed = tmp_path / "motion.npy", tmp_path / "motion.npz"
+    plain.write_bytes(header(shape))
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("joints_m.npy", header(shape))
+    for path, says in ((plain, "undamaged"), (packed, "a whole")):
+        with pytest.raises(InputError, match=says):
+            read_motion_file(path, TOLD)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".json", ".csv"])
+def test_memory_that_runs_out_is_no_damage_and_too_much_is_not_read(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"motion{suffix}"
+    motion_bytes(path)
+    with monkeypatch.context() as small:
+        small.setattr(content, "MOTION_FRAMES_MAX", 1)
+        with pytest.raises(InputError, match="more than 1 frames"):
+            read_motion_file(path, TOLD)
+    with monkeypatch.context() as small:
+        small.setattr(content, "MOTION_TEXT_MAX_BYTES", 100)
+        small.setattr(content, "MOTION_MAX_BYTES", 100)
+        with pytest.raises(InputError, match="at most"):
+            read_motion_file(path, TOLD)
+
+    def too_much(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    for name in ("files", "tables"):
+        monkeypatch.setattr(f"jghand_engine.motion.{name}.checked_joints", too_much)
+    with pytest.raises(MemoryLimitError, match="shorter motions") as caught:
+        read_motion_file(path, TOLD)
+    assert caught.value.exit_code == 4
+
+
+HEAD = (
+    "HIERARCHY\nROOT RightHand\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n"
+    "End Site\n{\nOFFSET 0 1 0\n}\n}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (HEAD + "MOTION\nFrames: 900000\nFrame Time: 0.033\n1 2 3\n", "1 there"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: nan\n1 2 3\n", "frame time"),
+        (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n1 2\n", "frame 1 has not the 3 numbers"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 nan 3\n", "no finite numbers"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 2 3\n", "a hand"),
+        (HEAD.replace("3 X", "4 X"), "CHANNELS"),
+        (HEAD + "}\n", "brace too many"),
+        ("Kaydara FBX Binary  \0\x1a\0", "FBX.*Blender"),
+        ("BLENDER-v405", "blend"),
+        ('{"asset": {"version": "2.0"}, "nodes": []}', "glTF is not read"),
+        ('{"joints": [[[1e999, 1, 1]]]}', "motion"),
+        (json.dumps({"joints": [[[10**400] * 3] * 21]}), "motion"),
+        ("  \n ", "empty"),
+    ],
+)
+def test_what_is_no_motion_says_what_is_wrong(tmp_path, text, says):
+    path = tmp_path / "motion.any"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as caught:
+        read_motion_file(path, TOLD)
+    assert len(str(caught.value)) < 700
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("x")
+    with pytest.raises(InputError, match="OpenPose"):
+        read_motion_file(tmp_path, TOLD)
+    with pytest.raises(InputError, match="absent"):
+        read_motion_file(tmp_path / "absent.bvh", TOLD)
+    for number in (1, 10**12):
+        (tmp_path / f"v_{number:012d}_keypoints.json").write_text('{"people": []}')
+    with pytest.raises(InputError, match="frames from 1 to"):
+        read_motion_file(tmp_path, TOLD)
+
+
+# ---- cameras and maps of bones ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1e400", "NaN", "Infinity", "true", "[]", '"64"', "null"])
+@pytest.mark.filterwarnings("error")
+def test_a_number_of_a_camera_that_is_none_is_named(tmp_path, number):
+    path = tmp_path / "given.json"
+    for name in CAMERA:
+        value: Any = [["@"] * 4] * 4 if name == "camera_from_world" else "@"
+        path.write_text(json.dumps({**CAMERA, name: value}).replace('"@"', number))
+        with pytest.raises(InputError) as caught:
+            read_camera(path)
+        assert name in str(caught.value) or "which is no number" in str(caught.value)
+
+
+def test_a_map_of_bones_that_is_none_ends_in_a_sentence(tmp_path, capsys):
+    path, motion = tmp_path / "given.json", tmp_path / "a.bvh"
+    motion.write_text("HIERARCHY")
+    for text in ("", "{", "[" * 50_000, "NaN", "[]", '{"width":[' + "[]," * 500_000 + "[]]}"):
+        path.write_text(text)
+        assert main(["motion", str(motion), "--out", str(tmp_path / "out.npz"), "--bones", str(path)]) == 2
+        assert "given.json" in capsys.readouterr().err
+
+
+def test_a_large_json_file_is_not_read(tmp_path):
+    path = tmp_path / "given.json"
+    path.write_bytes(b" " * 50 * JSON_BYTES_MAX)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=f"bytes, got {50 * JSON_BYTES_MAX}. Check the name"):
+            read_camera(path)
+        assert tracemalloc.get_traced_memory()[1] < 3 * JSON_BYTES_MAX
+    finally:
+        tracemalloc.stop()
+
+
+# ---- USD -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def crate(tmp_path) -> Path:
+    path = tmp_path / "sound.usdc"
+    path.write_bytes(KINDS["usd"].sound(tmp_path / "hand.usdc"))
+    return path
+
+
+def refused_stage(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        check_usd(path)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_stage_that_lies_about_its_parts_is_refused(tmp_path, crate):
+    for offset in (-1, 0, 2**40, 2**63 - 1):
+        whole = bytearray(crate.read_bytes())
+        struct.pack_into("<q", whole, 16, offset)
+        (tmp_path / "lying.usdc").write_bytes(whole)
+        refused_stage(tmp_path / "lying.usdc")
+    shutil.copyfile(crate, tmp_path / "hand.ply")
+    refused_stage(tmp_path / "hand.ply")
+    with zipfile.ZipFile(tmp_path / "empty.usdz", "w") as archive:
+        archive.writestr("notes.txt", "mine")
+    refused_stage(tmp_path / "empty.usdz")
+    with zipfile.ZipFile(tmp_path / "packed.usdz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(crate, "hand.usdc")
+    refused_stage(tmp_path / "packed.usdz")
+
+
+def test_numbers_of_a_stage_that_are_others_are_refused_or_told(tmp_path, crate):
+    """Of 64 files in which eight bytes are another number, each is sound, found wrong, or refused by name."""
+    refusals = {}
+    for number, offset in enumerate(np.random.default_rng(0).integers(88, 4000, 64)):
+        whole = bytearray(crate.read_bytes())
+        struct.pack_into("<Q", whole, int(offset), (2**31 - 1, 2**40, 2**63 - 1, 2**64 - 1)[number % 4])
+        path = tmp_path / f"lying{number}.usdc"
+        path.write_bytes(whole)
+        try:
+            check_usd(path)
+        except InputError as error:
+            refusals[path.name] = str(error)
+    assert all(name in sentence for name, sentence in refusals.items()), refusals
+    assert any("damaged" in sentence for sentence in refusals.values()), refusals
+
+
+def test_an_archive_whose_names_are_no_text_is_refused(tmp_path):
+    """USD's own message is no text then."""
+    whole = bytearray(KINDS["usd archive"].sound(tmp_path / "hand.usdz"))
+    whole[69] = 128
+    (tmp_path / "named.usdz").write_bytes(whole)
+    refused_stage(tmp_path / "named.usdz")
+
+
+def test_a_damaged_layer_below_is_named(tmp_path):
+    (tmp_path / "below.usda").write_text("#usda 1.0\ndef (((\n")
+    (tmp_path / "hand.usda").write_text('#usda 1.0\ndef "a" (payload = @./below.usda@) {}\n')
+    assert "below.usda" in refused_stage(tmp_path / "hand.usda")
+
+
+# ---- pictures to learn from ------------------------------------------------------------------------------------------
+
+ANNOTATIONS = ("data", "camera", "joint_3d")
+NONSENSE = (None, "", "x", -1, 10**400, 1e308, float("nan"), float("inf"), True, [], [[]], {}, {"0": 1}, [None] * 42)
+
+
+@pytest.fixture(scope="module")
+def interhand(tmp_path_factory) -> Path:
+    return write_set(tmp_path_factory.mktemp("interhand"), recorded(frames=1))
+
+
+@pytest.fixture(scope="module")
+def hanco(tmp_path_factory) -> Path:
+    return write_hanco(tmp_path_factory.mktemp("hanco"), (2,), frames=1)
+
+
+def places(inside: Any, path: tuple = ()):
+    """Every place in nested lists and dicts, but of long lists only the ends."""
+    yield path
+    if isinstance(inside, dict):
+        for key in inside:
+            yield from places(inside[key], (*path, key))
+    elif isinstance(inside, list):
+        for index in {0, len(inside) - 1} if inside else ():
+            yield from places(inside[index], (*path, index))
+
+
+def replaced(inside: Any, path: tuple, value: Any) -> Any:
+    if not path:
+        return value
+    changed = copy.deepcopy(inside)
+    place = changed
+    for step in path[:-1]:
+        place = place[step]
+    place[path[-1]] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *(("interhand", f"annotations/train/InterHand2.6M_train_{part}.json") for part in ANNOTATIONS),
+        *(("hanco", name) for name in ("meta.json", "calib/0002/00000000.json", "xyz/0002/00000000.json")),
+    ],
+)  # fmt: skip
+def test_nonsense_anywhere_in_a_data_set_is_refused_or_harmless(request, kind, name):
+    folder = request.getfixturevalue(kind)
+    file, choice = folder / name, CaptureChoice(sequences=("2",)) if kind == "hanco" else None
+    whole, source = file.read_text(), random.Random(len(name))
+    every = sorted(places(json.loads(whole)), key=str)
+    try:
+        for path in source.sample(every, min(30, len(every))):
+            file.write_text(json.dumps(replaced(json.loads(whole), path, source.choice(NONSENSE))))
+            with contextlib.suppress(InputError):
+                open_capture(folder, choice=choice)
+        for text in (b"", b"{", b"\xff\xfe\x00", b"[" * 200_000, b"null", b"[1]"):
+            file.write_bytes(text)
+            with pytest.raises(InputError, match=file.name):
+                open_capture(folder, choice=choice)
+    finally:
+        file.write_text(whole)
+    assert len(open_capture(folder, choice=choice)) > 0
+
+
+@pytest.mark.parametrize("name", ["../../../../etc/passwd", "/etc/passwd", "C:/a/b/c/d.png", "..\\..\\x\\y.png"])
+def test_no_picture_outside_the_set_is_read(interhand, tmp_path, name):
+    folder = shutil.copytree(interhand, tmp_path / "set")
+    with edited(folder, "data") as annotations:
+        annotations["images"][0]["file_name"] = name
+    with pytest.raises(InputError, match=r"annotation 0 in .*file_name"):
+        open_capture(folder)
+
+
+def png_that_claims(width: int, height: int) -> bytes:
+    """The smallest PNG that says it has so many pixels."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("reader", [probe_image, read_image, read_mask])
+def test_what_is_no_picture_is_refused_by_name_and_nothing_huge_is_made(tmp_path, reader):
+    file = tmp_path / "picture.png"
+    for whole in (b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xd9", bytes(1000), png_that_claims(60000, 60000)):
+        file.write_bytes(whole)
+        with pytest.raises(InputError, match=r"picture\.png"):
+            reader(file)
+
+
+# ---- templates -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("vertices", None), ("weights", np.zeros((1609, 21), np.float32)), ("joint_names", np.zeros(21))],
+)
+def test_a_missing_or_wrong_field_of_a_template_is_named(tmp_path, name, value):
+    path = tmp_path / "hand_right.npz"
+    np.savez(path, **{field: one for field, one in {**load_fields(), name: value}.items() if one is not None})
+    with pytest.raises(InputError, match=name):
+        load_fields(path)
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked():
+    whole = read_arrays(ASSETS / "hand_right.npz", FIELDS, "the hand")
+    # the sum counts, not the largest: 146 kB in the file
+    total, largest = sum(array.nbytes for array in whole.values()), max(array.nbytes for array in whole.values())
+    assert largest < total // 2
+    with pytest.raises(InputError, match=f"at most {total // 2} bytes"):
+        read_arrays(ASSETS / "hand_right.npz", FIELDS, "the hand", max_bytes=total // 2)
+
+
+def test_a_damaged_installation_says_what_to_do(monkeypatch):
+    def damaged() -> None:
+        raise InputError("template file", wanted="a whole .npz file", came="half of it")
+
+    monkeypatch.setattr("jghand_engine.template.builtin.load_fields", damaged)
+    with pytest.raises(InputError, match="Install JGHand again"):
+        load_template.__wrapped__()
+
+
+@pytest.mark.parametrize(
+    ("field", "change", "message"),
+    [
+        ("faces", lambda t: np.concatenate([t.faces[:1, ::-1], t.faces[1:]]), "closed surface"),
+        ("faces", lambda t: t.faces[:, ::-1], "inside-out"),
+        ("faces", lambda t: np.where(t.faces == 7, 1610, t.faces), "vertex numbers 0..1609"),
+        ("face_uv", lambda t: t.face_uv - 0.1, "coordinates 0..1"),
+        ("skin_face_count", lambda t: 4000, "skin faces"),
+        ("vertices_m", lambda t: np.where(t.vertices_m > 0.1, np.nan, t.vertices_m), "vertices: wanted finite"),
+        ("bone_weights", lambda t: t.bone_weights * 0.5, "sum to 1"),
+        ("bone_weights", lambda t: t.bone_weights[:, :20], "weights: wanted shape"),
+        ("joints_m", lambda t: t.joints_m * 1000, "millimeters"),
+        ("joints_m", lambda t: t.joints_m[::-1], "joints"),
+    ],
+)
+def test_an_unusable_surface_is_refused_with_its_fault(field, change, message):
+    template = load_template()
+    with pytest.raises(InputError, match=message):
+        check_template(replace(template, **{field: change(template)}))
+
+
+# ---- films -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory) -> Path:
+    pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+    path = tmp_path_factory.mktemp("film") / "film.mp4"
+    KINDS["film"].sound(path)
+    return path
+
+
+def converted(film: Path, path: Path, *words: str) -> Path:
+    command = [ffmpeg_program(), "-loglevel", "error", "-i", str(film), *words, str(path)]
+    subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+    return path
+
+
+def refused_film(path: Path, match: str) -> None:
+    with pytest.raises(InputError, match=match) as told:
+        list(read_frames(open_video(path)))
+    assert len(str(told.value)) < 600
+    assert "\n" not in str(told.value)
+
+
+def test_what_is_no_film_is_named_and_a_list_of_files_is_not_followed(film, tmp_path):
+    refused_film(tmp_path / "none.mp4", "cannot read video")
+    refused_film(tmp_path, "a folder")
+    path = tmp_path / "list.mp4"
+    for text in (
+        f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{film}\n#EXT-X-ENDLIST\n",
+        f"ffconcat version 1.0\nfile '{film}'\n",
+    ):
+        path.write_text(text)
+        refused_film(path, "a film that ffmpeg can read")
+
+
+def test_absurd_sizes_and_shapes_are_refused_before_a_picture_is_decoded(film, tmp_path, monkeypatch):
+    for width, height in ((512, 16), (16, 512)):
+        write_video(tmp_path / "thin.mp4", (np.zeros((height, width, 3), np.uint8) for _ in range(3)), 30)
+        refused_film(tmp_path / "thin.mp4", "5 times as long as wide")
+    shape = converted(film, tmp_path / "shape.mp4", "-vf", "setsar=1/20", "-c:v", "libx264")
+    refused_film(shape, "5 times as long as wide")
+    monkeypatch.setattr(video, "VIDEO_EDGE_MAX_PX", 60)
+    refused_film(film, "64 x 48")
+
+
+def test_too_many_pictures(film, tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "TRACK_FRAMES_MAX", 5)
+    refused_film(film, "at most 5 pictures")
+    assert len(list(read_frames(open_video(film, most=4), most=4))) == 4, "its beginning can be had"
+    # a film that does not say how many it has
+    raw = converted(film, tmp_path / "raw.h264", "-c", "copy")
+    monkeypatch.setattr(video, "TRACK_FRAMES_MAX", 4)
+    notes: list[str] = []
+    assert len(list(read_frames(open_video(raw), notes))) == 4
+    assert "more than 4 pictures: its first 4 were read" in notes[0]
+    notes = []
+    assert len(list(read_frames(open_video(raw, most=3), notes, most=3))) == 3
+    assert notes == []
