@@ -22,8 +22,8 @@ from jghand_engine.render.camera import Camera
 
 # pixels kept around the hand when a picture is cut to it: as far as SSIM's window and a stray Gaussian reach
 CROP_MARGIN_PX = 10
-# cut pictures kept in memory, bytes; 60 kB each at 512 x 334, so that 16,000 fit
-PICTURE_CACHE_BYTES = 1_000_000_000
+# cut pictures kept in memory, bytes; 1 MB each of 501 x 768, 4 MB where light groups are apart: a capture of 400 fits
+PICTURE_CACHE_BYTES = 2_000_000_000
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,14 @@ def test_the_groups_sum_to_the_picture_of_all_lights(captured, tmp_path):
     assert all(group.mean() > 0 for group in groups)
 
 
+def test_a_camera_may_have_a_size_and_rays_of_its_own(captured):
+    plan = json.loads((captured / "plan" / "plan.json").read_text(encoding="utf-8"))
+    scene, usual = lit.LitScene(plan["render"], captured / "plan", 1), plan["cameras"][0]
+    for camera, expected in (({**usual, "width": 50, "samples": 9}, (50, 9)), (usual, (WIDTH, 4))):
+        scene._aim(camera)
+        assert (bpy.context.scene.render.resolution_x, bpy.context.scene.cycles.samples) == expected
+
+
 # ---- records as Blender's lights, on a white card --------------------------------------------------------------------
 
 KINDS = {
