@@ -5,9 +5,8 @@
 
 The built-in hand, which users get, has 40,000 Gaussians at most, and colors of its own in every frame; the painted one
 has 60,000 and none. Prints median and worst of the runs after one warm-up: writing the Gaussians (splats and points in
-one layer), posing them, everything, opening the stage without its payloads; the size in all and per further frame, also
-in half precision; and how much more memory 600 frames take than 48. Files go to a temporary folder on the disk of
---folder.
+one layer), posing them, everything, opening the stage without its payloads; the size in all and per further frame; and
+how much more memory 600 frames take than 48. Files go to a temporary folder on the disk of --folder.
 """
 
 from __future__ import annotations
@@ -115,7 +114,6 @@ def measure(subject: Subject, options: argparse.Namespace) -> None:
     subject.export(options.frames)
     runs = [subject.export(options.frames) for _ in range(options.runs)]
     doubled, _ = subject.export(2 * options.frames)
-    halves, _ = subject.export(options.frames, UsdOptions(precision="half"))
     report = runs[0][0]
     print(
         f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, torch threads {torch.get_num_threads()}"
@@ -137,9 +135,6 @@ def measure(subject: Subject, options: argparse.Namespace) -> None:
     for name, bytes_ in report.bytes.items():
         print(f"    {name:<20} {bytes_ / 1e6:7.2f}")
     print(f"  {'per further frame, MB':<22} {growth / 1e6:7.3f}")
-    print(f"  {'in half precision, MB':<22} {size(halves) / 1e6:7.2f}")
-    if halves.half_error_m is not None:
-        print(f"    {'centers moved, mm':<20} {1e3 * halves.half_error_m:7.3f}")
     grown = memory_growth_mb(options)
     if grown is not None:
         print(f"  {f'{LONG} frames, MB more':<22} {grown:7.1f}")

@@ -52,16 +52,12 @@ GAUSSIANS, FRAMES = 2000, 20
 @dataclass(frozen=True)
 class Way:
     """A way to write a stage. words: of the command line · options · frames · reads: the file that readers of single
-    layers get, the same as the stage where it is one file · is_half: NVIDIA's rule refuses it, as it should"""
+    layers get, the same as the stage where it is one file"""
 
     words: str
     options: UsdOptions = field(default_factory=UsdOptions)
     frames: int = FRAMES
     reads: str = "hand.splats.usdc"
-
-    @property
-    def is_half(self) -> bool:
-        return self.options.is_half
 
     @property
     def has_splats(self) -> bool:
@@ -72,7 +68,6 @@ class Way:
 WAYS = (
     Way(""),
     Way("--radiance linear --sizes per_frame", UsdOptions(radiance="linear", sizes="per_frame")),
-    Way("--precision half", UsdOptions(precision="half")),
     Way("--package usdz", UsdOptions(package="usdz"), reads="hand.usdz"),
     *(
         Way(f"--package usdc --default-variant {variant}", UsdOptions(package="usdc", default_variant=variant),
@@ -81,8 +76,8 @@ WAYS = (
     ),
 )  # fmt: skip
 # what is written is float32 (position at up to 0.5 m, meters; radius as a part; color of 0..1, whose harmonics are
-# divided by 0.28), or half precision: two steps of 11 bits at 0.25 m, and of a harmonic of 2
-PRECISION, HALF_PRECISION = (1e-7, 1e-6, 5e-7), (1.3e-4, 5e-4, 3e-4)
+# divided by 0.28)
+PRECISION = (1e-7, 1e-6, 5e-7)
 
 
 @dataclass(frozen=True)
@@ -96,22 +91,14 @@ class Verdict:
     splats: int | None = None
 
     @property
-    def of_half(self) -> list[str]:
-        """Those that say that a stage in half precision is one."""
-        return [sentence for sentence in self.issues if self.way.is_half and "half precision" in sentence]
-
-    @property
     def as_meant(self) -> list[str]:
-        """Those that say what was asked for: half precision, or another variant than splats alone."""
-        return self.of_half + [
-            sentence for sentence in self.issues if not self.way.has_splats and sentence == NO_SPLATS
-        ]
+        """Those that say what was asked for: another variant than splats alone."""
+        return [sentence for sentence in self.issues if not self.way.has_splats and sentence == NO_SPLATS]
 
     @property
     def good(self) -> bool:
         wrong = len(self.issues) - len(self.as_meant)
-        as_it_should = self.splats is None or (self.splats > 0) == self.way.is_half
-        return not wrong and as_it_should and (self.nvidia is None or self.nvidia[0] == 0)
+        return not wrong and not self.splats and (self.nvidia is None or self.nvidia[0] == 0)
 
 
 @dataclass(frozen=True)
@@ -128,7 +115,7 @@ class Reading:
 
     @property
     def good(self) -> bool:
-        position_m, sigma, rgb = HALF_PRECISION if self.way.is_half else PRECISION
+        position_m, sigma, rgb = PRECISION
         within = self.position_mm <= 1e3 * position_m and self.sigma <= sigma
         return within and self.rgb <= rgb and self.opacity <= rgb
 
@@ -193,15 +180,13 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
 
 
 def readings(way: Way, report: UsdReport) -> Iterator[Reading]:
-    """By every program that can read this way and is there: fourdgs no half precision, and without
-    splats there is nothing to read."""
+    """By every program that can read this way and is there: without splats there is nothing to read."""
     if not python_of(CLIENTS).exists() or not way.reads or not way.has_splats:
         return
     # it reads the times of a payload in a variant at 24 frames a second, whatever the stage says (EXPORT 10)
     if way.options.package != "usdz":
         yield read("lightusd", way, report)
-    if not way.is_half:
-        yield read("fourdgs", way, report)
+    yield read("fourdgs", way, report)
 
 
 def markdown(verdicts: list[Verdict], found: list[Reading]) -> str:
@@ -211,8 +196,6 @@ def markdown(verdicts: list[Verdict], found: list[Reading]) -> str:
     for one in verdicts:
         nvidia = "not asked" if one.nvidia is None else f"{one.nvidia[0]} failures, {one.nvidia[1]} warnings"
         ours = f"{len(one.issues) - len(one.as_meant)} issues"
-        if one.of_half:
-            ours += f", {len(one.of_half)} notes that it is half"
         splats = "not asked" if one.splats is None else f"{one.splats} issues"
         judged.append([_words(one.way), ours, nvidia, splats if one.way.has_splats else "no splats in it"])
     header = [

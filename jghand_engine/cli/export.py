@@ -31,7 +31,7 @@ OpenUSD: hand.usda with its layers: splats, points, skeleton and mesh, cameras. 
 frame, hand.0000.ply and so on. The web page plays the motion and poses the hand.
 
 A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
-is shown first, and how large points are. Only --package usdc and --precision half leave some out.
+is shown first, and how large points are. Only --package usdc leaves some out.
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
 carry the skin between them. A trained avatar has colors of its own in every frame, in the light that it was
@@ -77,8 +77,6 @@ class UsdStageOptions:
     width_factor: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Size of the points: 1 is two standard deviations of a splat, 2 closes the gaps between them. Left out: 2 for
     blender and usdview, else 1."""
-    precision: Literal["float", "half"] = "float"
-    """half: the splats in half the size; what that costs is printed. There is no variant points then."""
     package: Literal["layers", "usdc", "usdz"] = "layers"
     """layers: files that refer to each other, and the shot with its cameras. usdc: one file with the chosen variant
     alone. usdz: one file with all variants."""
@@ -197,11 +195,6 @@ class Export:
                 f"Constant radii are up to {100 * report.sigma_error:.0f} % off those of a frame: "
                 "--sizes per_frame writes them all."
             )
-        if report.half_error_m is not None:
-            say(
-                f"Half precision moved centers by up to {1e3 * report.half_error_m:.3f} mm. There is no variant "
-                "points, nothing to fall back on for a USD without splats, and NVIDIA's rule VG.035 refuses the splats."
-            )
         if self.usd.consumer != "generic":
             say(f"For {self.usd.consumer}: {PRESETS[self.usd.consumer].advice}")
         return {"for": self.usd.consumer, **usd_figures(report)}
@@ -212,12 +205,6 @@ class Export:
 
         given, preset = self.usd, PRESETS[self.usd.consumer]
         variant = preset.variant if given.default_variant is None else Variant(given.default_variant)
-        if given.precision == "half" and given.default_variant is None and variant is Variant.POINTS:
-            raise InputError(
-                f"--for {given.consumer} --precision half", wanted="a variant that half precision has",
-                came="points, which that program wants",
-                remedy="Add --default-variant points_skinned, or leave --precision out.",
-            )  # fmt: skip
         return UsdOptions(
             name=self.name,
             default_variant=variant,
@@ -226,7 +213,6 @@ class Export:
             width_factor=preset.width_factor if given.width_factor is None else given.width_factor,
             first_frame=self.first_frame,
             up=self.up,
-            precision=given.precision,
             package=given.package,
             overwrite=self.overwrite,
             template=None if self.template is None else hand_template(self.template),
@@ -322,6 +308,5 @@ def usd_figures(report: UsdReport) -> dict[str, Any]:
         "bytes": dict(report.bytes),
         "seconds": dict(report.seconds),
         "sigma_error": report.sigma_error,
-        "half_error_m": report.half_error_m,
         "made_from": dict(report.made_from),
     }

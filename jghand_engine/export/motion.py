@@ -72,10 +72,6 @@ class HandMotion:
         """Scale of the whole hand against the canonical one, mean over the frames."""
         return sum(self._skeleton.bones(joints_m).scale for joints_m in self._joints_m) / len(self)
 
-    def wrist_m(self, index: int) -> np.ndarray:
-        """(3,) float64 where the wrist is in one frame, meters."""
-        return self._joints_m[index, 0]
-
     def frame(self, index: int) -> PosedHand:
         return turned(self._posing(self._joints_m[index] @ self._light_from_world.T), self._light_from_world.T)
 

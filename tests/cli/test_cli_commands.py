@@ -429,29 +429,6 @@ def test_a_preset_chooses_what_was_not_asked_for(tmp_path, usd_options, words, v
     assert usd_options == [UsdOptions(default_variant=variant, width_factor=width_factor)]
 
 
-def test_half_precision_says_what_it_costs(tmp_path, capsys):
-    words = ("--poses", "open", "--frames", "0", "--avatar", "painted", "--json", tmp_path / "figures.json")
-    assert run("export", *words, "--out", tmp_path / "usd", "--precision", "half", "--package", "usdc") == 0
-    figures = json.loads((tmp_path / "figures.json").read_text())
-    assert 1e-6 < figures["half_error_m"] < 2e-4
-    assert f"moved centers by up to {1e3 * figures['half_error_m']:.3f} mm" in capsys.readouterr().out
-    assert list(figures["bytes"]) == ["hand.usdc"]
-
-
-def test_half_precision_for_a_program_that_needs_points_is_refused(tmp_path, capsys):
-    words = ("--poses", "open", "--out", tmp_path / "usd", "--for", "blender", "--precision", "half")
-    assert run("export", *words) == 2
-    said = capsys.readouterr().err
-    assert "points_skinned" in said
-    assert "--for blender --precision half" in said, "what was given, not what follows from it"
-
-
-def test_half_precision_of_a_file_without_splats_is_refused(tmp_path, capsys):
-    words = ("--poses", "open", "--precision", "half", "--package", "usdc", "--default-variant", "mesh")
-    assert run("export", *words, "--out", tmp_path / "usd") == 2
-    assert "it would change nothing" in capsys.readouterr().err
-
-
 def test_export_says_when_constant_radii_are_far_from_those_of_the_frames(avatar, tmp_path, capsys):
     words = ("--poses", "open,fist", "--avatar", "painted", "--frames", "0:9")
     assert run("export", *words, "--out", tmp_path / "poses") == 0

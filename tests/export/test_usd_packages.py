@@ -1,4 +1,4 @@
-"""Other ways to write the same stage: half precision, one file. They hold what the layers hold."""
+"""Other ways to write the same stage: one file. They hold what the layers hold."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Usd
 from small_avatars import ellipsoid_avatar
-from usd_samples import FPS, engine_gaussians, lively_motion, small_avatar
+from usd_samples import FPS, lively_motion, small_avatar
 from usd_stages import opened
 
 from jghand_engine.errors import InputError
@@ -34,51 +34,6 @@ MOTION = lively_motion(Handedness.RIGHT, FRAMES)
 
 def exported(folder, motion=MOTION, **options):
     return export_usd(folder, small_avatar(), motion, options=UsdOptions(**options))
-
-
-# ---- half precision --------------------------------------------------------------------------------------------------
-
-
-def world_positions(stage: Usd.Stage, frame: float) -> np.ndarray:
-    splats = stage.GetPrimAtPath("/Hand/Splats")
-    local = np.array(splats.GetAttribute("positionsh").Get(frame)).astype(np.float64)
-    return local + np.array(UsdGeom.Xformable(splats).ComputeLocalToWorldTransform(frame).ExtractTranslation())
-
-
-def test_half_precision_costs_what_the_report_says(tmp_path):
-    report = exported(tmp_path, precision="half")
-    truth, _ = engine_gaussians(small_avatar(), MOTION)
-    stage = opened(report.stage)
-    errors_m = np.stack([world_positions(stage, frame) - truth[frame] for frame in range(FRAMES)])
-    assert np.linalg.norm(errors_m, axis=-1).max() == pytest.approx(report.half_error_m, rel=0.01)
-    # seen 0.07 mm
-    assert 1e-5 < report.half_error_m < 1e-4
-
-
-def test_half_precision_is_as_good_far_from_the_origin(tmp_path):
-    far = PoseSequence(MOTION.joints_m + np.array([20.0, -3.0, 7.0]), MOTION.fps, MOTION.handedness)
-    report = exported(tmp_path, far, precision="half")
-    assert report.half_error_m < 1e-4
-    truth, _ = engine_gaussians(small_avatar(), far)
-    assert np.linalg.norm(world_positions(opened(report.stage), 7) - truth[7], axis=-1).max() < 1.1e-4
-
-
-def test_half_precision_takes_half_the_room_and_has_no_points(tmp_path):
-    whole, half = (exported(tmp_path / kind, precision=kind) for kind in ("float", "half"))
-    assert half.bytes["hand.splats.usdc"] < 0.55 * whole.bytes["hand.splats.usdc"]
-    stage = opened(half.stage)
-    names = stage.GetDefaultPrim().GetVariantSet("representation").GetVariantNames()
-    assert set(names) == {"splats", "points_skinned", "mesh"}
-    assert whole.half_error_m is None
-
-
-def test_half_precision_is_sound(tmp_path):
-    assert check_usd(exported(tmp_path, precision="half").stage) == []
-
-
-def test_points_in_half_precision_are_refused():
-    with pytest.raises(InputError, match="points_skinned"):
-        UsdOptions(precision="half", default_variant=Variant.POINTS)
 
 
 # ---- one file --------------------------------------------------------------------------------------------------------

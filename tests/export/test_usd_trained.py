@@ -150,7 +150,7 @@ def test_splats_and_points_carry_albedo_for_the_light_of_others_where_that_is_as
     assert shown.GetDefaultPrim().GetCustomDataByKey("jghand:imageState") == "linear albedo"
 
 
-@pytest.mark.parametrize("options", [{}, {"sizes": "per_frame"}, {"precision": "half"}], ids=str)
+@pytest.mark.parametrize("options", [{}, {"sizes": "per_frame"}], ids=str)
 @pytest.mark.parametrize("avatar", [SMALL, TRAINED, ELLIPSOIDS], ids=["painted", "trained", "ellipsoids"])
 def test_the_room_that_is_asked_for_is_rather_more_than_is_taken(tmp_path, monkeypatch, avatar, options):
     asked, taken = [], []

@@ -246,7 +246,6 @@ def motion_file(folder: Path, _avatar: HandAvatar, motion: PoseSequence) -> None
 EXPORTS: dict[str, dict[str, Export]] = {
     "usd": {
         "usd-layers": Export("builtin", RIGHT, usd()),
-        "usd-half": Export("painted", LEFT, usd(precision="half")),
         "usd-one-file": Export("builtin", LEFT, usd(package="usdc", radiance="linear", sizes="per_frame")),
         "usd-zip": Export("painted", RIGHT, usd(package="usdz", default_variant=Variant.POINTS_SKINNED)),
     },

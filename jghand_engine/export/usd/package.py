@@ -95,7 +95,6 @@ class UsdOptions:
     template: surface of the avatar; None takes the built-in one
     first_frame: time code of the first frame
     up: the axis of the motion's world that points up; written down, nothing is turned but the light
-    precision: "half": the splats in half the size, at a price that the report says; there are no `points` then
     package: "layers": files that refer to each other, with all variants and a shot; "usdc": one file with the chosen
         variant alone; "usdz": one file with all variants
     overwrite: also replace files of these names that are there
@@ -109,7 +108,6 @@ class UsdOptions:
     template: HandTemplate | None = None
     first_frame: int = 0
     up: Literal["y", "z"] = "y"
-    precision: Literal["float", "half"] = "float"
     package: Package = "layers"
     overwrite: bool = False
 
@@ -121,36 +119,17 @@ class UsdOptions:
             ("radiance", self.radiance, tuple(IMAGE_STATES)),
             ("sizes", self.sizes, ("constant", "per_frame")),
             ("up", self.up, ("y", "z")),
-            ("precision", self.precision, ("float", "half")),
             ("package", self.package, PACKAGES),
         ):
             if value not in wanted:
                 raise InputError(option, wanted=" or ".join(wanted), came=repr(value))
         if not (math.isfinite(self.width_factor) and self.width_factor > 0):
             raise InputError("width factor", wanted="a finite number above 0", came=str(self.width_factor))
-        if self.is_half and self.default_variant == Variant.POINTS:
-            raise InputError(
-                "default variant", wanted="splats, points_skinned or mesh in half precision", came="points",
-                remedy="USD's points know no half precision: leave it out, or choose points_skinned.",
-            )  # fmt: skip
-        if self.is_half and self.package == "usdc" and self.default_variant != Variant.SPLATS:
-            raise InputError(
-                "precision half of package usdc", wanted="the variant splats, which it is of",
-                came=str(self.default_variant), remedy="Leave it out: it would change nothing in this file.",
-            )  # fmt: skip
 
     @property
     def is_lit(self) -> bool:
         """Whether other programs light splats and points."""
         return self.radiance == "albedo"
-
-    @property
-    def is_half(self) -> bool:
-        return self.precision == "half"
-
-    @property
-    def variants(self) -> tuple[Variant, ...]:
-        return tuple(one for one in Variant if not (self.is_half and one is Variant.POINTS))
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -211,7 +190,6 @@ class UsdReport:
     bytes: size by file name
     seconds: time by step of the work
     sigma_error: largest relative difference between a written radius and the engine's (0 with sizes per frame)
-    half_error_m: the largest error of a center that half precision made, meters; None without
     made_from: what the function of that name says
     """
 
@@ -222,7 +200,6 @@ class UsdReport:
     bytes: Mapping[str, int] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     sigma_error: float = 0.0
-    half_error_m: float | None = None
     made_from: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -261,7 +238,7 @@ def export_usd(
     names, is_single = writer.names, options.package != "layers"
     return UsdReport(
         target / (options.files[0] if is_single else names.interface), None if is_single else target / names.shot,
-        len(motion), len(avatar), sizes, writer.seconds, writer.sigma_error, writer.half_error_m, stamp,
+        len(motion), len(avatar), sizes, writer.seconds, writer.sigma_error, stamp,
     )  # fmt: skip
 
 
@@ -305,12 +282,11 @@ def describe(motion: HandMotion, options: UsdOptions) -> dict[str, Any]:
         "material": "painted" if learned is None else "estimated" if learned.response is None else "known",
         "gloss": "none" if learned is None else "left out: it depends on the camera",
         "sizes": options.sizes,
-        "precision": options.precision,
     }
 
 
 class _Writer:
-    """Writes one stage. What it measured on the way: seconds by step, errors of radii and of half precision."""
+    """Writes one stage. What it measured on the way: seconds by step, errors of radii."""
 
     def __init__(
         self,
@@ -321,11 +297,10 @@ class _Writer:
     ) -> None:
         self.names, self._motion, self._options, self._span = LayerNames(options.name), motion, options, span
         self._progress = progress or (lambda done, frames: None)
-        self._look = Look(options.radiance != "srgb", options.width_factor, options.is_half)
+        self._look = Look(options.radiance != "srgb", options.width_factor)
         self._axes = SteadyAxes()
         self.seconds: dict[str, float] = {}
         self.sigma_error = 0.0
-        self.half_error_m: float | None = None
         with self._clock("rig"):
             self._material = material_of(motion.avatar)
             self._cloud = Cloud(*motion.rest_arrays())
@@ -341,7 +316,7 @@ class _Writer:
             # positions, colors, sizes and turns of splats; widths and colors of points; equal arrays are stored once
             colored, sized, turned = self._colors_move, self._has_sizes, self._motion.has_ellipsoids
             numbers = 3 + 3 * colored + 3 * sized + 4 * turned
-            each = 2 * numbers if self._options.is_half else 4 * (numbers + sized + 3 * colored)
+            each = 4 * (numbers + sized + 3 * colored)
         return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
 
     def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
@@ -365,7 +340,7 @@ class _Writer:
             write_interface(
                 layers, names, span, asset=motion.avatar.info.name,
                 about=describe(motion, options),
-                variants=options.variants, default=Variant(options.default_variant), lit=options.is_lit,
+                variants=tuple(Variant), default=Variant(options.default_variant), lit=options.is_lit,
             )  # fmt: skip
             if options.package == "layers":
                 write_shot(layers, names, cameras, motion.sequence.joints_m, span)
@@ -378,8 +353,6 @@ class _Writer:
         if options.package == "usdc":
             # after the rest: flattened with it they would all be in memory at once
             self._write_frames(frames)
-        if options.is_half:
-            self.half_error_m = max(splats.half_error_m, self.half_error_m or 0.0)
 
     def _flattened(self, interface: Path, target: Path) -> SplatLayer | None:
         """Puts a stage with its chosen variant into one file; gives what adds the frames of Gaussians to it, None where
@@ -406,14 +379,12 @@ class _Writer:
                 if not self._has_sizes:
                     off = np.abs(self._cloud.sigma_m / posed.sigma_m - 1).max(initial=0)
                     self.sigma_error = max(self.sigma_error, float(off))
-                sample = self._sample(posed, self._motion.wrist_m(index))
+                sample = self._sample(posed)
             with self._clock("splats"):
                 layer.put(index, sample)
             self._progress(index + 1, self._span.frames)
         with self._clock("splats"):
             layer.finish()
-        if self._options.is_half:
-            self.half_error_m = layer.half_error_m
 
     def _rest(self) -> Sample:
         rest_m = self._cloud.rest_m
@@ -422,13 +393,13 @@ class _Writer:
         shape = self._sample(self._motion.rest())
         return Sample(rest_m, scales_m=shape.scales_m, turns_xyzw=shape.turns_xyzw)
 
-    def _sample(self, posed: PosedHand, wrist_m: np.ndarray | None = None) -> Sample:
+    def _sample(self, posed: PosedHand) -> Sample:
         """A frame as it is written; asked for in the order of time, as ellipsoids keep the axes of the one before."""
         scales_m, turns_xyzw = None, None
         if posed.covariance_m2 is not None:
             scales_m, turns_xyzw = self._axes(posed.covariance_m2)
         rgb = posed.rgb if self._colors_move else None
-        return Sample(posed.position_m, posed.sigma_m if self._has_sizes else None, rgb, scales_m, turns_xyzw, wrist_m)
+        return Sample(posed.position_m, posed.sigma_m if self._has_sizes else None, rgb, scales_m, turns_xyzw)
 
     @property
     def _colors_move(self) -> bool:

@@ -3,20 +3,15 @@
 `/Splats` is a ParticleField3DGaussianSplat, `/_Points` a class prim that variant `points` brings in as `UsdGeomPoints`.
 Crate stores equal arrays once per file, so the points cost nothing beside the splats; in a file of their own they
 would double the export. As a class it stays invisible to whoever opens this layer alone.
-
-In half precision (EXPORT 6) centers are relative to the wrist, which moves as a transform of the prim: they are then
-small numbers wherever the hand is. Points know no half precision and are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, Vt
+from pxr import Sdf, Usd
 
 from jghand_engine.avatar.relighting import Material
 from jghand_engine.color import srgb_to_linear
@@ -38,12 +33,10 @@ from jghand_engine.export.usd.stage import (
     set_display,
     set_uniform,
     vec3f,
-    vec3h,
 )
 
 DEGREE = "radiance:sphericalHarmonicsDegree"
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
-WRIST = "xformOp:translate"
 DEFAULT = Usd.TimeCode.Default()
 # frames between two saves: a take's Gaussians then never stand in memory together, and no slower (EXPORT 5)
 SAVE_EVERY = 24
@@ -89,7 +82,6 @@ class Sample:
     sigma_m: (N,) mean radii, meters; None: as they are
     rgb: (N, 3) display-referred sRGB; None: as it is
     scales_m, turns_xyzw: (N, 3) and (N, 4) of ellipsoids; None: balls
-    wrist_m: (3,) float64, meters, used in half precision
     """
 
     positions_m: np.ndarray
@@ -97,7 +89,6 @@ class Sample:
     rgb: np.ndarray | None = None
     scales_m: np.ndarray | None = None
     turns_xyzw: np.ndarray | None = None
-    wrist_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -106,37 +97,16 @@ class Look:
 
     linear: whether the splats' colors are, too
     width_factor: diameter of the points in two standard deviations
-    half: in half precision
     """
 
     linear: bool = False
     width_factor: float = 1.0
-    half: bool = False
-
-
-def _quath(array_xyzw: np.ndarray) -> Vt.QuathArray:
-    return Vt.QuathArray.FromNumpy(np.ascontiguousarray(array_xyzw, np.float16))
-
-
-def _halves(array: np.ndarray) -> Vt.HalfArray:
-    return Vt.HalfArray.FromNumpy(np.ascontiguousarray(array, np.float16).ravel())
-
-
-# attributes of the splats: type and values in whole and in half precision, whose name has an h at its end
-_STORED: dict[str, tuple[Any, Callable[[np.ndarray], Any], Any, Callable[[np.ndarray], Any]]] = {
-    "positions": (TYPES.Point3fArray, vec3f, TYPES.Point3hArray, vec3h),
-    "orientations": (TYPES.QuatfArray, quatf, TYPES.QuathArray, _quath),
-    "scales": (TYPES.Float3Array, vec3f, TYPES.Half3Array, vec3h),
-    "opacities": (TYPES.FloatArray, floats, TYPES.HalfArray, _halves),
-    HARMONICS: (TYPES.Float3Array, vec3f, TYPES.Half3Array, vec3h),
-}
 
 
 class SplatLayer:
     """Writes the Gaussians of one file. What does not change comes first, frame after frame follows, `finish` saves.
 
     splats, points: paths of the two prims; None: it is not there
-    half_error_m:   the largest error of a center that half precision made so far, meters
     """
 
     def __init__(
@@ -149,12 +119,11 @@ class SplatLayer:
         points: str | None = POINTS_PATH,
     ) -> None:
         self._stage, self._time, self._look, self._sigma_m = stage, time, look, sigma_m
-        self._splats, self._points = splats, None if look.half else points
+        self._splats, self._points = splats, points
         # prims that are points to somebody: the splats are where an older USD falls back on points
-        self._point_paths = () if look.half else tuple(path for path in (splats, points) if path is not None)
+        self._point_paths = tuple(path for path in (splats, points) if path is not None)
         self._attributes: dict[tuple[str, str], Usd.Attribute] = {}
         self._unsaved = 0
-        self.half_error_m = 0.0
 
     @classmethod
     def new(cls, path: Path, cloud: Cloud, time: TimeRange, look: Look, rest: Sample) -> SplatLayer:
@@ -164,10 +133,9 @@ class SplatLayer:
         announce_fallback(stage)
         layer = cls(stage, time, look, cloud.sigma_m)
         layer._define_splats(SPLATS_PATH, cloud, turned=rest.turns_xyzw is not None)
-        if not look.half:
-            points = stage.CreateClassPrim(POINTS_PATH)
-            points.SetTypeName("Points")
-            set_display(points, *cloud.display)
+        points = stage.CreateClassPrim(POINTS_PATH)
+        points.SetTypeName("Points")
+        set_display(points, *cloud.display)
         layer._put_sizes(rest, cloud.sigma_m, DEFAULT)
         layer._put_positions(rest, cloud.sigma_m, DEFAULT)
         for path_ in layer._point_paths:
@@ -193,61 +161,38 @@ class SplatLayer:
     def _put_positions(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
         values = vec3f(sample.positions_m)
         if self._splats is not None:
-            positions_m = sample.positions_m
-            if self._look.half:
-                values = positions_m = self._put_half_positions(self._splats, sample, time)
-            else:
-                values = self._set_stored("positions", positions_m, time)
+            self._set(self._splats, "positions", TYPES.Point3fArray, values, time)
             radii_m = sigma_m if sample.scales_m is None else sample.scales_m.max(axis=1)
-            self._set(self._splats, "extent", TYPES.Float3Array, bound(positions_m, EXTENT_SIGMA * radii_m), time)
+            box = bound(sample.positions_m, EXTENT_SIGMA * radii_m)
+            self._set(self._splats, "extent", TYPES.Float3Array, box, time)
         for path in self._point_paths:
             self._set(path, "points", TYPES.Point3fArray, values, time)
         if self._points is not None:
             box = bound(sample.positions_m, self._look.width_factor * sigma_m)
             self._set(self._points, "extent", TYPES.Float3Array, box, time)
 
-    def _put_half_positions(self, path: str, sample: Sample, time: Usd.TimeCode) -> np.ndarray:
-        """Centers relative to the wrist, as readers will see them."""
-        wrist_m = np.zeros(3) if sample.wrist_m is None else sample.wrist_m
-        exact_m = (sample.positions_m - wrist_m).astype(np.float32)
-        self._set(path, WRIST, TYPES.Double3, Gf.Vec3d(*wrist_m.tolist()), time)
-        seen_m = np.asarray(self._set_stored("positions", exact_m, time), np.float32)
-        error_m = np.linalg.norm(seen_m - exact_m, axis=1).max(initial=0.0)
-        self.half_error_m = max(self.half_error_m, float(error_m))
-        return seen_m
-
     def _put_sizes(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
         if self._splats is not None:
             scales_m = np.repeat(sigma_m[:, None], 3, axis=1) if sample.scales_m is None else sample.scales_m
-            self._set_stored("scales", scales_m, time)
+            self._set(self._splats, "scales", TYPES.Float3Array, vec3f(scales_m), time)
             if sample.turns_xyzw is not None:
-                self._set_stored("orientations", sample.turns_xyzw, time)
+                self._set(self._splats, "orientations", TYPES.QuatfArray, quatf(sample.turns_xyzw), time)
         widths = floats(2 * self._look.width_factor * sigma_m)
         for path in self._point_paths:
             self._set(path, "widths", TYPES.FloatArray, widths, time)
 
     def _put_colors(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
         if self._splats is not None:
-            self._put_harmonics(rgb, time)
-        # displayColor knows no half precision: who reads it gets the first frame's
-        display = vec3f(srgb_to_linear(rgb)) if self._point_paths else None
+            self._put_harmonics(self._splats, rgb, time)
+        display = vec3f(srgb_to_linear(rgb))
         for path in self._point_paths:
             self._set(path, "primvars:displayColor", TYPES.Color3fArray, display, time)
 
-    def _put_harmonics(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
+    def _put_harmonics(self, path: str, rgb: np.ndarray, time: Usd.TimeCode) -> None:
         color = srgb_to_linear(rgb) if self._look.linear else rgb
-        self._set_stored(HARMONICS, (color - 0.5) / SH_C0, time)
+        self._set(path, HARMONICS, TYPES.Float3Array, vec3f((color - 0.5) / SH_C0), time)
 
-    def _set_stored(self, name: str, array: np.ndarray, time: Usd.TimeCode) -> Any:
-        """Sets an attribute of the splats in their precision; the values that USD got."""
-        kind, values_of, half_kind, halves_of = _STORED[name]
-        if self._look.half:
-            name, kind, values_of = f"{name}h", half_kind, halves_of
-        values = values_of(array)
-        self._set(str(self._splats), name, kind, values, time)
-        return values
-
-    def _set(self, path: str, name: str, kind: Sdf.ValueTypeName, value: Any, time: Usd.TimeCode) -> None:
+    def _set(self, path: str, name: str, kind: Sdf.ValueTypeName, value: object, time: Usd.TimeCode) -> None:
         """Attributes are made when they get their first value."""
         attr = self._attributes.get((path, name))
         if attr is None:
@@ -261,15 +206,13 @@ class SplatLayer:
         set_uniform(prim, "sortingModeHint", TYPES.Token, "zDepth")
         # the schema falls back to degree 3 and would drop our single coefficient as too short
         set_uniform(prim, DEGREE, TYPES.Int, 0)
-        self._put_harmonics(cloud.rgb, DEFAULT)
-        harmonics = prim.GetAttribute(f"{HARMONICS}h" if self._look.half else HARMONICS)
+        self._put_harmonics(path, cloud.rgb, DEFAULT)
+        harmonics = prim.GetAttribute(HARMONICS)
         harmonics.SetMetadata("interpolation", "vertex")
         harmonics.SetMetadata("elementSize", 1)
         Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if self._look.linear else SRGB)
-        if self._look.half:
-            # not by its schema: a USD that does not know the prim's type does not know that it can be moved
-            set_uniform(prim, "xformOpOrder", TYPES.TokenArray, Vt.TokenArray([WRIST]))
         if not turned:
-            self._set_stored("orientations", np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1)), DEFAULT)
-        self._set_stored("opacities", cloud.opacity, DEFAULT)
+            straight = np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1))
+            self._set(path, "orientations", TYPES.QuatfArray, quatf(straight), DEFAULT)
+        self._set(path, "opacities", TYPES.FloatArray, floats(cloud.opacity), DEFAULT)
         set_display(prim, *cloud.display)
