@@ -59,6 +59,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--motion", type=Path, required=True, metavar="FILE.npz")
     result.add_argument("--out", type=Path, required=True, metavar="FILE.blend")
     result.add_argument("--cameras", type=Path, metavar="FILE.json", help="default: CamPalm and CamSide")
+    result.add_argument("--avatar", default="", help="a .jghand file, or painted; default: built-in")
     result.add_argument("--size", type=size, default=(512, 334), metavar="WIDTHxHEIGHT", help="without --cameras")
     return result
 
@@ -140,6 +141,7 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
     scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colors
     rest = posing.rest_joints_m(motion.handedness, joints_m)
     hand = armature.build_armature(context, f"Hand {motion.handedness}", rest, motion.handedness)
+    hand.jghand.avatar = options.avatar
     motions.key_motion(hand, joints_m, scene, range(FIRST_FRAME, FIRST_FRAME + len(joints_m)))
     # in motions +y is up, in Blender +z
     world_from_motion = view.LIGHT_FROM_WORLD.T

@@ -72,6 +72,7 @@ if __name__ == "__main__":
 
 import numpy as np
 
+from jghand_engine.avatar import BUILTIN, SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.cli.console import progress, say, say_error, say_table, write_json
@@ -225,10 +226,10 @@ def build_blend(demo: Demo, python: Path) -> None:
     """Makes the .blend file: the rigged armature with the motion on it, and the cameras."""
     cameras = demo.out / "cameras.json"
     write_json(cameras, {side: camera_to_dict(camera) for side, camera in demo.cameras.items()})
-    in_blender(
-        python, "build_demo_scene.py",
-        ["--motion", demo.out / "motion.npz", "--cameras", cameras, "--out", demo.blend], frames=0,
-    )  # fmt: skip
+    words: list[str | Path] = ["--motion", demo.out / "motion.npz", "--cameras", cameras, "--out", demo.blend]
+    if demo.avatar_name != BUILTIN:
+        words += ["--avatar", demo.avatar_name if demo.avatar_name in SHIPPED else Path(demo.avatar_name).resolve()]
+    in_blender(python, "build_demo_scene.py", words, frames=0)
 
 
 def render_blend(demo: Demo, python: Path, timings: Timings) -> None:
@@ -239,8 +240,6 @@ def render_blend(demo: Demo, python: Path, timings: Timings) -> None:
             demo.blend, "--camera", ",".join(demo.cameras), "--out", demo.out / "frames", "--preset", PRESET,
             "--overwrite", "--report", report, "--engine-python", sys.executable,
         ]  # fmt: skip
-        if Path(demo.avatar_name).suffix:
-            words += ["--avatar", Path(demo.avatar_name).resolve()]
         in_blender(python, "render_blend.py", words, frames=len(demo.sequence) * len(demo.cameras))
         for picture in json.loads(report.read_text(encoding="utf-8"))["pictures"]:
             for frame in picture["reports"]:

@@ -26,9 +26,8 @@ import bpy
 
 from .. import versions
 from ..core.files import write_whole
-from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS
 from ..errors import BAD_INPUT, JGHandFailure
-from ..hand import armature, instances
+from ..hand import instances
 from ..renderer import runtime
 from . import ENGINE, composite, samples
 from .properties import PRESETS
@@ -62,21 +61,17 @@ def main(arguments: list[str], *, program: str = "jghand render") -> int:
     except Exception as error:  # a mistake of ours: the report must not look like that of a run that went well
         traceback.print_exc()
         failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
-    log = runtime.link().log
     runtime.use_link(None)
     if failure is not None:
         words = {"kind": failure.kind, "sentence": failure.advice.sentence, "remedy": failure.advice.remedy}
         report["failure"] = {**words, "detail": failure.detail}
     if options.report is not None:
         try:
-            if failure is not None and log:
-                report["failure"]["log"] = str(options.report.with_suffix(".engine.log"))
-                write_whole(options.report.with_suffix(".engine.log"), log.encode())
             write_whole(options.report, json.dumps(report, indent=1).encode())
         except JGHandFailure as unwritten:
             failure = failure or unwritten
     if failure is not None:
-        print(f"{program}: {failure}", (report["failure"] or {}).get("log", ""), file=sys.stderr)
+        print(f"{program}: {failure}", file=sys.stderr)
     return failure.advice.exit_code if failure else 0
 
 
@@ -89,7 +84,6 @@ def _parser(program: str) -> argparse.ArgumentParser:
     add("--camera", action="append", default=[], metavar="NAME[,NAME]", help=cameras)
     add("--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range")
     add("--preset", choices=[preset[0] for preset in PRESETS], help="default: the scene's")
-    add("--avatar", help="a .jghand file, builtin or painted, for all hands; default: each hand's own")
     add("--overwrite", action="store_true", help="render pictures that are there already again")
     add("--report", type=Path, metavar="FILE.json", help="write what was done, with times, as JSON")
     add("--allow-scripts", action="store_true", help="let the file run the Python scripts inside it")
@@ -114,12 +108,6 @@ def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
     current = bpy.context.scene
     if not instances.sources_at_any_frame(bpy.context.view_layer):
         raise JGHandFailure("no_hand", str(options.file))
-    if options.avatar is not None:
-        chosen = options.avatar if options.avatar in SHIPPED_AVATARS else str(Path(options.avatar).resolve())
-        if chosen not in SHIPPED_AVATARS and not Path(chosen).is_file():
-            raise JGHandFailure("no_avatar", chosen)
-        for hand in filter(armature.is_any_hand, bpy.data.objects):
-            hand.jghand.avatar = "" if chosen == BUILTIN_AVATAR else chosen
     frames = options.frames or range(current.frame_start, current.frame_end + 1, current.frame_step)
     folders = _folders(current, options.camera, frames[0])
     # the scene, and that of its hands where it is combined with one
