@@ -10,12 +10,11 @@ and where they come from are in `conventions`.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ..errors import JGHandFailure
-from .joints import FINGERS, HANDEDNESSES, NAMES, OTHER, TIPS, WRIST
+from .joints import FINGERS, HANDEDNESSES, NAMES, OTHER, TIPS
 from .wire import conventions
 
 # so many of the 16 joints other than tips must have a bone before a convention counts as recognized: a wrist and one
@@ -24,9 +23,6 @@ RECOGNIZED_MIN = 4
 
 HEAD, TAIL = "head", "tail"
 ENDS = (HEAD, TAIL)
-# the joints that need a bone of their own
-_NEEDED = tuple(place for place in range(len(NAMES)) if place not in TIPS)
-_COPY = re.compile(r"\.\d{3,}$")
 
 
 @dataclass(frozen=True)
@@ -100,11 +96,12 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
     tails: whether the tip of a finger may be the tail of its last bone; objects have no tail.
     """
     check_side(handedness)
-    index = _Index(names)
+    index = conventions.indexed(sorted(names))
     found = [
-        candidate
+        _candidate(convention, bones, handedness, tails=tails)
         for convention in conventions.CONVENTIONS
-        for candidate in _candidates(convention, index, handedness, tails)
+        for bones in conventions.sets_among(index, convention, handedness)
+        if convention.says_side or _may_be(bones.prefix, handedness)
     ]
     best = max((candidate.score for candidate in found), default=0)
     if best < RECOGNIZED_MIN:
@@ -157,67 +154,18 @@ def check_side(handedness: str) -> None:
         raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
 
 
-def _key(name: str) -> str:
-    """A name without case and separators."""
-    return "".join(letter for letter in name.casefold() if letter.isalnum())
-
-
-class _Index:
-    """Names by their keys; copies (`.001`) stand apart, because they are another set of the same bones."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        self.sets: dict[str, dict[str, list[str]]] = {}
-        for name in sorted(set(names)):
-            copy = _COPY.search(name)
-            suffix = copy.group() if copy else ""
-            keys = self.sets.setdefault(suffix, {})
-            keys.setdefault(_key(name[: len(name) - len(suffix)]), []).append(name)
-
-
 @dataclass(frozen=True)
 class _Candidate:
     bone_map: BoneMap
     score: int
 
 
-def _candidates(convention: conventions.Convention, index: _Index, handedness: str, tails: bool) -> list[_Candidate]:
-    """One candidate for each set of bones (prefix and copy) that shows any bone of the convention.
-
-    Names without a side need the wrist among them: "index1" alone also ends the names of other conventions.
-    """
-    wanted = convention.names(handedness)
-    keys = [[_key(name) for name in alternatives] for alternatives in wanted]
-    result = []
-    for suffix in sorted(index.sets):
-        known = index.sets[suffix]
-        prefixes = {
-            name[: -len(key)] for place in _NEEDED for key in keys[place] for name in known if name.endswith(key)
-        }
-        if not convention.says_side:
-            prefixes = {
-                prefix for prefix in prefixes if _may_be(prefix, handedness) and prefix + keys[WRIST][0] in known
-            }
-        of_sets = {
-            prefix: _candidate(convention, wanted, keys, known, prefix, handedness, tails)
-            for prefix in sorted(prefixes)
-        }
-        result += _preferred(convention, of_sets)
-    return result
-
-
 def _candidate(
-    convention: conventions.Convention,
-    wanted: tuple[tuple[str, ...], ...],
-    keys: list[list[str]],
-    known: dict[str, list[str]],
-    prefix: str,
-    handedness: str,
-    tails: bool,
+    convention: conventions.Convention, bones: conventions.NamedSet, handedness: str, *, tails: bool
 ) -> _Candidate:
     sources: list[JointSource | None] = []
-    missing, from_tails = [], []
-    for place, joint in enumerate(NAMES):
-        names = next((known[prefix + key] for key in keys[place] if prefix + key in known), [])
+    missing, from_tails, notes = [], [], []
+    for place, (joint, names) in enumerate(zip(NAMES, bones.bones, strict=True)):
         source = JointSource(names[0]) if len(names) == 1 else None
         last = sources[place - 1] if place in TIPS else None
         if len(names) > 1:
@@ -229,31 +177,17 @@ def _candidate(
             else:
                 missing.append(f"{joint} has no bone: neither a tip bone nor a last bone with a tail.")
         elif source is None:
-            missing.append(f"{joint} has no bone: looked for {wanted[place][0]}.")
+            missing.append(f"{joint} has no bone: looked for {convention.names(handedness)[place][0]}.")
         sources.append(source)
-    notes = []
     if from_tails:
         fingers = [finger for finger in FINGERS if f"{finger}4" in from_tails]
         notes.append(f"No tip bones: the tips of {', '.join(fingers)} are the tails of the last bones.")
+    if bones.also:
+        also = ", ".join(f"{prefix.upper()}-" if prefix else "plain" for prefix in bones.also)
+        used = f"those with {bones.prefix.upper()}- are used"
+        notes.append(f"The rig has these bones several times ({also} too): {used}.")
     bone_map = BoneMap(handedness, tuple(sources), convention.title, tuple(missing), tuple(notes))
-    return _Candidate(bone_map, sum(sources[place] is not None for place in _NEEDED))
-
-
-def _preferred(convention: conventions.Convention, of_sets: dict[str, _Candidate]) -> list[_Candidate]:
-    """Of several sets that a convention ranks (DEF- before ORG-) the best that finds the most, and a note about it."""
-    ranked = [prefix for prefix in convention.prefixes if prefix in of_sets]
-    others = [candidate for prefix, candidate in of_sets.items() if prefix not in ranked]
-    if not ranked:
-        return others
-    most = max(of_sets[prefix].score for prefix in ranked)
-    good = [prefix for prefix in ranked if of_sets[prefix].score == most]
-    chosen = of_sets[good[0]]
-    if len(good) > 1:
-        also = ", ".join(f"{prefix.upper()}-" if prefix else "plain" for prefix in good[1:])
-        note = f"The rig has these bones several times ({also} too): those with {good[0].upper()}- are used."
-        bone_map = replace(chosen.bone_map, notes=(*chosen.bone_map.notes, note))
-        chosen = replace(chosen, bone_map=bone_map)
-    return [*others, chosen]
+    return _Candidate(bone_map, sum(sources[place] is not None for place in conventions.NEEDED))
 
 
 def _may_be(prefix: str, handedness: str) -> bool:

@@ -16,14 +16,10 @@ from typing import Any
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
 from jghand_engine.motion import conventions
-from jghand_engine.motion.conventions import ENGLISH, Convention, numbered
+from jghand_engine.motion.conventions import ENGLISH, NEEDED, TIPS, Convention, NameIndex, indexed, numbered, sets_among
 
 # bones of wrist and fingers, of 16, from which names count as a hand that lacks some
 BONES_RECOGNIZED_MIN = 8
-_COPY = re.compile(r"[._]\d{3,}$")
-# places of the tips in the standard order
-TIPS = tuple(place for place, name in enumerate(STANDARD_NAMES) if name.endswith("4"))
-_NEEDED = tuple(place for place in range(len(STANDARD_NAMES)) if place not in TIPS)
 
 
 def _with_ext(*words: str) -> tuple[tuple[str, ...], ...]:
@@ -105,7 +101,8 @@ class NamedHand:
     @property
     def found(self) -> tuple[int, int]:
         """How many of wrist and finger bones there are, and how many tips."""
-        return _found(self.bones)
+        needed, tips = (sum(self.bones[place] is not None for place in places) for places in (NEEDED, TIPS))
+        return needed, tips
 
 
 @dataclass(frozen=True)
@@ -120,11 +117,11 @@ class BoneMap:
         """The hand, None where no name is among `names`. InputError when only some are."""
         places = {name: place for place, name in enumerate(names)}
         bones = tuple(places.get(self.bones.get(joint, "")) for joint in STANDARD_NAMES)
-        if not any(_found(bones)):
+        if not any(bone is not None for bone in bones):
             return None
         absent = [
             f"{self.bones.get(STANDARD_NAMES[place], 'no name')} ({STANDARD_NAMES[place]})"
-            for place in _NEEDED
+            for place in NEEDED
             if bones[place] is None
         ]
         if absent:
@@ -156,11 +153,11 @@ def hands_among(names: Sequence[str], chosen: BoneMap | None = None) -> tuple[li
     if chosen is not None:
         hand = chosen.hand_among(names)
         return ([] if hand is None else [hand]), []
-    index = _index(names)
+    index, places = indexed(names), {name: place for place, name in reversed([*enumerate(names)])}
     found: list[NamedHand] = []
     for convention in CONVENTIONS:
         for handedness in Handedness if convention.says_side else (None,):
-            found += _of_convention(convention, handedness, index)
+            found += _of_convention(convention, handedness, index, places)
     whole, lacking = [], []
     for handedness in (*Handedness, None):
         of_side = [hand for hand in found if hand.handedness == handedness]
@@ -172,7 +169,7 @@ def hands_among(names: Sequence[str], chosen: BoneMap | None = None) -> tuple[li
             if hand.found == best:
                 unique.setdefault(hand.bones, hand)
         for hand in unique.values():
-            missing = [STANDARD_NAMES[place] for place in _NEEDED if hand.bones[place] is None]
+            missing = [STANDARD_NAMES[place] for place in NEEDED if hand.bones[place] is None]
             if missing:
                 side = "" if hand.handedness is None else f"{hand.handedness} "
                 shown = ", ".join(missing[:6]) + (", …" if len(missing) > 6 else "")
@@ -194,53 +191,16 @@ def side_of(text: str) -> Handedness | None:
     return Handedness.RIGHT if says_right else Handedness.LEFT
 
 
-def _key(name: str) -> str:
-    return "".join(letter for letter in name.casefold() if letter.isalnum())
-
-
-def _index(names: Sequence[str]) -> dict[str, dict[str, int]]:
-    """For each copy suffix (`.001`: another set of the same bones) the places of names by their keys."""
-    index: dict[str, dict[str, int]] = {}
-    for place, name in enumerate(names):
-        copy = _COPY.search(name)
-        suffix = copy.group() if copy and not name[: copy.start()].isdigit() else ""
-        index.setdefault(suffix, {}).setdefault(_key(name[: len(name) - len(suffix)]), place)
-    return index
-
-
 def _of_convention(
-    convention: Convention, handedness: Handedness | None, index: dict[str, dict[str, int]]
+    convention: Convention, handedness: Handedness | None, index: NameIndex, places: Mapping[str, int]
 ) -> list[NamedHand]:
-    keys = [[_key(name) for name in names] for names in convention.names(handedness or Handedness.RIGHT)]
     hands = []
-    for suffix, known in index.items():
-        prefixes = {name[: -len(key)] for key in keys[0] for name in known if name.endswith(key)}
-        sets = {prefix: _bones(keys, known, prefix) for prefix in sorted(prefixes)}
-        if convention.with_tips:
-            sets = {prefix: bones for prefix, bones in sets.items() if _found(bones)[1] == len(TIPS)}
-        for prefix in _preferred(convention, sets):
-            side = handedness if handedness is not None else _side_of_prefix(prefix)
-            part = f"{convention.title}{f' {prefix}' if prefix else ''}{f' {suffix}' if suffix else ''}"
-            hands.append(NamedHand(side, sets[prefix], convention.title, part))
+    for one in sets_among(index, convention, handedness or Handedness.RIGHT):
+        side = handedness if handedness is not None else _side_of_prefix(one.prefix)
+        part = " ".join(text for text in (convention.title, one.prefix, one.suffix) if text)
+        bones = tuple(places[names[0]] if names else None for names in one.bones)
+        hands.append(NamedHand(side, bones, convention.title, part))
     return hands
-
-
-def _bones(keys: list[list[str]], known: dict[str, int], prefix: str) -> tuple[int | None, ...]:
-    return tuple(next((known[prefix + key] for key in names if prefix + key in known), None) for names in keys)
-
-
-def _found(bones: Sequence[int | None]) -> tuple[int, int]:
-    needed, tips = (sum(bones[place] is not None for place in places) for places in (_NEEDED, TIPS))
-    return needed, tips
-
-
-def _preferred(convention: Convention, sets: dict[str, tuple[int | None, ...]]) -> list[str]:
-    """Of several sets that a convention ranks (DEF- before ORG-) the best that finds the most; all others."""
-    ranked = [prefix for prefix in convention.prefixes if prefix in sets]
-    if not ranked:
-        return list(sets)
-    best = max(ranked, key=lambda prefix: (_found(sets[prefix]), -ranked.index(prefix)))
-    return [best, *(prefix for prefix in sets if prefix not in ranked)]
 
 
 def _side_of_prefix(prefix: str) -> Handedness | None:

@@ -1,4 +1,4 @@
-"""How other people name the bones of a hand: one table per convention.
+"""How other people name the bones of a hand, one table per convention, and the sets of such bones among names.
 
 Names here are templates: `{side}` is right or left, `{s}` is r or l, `{finger}` the convention's word for a finger.
 They are compared without regard to case and separators, after any prefix (`mixamorig:`, `DEF-`, `J_Bip_`), so that only
@@ -28,11 +28,17 @@ Standard library only: the extension for Blender imports this very file.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 # what exporters and importers add to the last bone of a chain for its tip
 TIP_ENDINGS = ("_end", "_tip", "_nub")
+# places of the tips in the standard order, and of the joints that need a bone of their own
+TIPS = (4, 8, 12, 16, 20)
+NEEDED = tuple(place for place in range(21) if place not in TIPS)
+_COPY = re.compile(r"[._]\d{3,}$")
 
 
 @dataclass(frozen=True)
@@ -157,3 +163,71 @@ CONVENTIONS = (
         tips=("{finger}_finger_tip", "{finger}_tip"),
     ),
 )
+
+
+@dataclass(frozen=True)
+class NamedSet:
+    """Bones of one convention that have a prefix and the suffix of a copy in common.
+
+    bones: for each of the 21 joints, standard order, the names of the best alternative that is there: several where
+           they differ in case and separators alone
+    also:  prefixes of sets as good as this one, which the convention ranks below it
+    """
+
+    prefix: str
+    suffix: str
+    bones: tuple[tuple[str, ...], ...]
+    also: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> tuple[int, int]:
+        """How many of wrist and finger bones there are, and how many tips."""
+        needed, tips = (sum(bool(self.bones[place]) for place in places) for places in (NEEDED, TIPS))
+        return needed, tips
+
+
+# by the suffix of their copies (`.001`: another set of the same bones), names by what is compared of them
+NameIndex = dict[str, dict[str, list[str]]]
+
+
+def indexed(names: Iterable[str]) -> NameIndex:
+    """Names as `sets_among` wants them."""
+    index: NameIndex = {}
+    for name in dict.fromkeys(names):
+        copy = _COPY.search(name)
+        suffix = copy.group() if copy and not name[: copy.start()].isdigit() else ""
+        index.setdefault(suffix, {}).setdefault(_key(name[: len(name) - len(suffix)]), []).append(name)
+    return index
+
+
+def sets_among(index: NameIndex, convention: Convention, handedness: str) -> list[NamedSet]:
+    """The sets that show any bone of a convention; of those that it ranks (DEF- before ORG-) the best that finds the
+    most. Names without a side need the wrist among them: "index1" alone also ends the names of other conventions."""
+    keys = [[_key(name) for name in names] for names in convention.names(handedness)]
+    result = []
+    for suffix, known in sorted(index.items()):
+        prefixes = {
+            name[: -len(key)] for place in NEEDED for key in keys[place] for name in known if name.endswith(key)
+        }
+        sets = {
+            prefix: NamedSet(prefix, suffix, tuple(_best(names, known, prefix) for names in keys))
+            for prefix in sorted(prefixes)
+        }
+        if not convention.says_side:
+            sets = {prefix: one for prefix, one in sets.items() if one.bones[0]}
+        if convention.with_tips:
+            sets = {prefix: one for prefix, one in sets.items() if one.found[1] == len(TIPS)}
+        ranked = [sets.pop(prefix) for prefix in convention.prefixes if prefix in sets]
+        most = max((one.found for one in ranked), default=None)
+        best = [one for one in ranked if one.found == most]
+        result += [*sets.values(), *(replace(one, also=tuple(each.prefix for each in best[1:])) for one in best[:1])]
+    return result
+
+
+def _best(keys: list[str], known: dict[str, list[str]], prefix: str) -> tuple[str, ...]:
+    return next((tuple(known[prefix + key]) for key in keys if prefix + key in known), ())
+
+
+def _key(name: str) -> str:
+    """A name without case and separators."""
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
