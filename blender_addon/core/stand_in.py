@@ -49,11 +49,12 @@ class Surface:
         return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-30)
 
 
-def surface_at(joints: np.ndarray, handedness: str) -> Surface:
+def surface_at(joints: np.ndarray, handedness: str, *, forearm: bool = False) -> Surface:
     """The template's hand carried to (21, 3) joints of any pose, any unit: each bone is turned onto its new place and
-    stretched along itself; across, all are as thick as the whole hand is large. JGHandFailure: bad_joints."""
+    stretched along itself; across, all are as thick as the whole hand is large. forearm: with it.
+    JGHandFailure: bad_joints."""
     joints = posing.checked_joints(np.asarray(joints)[None])
-    template, rest = _template(handedness)
+    template, rest = _template(handedness, forearm)
     axes, joints, own = posing.posed_axes(joints, rest, handedness)[0], joints[0], rest[:, :3, 3]
     tails = [tail if tail >= 0 else place for place, tail in enumerate(TAILS)]
     lengths, own_lengths = (np.linalg.norm(each[tails] - each, axis=-1) for each in (joints, own))
@@ -97,13 +98,18 @@ def _points(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _template(handedness: str) -> tuple[Surface, np.ndarray]:
+def _template(handedness: str, forearm: bool = False) -> tuple[Surface, np.ndarray]:
     """The template's hand, meters, and its (21, 4, 4) rest matrices. JGHandFailure (not_a_hand): another handedness."""
     package = Path(__file__).parents[1]
     built = package / "assets" / _NAME
     path = built if built.is_file() else package.parent / "jghand_engine" / "assets" / _NAME
     with np.load(path, allow_pickle=False) as arrays:
         vertices, faces, weights, joints = (arrays[name] for name in ("vertices", "faces", "weights", "joints"))
+        if forearm:  # in the place of the wrist's cap, whose weights it has
+            skin, behind = len(arrays["base_index"]), arrays["forearm_vertices"]
+            vertices, faces = vertices[:skin], faces[: arrays["n_skin_faces"]]
+            vertices, faces = np.concatenate([vertices, behind]), np.concatenate([faces, arrays["forearm_faces"]])
+            weights = np.concatenate([weights[:skin], np.repeat(weights[skin:], len(behind), 0)])
     vertices, weights, joints = (each.astype(np.float64) for each in (vertices, weights, joints))
     if handedness == LEFT:
         vertices, faces, joints = vertices * _MIRROR, faces[:, ::-1], joints * _MIRROR

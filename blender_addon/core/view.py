@@ -99,13 +99,14 @@ def avatar_stamp(avatar: str) -> str:
 @dataclass(frozen=True)
 class HandInSpace:
     """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters; name: for people
-    alone."""
+    alone; forearm: whether it is shown, of an avatar that has one."""
 
     handedness: str
     joints_m: np.ndarray
     world_from_hand: np.ndarray
     avatar: str = BUILTIN_AVATAR
     name: str = ""
+    forearm: bool = True
 
     @property
     def joints_world_m(self) -> np.ndarray:
@@ -191,7 +192,9 @@ def moments_request(
         "orthographic": first.view.orthographic,
         "settings": {"preset": preset, "budget_ms": budget_ms},
         "outputs": list(outputs),
-        "hands": [{"avatar": hand.avatar, "handedness": hand.handedness} for hand in first.hands],
+        "hands": [
+            {"avatar": hand.avatar, "handedness": hand.handedness, "forearm": hand.forearm} for hand in first.hands
+        ],
     }
     world_from_light = LIGHT_FROM_WORLD.T
     numbers = {

@@ -206,7 +206,9 @@ def record_steps(
     fps = now.render.fps / now.render.fps_base
     for place, (thing, handedness, name) in enumerate(named):
         joints_m = np.stack([frame[place] for frame in read])
-        into.append(Recording(name, handedness, avatar_of(thing), joints_m, frames[0], fps, thing.name))
+        into.append(
+            Recording(name, handedness, avatar_of(thing), joints_m, frames[0], fps, thing.name, thing.jghand.forearm)
+        )
 
 
 def named_hands(

@@ -58,6 +58,7 @@ class Recording:
     fps: float
     # name of the object whose hand it is
     source: str = ""
+    forearm: bool = True
 
     @property
     def digest(self) -> str:
@@ -82,6 +83,7 @@ class Recording:
             # the hand that is seen: nothing is repaired on the way
             *("--keep-bone-lengths", "--on-missing", "stop", "--any-proportions"),
             *("--json", str(scratch / f"{self.name}.json"), "--overwrite", *options),
+            "--forearm" if self.forearm else "--no-forearm",
         )
 
 

@@ -38,6 +38,7 @@ class Card:
     gaussians:    how many there are
     learned:      whether its colors change with the pose
     known_light:  whether it learned in known light, so that it answers any; of another learned one that is estimated
+    has_forearm:  whether its skin goes on behind the wrist
     """
 
     name: str
@@ -48,6 +49,7 @@ class Card:
     gaussians: int
     learned: bool
     known_light: bool = False
+    has_forearm: bool = False
 
     @property
     def in_scene_light(self) -> str:
@@ -139,6 +141,14 @@ def gaussians_of(avatar: str) -> tuple[int, bool]:
     return card.gaussians, card.learned
 
 
+def has_forearm(avatar: str) -> bool:
+    """Whether an avatar has one; no for one that cannot be read."""
+    try:
+        return card_of(avatar).has_forearm
+    except JGHandFailure:
+        return False
+
+
 def read_card(path: Path) -> Card:
     """The card of a `.jghand` file. JGHandFailure: bad_avatar, no_avatar."""
     try:
@@ -166,6 +176,7 @@ def _card(about: Mapping[str, Any], written: str) -> Card:
         gaussians=int(about["gaussians"]),
         learned=bool(learned),
         known_light=(learned.get("light") or {}).get("kind") == "known",
+        has_forearm=str(about.get("template")).endswith("-forearm"),
     )
 
 

@@ -66,6 +66,11 @@ def _cast_shadow(_settings: JGHandObjectSettings, _context: bpy.types.Context) -
     stand_ins.update()
 
 
+def _show_forearm(settings: JGHandObjectSettings, context: bpy.types.Context) -> None:
+    _evaluate_again(settings, context)
+    stand_ins.update()
+
+
 class JGHandJoint(bpy.types.PropertyGroup):
     """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
 
@@ -99,6 +104,13 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Show in Viewport",
         description="Draw the avatar of this hand in Solid and Material Preview",
         default=True,
+        override=OVERRIDABLE,
+    )
+    forearm: bpy.props.BoolProperty(
+        name="Forearm",
+        description="Show the forearm, of an avatar that has one. Without it the hand fades out at the wrist",
+        default=True,
+        update=_show_forearm,
         override=OVERRIDABLE,
     )
     cast_shadow: bpy.props.BoolProperty(

@@ -78,7 +78,8 @@ def read(
 def read_shown(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray) -> list[HandInSpace]:
     """The hands of one of `instances.hands_shown`, with their avatar. Raises JGHandFailure as `sources.read_hands`."""
     avatar = avatar_of(hand)
-    return [replace(each, avatar=avatar, name=hand.name) for each in sources.read_hands(hand, depsgraph, placed)]
+    shown = {"avatar": avatar, "name": hand.name, "forearm": hand.jghand.forearm}
+    return [replace(each, **shown) for each in sources.read_hands(hand, depsgraph, placed)]
 
 
 def avatar_of(thing: bpy.types.Object) -> str:

@@ -29,7 +29,8 @@ from ..core.joints import NAMES
 from ..core.stand_in import surface_at
 from ..errors import JGHandFailure
 from ..render import ENGINE, composite
-from . import armature, sources
+from . import armature, avatar_files, sources
+from .seen_hands import avatar_of
 
 # custom properties: of a stand-in, which hand of its parent's it is; of its mesh, what that was made from; of a scene
 # that is rendered without stand-ins
@@ -167,7 +168,8 @@ def _renew(
     if thing is not None and not _is_own(thing):
         return
     try:
-        mesh = _mesh(joints, side, bones)
+        forearm = hand.jghand.forearm and avatar_files.has_forearm(avatar_of(hand))
+        mesh = _mesh(joints, side, bones, forearm)
     except JGHandFailure:  # joints that no hand has at rest: not to be told now
         return
     mine: bpy.types.Object = _new(hand, side, mesh) if thing is None else thing
@@ -219,14 +221,16 @@ def _add_driver(thing: bpy.types.Object, hand: bpy.types.Object) -> None:
     target.use_fallback_value, target.fallback_value = True, 0.0
 
 
-def _mesh(joints: np.ndarray, side: str, bones: list[str]) -> bpy.types.Mesh:
+def _mesh(joints: np.ndarray, side: str, bones: list[str], forearm: bool) -> bpy.types.Mesh:
     """The surface for these joints, with a group for each bone; who has the same shares it. JGHandFailure:
     bad_joints."""
-    digest = hashlib.sha256(np.round(joints, 7).tobytes() + "\n".join((side, *bones)).encode()).hexdigest()
+    digest = hashlib.sha256(
+        np.round(joints, 7).tobytes() + "\n".join((side, *bones)).encode() + b"forearm" * forearm
+    ).hexdigest()
     known = next((mesh for mesh in bpy.data.meshes if mesh.get(MADE_FROM) == digest and mesh.library is None), None)
     if known is not None:
         return known
-    surface = surface_at(joints, side)
+    surface = surface_at(joints, side, forearm=forearm)
     mesh = bpy.data.meshes.new(MATERIAL)
     mesh[MADE_FROM] = digest
     mesh.from_pydata(surface.vertices, [], surface.faces)

@@ -129,8 +129,8 @@ def _hands_of(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph
     return hands
 
 
-def _sides(moment: Moment) -> list[tuple[str, str]]:
-    return [(hand.handedness, hand.avatar) for hand in moment.hands]
+def _sides(moment: Moment) -> list[tuple[str, str, bool]]:
+    return [(hand.handedness, hand.avatar, hand.forearm) for hand in moment.hands]
 
 
 def _moves(moments: list[Moment]) -> bool:

@@ -356,7 +356,7 @@ def _want(view: View) -> Want:
         parts += [
             hand.avatar,
             avatar_files.stamp(hand.avatar),
-            hand.handedness,
+            f"{hand.handedness} {hand.forearm}",
             hand.joints_m.tobytes(),
             hand.world_from_hand.tobytes(),
         ]

@@ -13,7 +13,7 @@ import tyro
 from jghand_engine.cli.console import progress, say, write_figures
 from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 from jghand_engine.cli.learning import hand_template
-from jghand_engine.cli.options import AvatarOptions, CameraName, FiguresFile, File, MotionOptions
+from jghand_engine.cli.options import CameraName, FiguresFile, File, MotionOptions, ShownAvatarOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -133,16 +133,15 @@ class Export:
     splats: SplatFileOptions = field(default_factory=SplatFileOptions)
     web: WebPageOptions = field(default_factory=WebPageOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
-    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    avatar: ShownAvatarOptions = field(default_factory=ShownAvatarOptions)
     json: FiguresFile = None
 
     def run(self) -> None:
         self.motion.check()
         self._check_options()
-        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.inputs import load_motion
 
-        avatar = load_avatar_called(self.avatar.avatar)
+        avatar = self.avatar.load()
         motion = load_motion(self.motion, avatar)
         for note in motion.notes:
             say(note)

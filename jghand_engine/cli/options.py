@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
@@ -16,6 +16,9 @@ from jghand_engine.avatar import BUILTIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
 from jghand_engine.native import contract
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
 
 # the widest lens, millimeters: one that sees around the hand
 APERTURE_MAX_MM = 200.0
@@ -121,6 +124,22 @@ class AvatarOptions:
 
     avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN
     """A .jghand file, or a hand that comes with JGHand: builtin, learned from pictures, or painted."""
+
+
+@dataclass(frozen=True)
+class ShownAvatarOptions(AvatarOptions):
+    """Which hand is shown."""
+
+    forearm: bool = True
+    """Show the forearm of a hand that has one. Left out, and of hands that have none, the hand fades out at the
+    wrist."""
+
+    def load(self) -> HandAvatar:
+        """The avatar as it is shown. InputError for a file that is none."""
+        from jghand_engine.avatar.builtin import load_avatar_called
+        from jghand_engine.avatar.forearm import ended
+
+        return ended(load_avatar_called(self.avatar), forearm=self.forearm)
 
 
 @dataclass(frozen=True)

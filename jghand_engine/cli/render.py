@@ -11,12 +11,12 @@ import tyro
 
 from jghand_engine.cli.console import say, write_figures, write_json
 from jghand_engine.cli.options import (
-    AvatarOptions,
     EffectOptions,
     FiguresFile,
     File,
     MotionOptions,
     PictureOptions,
+    ShownAvatarOptions,
     parse_shard,
 )
 from jghand_engine.errors import InputError
@@ -69,7 +69,7 @@ class Render:
     """Keep the pictures that this very command has made before, of whatever shard; make the missing and the broken
     ones. A folder with pictures of another render is refused."""
     motion: MotionOptions = field(default_factory=MotionOptions)
-    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    avatar: ShownAvatarOptions = field(default_factory=ShownAvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
     effect: EffectOptions = field(default_factory=EffectOptions)
     json: FiguresFile = None
@@ -79,7 +79,6 @@ class Render:
         self.motion.check()
         from dataclasses import replace
 
-        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
         from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.timings import Receipts, Timings
@@ -101,7 +100,7 @@ class Render:
             refuse_foreign_video("--video", self.video)
             ffmpeg_program()
         light = None if self.light is None else read_light(self.light)
-        avatar = load_avatar_called(self.avatar.avatar)
+        avatar = self.avatar.load()
         motion = load_motion(self.motion, avatar)
         avatar = avatar.for_hand(motion.sequence.handedness)
         for note in motion.notes:

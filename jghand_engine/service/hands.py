@@ -16,6 +16,7 @@ import numpy as np
 from jghand_engine.avatar import SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.forearm import ended
 from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
 from jghand_engine.avatar.scene_light import Baked, SceneLight, Shades, World
 from jghand_engine.errors import InputError
@@ -78,9 +79,9 @@ class _Version(NamedTuple):
 
 
 class _Key(NamedTuple):
-    """What a renderer is made for."""
+    """What a renderer is made for; of each hand its avatar, handedness, and whether its forearm is shown."""
 
-    hands: tuple[tuple[_Version, str], ...]
+    hands: tuple[tuple[_Version, str, bool], ...]
     settings: ImageSettings
     depth: bool
     size_px: tuple[int, int] | None
@@ -216,11 +217,11 @@ class HandImages:
     def _renderer(self, request: ImageRequest, light: SceneLight | None) -> SceneRenderer:
         wanted = request.settings
         size_px = _measured_size(request.width * request.height) if wanted.budget_ms is not None else None
-        hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in request.hands)
+        hands = tuple((_Version.now(hand.avatar), hand.handedness, hand.forearm) for hand in request.hands)
         key = _Key(hands, wanted, request.depth, size_px, light is not None)
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
-                avatars = [self._avatar(*hand) for hand in hands]
+                avatars = [ended(self._avatar(version, side), forearm=forearm) for version, side, forearm in hands]
                 settings = replace(_settings(wanted, avatars, size_px), depth=request.depth)
                 while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
@@ -249,7 +250,7 @@ class HandImages:
             raise refusal from error
         for older in [each for each in self._avatars if each.avatar == version.avatar]:
             del self._avatars[older]
-        for key in [key for key in self._renderers if any(each.avatar == version.avatar for each, _ in key.hands)]:
+        for key in [key for key in self._renderers if any(each.avatar == version.avatar for each, _, _ in key.hands)]:
             del self._renderers[key]
         self._avatars[version] = loaded
         self._drop_idle()
@@ -257,7 +258,7 @@ class HandImages:
 
     def _drop_idle(self) -> None:
         """Lets go of avatars that no renderer shows, but for the few that were read last."""
-        shown = {version for key in self._renderers for version, _ in key.hands}
+        shown = {version for key in self._renderers for version, _, _ in key.hands}
         idle = [version for version in self._avatars if version not in shown]
         for version in idle[:-IDLE_AVATARS_MAX]:
             del self._avatars[version]

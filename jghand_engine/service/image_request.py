@@ -86,10 +86,11 @@ _CHECKS = {
 
 @dataclass(frozen=True)
 class RequestedHand:
-    """avatar: as it was loaded; handedness: "right" or "left"."""
+    """avatar: as it was loaded; handedness: "right" or "left"; forearm: whether it is shown, where there is one."""
 
     avatar: str
     handedness: str
+    forearm: bool = True
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,12 @@ def _hands(header: dict[str, Any]) -> tuple[RequestedHand, ...]:
     for entry in entries:
         if not isinstance(entry, dict):
             raise InputError("hand", wanted="an object with avatar and handedness", came=repr(entry)[:80])
-    return tuple(RequestedHand(text_of(entry, "avatar"), text_of(entry, "handedness")) for entry in entries)
+        if type(entry.get("forearm", True)) is not bool:
+            raise InputError("hand: forearm", wanted="true or false", came=repr(entry["forearm"])[:80])
+    return tuple(
+        RequestedHand(text_of(entry, "avatar"), text_of(entry, "handedness"), entry.get("forearm", True))
+        for entry in entries
+    )
 
 
 def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:

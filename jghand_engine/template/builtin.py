@@ -8,6 +8,7 @@ from importlib.resources.abc import Traversable
 
 import numpy as np
 
+from jghand_engine.avatar.forearm import BUILTIN_TEMPLATE, FOREARM_SUFFIX
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder, to_level
@@ -16,8 +17,8 @@ from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import bone_weights, columns_to_level
 
-IDENTIFIER = "makehuman-soma-right-1"
-WITH_FOREARM = f"{IDENTIFIER}-forearm"
+IDENTIFIER = BUILTIN_TEMPLATE
+WITH_FOREARM = BUILTIN_TEMPLATE + FOREARM_SUFFIX
 ASSETS = files("jghand_engine") / "assets"
 
 # field: (kinds of dtype, shape with V vertices, F faces, S skin vertices, A vertices and B faces of the forearm)

@@ -100,11 +100,13 @@ def test_settings_lens_and_rays_arrive():
 
 
 def test_moments_arrive_in_their_order_with_their_weights():
+    shown = [replace(hand, forearm=place != 1) for place, hand in enumerate(HANDS)]
     moments = [
-        Moment(replace(VIEW, fx=100.0 + k), [replace(hand, world_from_hand=rigid(10 + k)) for hand in HANDS], 1.0 + k)
+        Moment(replace(VIEW, fx=100.0 + k), [replace(hand, world_from_hand=rigid(10 + k)) for hand in shown], 1.0 + k)
         for k in range(3)
     ]
     request, _ = understood(*moments_request(moments, outputs=["depth_covered"]))
+    assert [hand.forearm for hand in request.hands] == [hand.forearm for hand in shown]
     assert [exposure.fx for exposure in request.exposures] == [100, 101, 102]
     assert [exposure.weight for exposure in request.exposures] == [1, 2, 3]
     assert request.depth

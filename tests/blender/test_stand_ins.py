@@ -122,6 +122,17 @@ def test_a_preview_movie_shows_no_stand_in(floor, tmp_path):
     preview._remove(movie)
 
 
+def test_it_has_the_forearm_that_the_hand_shows(extension, monkeypatch):
+    """So that the shadow ends where the hand does."""
+    hand = add_hand("left")
+    assert len(only(hand).data.vertices) == 1610
+    monkeypatch.setattr(stand_ins.avatar_files, "has_forearm", lambda avatar: True)
+    stand_ins.update()
+    assert len(only(hand).data.vertices) == 1750
+    hand.jghand.forearm = False
+    assert len(only(hand).data.vertices) == 1610
+
+
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_its_surface_is_the_engines_in_every_pose(extension, side):
     """Worst seen: 0.05 mm, what small weights leave out."""

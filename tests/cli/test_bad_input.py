@@ -194,10 +194,6 @@ def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, refused, 
     refused(*of_motion(tmp_path, joints, "--fps", fps), says="--fps")
 
 
-def test_a_benchmark_of_nothing_is_refused(refused):
-    refused("bench", "--rounds", "0", says="--rounds")
-
-
 def test_a_light_that_is_none_is_refused_before_anything_is_written(tmp_path, refused):
     light = tmp_path / "light.json"
     light.write_text('{"format": "jghand-light", "version": 1, "lamps": [{"kind": "torch"}]}')

@@ -15,7 +15,7 @@ from command_line import run
 
 from jghand_engine import __version__
 from jghand_engine.avatar import builtin
-from jghand_engine.cli import VERBS, main
+from jghand_engine.cli import VERBS, bench, main
 from jghand_engine.cli.console import say_table
 from jghand_engine.cli.inputs import load_motion, read_sequence
 from jghand_engine.cli.options import FormatOptions, MotionOptions, color, pixels
@@ -544,8 +544,9 @@ def test_export_options_that_make_no_stage_are_refused(tmp_path, words):
     assert not (tmp_path / "out").exists()
 
 
-def test_bench_measures_every_preset(tmp_path, capsys):
-    words = ("--size", "64x48", "--rounds", "2", "--json", tmp_path / "bench.json")
+def test_bench_measures_every_preset(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(bench, "ROUNDS", 2)
+    words = ("--size", "64x48", "--json", tmp_path / "bench.json")
     assert run("bench", *words) == 0
     report = json.loads((tmp_path / "bench.json").read_text())
     assert {one["section"] for one in report["measurements"]} == {f"preset {name}" for name in PRESETS}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.forearm import ended
 from jghand_engine.cli.frame_files import made_from
 from jghand_engine.cli.inputs import load_motion
 from jghand_engine.cli.options import FormatOptions, MotionOptions
@@ -17,7 +18,7 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.settings import preset
 
-AVATAR = load_avatar_called("painted")
+AVATAR = ended(load_avatar_called("painted"))
 MOVED = np.array([0.001, 0.0, 0.0])
 
 

@@ -14,6 +14,7 @@ from small_avatars import trained_avatar
 from jghand_engine.avatar import PAINTED
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import save_avatar
+from jghand_engine.avatar.forearm import ended
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
@@ -71,7 +72,7 @@ def test_a_picture_is_that_of_the_renderer_in_its_own_process(source, right):
 
     came = source.render(asked([right]))
     camera = Camera(120, 90, *PINHOLE, torch.from_numpy(CAMERA_FROM_WORLD))
-    renderer = HandRenderer(load_painted(handedness=Handedness.RIGHT), preset("draft"))
+    renderer = HandRenderer(ended(load_painted(handedness=Handedness.RIGHT)), preset("draft"))
     frame = renderer.render(to_level(right.joints_m, JointOrder.STANDARD), camera)
     np.testing.assert_array_equal(came.rgba, frame.rgba)
     np.testing.assert_array_equal(came.depth_m, frame.depth_m)
@@ -188,7 +189,9 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
         came = source.render(asked([hand], moment, settings=ImageSettings("viewport")))
         camera = Camera(120, 90, *PINHOLE, camera_from_world)
         wanted, matt = (
-            HandRenderer(one, preset("viewport")).render(to_level(right.joints_m, JointOrder.STANDARD), camera).rgba
+            HandRenderer(ended(one), preset("viewport"))
+            .render(to_level(right.joints_m, JointOrder.STANDARD), camera)
+            .rgba
             for one in (avatar, dark)
         )
         np.testing.assert_array_equal(came.rgba, wanted)
@@ -479,3 +482,20 @@ def test_light_that_was_baked_lights_each_hand_as_it_says_whatever_the_lamps_are
 def test_a_lamp_that_is_none_is_refused_by_name(source, tmp_path, lamp, name):
     with pytest.raises(InputError, match=name):
         source.render(asked([trained_hand(tmp_path)], light=lit(lamp)))
+
+
+def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
+    from jghand_engine.template.builtin import WITH_FOREARM
+
+    # some skin far behind the wrist
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(300)
+    place = avatar.position_m + np.where(np.arange(300) < 100, -0.08, 0.0)[:, None] * np.array([-0.18, 1, -0.12])
+    info = replace(avatar.info, template=WITH_FOREARM)
+    save_avatar(tmp_path / "arm.jghand", replace(avatar, info=info, position_m=place.astype(np.float32)))
+    hand = Hand(avatar.canonical_joints_m, str(tmp_path / "arm.jghand"))
+    request = asked([hand])
+    shown, hidden = (
+        source.render(replace(request, hands=(replace(request.hands[0], forearm=forearm),))).rgba[..., 3].sum()
+        for forearm in (True, False)
+    )
+    assert hidden < 0.9 * shown

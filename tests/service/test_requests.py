@@ -78,6 +78,7 @@ WRONG_HEADERS = {
     "hands that are no list": {"hands": RIGHT},
     "a hand that is no object": {"hands": ["right"]},
     "a hand without an avatar": {"hands": [{"handedness": "right"}]},
+    "a forearm that is a text": {"hands": [{**RIGHT, "forearm": "shown"}]},
     "more hands than joints": {"hands": [RIGHT, LEFT]},
     "a hundred hands": {"hands": [RIGHT] * 100},
     "parallel rays that are a number": {"orthographic": 1},

@@ -1,0 +1,55 @@
+"""Where a hand ends: its opacity fades out along the forearm, or at the wrist, instead of ending in a cut.
+
+It follows from the canonical place of each Gaussian alone, and is laid on an avatar that is to be seen: in pictures,
+exports, pages and views alike. What is measured against pictures (`jghand evaluate`) is not faded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+
+# identifiers of the built-in hand's templates begin so; that with a forearm ends so
+BUILTIN_TEMPLATE, FOREARM_SUFFIX = "makehuman-soma-right-1", "-forearm"
+MANO_TEMPLATES = "mano-"
+# along the forearm of the built-in hand, from the wrist: the ends of its fade, meters. Its skin rounds off behind them
+FOREARM_WAY, FOREARM_FADE_M = np.array([0.1751, -0.9778, 0.1149]), (0.125, 0.105)
+# across the cut at the wrist of the built-in hand, and where it lies. What closed it is up to 3 mm before the cut, as
+# deep as Gaussians are under the skin, and is not seen at all
+WRIST_WAY, WRIST_CUT_M = np.array([-0.0788, 0.9616, 0.2629]), -0.0031
+WRIST_FADE_M = (0.003, 0.015)
+# about so many Gaussians lie over one another in a hand's skin: each fades sooner, so that all together fade evenly
+LAYERS = 6
+
+
+def has_forearm(avatar: HandAvatar) -> bool:
+    """Whether it was learned with one."""
+    return avatar.info.template.endswith(FOREARM_SUFFIX)
+
+
+def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
+    """The avatar as it is shown: faded out at the end of its forearm, or, without one or where it is not wanted, at the
+    wrist. An avatar on an unknown template stays as it is."""
+    place, template = avatar.position_m, avatar.info.template
+    if forearm and has_forearm(avatar):
+        shown = _rising(place @ FOREARM_WAY, *FOREARM_FADE_M)
+    elif template.startswith(BUILTIN_TEMPLATE):
+        shown = _rising(place @ WRIST_WAY - WRIST_CUT_M, *WRIST_FADE_M)
+    elif template.startswith(MANO_TEMPLATES):
+        # its hand ends square to the bones, and somewhere else in each file
+        shown = _rising(place[:, 1] - place[:, 1].min(), *WRIST_FADE_M)
+    else:
+        return avatar
+    if not forearm:
+        # its mesh is the hand's alone
+        avatar = replace(avatar, info=replace(avatar.info, template=template.removesuffix(FOREARM_SUFFIX)))
+    return replace(avatar, opacity=avatar.opacity * shown.astype(np.float32))
+
+
+def _rising(along: np.ndarray, none: float, whole: float) -> np.ndarray:
+    """(N,) 0 at `none` and beyond it, 1 at `whole`; LAYERS of them cover smoothly more and more between."""
+    part = ((along - none) / (whole - none)).clip(0, 1)
+    return 1 - (1 - part * part * (3 - 2 * part)) ** (1 / LAYERS)
