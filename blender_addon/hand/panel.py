@@ -120,9 +120,8 @@ def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:
     """The settings of the active hand."""
     column = ui.settings(layout)
     column.prop(hand.jghand, "avatar", placeholder="Built-in")
-    row = column.row()
-    row.active = avatar_files.has_forearm(avatar_of(hand))
-    row.prop(hand.jghand, "forearm")
+    if avatar_files.has_forearm(avatar_of(hand)):
+        column.prop(hand.jghand, "forearm")
 
 
 def _icon(hand: bpy.types.Object) -> str:

@@ -25,13 +25,15 @@ from jghand_engine.errors import JGHandError
 from jghand_engine.files import cache_folder, writing
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.sampling import bone_distances, sample_shell
+from jghand_engine.template.sampling import FOREARM, bone_distances, sample_shell
 from jghand_engine.template.weight_field import WeightField
 
 # placed points that the cache keeps, the newest: 5 MB each at 40,000 Gaussians
 POINTS_CACHE_FILES = 8
 # Gaussians of the forearm for the same area, as a part of the hand's: nobody looks at its pores
 FOREARM_DENSITY = 0.125
+# how much wider its Gaussians start: many pictures end before it, and what none shows must have no holes
+FOREARM_SPREAD = 1.5
 PACKAGE = Path(__file__).resolve().parents[1]
 # what placing is made of: a change of any of them makes other points, perhaps
 _CODE = ("learn/canonical_points.py", "hand/joints.py", "avatar/avatar.py", "template/*.py")
@@ -44,7 +46,8 @@ class CanonicalPoints:
     """N points whose every prefix covers the hand; float32 but for the joints.
 
     position_m: (N, 3) · normal: (N, 3) unit, of the skin above · uvd: (N, 3) 0..1 · bone_weights: (N, 21)
-    sigma_m: (N,) half the mean distance to the three nearest (METHOD 4.2) · joints_m: (21, 3) float64, canonical
+    sigma_m: (N,) half the mean distance to the three nearest (METHOD 4.2), of the forearm more
+    joints_m: (21, 3) float64, canonical
     template: its identifier
     """
 
@@ -99,12 +102,13 @@ def _placed(template: HandTemplate, count: int, *, area_power: float, **numbers:
     chosen = take_turns(sample.bone, counts)
     position_m = sample.position_m[chosen]
     nearest = np.asarray(KDTree(position_m).query(position_m, k=4)[0])[:, 1:]
+    spread = np.where(sample.bone[chosen] == FOREARM, FOREARM_SPREAD, 1.0)
     return CanonicalPoints(
         position_m=torch.from_numpy(position_m).float(),
         normal=torch.from_numpy(sample.normal[chosen]).float(),
         uvd=torch.from_numpy(sample.uvd[chosen]).float(),
         bone_weights=WeightField.build(template).query(position_m).float(),
-        sigma_m=torch.from_numpy(0.5 * nearest.mean(1)).float(),
+        sigma_m=torch.from_numpy(0.5 * spread * nearest.mean(1)).float(),
         joints_m=torch.from_numpy(template.joints_m.copy()),
         template=template.identifier,
     )
