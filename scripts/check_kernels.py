@@ -31,7 +31,7 @@ from bundled_engine import PLATFORMS
 from jghand_engine.native import binding, build, library, selftest
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.rasterizer import _Job as RasterJob
-from jghand_engine.native.tasks import EnlargeTask, ShadeTask, SkinTask, SsimTask
+from jghand_engine.native.tasks import ShadeTask, SkinTask, SsimTask
 
 PROGRAM = Path(__file__).with_suffix(".cpp")
 FLOAT, DOUBLE = 1, 2
@@ -81,12 +81,6 @@ def ssim_sizes(task: SsimTask) -> dict[str, int]:
     return sizes | {"maps": 12 * (task.height + rim) * task.stride, "scratch": 16 * task.stripes * task.stride}
 
 
-def enlarge_sizes(task: EnlargeTask) -> dict[str, int]:
-    small, large = task.width * task.height, task.large_width * task.large_height
-    sizes = {"rgba": 16 * small, "depth": 4 * small, "spans": 8 * task.height}
-    return sizes | {"large_rgba": 16 * large, "large_depth": 4 * large}
-
-
 def depth_start(task: ShadeTask) -> int:
     """Bytes from the beginning of the padded plane to where the task points."""
     columns = (task.stride - -(-task.width // 16) * 16) // 2
@@ -116,7 +110,6 @@ CALLS: dict[str, tuple[tuple[int, int] | Structure, ...]] = {
     "jg_learned_pose": ((TEAM_BYTES, 0), _LEARNED),
     "jg_learned_gloss": ((TEAM_BYTES, 0), replace(_LEARNED, results={"rgb": FLOAT})),
     "jg_ssim": ((TEAM_BYTES, 0), Structure(SsimTask, ssim_sizes, {"sums": DOUBLE, "gradient": FLOAT})),
-    "jg_enlarge": ((TEAM_BYTES, 0), Structure(EnlargeTask, enlarge_sizes, {"large_rgba": FLOAT, "large_depth": FLOAT})),
 }
 # matrices, scale and angles of the bones; the skeleton's size is the library's
 _BONES = ((0, 0), (8 * 63, 0), (8 * 252, DOUBLE), (8, DOUBLE), (8 * 37, DOUBLE))

@@ -50,7 +50,7 @@ class PassWriter:
 
     def settings(self, settings: RenderSettings) -> RenderSettings:
         """The same with the maps that the passes need, in whole resolution."""
-        return replace(settings, depth=set(self.names) != {"alpha"}, normals="normal" in self.names, half=False)
+        return replace(settings, depth=set(self.names) != {"alpha"}, normals="normal" in self.names)
 
     def start(self, avatar: HandAvatar, renderer: HandRenderer, joints_m: np.ndarray, camera: Camera) -> None:
         """What is drawn. joints_m: (F, 21, 3) level order"""

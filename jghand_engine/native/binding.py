@@ -37,8 +37,6 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_detail": (None, (_P, _P)),
     "jg_ssim_task_bytes": (_I32, ()),
     "jg_ssim": (None, (_P, _P)),
-    "jg_enlarge_task_bytes": (_I32, ()),
-    "jg_enlarge": (None, (_P, _P)),
     "jg_mean_task_bytes": (_I32, ()),
     "jg_mean_add": (None, (_P, _P)),
     "jg_mean_finish": (None, (_P, _P)),

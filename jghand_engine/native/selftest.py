@@ -18,13 +18,12 @@ from jghand_engine.errors import RetryError
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.detail_task import DetailHand, DetailTask
-from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.mean import MeanTask, NativeMean
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View, job_bytes
 from jghand_engine.native.scene_light_task import SceneLightTask
 from jghand_engine.native.ssim import SSIM_K1, SSIM_K2, NativeSsim, window
-from jghand_engine.native.tasks import LANES, EnlargeTask, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
+from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
 
 _COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
 # means of the planes R G B A D, and of the gradients with respect to position, sigma, opacity and color when every
@@ -78,7 +77,6 @@ def check(library: Library) -> None:
         (call.jg_detail_hand_bytes, DetailHand),
         (call.jg_detail_task_bytes, DetailTask),
         (call.jg_ssim_task_bytes, SsimTask),
-        (call.jg_enlarge_task_bytes, EnlargeTask),
         (call.jg_mean_task_bytes, MeanTask),
     )
     sizes = (call.jg_raster_job_bytes(), call.jg_team_bytes(), *(size() for size, _ in tasks))
@@ -91,7 +89,6 @@ def check(library: Library) -> None:
     _check_trained_skin(library)
     _check_bones(library)
     _check_similarity(library)
-    _check_enlarging(library)
     _check_mean(library)
 
 
@@ -261,17 +258,6 @@ def _check_similarity(library: Library) -> None:
     step = 1e-5
     slope = (_similarity(rgb + step, truth) - _similarity(rgb - step, truth)) / (2 * step)
     _compare(library, "similarity and its slope", [value, gradient.sum()], [_similarity(rgb, truth), slope])
-
-
-def _check_enlarging(library: Library) -> None:
-    """A slope over an image stays that slope away from its edge, and so does a depth of one surface."""
-    y, x = np.mgrid[:6, :7] * 2.0 + 1.0
-    wanted_y, wanted_x = np.mgrid[:12, :14] + 0.5
-    rgba = np.repeat((0.01 * (x + 2 * y))[..., None], 4, -1).astype(np.float32)
-    large, depth_m = native_enlarged(library, rgba, (1 + 1e-4 * x).astype(np.float32), (14, 12), threads=1)
-    inside = (slice(1, -1), slice(1, -1))
-    _compare(library, "an enlarged slope", large[inside][..., 3], (0.01 * (wanted_x + 2 * wanted_y))[inside])
-    _compare(library, "an enlarged depth", depth_m[inside], (1 + 1e-4 * wanted_x)[inside])
 
 
 def _check_mean(library: Library) -> None:

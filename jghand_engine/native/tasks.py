@@ -1,6 +1,6 @@
-"""What the calls for skin, shadow, enlarging and similarity take: mirrors of the structures in native/skin.h, shadow.h,
-enlarge.cpp and ssim.cpp, and the memory around a depth that the shadow needs. Python that poses, shades, enlarges and
-compares fills them, and so does the self-test; what trained skin takes is in learned_tasks.py."""
+"""What the calls for skin, shadow and similarity take: mirrors of the structures in native/skin.h, shadow.h and
+ssim.cpp, and the memory around a depth that the shadow needs. Python that poses, shades and compares fills them, and so
+does the self-test; what trained skin takes is in learned_tasks.py."""
 
 from __future__ import annotations
 
@@ -48,16 +48,6 @@ class ShadeTask(ctypes.Structure):
         ("darkness", _F32 * 3),
         *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
         *((name, _P) for name in ("visibility", "rgba", "depth_out")),
-    )
-
-
-class EnlargeTask(ctypes.Structure):
-    """EnlargeTask of native/enlarge.cpp, field by field."""
-
-    _fields_ = (
-        *((name, _I32) for name in ("width", "height", "large_width", "large_height", "stripes")),
-        ("same_surface", _F32),
-        *((name, _P) for name in ("rgba", "depth", "spans", "large_rgba", "large_depth")),
     )
 
 

@@ -47,8 +47,6 @@ BUDGET_PART = 0.9
 # how long a machine that knows nothing of itself measures, seconds; poses whose accuracy is measured; rounds at least
 BUDGET_SECONDS = 2.0
 _POSES, _ROUNDS_MIN = 3, 5
-# images smaller than this lose more by half the size than by fewer Gaussians (built-in hand), pixels
-HALF_PIXELS_MIN = 600_000
 # accuracy of a whole image over black from which on an artist sees no difference, has to look for it, sees it at once
 LOOKS_SAME_DB = 45.0
 LOOKS_ALIKE_DB = 38.0
@@ -111,9 +109,6 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
         found["draft, no correctives"] = replace(draft, effects=NO_CORRECTIVES)
     if avatar.detail is not None:
         found["viewport, no detail"] = replace(viewport, effects=NO_DETAIL)
-    if size_px[0] * size_px[1] >= HALF_PIXELS_MIN:
-        found["viewport, half size"] = replace(viewport, half=True)
-        found["draft, half size"] = replace(draft, half=True)
     return found
 
 
@@ -182,7 +177,6 @@ def how_it_looks(psnr_db: float, causes: Sequence[str]) -> str:
 def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
     """By axis, what one sees of settings that leave something out of an avatar of `total` Gaussians; of most first."""
     seen = {
-        "resolution": "soft everywhere" if settings.half else "",
         "correctives": "" if settings.effects.allows(Effect.CORRECTIVES) else "flat creases and knuckles",
         "detail": "" if settings.effects.allows(Effect.DETAIL) else "smooth skin",
         "Gaussians": "soft fingertips" if (settings.gaussians or total) < total else "",

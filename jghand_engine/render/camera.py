@@ -124,11 +124,6 @@ class Camera:
             self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
         )
 
-    def halved(self) -> Camera:
-        """The same view on pixels twice as large, which cover at least the whole image."""
-        half = {name: 0.5 * getattr(self, name) for name in ("fx", "fy", "cx", "cy")}
-        return replace(self, width=(self.width + 1) // 2, height=(self.height + 1) // 2, **half)
-
     def through(self, x_m: float, y_m: float) -> Camera:
         """The pinhole at a place of the lens, meters from its middle along the image's axes. What is in focus stays
         where it was in the image."""

@@ -26,8 +26,6 @@ from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.hand.skeleton import Bones, Skeleton, describe_flags
 from jghand_engine.native import contract
-from jghand_engine.native import library as native_library
-from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.rasterizer import check_image_size
 from jghand_engine.render.backend import Backend, Canvas, Pose
 from jghand_engine.render.blur import (
@@ -61,7 +59,7 @@ from jghand_engine.render.report import FrameReport, summed
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
 
-TRANSFORM, PLAN, NORMALS, IDS, ENLARGE = "transform", "plan", "normals", "ids", "enlarge"
+TRANSFORM, PLAN, NORMALS, IDS = "transform", "plan", "normals", "ids"
 
 
 @dataclass(frozen=True)
@@ -153,9 +151,7 @@ class SceneRenderer:
         """
         # what is drawn may be the hand's box alone
         check_image_size(camera.width, camera.height)
-        if not self.settings.half:
-            return self._render(joints_m, camera, shutter, check_canceled)
-        return _enlarged(self._render(joints_m, camera.halved(), shutter, check_canceled), camera)
+        return self._render(joints_m, camera, shutter, check_canceled)
 
     def rest(self) -> None:
         """Gives back the memory that has the size of the last image; the next one takes it anew."""
@@ -459,25 +455,6 @@ def _at_origin(posed: _Posed, camera: Camera) -> Camera:
     from_origin = camera.camera_from_world.copy()
     from_origin[:3, 3] += from_origin[:3, :3] @ posed.kept.joints_m[0][0]
     return replace(camera, camera_from_world=from_origin)
-
-
-def _enlarged(frame: Frame, camera: Camera) -> Frame:
-    """A frame of `camera.halved()` as one of `camera`; what cannot be mixed, such as the numbers of hands, is
-    repeated."""
-    started, report = time.perf_counter(), frame.report
-    size = camera.width, camera.height
-    # without depth the zeros stay zeros
-    rgba, depth_m = native_enlarged(
-        native_library.load(report.backend), frame.rgba, frame.depth_m, size, report.threads
-    )
-    normal, ids = (
-        None if each is None else each.repeat(2, 0).repeat(2, 1)[: size[1], : size[0]]
-        for each in (frame.normal, frame.ids)
-    )
-    spent_ms = 1e3 * (time.perf_counter() - started)
-    report.ran(ENLARGE, spent_ms)
-    report.total_ms += spent_ms
-    return Frame(rgba, depth_m, report, normal, ids, frame.linear)
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,6 @@ class RenderSettings:
                        report
     repeatable:        whether they keep it only when nothing changed at all: an image then depends on nothing that was
                        drawn before it, and its bits are the same in every part of an animation
-    half:              draw at half the width and height, then enlarge
     """
 
     gaussians: int = 0
@@ -59,7 +58,6 @@ class RenderSettings:
     antialias: bool = True
     reuse: bool = True
     repeatable: bool = False
-    half: bool = False
 
     def __post_init__(self) -> None:
         checks = (

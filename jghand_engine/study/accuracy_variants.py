@@ -21,10 +21,10 @@ from jghand_engine.render.budget import NO_CORRECTIVES, candidates, has_seen_sha
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 
 TOGETHER = "all together"
-GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS = (
-    "Gaussians", "correctives", "blend", "resolution", "shadow", "stored as", "threads"
+GAUSSIANS, CORRECTIVES, BLEND, SHADOW, STORED, THREADS = (
+    "Gaussians", "correctives", "blend", "shadow", "stored as", "threads"
 )  # fmt: skip
-AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS)
+AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, SHADOW, STORED, THREADS)
 _SHADOW_SAMPLES = (8, 16, 32, 64)
 # prefixes of an avatar's Gaussians, and sizes of the linear form of its correctives, that are compared
 COUNTS = (10_000, 20_000, 30_000, 40_000, 60_000, 120_000)
@@ -65,7 +65,6 @@ def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, 
         found.append(
             Variant(BLEND, f"{name}: cut at 1/{round(1 / rule.alpha_min)}, stop at {rule.t_stop:.0e}", changed)
         )
-    found += [Variant(RESOLUTION, name, replace(own, half=half)) for name, half in (("whole", False), ("half", True))]
     found += _shadows(avatar, own)
     found.append(Variant(STORED, "float32", own))
     found.append(Variant(STORED, "float16 and smaller", own, stored_form(avatar, Storage.COMPACT)))

@@ -142,7 +142,6 @@ PICTURES: dict[str, list[Picture]] = {
         Picture("grasp", "builtin", RIGHT, "reference", "side"),
         Picture("claw", "painted", LEFT, "reference", "parallel"),
         Picture("fist", "builtin", RIGHT, "viewport", "top", {"shadow": ShadowMode.ALWAYS, "shadow_samples": 32}),
-        Picture("spread", "builtin", RIGHT, "viewport", "front", {"half": True}),
         Picture("spread", "stretched", RIGHT, "viewport", "front"),
         Picture("fist", "stretched", LEFT, "final", "odd"),
         Picture("relaxed", "builtin", RIGHT, "viewport", "front", scale=1.2),

@@ -109,9 +109,7 @@ def test_detail_can_be_shed():
     assert not found["viewport, no detail"].effects.allows(Effect.DETAIL)
     assert left_out(found["viewport, no detail"], 100)["detail"] == "smooth skin"
     assert "viewport, no detail" not in candidates(small_avatar(100), (512, 334))
-    assert not any(settings.half for settings in found.values())
     assert "viewport, no shadow" in found
-    assert any(settings.half for settings in candidates(small_avatar(100), (1920, 1080)).values())
 
 
 def test_a_shadow_that_is_not_drawn_is_nothing_to_choose():

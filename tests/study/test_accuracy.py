@@ -72,7 +72,7 @@ def test_every_axis_is_compared_and_changes_only_itself():
     for one in found:
         changed = {name for name in vars(final) if getattr(one.settings, name) != getattr(final, name)}
         allowed = {"Gaussians": {"gaussians"}, CORRECTIVES: {"effects"}, "blend": {"alpha_min", "t_stop"},
-                   "resolution": {"half"}, "shadow": {"shadow", "shadow_samples"}, "stored as": set(),
+                   "shadow": {"shadow", "shadow_samples"}, "stored as": set(),
                    THREADS: {"threads"}}  # fmt: skip
         assert one.axis == TOGETHER or changed <= allowed[one.axis]
     assert [one.name for one in found if one.axis == CORRECTIVES] == [
