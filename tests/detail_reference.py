@@ -20,12 +20,13 @@ from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_
 
 
 def levels_of(detail: Detail) -> list[np.ndarray]:
-    """The log ratios of each level, (S, S, 3), (S / 2, S / 2, 3), …"""
+    """The log ratios of each level, (S, S, 3), (S / 2, S / 2, 3), … (4, 4, 3)"""
     texels, size, found = detail.mips.texels.astype(np.int64), detail.size, []
-    for start in detail.mips.start:
-        some = texels[start : start + size * size]
+    while size >= 4:
+        some, texels = texels[: size * size], texels[size * size :]
+        some = some.reshape(size // 4, size // 4, 4, 4).swapaxes(1, 2).reshape(size, size)
         channels = [(some >> (TEXEL_BITS * k) & (1 << TEXEL_BITS) - 1) - TEXEL_ZERO for k in range(3)]
-        found.append(np.stack(channels, -1).reshape(size, size, 3) * (LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE))
+        found.append(np.stack(channels, -1) * (LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE))
         size //= 2
     return found
 
@@ -97,7 +98,8 @@ def looked_up(levels: list[np.ndarray], uv: np.ndarray, spans: np.ndarray) -> np
     stack = np.stack([*each, each[-1]])
     pick = np.indices(fine.shape)
     first, second = stack[fine, *pick], stack[fine + 1, *pick]
-    return first + (level - fine)[..., None] * (second - first)
+    # mixed on the middle half of the way between two levels: one look-up serves the rest
+    return first + np.clip(2 * (level - fine) - 0.5, 0, 1)[..., None] * (second - first)
 
 
 def bilinear(texels: np.ndarray, uv: np.ndarray) -> np.ndarray:

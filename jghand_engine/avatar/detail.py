@@ -33,7 +33,8 @@ class Detail:
     bone_weights: (V, 21) float32, rows sum to 1, column i = B_i
     faces:        (F, 3) int32, counterclockwise from outside; the skin alone, open at the wrist
     face_uv:      (F, 3, 2) float32, 0..1, of each corner: seams; the texture's row is 1 - v
-    texture:      (S, S, 3) uint8, S a power of two: log(color / color of the Gaussians) = (byte - 128) / 127 * 0.7
+    texture:      (S, S, 3) uint8, S a power of two of 4 to 4096:
+                  log(color / color of the Gaussians) = (byte - 128) / 127 * 0.7
     depth_m:      how far the blended depth of the Gaussians lies below the surface
     """
 
@@ -71,8 +72,10 @@ class Detail:
     def strongest(self, texels_per_px: float) -> float:
         """The largest log ratio that is left of the texture where a pixel spans so many texels, or more."""
         most = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
-        level = math.log2(max(texels_per_px, 1.0))
-        return float(np.interp(level, np.arange(len(most)), most))
+        level = min(math.log2(max(texels_per_px, 1.0)), len(most) - 1.0)
+        # two levels are mixed on the middle half of the way between them
+        mixed = math.floor(level) + min(max(2 * (level % 1) - 0.5, 0.0), 1.0)
+        return float(np.interp(mixed, np.arange(len(most)), most))
 
 
 def log_ratios(texels: np.ndarray) -> np.ndarray:

@@ -16,24 +16,24 @@ from jghand_engine.native.detail_task import TEXEL_ZERO, packed_texels
 STEPS_PER_BYTE = 4
 # texels around an island that a look-up may meet: one that the island touches, without its center, and its neighbor
 RINGS = 2
+# texels along the sides of the smallest level, and of a square that lies together in memory
+SQUARE = 4
 # texels that are tested together, at most: what that takes of memory
 CELLS_MAX = 4_000_000
 
 
 @dataclass(frozen=True)
 class Mips:
-    """texels: uint32, all levels, the finest first, row by row, see `packed_texels`
-    start:  (levels,) int32 where each begins
+    """texels: uint32, all levels, the finest first and the last of 4 x 4, each in squares of 4 x 4, see `packed_texels`
     most:   (levels,) the largest step away from the ratio 1 on the skin, of a byte
     """
 
     texels: np.ndarray
-    start: np.ndarray
     most: np.ndarray
 
 
 def mips(texture: np.ndarray, face_uv: np.ndarray) -> Mips:
-    """texture (S, S, 3) bytes whose 128 is the ratio 1, S a power of two; face_uv (F, 3, 2)."""
+    """texture (S, S, 3) bytes whose 128 is the ratio 1, S a power of two from 4 on; face_uv (F, 3, 2)."""
     skin = skin_texels(face_uv, len(texture))
     value = np.where(skin[..., None], texture.astype(np.float32) - 128, np.float32(0))
     weight, steps, most = skin.astype(np.float32), [], []
@@ -42,15 +42,21 @@ def mips(texture: np.ndarray, face_uv: np.ndarray) -> Mips:
         most.append(float(np.abs(mean).max()))
         for _ in range(RINGS):
             skin = _with_ring(mean, skin)
-        steps.append(np.rint(STEPS_PER_BYTE * mean).astype(np.int32).reshape(-1, 3))
-        if len(mean) == 1:
+        steps.append(np.rint(STEPS_PER_BYTE * mean).astype(np.int32))
+        if len(mean) == SQUARE:
             break
         # sums: each texel counts as much as there is skin in it
         value, weight = _halved(value), _halved(weight)
         skin = weight > 0
-    start = np.cumsum([0, *(len(level) for level in steps[:-1])]).astype(np.int32)
     limit = TEXEL_ZERO - 1
-    return Mips(packed_texels(np.concatenate(steps).clip(-limit, limit)), start, np.array(most))
+    in_squares = [_in_squares(level.clip(-limit, limit)) for level in steps]
+    return Mips(packed_texels(np.concatenate(in_squares)), np.array(most))
+
+
+def _in_squares(texels: np.ndarray) -> np.ndarray:
+    """(S * S, 3) of (S, S, 3): squares of 4 x 4, which share a cache line, one after the other."""
+    count = len(texels) // SQUARE
+    return texels.reshape(count, SQUARE, count, SQUARE, 3).swapaxes(1, 2).reshape(-1, 3)
 
 
 def _halved(values: np.ndarray) -> np.ndarray:

@@ -35,6 +35,7 @@ from jghand_engine.avatar.validation import (
     DETAIL_DEPTH_MAX_M,
     DETAIL_FACES_MAX,
     DETAIL_SIZE_MAX,
+    DETAIL_SIZE_MIN,
     DETAIL_VERTICES_MAX,
     REMEDY,
 )
@@ -46,7 +47,8 @@ from jghand_engine.json_files import JsonObject
 PREFIX = "detail."
 # a texture of noise does not get smaller by deflating; zlib then adds less than this part
 DEFLATED_MAX = 1.001
-DEFLATE_LEVEL = 9
+# 9 takes twice as long for less than a hundredth
+DEFLATE_LEVEL = 6
 # no hand's vertices are farther from the template's origin, meters
 BOX_MAX_M = 10.0
 
@@ -70,7 +72,7 @@ class DetailAbout:
     @classmethod
     def parsed(cls, of: JsonObject) -> DetailAbout:
         """The inverse of `as_dict`, every field looked at."""
-        size, box_m = of.count("size", 1, DETAIL_SIZE_MAX), of.array("box_m", (2, 3))
+        size, box_m = of.count("size", DETAIL_SIZE_MIN, DETAIL_SIZE_MAX), of.array("box_m", (2, 3))
         if not (np.abs(box_m) <= BOX_MAX_M).all():
             raise of.wrong("box_m", f"two corners within {BOX_MAX_M} m")
         return cls(

@@ -38,7 +38,8 @@ POSE_NET_WEIGHT_MAX = 1e4
 # of a response: what per Gaussian the softness is multiplied by, and the least roughness, which highlights divide by
 RESPONSE_SPREAD_MAX, ROUGHNESS_MIN = 10.0, 0.01
 # of a detail: vertices, which two bytes number, faces, texels along a side, and how deep the Gaussians may lie, meters
-DETAIL_VERTICES_MAX, DETAIL_FACES_MAX, DETAIL_SIZE_MAX, DETAIL_DEPTH_MAX_M = 65_536, 131_072, 4096, 0.01
+DETAIL_VERTICES_MAX, DETAIL_FACES_MAX, DETAIL_DEPTH_MAX_M = 65_536, 131_072, 0.01
+DETAIL_SIZE_MIN, DETAIL_SIZE_MAX = 4, 4096
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
 # by how much shares and weights of an anchor, of 8 and 16 bits, may sum to something else than 1
@@ -83,8 +84,8 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
         "vertices": (3 <= vertices <= DETAIL_VERTICES_MAX, f"3 to {DETAIL_VERTICES_MAX}", vertices),
         "faces": (1 <= faces <= DETAIL_FACES_MAX, f"1 to {DETAIL_FACES_MAX}", faces),
         "texture": (
-            1 <= side <= DETAIL_SIZE_MAX and side & (side - 1) == 0 and detail.texture.dtype == np.uint8,
-            f"bytes, a power of two up to {DETAIL_SIZE_MAX} along each side",
+            DETAIL_SIZE_MIN <= side <= DETAIL_SIZE_MAX and side & (side - 1) == 0 and detail.texture.dtype == np.uint8,
+            f"bytes, a power of two of {DETAIL_SIZE_MIN} to {DETAIL_SIZE_MAX} along each side",
             f"{detail.texture.dtype} of {side}",
         ),
         "depth_m": (0 <= detail.depth_m <= DETAIL_DEPTH_MAX_M, f"0 to {DETAIL_DEPTH_MAX_M} m", detail.depth_m),

@@ -23,9 +23,8 @@ struct DetailHand {
   float* planes;             // (groups, FACE_ROWS, 16)
   int32_t* bounds;           // (groups, 4, 16): pixels x0, x1, y0, y1 of each face, both ends included; x0 > x1: none
   int32_t* box;              // (4, groups up to 16): the same of a group
-  const uint32_t* texels;    // every level, row by row: three channels of ten bits, 512 changes nothing
-  const int32_t* level_start;
-  int32_t levels, groups;
+  const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing
+  int32_t size_log2, groups;
   float facing;              // sign of the area on the image of a face seen from outside
   float depth;               // m, of the Gaussians below the surface, times the hand's scale
   float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
@@ -49,7 +48,10 @@ constexpr int TILE_X = 64, TILE_Y = 32;
 constexpr float EDGE_PX = 1.f / 512;  // faces reach so much farther: no gaps between neighbors
 constexpr float AREA_MIN_PX2 = 1e-9f;
 constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
-constexpr int TEXEL_ZERO = 512, TEXEL_BITS = 10;
+constexpr int SMALLEST_LOG2 = 2;      // the last level has 4 x 4 texels
+constexpr float MIX_FROM = 0.25f, MIX_TO = 0.75f;  // of the way from one level to the next: between them both are mixed
+constexpr float TEXEL_ZERO = 512;
+constexpr int TEXEL_BITS = 10;
 
 // rows of a face: its first corner; corners' shares 1 and 2 by x and y; the constants of all three; planes of near and
 // of the texture's column and row, each at the corner, by x, by y
@@ -143,8 +145,9 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
 
 // The nearest face of each pixel of a part of the image.
 struct Surface {
-  alignas(64) float near[TILE_Y][TILE_X];
-  alignas(64) int32_t face[TILE_Y][TILE_X];  // its number and its hand's; -1: none
+  // with room for a vector that begins at the last column
+  alignas(64) float near[TILE_Y][TILE_X + LANES];
+  alignas(64) int32_t face[TILE_Y][TILE_X + LANES];  // its number and its hand's; -1: none
   int32_t x, y;
 };
 
@@ -154,20 +157,19 @@ const vf LANE = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 JG_INLINE void cover_face(Surface& tile, const float* f, int32_t number, int32_t x0, int32_t x1, int32_t y0, int32_t y1) {
   const auto at = [f](int row) __attribute__((always_inline)) { return f[LANES * row]; };
   const float s1x = at(S1X), s1y = at(S1Y), s2x = at(S2X), s2y = at(S2Y), near_x = at(NEAR_X), near_y = at(NEAR_Y);
-  for (int32_t x = x0 / LANES * LANES; x <= x1; x += LANES) {
+  const float dy = (float)(tile.y + y0) + 0.5f - at(Y);
+  for (int32_t x = x0; x <= x1; x += LANES) {
     const vf dx = LANE + ((float)(tile.x + x) + 0.5f - at(X));
-    const vf share1 = dx * s1x + at(S1), share2 = dx * s2x + at(S2), near = dx * near_x + at(NEAR);
-    const vf share0 = at(S0) - dx * (s1x + s2x);
+    vf share1 = dx * s1x + (at(S1) + dy * s1y), share2 = dx * s2x + (at(S2) + dy * s2y);
+    vf share0 = (at(S0) - dy * (s1y + s2y)) - dx * (s1x + s2x), near = dx * near_x + (at(NEAR) + dy * near_y);
     for (int32_t y = y0; y <= y1; y++) {
-      const float dy = (float)(tile.y + y) + 0.5f - at(Y);
-      const vf inside = min(min(share1 + dy * s1y, share2 + dy * s2y), share0 - dy * (s1y + s2y)), n = near + dy * near_y;
       const vf before = load(&tile.near[y][x]);
-      const vi closer = (inside >= 0) & (n > before);
-      if (!bit_mask(closer)) continue;
+      const vi closer = (min(min(share1, share2), share0) >= 0) & (near > before);
       vi face;
       memcpy(&face, &tile.face[y][x], sizeof face);
-      store(&tile.near[y][x], select(closer, n, before));
+      store(&tile.near[y][x], select(closer, near, before));
       store(&tile.face[y][x], closer ? all(number) : face);
+      share1 += s1y, share2 += s2y, share0 -= s1y + s2y, near += near_y;
     }
   }
 }
@@ -203,26 +205,42 @@ struct Color {
   vf r, g, b;
 };
 
+// Where a level of the texture lies in memory.
+struct Level {
+  vi size, start;
+};
+JG_INLINE Level level_of(const DetailHand& hand, vi number) {
+  // texels of the levels before it: four times what is left out of the square, over 3, which is a factor modulo 2^32
+  const vi four_times = all(4 << 2 * hand.size_log2);
+  return {all(1 << hand.size_log2) >> number, (four_times - (four_times >> 2 * number)) * all((int32_t)0xaaaaaaab)};
+}
+JG_INLINE vi column_of(const Level& level, vi x) {
+  const vi inside = least(most(x, vi{}), level.size - 1);
+  return (inside >> 2 << 4) + (inside & 3);
+}
+JG_INLINE vi row_of(const Level& level, vi y) {
+  const vi inside = least(most(y, vi{}), level.size - 1);
+  return level.start + (inside >> 2) * (level.size << 2) + ((inside & 3) << 2);
+}
+
 // A level of the texture at (u, v), bilinear, in steps of a texel.
-JG_INLINE Color look_up(const DetailHand& hand, vi level, vf u, vf v) {
-  const vi size = all(1 << (hand.levels - 1)) >> level, last = size - 1, start = gather_bits(hand.level_start, level);
-  const vf limit = to_float(size);
+JG_INLINE Color look_up(const DetailHand& hand, const Level& level, vf u, vf v) {
+  const vf limit = to_float(level.size);
   // in floats first: coordinates of pixels that another hand covers may be no numbers
   const vf x = min(max(u * limit - 0.5f, all(-1.f)), limit), y = min(max(v * limit - 0.5f, all(-1.f)), limit);
   const vi x0 = floor_to_int(x), y0 = floor_to_int(y);
   const vf fx = x - to_float(x0), fy = y - to_float(y0);
-  const vi left = most(x0, vi{}), right = least(x0 + 1, last);
-  const vi top = start + most(y0, vi{}) * size, bottom = start + least(y0 + 1, last) * size;
+  const vi left = column_of(level, x0), right = column_of(level, x0 + 1);
+  const vi top = row_of(level, y0), bottom = row_of(level, y0 + 1);
   Color out = {};
   const auto add = [&](vi index, vf weight) __attribute__((always_inline)) {
     const vi texel = gather_bits(hand.texels, index), mask = all((1 << TEXEL_BITS) - 1);
-    out.r += weight * to_float((texel & mask) - TEXEL_ZERO);
-    out.g += weight * to_float(((texel >> TEXEL_BITS) & mask) - TEXEL_ZERO);
-    out.b += weight * to_float(((texel >> (2 * TEXEL_BITS)) & mask) - TEXEL_ZERO);
+    out.r += weight * to_float(texel & mask);
+    out.g += weight * to_float((texel >> TEXEL_BITS) & mask);
+    out.b += weight * to_float((texel >> (2 * TEXEL_BITS)) & mask);
   };
   const vf wx = 1.f - fx, wy = 1.f - fy;
-  add(top + least(left, last), wx * wy), add(top + right, fx * wy);
-  add(bottom + least(left, last), wx * fy), add(bottom + right, fx * fy);
+  add(top + left, wx * wy), add(top + right, fx * wy), add(bottom + left, wx * fy), add(bottom + right, fx * fy);
   return out;
 }
 
@@ -232,32 +250,62 @@ JG_INLINE vf smooth(vf x, float none, float full) {
   return s * s * (3.f - 2.f * s);
 }
 
+// What is interpolated on a face, at sixteen pixels: itself, and its change by x and by y.
+struct Interpolated {
+  vf at, x, y;
+};
+
+// Sets it in the lanes `mine` to that of one face, `row` of its planes; the pixels lie (dx, dy) from its first corner.
+JG_INLINE void interpolate(Interpolated& i, vi mine, const float* face, int row, vf dx, float dy) {
+  const float x = face[LANES * (row + 1)], y = face[LANES * (row + 2)];
+  i.at = select(mine, face[LANES * row] + dx * x + dy * y, i.at);
+  i.x = select(mine, all(x), i.x), i.y = select(mine, all(y), i.y);
+}
+
 // What the colors of sixteen pixels of a row are multiplied by, where the face of `mine` is the nearest.
 JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi mine, vf x, float y, vf alpha, vf depth) {
-  const vi place = mine ? face & all((1 << FACE_BITS) - 1) : vi{};
-  const vi base = (place >> 4) * (FACE_ROWS * LANES) + (place & all(LANES - 1));
-  const auto of = [&](int row) __attribute__((always_inline)) { return gather(hand.planes + LANES * row, base); };
-  const vf dx = x - of(X), dy = y - of(Y), near_x = of(NEAR_X), near_y = of(NEAR_Y);
-  const vf near = of(NEAR) + dx * near_x + dy * near_y, z = t.orthographic ? -near : 1.f / near;
-  const vf over = t.orthographic ? all(1.f) : z;
-  const vf u_x = of(U_X), u_y = of(U_Y), v_x = of(V_X), v_y = of(V_Y);
-  const vf u = (of(U) + dx * u_x + dy * u_y) * over, v = (of(V) + dx * v_x + dy * v_y) * over;
-  // how many texels a pixel spans: the mean square of its two sides
-  const vf turn = t.orthographic ? vf{} : all(1.f), nu = u * turn, nv = v * turn;
-  const vf ux = u_x - nu * near_x, uy = u_y - nu * near_y, vx = v_x - nv * near_x, vy = v_y - nv * near_y;
-  const float size = (float)(1 << (hand.levels - 1));
-  const vf spans2 = (ux * ux + uy * uy + vx * vx + vy * vy) * over * over * (0.5f * size * size);
-  const vf level = min(max(0.5f * log2(spans2), vf{}), all((float)(hand.levels - 1)));
-  const vi fine = floor_to_int(level), coarse = least(fine + 1, all(hand.levels - 1));
-  const vf part = level - to_float(fine);
-  Color texel = look_up(hand, fine, u, v);
-  if (bit_mask(mine & (part > 0))) {
-    const Color other = look_up(hand, coarse, u, v);
-    texel.r += part * (other.r - texel.r), texel.g += part * (other.g - texel.g), texel.b += part * (other.b - texel.b);
+  Interpolated n = {all(1.f), vf{}, vf{}}, iu = {}, iv = {};
+  // few faces share sixteen pixels
+  for (uint32_t rest = bit_mask(mine); rest;) {
+    const int32_t number = face[__builtin_ctz(rest)], place = number & ((1 << FACE_BITS) - 1);
+    const float* f = hand.planes + (int64_t)FACE_ROWS * LANES * (place / LANES) + place % LANES;
+    const vi same = face == all(number);
+    const vf dx = x - f[LANES * X];
+    const float dy = y - f[LANES * Y];
+    interpolate(n, same, f, NEAR, dx, dy), interpolate(iu, same, f, U, dx, dy), interpolate(iv, same, f, V, dx, dy);
+    rest &= ~bit_mask(same);
   }
+  const vf z = t.orthographic ? -n.at : 1.f / n.at, over = t.orthographic ? all(1.f) : z;
   const vf apart = abs(depth - z - hand.depth);
   vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * (1.f - smooth(apart, hand.fade_from, hand.fade_to));
   weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.exponent;
+  if (!bit_mask(weight > 0)) return {all(1.f), all(1.f), all(1.f)};
+  const vf u = iu.at * over, v = iv.at * over;
+  // how many texels a pixel spans: the mean square of its two sides
+  const vf turn = t.orthographic ? vf{} : all(1.f), nu = u * turn, nv = v * turn;
+  const vf ux = iu.x - nu * n.x, uy = iu.y - nu * n.y, vx = iv.x - nv * n.x, vy = iv.y - nv * n.y;
+  const float size = (float)(1 << hand.size_log2);
+  const int32_t last = hand.size_log2 - SMALLEST_LOG2;
+  const vf spans2 = (ux * ux + uy * uy + vx * vx + vy * vy) * over * over * (0.5f * size * size);
+  vi fine = {};
+  vf part = {};
+  if (bit_mask(mine & (spans2 > 1.f))) {
+    const vf wanted = min(max(0.5f * log2(spans2), vf{}), all((float)last));
+    fine = floor_to_int(wanted);
+    part = min(max((wanted - to_float(fine) - MIX_FROM) * (1.f / (MIX_TO - MIX_FROM)), vf{}), all(1.f));
+  }
+  const Level level = level_of(hand, fine);
+  // texels of the pixels two rows farther down are on their way when those have their turn
+  const vf far = over * 2.f, limit = to_float(level.size);
+  const vf x_far = min(max((u + uy * far) * limit, vf{}), limit), y_far = min(max((v + vy * far) * limit, vf{}), limit);
+  const vi ahead = column_of(level, floor_to_int(x_far)) + row_of(level, floor_to_int(y_far));
+  for (int lane = 0; lane < LANES; lane += 3) __builtin_prefetch(hand.texels + ahead[lane]);
+  Color texel = look_up(hand, level, u, v);
+  if (bit_mask(mine & (part > 0))) {
+    const Color other = look_up(hand, level_of(hand, least(fine + 1, all(last))), u, v);
+    texel.r += part * (other.r - texel.r), texel.g += part * (other.g - texel.g), texel.b += part * (other.b - texel.b);
+  }
+  texel.r -= TEXEL_ZERO, texel.g -= TEXEL_ZERO, texel.b -= TEXEL_ZERO;
   return {exp2(weight * texel.r), exp2(weight * texel.g), exp2(weight * texel.b)};
 }
 

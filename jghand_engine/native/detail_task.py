@@ -21,8 +21,7 @@ class DetailHand(ctypes.Structure):
 
     _fields_ = (
         *((name, _P) for name in ("skin", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
-        ("level_start", _P),
-        *((name, _I32) for name in ("levels", "groups")),
+        *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "exponent")),
     )
 

@@ -118,13 +118,14 @@ class _Hand:
             "bounds": aligned_zeros((groups, 4, LANES), np.int32),
             "box": aligned_zeros((4, boxes), np.int32),
             "texels": mips.texels,
-            "level_start": mips.start,
         }
         # what is beyond the last group touches nothing
         self._arrays["box"][::2], self._arrays["box"][1::2] = np.iinfo(np.int32).max, -1
         # a face seen from outside turns left; on the image, whose rows go down, its area is negative
         facing = -1.0 if hand.handedness is Handedness.RIGHT else 1.0
-        self.task = DetailHand(skin=ctypes.addressof(self._skin), levels=len(mips.start), groups=groups, facing=facing)
+        self.task = DetailHand(
+            skin=ctypes.addressof(self._skin), size_log2=detail.size.bit_length() - 1, groups=groups, facing=facing
+        )
         set_pointers(self.task, self._arrays)
         self._linear_offset: np.ndarray | None = None
 
