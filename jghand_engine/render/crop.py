@@ -1,4 +1,4 @@
-"""Which part of an image hands can touch, and how far their skin moves: from bones and boxes alone, before any skin."""
+"""Which part of an image hands can touch, from bones and boxes alone, before any skin."""
 
 from __future__ import annotations
 
@@ -7,100 +7,15 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import CorrectiveChange, LinearCorrectives
-from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.gate import ShadowGate
+from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
 
-# offsets of the correctives are stretched by at most this beyond their bones' maps: where bones that are folded share
-# the skin, their mean map keeps its length along the axis of the fold, and is divided by the third root of its volume
-OFFSET_STRETCH = BLEND_DET_MIN ** (-1 / 3)
 # the box stands at multiples of this, px: tiles stay where they were, and buffers are seldom made anew
 CROP_STEP_PX = 64
 NOWHERE = Box(0, 0, 0, 0)
-PRINTED_NOTE = "the avatar was trained with the shadow of the paper, which is not drawn: JGHand's own is another one"
-
-
-class HandFacts:
-    """What plans need to know of an avatar, found once.
-
-    avatar:            as it is drawn, see `strip_disabled`
-    joints_m:          (21, 3) of the canonical hand, root-relative
-    gate:              of its shadow
-    look:              of its shadow; None where it was learned without one
-    gated:             whether its colors were learned under that gate
-    notes:             what is said of it beside every image
-    keeps_correctives: whether it is worth while to use those of the last pose again
-    sigma_m:           of its median Gaussian
-    corrective_change: bounds how far its correctives differ between two poses
-    detail_power:      of the ratios of its detail in the light that it is drawn in
-    """
-
-    def __init__(self, avatar: HandAvatar, detail_power: float = 1.0) -> None:
-        self.avatar, self.learned, self.detail_power = avatar, avatar.learned, detail_power
-        self.joints_m = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
-        self.gate = ShadowGate(avatar.canonical_joints_m)
-        self.look = ShadowLook() if self.learned is None else self.learned.shadow
-        printed = self.look is not None and self.look.printed
-        self.gated, self.notes = self.learned is not None and not printed, [PRINTED_NOTE] if printed else []
-        net = None if self.learned is None else self.learned.correctives
-        # a linear tier is found as fast as it is read
-        self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)
-        self.corrective_change = CorrectiveChange(net)
-        self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
-        # the longest offset of the correctives
-        self._offset_m = 0.0 if net is None else OFFSET_STRETCH * math.sqrt(3) * net.longest_offset_m()
-        # along these a bone is stretched
-        self._frames = avatar.skeleton().canonical.frames
-        self._moving, self._corners_m = _corners(avatar)
-        # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
-        # like the corners; twice is more than it does to the skin of a hand
-        self._sigma_max_m = float(avatar.sigma_m.max(initial=0.0)) * SIGMA_STRETCH_MAX
-        if self.learned is not None and self.learned.ellipsoid is not None:
-            longest_m = avatar.sigma_m * np.exp(self.learned.ellipsoid.log_stretch.max(1, initial=-np.inf))
-            self._sigma_max_m = 2 * float(longest_m.max(initial=0.0))
-
-    def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
-        """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
-        may be from its skinned place."""
-        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
-        # a bone that is longer than the hand's scale says stretches the offsets along it
-        longest = float(np.linalg.norm(bones.linear_offset[:, :, :3] @ self._frames, axis=1).max())
-        return seen * max(bones.scale, 1.0), self._offset_m * max(longest, 1.0)
-
-    def corners_m(self, linear_offset: np.ndarray) -> np.ndarray:
-        """(K, 3) points relative to the hand's root whose hull holds every skinned place. linear_offset: (21, 3, 4)"""
-        return (linear_offset[self._moving] @ self._corners_m).transpose(0, 2, 1).reshape(-1, 3)
-
-    def skin_change_m(self, new: Bones, old: Bones) -> float:
-        """How far a point of the skin is from where another pose has it, at most, correctives that change apart: a
-        skinned point is a mean of what its bones make of it, so that it moves less than some corner of a bone's box."""
-        change = new.linear_offset.astype(np.float64) - old.linear_offset
-        corners_m = self.corners_m(change)
-        moved_m = math.sqrt(np.square(corners_m).sum(1).max(initial=0.0))
-        # offsets turn with the hand, by no more than twice what their bones' maps change
-        turned = 2 * math.sqrt(np.square(change[:, :, :3]).sum((1, 2)).max())
-        return moved_m + turned * self._offset_m + float(np.linalg.norm(new.root_m - old.root_m))
-
-
-def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
-    """(21,) bool which bones move anything; (bones, 4, 8) corners of the boxes around it, canonical, root-relative, and
-    ones.
-
-    A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
-    in the hull of the boxes.
-    """
-    relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
-    moves = (avatar.bone_weights != 0).T
-    moving = np.asarray(moves.any(1))
-    ends = [np.stack([relative[rows].min(0), relative[rows].max(0)], 1) for rows in moves[moving]]
-    corners = [np.stack(np.meshgrid(*pair, [1.0], indexing="ij")).reshape(4, 8) for pair in ends]
-    return moving, np.array(corners).reshape(-1, 4, 8)
 
 
 def hand_box(

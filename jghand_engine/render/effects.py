@@ -23,9 +23,10 @@ from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.render.blur import Shutter, disc_px, focus_count, focus_error, motion_count, motion_error
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import HandFacts, hand_box
+from jghand_engine.render.crop import hand_box
 from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
 from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, extent_px, fade, fade_with_size, gap_between
+from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
 from jghand_engine.render.light_effects import Lit, light_decisions
 from jghand_engine.render.settings import RenderSettings, ShadowMode

@@ -11,8 +11,8 @@ import numpy as np
 from jghand_engine.avatar.lamp_rows import LIMITS, Limits, fade, lamp_weights, shares_on, world_shade
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
-from jghand_engine.render.crop import HandFacts
 from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effect
+from jghand_engine.render.hand_facts import HandFacts
 
 # estimated cost on one core, milliseconds per Gaussian, the anchors' part in it: of a lamp, of its shadow, of what is
 # mirrored of it, of the world's shadow

@@ -40,7 +40,7 @@ from jghand_engine.render.blur import (
     way_px,
 )
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import NOWHERE, HandFacts, views_box
+from jghand_engine.render.crop import NOWHERE, views_box
 from jghand_engine.render.effect_plan import Effect, EffectPlan
 from jghand_engine.render.effects import (
     Kept,
@@ -52,6 +52,7 @@ from jghand_engine.render.effects import (
     strip_disabled,
 )
 from jghand_engine.render.gate import capsules_beside
+from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box, Image
 from jghand_engine.render.light_effects import Lit
 from jghand_engine.render.passes import surface_normals

@@ -32,9 +32,9 @@ from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, Shutter
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.crop import HandFacts
 from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
+from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode, preset
 

@@ -23,9 +23,9 @@ from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend as backend_module
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import HandFacts
 from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.effects import REUSE_SKIN_M, Kept, reusable
+from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
