@@ -75,6 +75,7 @@ import numpy as np
 from jghand_engine.avatar import BUILTIN, SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.forearm import ended
 from jghand_engine.cli.console import progress, say, say_error, say_table, write_json
 from jghand_engine.cli.export import export_stage, usd_figures
 from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
@@ -143,7 +144,7 @@ def main(options: argparse.Namespace) -> int:
 def run(options: argparse.Namespace) -> int:
     width, height = pixels(options.size)
     handedness = Handedness(options.hand)
-    avatar = load_avatar_called(options.avatar).for_hand(handedness)
+    avatar = ended(load_avatar_called(options.avatar)).for_hand(handedness)
     sequence = demo_motion(avatar, pose_list(options.poses))
     cameras = {side: framing_camera(sequence.joints_m, handedness, side, width=width, height=height) for side in SIDES}
     demo = Demo(make_folder(options.out), options.avatar, avatar, sequence, cameras)

@@ -253,6 +253,7 @@ class Track:
         avatar: HandAvatar,
         options: TrackOptions,
     ) -> None:
+        from jghand_engine.avatar.forearm import ended
         from jghand_engine.export.video import write_video
         from jghand_engine.track.proof import side_by_side
         from jghand_engine.track.track import camera_of
@@ -261,7 +262,7 @@ class Track:
         assert self.proof is not None
         count = len(sightings.frames)
         pinhole = camera_of(sightings, options.camera_angle_deg)
-        frames = side_by_side(read_frames(video, most=count), hands, pinhole, avatar)
+        frames = side_by_side(read_frames(video, most=count), hands, pinhole, ended(avatar))
         with progress("Writing the proof", count) as bar:
 
             def told() -> Iterator[np.ndarray]:

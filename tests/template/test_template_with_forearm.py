@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from jghand_engine.captures.making.rig import identity_names, load_identity
+from jghand_engine.cli.learning import hand_template
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.learn.canonical_points import FOREARM_DENSITY, bone_areas, bone_shares
-from jghand_engine.template.builtin import load_fields, load_template, load_template_with_forearm, with_forearm
+from jghand_engine.template.builtin import (
+    load_fields,
+    load_template,
+    load_template_with_forearm,
+    template_called,
+    with_forearm,
+)
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.sampling import FOREARM, sample_shell
 from jghand_engine.template.surface import boundary_loop, enclosed_volume, face_normals, is_closed
@@ -28,6 +35,13 @@ def test_the_hand_is_the_same_to_the_bit(arm):
         assert np.array_equal(getattr(arm, name)[:count], getattr(hand, name)[:count]), name
     assert np.array_equal(arm.joints_m, hand.joints_m)
     assert arm.identifier != hand.identifier
+
+
+def test_a_hand_is_learned_on_it_where_the_pictures_show_it(arm):
+    assert hand_template(None, forearm=True) is arm
+    assert hand_template(None) is load_template()
+    # and its mesh is found again by the name that avatars carry
+    assert template_called(arm.identifier) is arm
 
 
 def test_it_follows_the_wrist_alone_and_ends_in_the_middle_of_the_forearm(arm):

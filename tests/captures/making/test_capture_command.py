@@ -82,6 +82,8 @@ def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
     assert plan is not None
     capture = open_capture(made)
     assert len(capture.samples) == 42
+    # a picture of skin was made for the hand alone
+    assert not capture.shows_forearm
     names = list(plan.record.cameras)
     for sample in capture.samples:
         camera = plan.cameras[names.index(sample.camera_name)].camera
@@ -491,6 +493,8 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     np.testing.assert_allclose(mesh[..., :3].mean(1), plan.vertices_m.mean(1), atol=5e-3)
     assert 0 <= mesh[..., 3].min() < mesh[..., 3].max() <= 1
     assert plan.render["sampling"]["subdivisions"] == 0
+    # so that a hand that is learned from it has one
+    assert open_capture(tmp_path / "ann").shows_forearm
     before = contents(tmp_path / "ann")
     pictures(tmp_path / "ann")[0].unlink()
     assert main(one) == 0
