@@ -35,7 +35,14 @@ from jghand_engine.avatar.storage import (
     pack,
     unpack,
 )
-from jghand_engine.avatar.validation import AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX, REMEDY, check_avatar, is_text
+from jghand_engine.avatar.validation import (
+    AVATAR_MAX_GAUSSIANS,
+    AVATAR_TEXT_MAX,
+    REMEDY,
+    check_avatar,
+    check_finite,
+    is_text,
+)
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
@@ -124,6 +131,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         with safetensors.safe_open(file, framework="numpy") as content:
             about = _Description(thing, (content.metadata() or {}).get(METADATA_KEY))
             packed = _read_arrays(thing, content, about)
+            check_finite(packed, thing)
     except safetensors.SafetensorError as error:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Mapping
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
-from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork
 from jghand_engine.avatar.detail import Detail
-from jghand_engine.avatar.learned import (
-    ANCHOR_NEIGHBORS,
-    LIGHT_EXPONENT_MAX,
-    LOG_STRETCH_MAX,
-    SH_COUNT,
-    CastShadow,
-    Learned,
-    SkinResponse,
-)
+from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import check_hand_size, check_order
@@ -29,19 +21,12 @@ AVATAR_MAX_GAUSSIANS = 1_000_000
 AVATAR_TEXT_MAX = 500
 # canonical Gaussians further than this from the wrist along an axis, meters, belong to no hand
 AVATAR_REACH_M = 0.5
-# what a file may hold of what was learned; beyond it nothing was learned from pictures, and memory or floats run out:
-# lobes of the gloss; color, rim and shine that they may have; gain of the shadow; weights of the pose's network
+# lobes of the gloss, and gain of the shadow: beyond these nothing was learned from pictures
 LIGHT_LOBES_MAX = 64
-LIGHT_VALUE_MAX = 1e3
 SHADOW_GAIN_MAX = 100.0
-POSE_NET_WEIGHT_MAX = 1e4
-# of a response: what per Gaussian the softness is multiplied by, and the least roughness, which highlights divide by
-RESPONSE_SPREAD_MAX, ROUGHNESS_MIN = 10.0, 0.01
 # of a detail: vertices, which two bytes number, faces, texels along a side, and how deep the Gaussians may lie, meters
 DETAIL_VERTICES_MAX, DETAIL_FACES_MAX, DETAIL_DEPTH_MAX_M = 65_536, 131_072, 0.01
 DETAIL_SIZE_MIN, DETAIL_SIZE_MAX = 4, 4096
-# by how much the length of a stored normal may be off 1
-NORMAL_LENGTH_TOLERANCE = 1e-3
 # by how much shares and weights of an anchor, of 8 and 16 bits, may sum to something else than 1
 CAST_SUM_TOLERANCE = 5e-3
 # a row of bone weights, of a template or an avatar, that is further from 1 than this was not meant as weights: float32
@@ -109,41 +94,24 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
 
 
 def _check_learned(learned: Learned, count: int, thing: str) -> None:
-    light, lobes = learned.light, learned.light.lobe_direction.shape[0]
-    if lobes > LIGHT_LOBES_MAX:
-        raise InputError(f"{thing}: lobes of the light", wanted=f"at most {LIGHT_LOBES_MAX}", came=str(lobes))
-    most = LIGHT_VALUE_MAX
-    ranges: Ranges = {
-        "normal": (learned.normal, (count, 3), -2.0, 2.0),
-        "shine": (learned.shine, (count,), 0.0, most),
-        "light irradiance": (light.irradiance, (SH_COUNT, 3), -most, most),
-        "light lobe_direction": (light.lobe_direction, (lobes, 3), -most, most),
-        "light lobe_sharpness": (light.lobe_sharpness, (lobes,), 0.0, most),
-        "light lobe_rgb": (light.lobe_rgb, (lobes, 3), 0.0, most),
-        "light rim": (light.rim, (), 0.0, most),
-    }
-    if isinstance(learned.correctives, PoseNetwork):
-        for name, shape in learned.correctives.shape.arrays().items():
-            weights = learned.correctives.weights[name]
-            ranges[f"pose_net {name}"] = (weights, shape, -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
-    if learned.ellipsoid is not None:
-        ranges["ellipsoid log_stretch"] = (learned.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
-        ranges["ellipsoid quaternion"] = (learned.ellipsoid.quaternion, (count, 4), -most, most)
-    if learned.cast is not None:
-        ranges |= _cast_ranges(learned.cast, count)
-    if learned.response is not None:
-        ranges |= _response_ranges(learned.response, count)
-    if learned.distilled is not None and learned.distilled.linear is not None:
-        ranges |= _linear_ranges(learned.distilled.linear, count)
-    _check_ranges(thing, ranges)
-    _check_lengths(thing, "normal", learned.normal)
-    if learned.cast is not None:
-        _check_lengths(thing, "cast normal", learned.cast.anchors.normal)
-        for name, rows in (("bone_weights", learned.cast.anchors.bone_weights), ("share", learned.cast.anchors.share)):
-            total = rows.sum(1, dtype=np.float64)
-            wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"
-            _refuse(thing, f"cast {name}", wanted, np.abs(total - 1) > CAST_SUM_TOLERANCE, total)
-    _check_shadow(learned, thing)
+    """What kernels rely on. Whether a light or a skin is a likely one is not asked; files hold finite numbers alone, of
+    the shapes that they say."""
+    if learned.cast is None:
+        return
+    anchors = learned.cast.anchors
+    _check_ranges(thing, {"cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBORS), 0, len(anchors) - 1)})
+    for name, rows in (("bone_weights", anchors.bone_weights), ("share", anchors.share)):
+        total = rows.sum(1, dtype=np.float64)
+        wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"
+        _refuse(thing, f"cast {name}", wanted, np.abs(total - 1) > CAST_SUM_TOLERANCE, total)
+
+
+def check_finite(arrays: Mapping[str, np.ndarray], thing: str) -> None:
+    """InputError naming the first array of a file that holds another number."""
+    for name, array in arrays.items():
+        if np.issubdtype(array.dtype, np.floating):
+            flat = array.reshape(-1)
+            _refuse(thing, name, "finite values", ~np.isfinite(flat), flat, of="number")
 
 
 def _check_ranges(thing: str, ranges: Ranges) -> None:
@@ -153,59 +121,6 @@ def _check_ranges(thing: str, ranges: Ranges) -> None:
             raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
         flat = values.reshape(-1)
         _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
-
-
-def _linear_ranges(linear: LinearCorrectives, count: int) -> Ranges:
-    """Constants, and what a number of 1 adds, which is its standard deviation, move a Gaussian nowhere beyond a hand.
-    What the largest number that the planes can give adds is no bound: products of numbers reach hundreds on a trained
-    hand, in poses that no hand takes."""
-    steps = np.iinfo(np.int8).max * linear.scale
-    ranges: Ranges = {}
-    for part in ("mean", "projection"):
-        values = getattr(linear, part)
-        ranges[f"linear {part}"] = (values, tuple(values.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
-    for part, column, most in (("offset", 0, AVATAR_REACH_M), ("shade", 1, LIGHT_EXPONENT_MAX)):
-        constant = linear.constant[:, 3 * column : 3 * column + 3]
-        ranges[f"linear constant of the {part}"] = (constant, (count, 3), -most, most)
-        ranges[f"linear scale of the {part}"] = (steps[:, column], (count,), -most, most)
-    return ranges
-
-
-def _cast_ranges(cast: CastShadow, count: int) -> Ranges:
-    anchors = cast.anchors
-    return {
-        "cast lamp_rgb": (cast.lamp_rgb, (len(cast.lamp_rgb), 3), 0.0, LIGHT_VALUE_MAX),
-        "cast bounced_rgb": (cast.bounced_rgb, (3,), 0.0, LIGHT_VALUE_MAX),
-        "cast position_m": (anchors.position_m, (len(anchors), 3), -2 * AVATAR_REACH_M, 2 * AVATAR_REACH_M),
-        "cast normal": (anchors.normal, (len(anchors), 3), -2.0, 2.0),
-        "cast bone_weights": (anchors.bone_weights, (len(anchors), JOINT_COUNT), 0.0, 1.0),
-        "cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBORS), 0, len(anchors) - 1),
-        "cast share": (anchors.share, (count, ANCHOR_NEIGHBORS), 0.0, 1.0),
-    }
-
-
-def _response_ranges(response: SkinResponse, count: int) -> Ranges:
-    return {
-        "response spread": (response.spread, (count,), 0.0, RESPONSE_SPREAD_MAX),
-        "response roughness": (response.roughness, (count,), ROUGHNESS_MIN, 1.0),
-        "response reflectance": (response.reflectance, (count,), 0.0, 1.0),
-        "response softness": (response.softness, (3,), 0.0, 1.0),
-        "response bounce": (response.bounce, (3,), 0.0, 1.0),
-        "response ambient": (response.ambient, (3,), 0.0, 1.0),
-        "response shade_gain": (np.array(response.shade_gain), (), 0.0, LIGHT_VALUE_MAX),
-    }
-
-
-def _check_lengths(thing: str, name: str, vector: np.ndarray) -> None:
-    length = np.linalg.norm(vector, axis=-1)
-    _refuse(thing, name, "vectors of length 1", np.abs(length - 1) > NORMAL_LENGTH_TOLERANCE, length)
-
-
-def _check_shadow(learned: Learned, thing: str) -> None:
-    look = learned.shadow
-    if look is not None and not (0 <= look.gain <= SHADOW_GAIN_MAX and all(0 <= part <= 1 for part in look.tint)):
-        wanted = f"a gain of 0 to {SHADOW_GAIN_MAX:g} and a tint of 0 to 1"
-        raise InputError(f"{thing}: look of the shadow", wanted=wanted, came=str(look), remedy=REMEDY)
 
 
 def _check_shapes(avatar: HandAvatar, thing: str) -> None:
