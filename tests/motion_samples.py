@@ -1,7 +1,7 @@
 """Motion files of other programs with joints that are known: written here, by the published layouts, not by JGHand.
 
 The motion is a hand of constant bone lengths whose palm is rigid, so that a skeleton of rotations alone moves exactly
-as its joints do. Skeletons are written as BVH, glTF 2.0 and UsdSkel; detections as their packages name them.
+as its joints do. Skeletons are written as BVH and UsdSkel; detections as their packages name them.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class LearnedFrom:
     capture:  its name
     split:    how the others were held out
     pictures: how many
-    digest:   of which they are, see `datasets.image_digest`
+    digest:   of which they are, see `captures.sample.image_digest`
     pixel_m:  size of a pixel where the hand is, meters: two fifths of the pictures have finer ones; 0: not known
     """
 

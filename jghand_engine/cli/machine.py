@@ -191,7 +191,7 @@ class JsonProgress(Progress):
 
 
 class JsonTraining:
-    """Where a training says how it goes (`training.progress.Display`), in lines."""
+    """Where a training says how it goes (`learn.progress.Display`), in lines."""
 
     def __init__(self, lines: JsonLines) -> None:
         self._lines = lines

@@ -101,7 +101,7 @@ def psnr(rgb: np.ndarray, truth: np.ndarray) -> float:
 
 
 def ssim(rgb: np.ndarray, truth: np.ndarray) -> float:
-    """Mean SSIM of (H, W, 3) pictures, see `training.ssim`."""
+    """Mean SSIM of (H, W, 3) pictures, see `learn.ssim`."""
     return float(mean_ssim(_tensor(rgb), _tensor(truth)))
 
 

@@ -1,7 +1,7 @@
 """One step of learning a hand: a pose, some pictures of it, the loss, the update. METHOD 4.
 
-Everything is drawn by the functions that draw the finished avatar (`avatar.skinning`, `splat`). What a pose needs of
-the bones never changes while training, and is computed once per pose.
+Everything is drawn by the functions that draw the finished avatar (`learn.skinning`, `learn.rasterize`). What a pose
+needs of the bones never changes while training, and is computed once per pose.
 
 What is learned lies on the training's device: planes, networks, skin, Adam. Rasterizer, shadow and the losses of
 pictures run on the CPU; posed Gaussians go there and their gradients come back (`_draw_view`). On the CPU nothing is
@@ -102,7 +102,7 @@ class _PosedBones:
 
 
 class HandTraining:
-    """A Trainable (training.trainable): learns `material` as `options` say, with torch's part on `device`."""
+    """A Trainable (`learn.trainable`): learns `material` as `options` say, with torch's part on `device`."""
 
     def __init__(self, material: Material, options: TrainOptions, device: torch.device = CPU) -> None:
         if len({sample.handedness for sample in material.train}) != 1:

@@ -1,6 +1,6 @@
 """The native rasterizer on NumPy arrays: owns the memory of one RasterJob (native/raster.h) and makes its two calls.
 
-Plain arrays in, planes out; `splat.rasterize` wraps this for torch. Gaussians are float32 in any frame near the hand;
+Plain arrays in, planes out; `learn.rasterize` wraps this for torch. Gaussians are float32 in any frame near the hand;
 `View` says how that frame lies in the camera, in float64, so that a hand far from the world's origin loses nothing.
 """
 
@@ -88,7 +88,7 @@ class GaussianArrays:
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera for the kernel, or one of parallel rays (`splat.camera.Camera`): pixels, and
+    """A pinhole camera for the kernel, or one of parallel rays (`render.camera.Camera`): pixels, and
     camera_from_position (3, 4) float64, meters.
 
     The matrix maps the frame the positions are given in to the camera frame: world positions, positions relative to

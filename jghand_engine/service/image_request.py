@@ -1,7 +1,7 @@
 """What a `render_picture` request may ask for, an image, read from its message and checked before anything is drawn.
 
 The world of a request is the one in which trained hands learned their light: meters, +y up, +z towards whoever looks at
-the palm of a hand that points up (as captures have it, `capture.look`). A hand's own space lies in it by
+the palm of a hand that points up (as captures have it). A hand's own space lies in it by
 `world_from_hand`, a camera by `camera_from_world`; everything is float64 or float32 on the wire and float64 here, so
 that a hand far from the origin loses nothing. Joints are in the standard order. Source: BLENDER 3.2.
 

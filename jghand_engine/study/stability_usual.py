@@ -23,7 +23,7 @@ CLIP = 1e-6
 
 @dataclass(frozen=True)
 class UsualBones:
-    """What skinning needs (avatar.skinning.PoseTransforms), absolute: roots are zero. angles: (..., 15, 2) radians"""
+    """What skinning needs (learn.skinning.PoseTransforms), absolute: roots are zero. angles: (..., 15, 2) radians"""
 
     linear: Tensor
     offset_m: Tensor

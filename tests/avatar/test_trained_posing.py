@@ -93,7 +93,7 @@ def natively(
 
 @dataclass(frozen=True)
 class RootRelative:
-    """Bones as torch tensors (avatar.skinning.PoseTransforms), around the picture's origin, not the world's."""
+    """Bones as torch tensors (learn.skinning.PoseTransforms), around the picture's origin, not the world's."""
 
     linear: torch.Tensor
     offset_m: torch.Tensor
