@@ -43,8 +43,8 @@ class PersonSkin:
     files: dict[str, bytes]
 
     @classmethod
-    def of(cls, identity: Identity, person: Person, levels: int, map_px: int = MAP_PX) -> PersonSkin:
-        maps = paint_skin(identity, map_px, person)
+    def of(cls, identity: Identity, person: Person, levels: int, map_px: int | None = None) -> PersonSkin:
+        maps = paint_skin(identity, map_px or MAP_PX, person)
         low_m = MM * float(min(height.min() for height in maps.fine.values()))
         range_m = MM * float(max(height.max() for height in maps.fine.values())) - low_m
         scatter_m = SCATTER_M * (1 - SCATTER_TAKEN * min(1.0, person.melanin / SCATTER_DARK))

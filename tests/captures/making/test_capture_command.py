@@ -485,6 +485,9 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     plan = read_plan(tmp_path / "ann")
     assert plan is not None
     assert plan.render["skin"]["person"] == dataclasses.asdict(Person(melanin=0.9, seed=4))
+    # ... of few texels, as was asked for above
+    with Image.open(tmp_path / "ann" / "plan" / "skin.png") as painted:
+        assert painted.size == (128, 128)
     # Loop's surface, whose vertices the worker takes as they are; the engine keeps the rig's
     mesh = np.load(tmp_path / "ann" / "plan" / person_skin.MESH_FILE, mmap_mode="r")
     assert mesh.shape == (2, 6994, 4)
