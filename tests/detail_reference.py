@@ -16,7 +16,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.native import contract
 from jghand_engine.native.detail_task import TEXEL_BITS, TEXEL_ZERO
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M
+from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M, GRAZE_MAX
 
 
 def levels_of(detail: Detail) -> list[np.ndarray]:
@@ -52,7 +52,7 @@ def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.n
     facing = -1 if avatar.handedness is Handedness.RIGHT else 1
     height, width = alpha.shape
     nearest = np.full((height, width), -np.inf)
-    uv, spans = np.zeros((height, width, 2)), np.zeros((height, width))
+    uv, slopes, spans = np.zeros((height, width, 2)), np.zeros((height, width, 2)), np.zeros((height, width))
     texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1).astype(np.float64)
     for corners, places in zip(detail.faces, texture_xy, strict=True):
         (x, y), n = pixels[corners].T, near[corners]
@@ -81,11 +81,16 @@ def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.n
         along = [(places_at(shares_at(*d)) - place) / step for d in ((step, 0), (0, step))]
         nearest[row[here], column[here]] = (shares @ n)[here]
         uv[row[here], column[here]] = place[here]
+        # near is linear on the image
+        slopes[row[here], column[here]] = np.linalg.solve(np.stack([np.diff(x), np.diff(y)], 1), np.diff(n))
         spans[row[here], column[here]] = np.sqrt(sum((a**2).sum(-1) for a in along) / 2)[here] * detail.size
     hit = np.isfinite(nearest)
     surface_m = np.where(hit, -nearest if camera.orthographic else 1 / np.where(hit, nearest, 1.0), np.inf)
     log = looked_up(levels_of(detail), uv, spans)
-    apart = np.abs(depth_m - surface_m - scale * detail.depth_m)
+    over = 1.0 if camera.orthographic else np.where(hit, surface_m, 0)[..., None]
+    slope = slopes * (camera.fx, camera.fy) * over
+    graze = np.minimum(np.sqrt(1 + (slope**2).sum(-1)), GRAZE_MAX)
+    apart = np.abs(depth_m - surface_m - scale * detail.depth_m) / graze
     weight = smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - smooth(apart, scale * FADE_FROM_M, scale * FADE_TO_M)) * hit
     return np.exp(weight[..., None] * log), surface_m
 

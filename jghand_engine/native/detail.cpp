@@ -38,6 +38,7 @@ struct DetailTask {
   double camera_from_position[12];
   float fx, fy, cx, cy, z_near;
   float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
+  float graze_max;             // lengths along a ray that grazes the surface are longer by this factor at most
   int32_t hand_count, width, height, orthographic;
 };
 
@@ -276,7 +277,10 @@ JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi 
     rest &= ~bit_mask(same);
   }
   const vf z = t.orthographic ? -n.at : 1.f / n.at, over = t.orthographic ? all(1.f) : z;
-  const vf apart = abs(depth - z - hand.depth);
+  // what lies below a surface is farther along a ray that grazes it
+  const vf slope_x = n.x * t.fx * over, slope_y = n.y * t.fy * over;
+  const vf graze = min(sqrt(1.f + slope_x * slope_x + slope_y * slope_y), all(t.graze_max));
+  const vf apart = abs(depth - z - hand.depth) / graze;
   vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * (1.f - smooth(apart, hand.fade_from, hand.fade_to));
   weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.exponent;
   if (!bit_mask(weight > 0)) return {all(1.f), all(1.f), all(1.f)};

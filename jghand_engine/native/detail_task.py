@@ -32,7 +32,7 @@ class DetailTask(ctypes.Structure):
     _fields_ = (
         *((name, _P) for name in ("hands", "picture")),
         ("camera_from_position", ctypes.c_double * 12),
-        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to")),
+        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to", "graze_max")),
         *((name, _I32) for name in ("hand_count", "width", "height", "orthographic")),
     )
 

@@ -31,6 +31,9 @@ from jghand_engine.render.camera import Camera
 # Gaussians that lie apart from the depth that the surface gives them belong to something else: how far apart, meters on
 # the canonical hand, detail begins to fade, and is gone
 FADE_FROM_M, FADE_TO_M = 0.002, 0.004
+# ... times the inverse cosine of the angle at which the surface is seen, up to this: on flanks Gaussians lie deeper
+# along the ray, and a palm seen nearly along its skin had no detail
+GRAZE_MAX = 4.0
 # alpha between which it fades in: the last pixel of an outline is that of the Gaussians
 ALPHA_FROM, ALPHA_TO = 0.5, 0.9
 # log2 of a ratio per step of a packed texel
@@ -65,6 +68,7 @@ class NativeDetail:
             z_near=contract.Z_NEAR_M,
             alpha_from=ALPHA_FROM,
             alpha_to=ALPHA_TO,
+            graze_max=GRAZE_MAX,
         )
         self.team = new_team()
         self._keep: np.ndarray | None = None
