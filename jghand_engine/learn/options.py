@@ -47,6 +47,8 @@ class Schedule:
     strides:         (from part, pixels averaged into one along each axis)
     waves:           (from part, to part) over which the octaves of the encoding come in; None: all from the start
     perceptual_from: part from which the perceptual term counts
+    detail_from:     part from which detail is learned, where pictures have any (`learn.detail`); None: never
+    texture_rate:    learning rate of its log ratios; a texel that is seldom seen goes ten times as far in a step
     """
 
     views: int = 3
@@ -61,6 +63,8 @@ class Schedule:
     strides: tuple[tuple[float, int], ...] = ((0.0, 2), (0.08, 1))
     waves: tuple[float, float] | None = (0.0, 0.15)
     perceptual_from: float = 0.1
+    detail_from: float | None = 0.6
+    texture_rate: float = 3e-3
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ PAPER_FAITHFUL = TrainOptions(
     loss=LossWeights(perceptual=0.2, offset=1.0, tone=0.0, roughness=0.0, angle_roughness=0.0),
     schedule=Schedule(
         views=1, rate=1e-3, plane_rate=1e-3, last_part=1.0, warm_up_steps=1, gradient_norm=None,
-        levels=((0.0, 1.0),), strides=((0.0, 1),), waves=None, perceptual_from=0.0,
+        levels=((0.0, 1.0),), strides=((0.0, 1),), waves=None, perceptual_from=0.0, detail_from=None,
     ),
     printed_shadow=True,
     shadow_samples=64,

@@ -10,8 +10,9 @@ copied.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,11 @@ from jghand_engine.avatar.learned import no_light
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Skeleton, Transform
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen
+from jghand_engine.learn.detail import PIXEL_MAX_M, DetailLearner
 from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.known_light import LitHand, Pose, trained_on
 from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss, tone_loss
@@ -39,6 +42,7 @@ from jghand_engine.learn.planes import roughness
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.pose_net import Correction
 from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.reference import Picture
 from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
@@ -56,10 +60,14 @@ from jghand_engine.template.mesh import HandTemplate
 ADAM_EPS = 1e-15
 # ... and of what a pose needs of the bones, bytes; 3.5 MB each at 40,000 Gaussians
 POSE_CACHE_BYTES = 2_000_000_000
+# of the mean square of a texel's gradients, what a step keeps: texels are seen once in some hundred steps
+TEXTURE_MEMORY = 0.99
 # visibility below which the shadow is black: its power with the learned gain has a finite gradient
 VISIBILITY_MIN = 1e-3
 
 CPU = torch.device("cpu")
+# (H, W, 3) of a camera, of alpha (H, W) and the sum of depth (H, W): see `DetailLearner.ratio`
+_Ratio = Callable[[Camera, Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,9 @@ class HandTraining:
         # fused and joined forms of the update are tried on the CPU; Metal takes the plain ones
         self._fast = device.type != "mps"
         self._optimizer = self._new_optimizer()
+        self._detail = self._new_detail()
+        if self._detail is not None:
+            self._texture_optimizer = torch.optim.RMSprop([self._detail.texture], alpha=TEXTURE_MEMORY, eps=ADAM_EPS)
         self._steps = 1
         self._count = 0
         # of the training that is over, for what is shown and baked: as much of the encoding as has been learned
@@ -162,6 +173,16 @@ class HandTraining:
         # the fused form is four times as fast on the CPU and gives the same bits every time
         return torch.optim.Adam(groups, eps=ADAM_EPS, fused=self._fast)
 
+    def _new_detail(self) -> DetailLearner | None:
+        """For pictures that hold more than Gaussians do."""
+        about, model = self._material.info.learned_from, self.options.model
+        fine = about is not None and 0 < about.pixel_m <= PIXEL_MAX_M
+        if self.options.schedule.detail_from is None or not fine or self.options.transform is not Transform.JOINTS:
+            return None
+        joints_m, swing, scale_mode = self._points.joints_m.numpy(), model.swing, model.scale_mode
+        skeleton = Skeleton(joints_m, handedness=self._handedness, swing=swing, scale_mode=scale_mode)
+        return DetailLearner(self._material.template, skeleton)
+
     # ---- Trainable ---------------------------------------------------------------------------------------------------
 
     def plan(self, steps: int) -> None:
@@ -172,6 +193,7 @@ class HandTraining:
         """See Trainable."""
         self._part = part = min(number / self._steps, 1.0)
         self._refine(part)
+        self._find_detail(part)
         stride = int(at_part(self.options.schedule.strides, part))
         samples = self._draw(number)
         seeds = [(self.options.seed, number, index) for index in range(len(samples))]
@@ -180,6 +202,8 @@ class HandTraining:
         terms = self._terms(samples[0], views, part, self._read_frames(samples[0], number))
         loss = torch.stack([term.cpu() for term in terms.values()]).sum()
         self._optimizer.zero_grad(set_to_none=True)
+        if self._detail is not None:
+            self._texture_optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = torch.nn.utils.get_total_norm(list(self.gradients().values()), foreach=self._fast)
         # shortened by a norm that is not finite, all gradients would be so too, and hide which one it was
@@ -188,6 +212,9 @@ class HandTraining:
                 torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
             self._optimizer.step()
             self.hand.keep_in_range()
+            if self._detail is not None:
+                self._texture_optimizer.step()
+                self._detail.keep_in_range()
         figures = {name: float(term.detach()) for name, term in terms.items()}
         return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
 
@@ -197,6 +224,10 @@ class HandTraining:
         for name, parameter in self.hand.named_parameters():
             state = self._state_of(parameter)
             named |= {f"adam.{name}.{moment}": state[moment] for moment in ("exp_avg", "exp_avg_sq", "step")}
+        if self._detail is not None:
+            state = self._texture_state()
+            named |= {f"detail.{name}": tensor for name, tensor in self._detail.state_dict().items()}
+            named |= {f"detail.texture.{moment}": state[moment] for moment in ("square_avg", "step")}
         return named
 
     def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
@@ -234,6 +265,8 @@ class HandTraining:
         with torch.no_grad():
             info = replace(self._info, pose_statistics=angle_ranges(self._transform, self._joints_m()))
             avatar = self.hand.avatar(info, handedness=self._handedness).avatar()
+        if self._detail is not None:
+            avatar = replace(avatar, detail=self._detail.detail())
         learned, waves = avatar.learned, self._wave_weight(self._part)
         assert learned is not None
         if waves is not None and isinstance(learned.correctives, PoseNetwork):
@@ -276,6 +309,18 @@ class HandTraining:
             self.hand.spread_radii(self._count, torch.from_numpy(np.asarray(nearest)))
         self._count = wanted
 
+    def _find_detail(self, part: float) -> None:
+        """Puts the surface of the detail where the Gaussians are, once."""
+        start = self.options.schedule.detail_from
+        if self._detail is not None and start is not None and part >= start and not self._detail.is_found:
+            self._detail.find(self.avatar(), self._material.train, self._pictures)
+
+    def _detail_of(self, sample: Sample) -> _Ratio | None:
+        """What multiplies the colors of a picture of that pose."""
+        if self._detail is None or not self._detail.is_found:
+            return None
+        return partial(self._detail.ratio, self._detail.mips(), sample.joints_m)
+
     def _set_rates(self, number: int, part: float) -> None:
         schedule = self.options.schedule
         warm_up = max(1.0, min(schedule.warm_up_steps, schedule.warm_up_part * self._steps))
@@ -283,6 +328,8 @@ class HandTraining:
         factor = fall**part * min(1.0, (number + 1) / warm_up)
         for group, rate in zip(self._optimizer.param_groups, (schedule.rate, schedule.plane_rate), strict=True):
             group["lr"] = rate * factor
+        if self._detail is not None:
+            self._texture_optimizer.param_groups[0]["lr"] = schedule.texture_rate * factor
 
     def _terms(
         self, sample: Sample, views: Sequence[View], part: float, read: HandFrames | None = None
@@ -292,8 +339,9 @@ class HandTraining:
         posed = self._posed_bones(sample)
         skin, correction = self._pose(avatar, posed, part, read)
         terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
+        detail = self._detail_of(sample)
         for view in views:
-            rgb, alpha = self._draw_in_light(avatar, skin, posed, view)
+            rgb, alpha = self._draw_in_light(avatar, skin, posed, view, detail)
             terms["l1"].append(weights.l1 * l1_loss(rgb, view.rgb))
             terms["mask"].append(weights.mask * mask_loss(alpha, view.mask))
             if weights.ssim:
@@ -341,23 +389,26 @@ class HandTraining:
         return 0.5 - 0.5 * torch.cos(torch.pi * (progress - self._octave).clamp(0, 1))
 
     def _draw_in_light(
-        self, avatar: HandTensors, skin: PosedSkin, posed: _PosedBones, view: View
+        self, avatar: HandTensors, skin: PosedSkin, posed: _PosedBones, view: View, detail: _Ratio | None = None
     ) -> tuple[Tensor, Tensor]:
-        """As `_draw_view`; in known light as `View.rgb` has it."""
+        """As `_draw_view`; in known light as `View.rgb` has it. detail: see `_detail_of`"""
         if self._relit is None or view.lit is None:
-            return self._draw_view(avatar, skin, posed.shadow, view.camera)
+            return self._draw_view(avatar, skin, posed.shadow, view.camera, detail)
         points = self.hand.points
         pose = Pose(posed.bones, posed.maps, points.position_m, points.normal)
         gaussians = self._relit.gaussians(avatar, skin, pose, view.lit, torch.from_numpy(view.camera.eye_m))
         picture = rasterize(mapped(gaussians, Tensor.cpu), view.camera, self._settings)
-        return tone(view.lit.exposure * picture.rgb), picture.alpha
+        return tone(view.lit.exposure * _with_detail(picture, view.camera, detail)), picture.alpha
 
-    def _draw_view(self, avatar: HandTensors, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
+    def _draw_view(
+        self, avatar: HandTensors, skin: PosedSkin, shadow: float, camera: Camera, detail: _Ratio | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Color (H, W, 3) and alpha (H, W) of one view, with gradients."""
         gaussians = mapped(seen_from(skin, torch.from_numpy(camera.eye_m), avatar), Tensor.cpu)
         picture = rasterize(gaussians, camera, self._settings)
+        rgb = _with_detail(picture, camera, detail)
         if not (self.options.shadow and shadow > 0):
-            return picture.rgb, picture.alpha
+            return rgb, picture.alpha
         gain, tint = (number.cpu() for number in self.hand.shadow())
         if self.options.printed_shadow:
             seen = printed_visibility(picture.depth_sum, picture.alpha, self.options.shadow_samples)
@@ -368,7 +419,7 @@ class HandTraining:
             style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
             seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
             seen = seen.clamp_min(VISIBILITY_MIN) ** (gain / style.gain)
-        return picture.rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
+        return rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
 
     def _posed_bones(self, sample: Sample) -> _PosedBones:
         return self._known.get(sample.pose, lambda: self._new_posed_bones(sample.joints_m))
@@ -389,7 +440,7 @@ class HandTraining:
             view, avatar = self._pictures.view(sample), self._live()
             posed = self._posed_bones(sample)
             skin, _ = self._pose(avatar, posed, self._part)
-            rgb, _ = self._draw_in_light(avatar, skin, posed, view)
+            rgb, _ = self._draw_in_light(avatar, skin, posed, view, self._detail_of(sample))
             return replace(view, rgb=view.rgb.clamp(0, 1)), rgb.clamp(0, 1)
 
     def _joints_m(self) -> Tensor:
@@ -401,6 +452,15 @@ class HandTraining:
         joints_m = self.hand.points.joints_m
         return float((joints_m[18] - joints_m[0]).norm())
 
+    def _texture_state(self) -> dict[str, Tensor]:
+        """RMSprop's moments of the texture; zeros before its first step, as RMSprop itself would begin."""
+        assert self._detail is not None
+        texture = self._detail.texture
+        state = self._texture_optimizer.state[texture]
+        if not state:
+            state["step"], state["square_avg"] = torch.zeros(()), torch.zeros_like(texture)
+        return state
+
     def _state_of(self, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
         """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
         state = self._optimizer.state[parameter]
@@ -408,6 +468,11 @@ class HandTraining:
             state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         return state
+
+
+def _with_detail(picture: Picture, camera: Camera, detail: _Ratio | None) -> Tensor:
+    """(H, W, 3) the colors of a picture, multiplied by detail."""
+    return picture.rgb if detail is None else picture.rgb * detail(camera, picture.alpha, picture.depth_sum)
 
 
 def _lit_hand(material: Material, cast: CastTensors | None, joints_m: Tensor, left_out: LightPart | None) -> LitHand:

@@ -2,7 +2,7 @@
 //
 //   skin     vertices of all hands to pixels
 //   set up   per face the planes of what is interpolated, and what it may touch; groups of sixteen neighbors
-//   shade    per tile: the nearest face of each pixel, then the texture there
+//   shade    per tile: the nearest face of each pixel, then the texture there; or the faces are told, for learning
 //
 // What is nearer is a larger `near`, 1/z or, of parallel rays, -z: it is linear on the image, and so are the texture's
 // coordinates times it (of parallel rays: by themselves).
@@ -35,6 +35,8 @@ struct DetailHand {
 struct DetailTask {
   const DetailHand* hands;
   float* picture;  // (5, H, W) premultiplied R G B, alpha, sum of weight * z
+  int32_t* hit;    // (H, W) row of the nearest face of the first hand, -1: none; null where colors are wanted
+  float* hit_near; // (H, W)
   double camera_from_position[12];
   float fx, fy, cx, cy, z_near;
   float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
@@ -336,6 +338,15 @@ void shade_row(const DetailTask& t, const Surface& tile, int32_t row) {
   }
 }
 
+void keep_hits(const DetailTask& t, const Surface& tile) {
+  const int32_t columns = t.width - tile.x < TILE_X ? t.width - tile.x : TILE_X;
+  for (int32_t y = 0; y < TILE_Y && tile.y + y < t.height; y++) {
+    const int64_t first = (int64_t)(tile.y + y) * t.width + tile.x;
+    memcpy(t.hit + first, tile.face[y], columns * sizeof *t.hit);
+    memcpy(t.hit_near + first, tile.near[y], columns * sizeof *t.hit_near);
+  }
+}
+
 void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   Surface tile;
   tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y;
@@ -346,6 +357,7 @@ void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   bool any = false;
   // one that is not drawn hides others all the same
   for (int32_t hand = 0; hand < t.hand_count; hand++) any |= cover_hand(tile, t.hands[hand], hand);
+  if (t.hit) return keep_hits(t, tile);
   for (int32_t y = 0; any && y < TILE_Y && tile.y + y < t.height; y++) shade_row(t, tile, y);
 }
 

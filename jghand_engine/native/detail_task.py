@@ -30,7 +30,7 @@ class DetailTask(ctypes.Structure):
     """DetailTask of native/detail.cpp, field by field."""
 
     _fields_ = (
-        *((name, _P) for name in ("hands", "picture")),
+        *((name, _P) for name in ("hands", "picture", "hit", "hit_near")),
         ("camera_from_position", ctypes.c_double * 12),
         *((name, _F32) for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to", "graze_max")),
         *((name, _I32) for name in ("hand_count", "width", "height", "orthographic")),

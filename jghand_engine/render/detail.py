@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.detail_task import FACE_ROWS, DetailHand, DetailTask
 from jghand_engine.native.tasks import LANES
+from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
 
 # Gaussians that lie apart from the depth that the surface gives them belong to something else: how far apart, meters on
@@ -93,9 +94,37 @@ class NativeDetail:
             own.exponent = strength * hand.power * _LOG2_PER_STEP
         self.team.fill(0)
 
+    def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """Of the pose that stands and one hand: see `SurfaceHits`. The camera is of the origin of the positions."""
+        task, shape = self._task, (camera.height, camera.width)
+        row, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
+        self.prepare(np.empty((5, *shape), np.float32), camera, [0.0])
+        task.hit, task.hit_near = row.ctypes.data, near.ctypes.data
+        shared_pool(0).run(lambda _thread: self.run())
+        task.hit = task.hit_near = None
+        face = np.where(row < 0, -1, self._hands[0].face_of_row[row])
+        with np.errstate(divide="ignore"):
+            depth_m = -near if camera.orthographic else 1 / near
+        return face, np.where(row < 0, np.float32(np.inf), depth_m)
+
     def run(self) -> None:
         """Draws what was prepared; every thread of a team calls it."""
         self._call.jg_detail(self.team.ctypes.data, ctypes.addressof(self._task))
+
+
+class SurfaceHits:
+    """Where the surface of one hand is in an image, for learning its texture."""
+
+    def __init__(self, library: Library, hand: DetailedHand) -> None:
+        self._drawn = NativeDetail(library, [hand])
+
+    def __call__(self, bones: Bones, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W) int32 number of the nearest face, -1 where there is none; (H, W) float32 depth along the camera's
+        axis, meters, infinite there."""
+        root = np.eye(4)
+        root[:3, 3] = bones.root_m
+        self._drawn.pose([bones], [np.zeros(3)])
+        return self._drawn.hits(replace(camera, camera_from_world=camera.camera_from_world @ root))
 
 
 class _Hand:
@@ -111,6 +140,7 @@ class _Hand:
         set_pointers(self._skin, self._skin_arrays)
         # neighbors stand together; a group is filled up with faces without area
         faces = Blocks(detail.position_m[detail.faces].mean(1))
+        self.face_of_row = faces.in_rows(np.arange(len(detail.faces)), np.int32)
         corner = faces.in_rows(np.argsort(blocks.order)[detail.faces], np.int32)
         texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1)
         groups, boxes = faces.count, -(-faces.count // LANES) * LANES

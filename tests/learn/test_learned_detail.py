@@ -1,0 +1,155 @@
+"""Detail while it is learned: a surface where the Gaussians are, a texture that pictures teach, drawn as it will be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from painted_samples import camera_at, painted_samples
+from small_hands import INFO, joints_of
+from small_trainings import SMALL, small_training
+
+from jghand_engine.avatar.avatar import LearnedFrom
+from jghand_engine.avatar.detail import log_ratios
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.learn import detail, step
+from jghand_engine.learn.detail import Beside, DetailLearner, Surface, fit_surface
+from jghand_engine.learn.options import PAPER_FAITHFUL
+from jghand_engine.native import library
+from jghand_engine.render.detail import DetailedHand, NativeDetail
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import HandTemplate
+
+EYES_M = ((0.5, 0.1, 0.1), (-0.5, 0.1, 0.1), (0.0, 0.1, 0.6), (0.0, 0.1, -0.6), (0.1, 0.7, 0.2), (0.3, 0.2, 0.5))
+SIZE_PX, FOCAL_PX = (200, 200), 420.0
+FRONT_M = (0.1, 0.1, 0.5)
+# pictures that are fine enough for detail
+FINE = replace(INFO, learned_from=LearnedFrom("painted", "all", 9, "0" * 16, pixel_m=2e-4))
+
+
+def surface_of(template: HandTemplate, handedness: Handedness = Handedness.RIGHT) -> Surface:
+    return Surface(template, Skeleton(template.joints_m, handedness=handedness))
+
+
+def beside_gaussians(truth: Surface, below_m: float) -> list[Beside]:
+    """Pictures of Gaussians so far below a surface."""
+    found, hits = [], truth.hits()
+    for pose in ("relaxed", "flat"):
+        joints_m = joints_of(pose, truth.skeleton.handedness)
+        for eye_m in EYES_M:
+            eye_m = np.array(eye_m) + joints_m.mean(0)
+            camera = camera_at(eye_m, size=SIZE_PX, focal_px=FOCAL_PX)
+            face, depth_m = hits(truth.skeleton.bones(joints_m), camera)
+            y, x = np.nonzero(face >= 0)
+            posed_m, closed = truth.posed(joints_m), truth._closed
+            shares = detail._shares(posed_m[closed[face[y, x]]], camera, y, x)
+            outwards = np.einsum("nk,nki->ni", shares, truth.normals(posed_m)[closed[face[y, x]]])
+            at_m = np.einsum("nk,nki->ni", shares, posed_m[closed[face[y, x]]])
+            into = np.einsum("ni,ni->n", outwards, camera.eye_m - at_m) / np.linalg.norm(outwards, axis=1)
+            # the plane below the skin is farther along the ray by that part of the way
+            deeper = np.where(face >= 0, depth_m, 0.0)
+            deeper[y, x] *= 1 + below_m / np.maximum(into, 0.05)
+            found.append(Beside(joints_m, camera, face >= 0, face >= 0, deeper.astype(np.float32), 1.3e-3))
+    return found
+
+
+@pytest.mark.parametrize("handedness", list(Handedness))
+def test_the_surface_is_found_where_the_gaussians_are_and_how_deep_they_lie(handedness):
+    template = load_template()
+    truth, ours = surface_of(template, handedness), surface_of(template, handedness)
+    # a hand that is thicker on the palm and thinner on the back, by up to a millimeter
+    truth.height_m[:] = 1e-3 * truth._normal[:, 2]
+    depth_m = fit_surface(ours, beside_gaussians(truth, below_m=1.5e-3))
+    skin = np.unique(template.faces[: template.skin_face_count])
+    missed_m = (ours.height_m - truth.height_m)[skin]
+    assert depth_m == pytest.approx(1.5e-3, abs=1e-4)
+    assert np.sqrt((missed_m**2).mean()) < 2e-4 < np.sqrt((truth.height_m[skin] ** 2).mean()) / 2
+
+
+@pytest.fixture
+def small_texture(monkeypatch) -> int:
+    monkeypatch.setattr(detail, "TEXELS", 512)
+    return 512
+
+
+def learner_of(handedness: Handedness = Handedness.RIGHT) -> DetailLearner:
+    """Found, with a smooth texture."""
+    template = load_template()
+    learner = DetailLearner(template, Skeleton(template.joints_m, handedness=handedness))
+    learner.depth_m.fill_(0.0)
+    rows, columns = torch.meshgrid(torch.arange(detail.TEXELS), torch.arange(detail.TEXELS), indexing="ij")
+    with torch.no_grad():
+        waves = [
+            0.3 * torch.sin(2 * torch.pi * t / wave) for t, wave in ((rows, 32), (columns, 48), (rows + columns, 40))
+        ]
+        learner.texture.copy_(torch.stack(waves))
+    return learner
+
+
+@pytest.mark.parametrize("handedness", list(Handedness))
+def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness):
+    learner, joints_m = learner_of(handedness), joints_of("relaxed", handedness)
+    camera = camera_at(joints_m.mean(0) + np.array(FRONT_M), size=SIZE_PX, focal_px=2 * FOCAL_PX)
+    bones = learner._surface.skeleton.bones(joints_m)
+    _, surface_m = learner._surface.hits()(bones, camera)
+    alpha = np.where(np.isfinite(surface_m), 1.0, 0.0).astype(np.float32)
+    planes = np.stack([*(3 * [alpha]), alpha, np.where(alpha > 0, surface_m, 0)]).astype(np.float32)
+    ours = learner.ratio(learner.mips(), joints_m, camera, *(torch.from_numpy(plane.copy()) for plane in planes[3:]))
+    drawn = learner.detail()
+    assert drawn is not None
+    assert np.abs(log_ratios(drawn.texture) - learner.texture.detach().permute(1, 2, 0).numpy()).max() < 0.003
+    template = learner._surface.template
+    native = NativeDetail(library.load("auto"), [DetailedHand(drawn, 1.0, template.joints_m, handedness)])
+    native.pose([bones], [bones.root_m])
+    native.prepare(planes, camera, [1.0])
+    native.run()
+    inside = alpha > 0
+    difference = np.abs(np.moveaxis(planes[:3], 0, -1) - ours.detach().numpy())[inside]
+    assert np.abs(ours.detach().numpy()[inside] - 1).max() > 0.2
+    # bytes of the texture, and at seams the means of the renderer, which are of the skin alone
+    assert np.quantile(difference, 0.98) < 0.02
+    assert np.median(difference) < 0.004
+
+
+def test_pictures_teach_the_texture(monkeypatch, tmp_path, small_texture):
+    training = trained_for(monkeypatch, tmp_path, steps=4)
+    learned = training.avatar().detail
+    assert learned is not None
+    assert np.abs(log_ratios(learned.texture)).max() > 1e-3
+    # what no picture shows stays as it began: the square is not full of skin
+    assert (learned.texture == 128).all(-1).mean() > 0.3
+
+
+def test_a_training_that_is_resumed_has_the_same_texture(monkeypatch, tmp_path, small_texture):
+    whole = trained_for(monkeypatch, tmp_path, steps=4)
+    half = trained_for(monkeypatch, tmp_path, steps=2)
+    resumed = trained_for(monkeypatch, tmp_path, steps=0)
+    resumed.load_tensors({name: tensor.clone() for name, tensor in half.tensors().items()})
+    resumed.load_scalars(half.scalars())
+    for number in (2, 3):
+        resumed.step(number)
+    for name, tensor in whole.tensors().items():
+        assert torch.equal(tensor, resumed.tensors()[name]), name
+
+
+def test_only_fine_pictures_have_detail_and_the_paper_has_none(monkeypatch, tmp_path):
+    samples = painted_samples(tmp_path)
+    monkeypatch.setattr("small_trainings.INFO", replace(FINE, learned_from=replace(FINE.learned_from, pixel_m=5e-4)))
+    assert small_training(monkeypatch, samples)._detail is None
+    monkeypatch.setattr("small_trainings.INFO", FINE)
+    paper = replace(SMALL, schedule=replace(SMALL.schedule, detail_from=PAPER_FAITHFUL.schedule.detail_from))
+    assert small_training(monkeypatch, samples, paper)._detail is None
+
+
+def trained_for(monkeypatch, folder, steps: int) -> step.HandTraining:
+    """Steps of a training whose detail begins with its second."""
+    monkeypatch.setattr("small_trainings.INFO", FINE)
+    options = replace(SMALL, schedule=replace(SMALL.schedule, detail_from=0.2, texture_rate=1e-2))
+    training = small_training(monkeypatch, painted_samples(folder), options)
+    training.plan(4)
+    for number in range(steps):
+        training.step(number)
+    return training
