@@ -1,8 +1,8 @@
 """A motion as triangle meshes, a file per frame: the surface that the avatar was made on, posed by its bones.
 
 GLB and OBJ have UV and a texture, PLY a color for each vertex: those of the nearest Gaussians, in the light and shade
-of the pose. What training adds to the shape of a pose is in the Gaussians alone. trimesh (extra learn) writes the
-files; meters, y up.
+of the pose; the texture times the hand's detail, where it has one. What training adds to the shape of a pose is in the
+Gaussians alone. trimesh (extra learn) writes the files; meters, y up.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.detail import log_ratios
+from jghand_engine.avatar.relighting import detail_power
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
@@ -75,7 +77,7 @@ def export_meshes(
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(names.path(target, index) for index in frames)
     kept = names.refuse_others(target, files, len(sequence), COMPANIONS if names.suffix == "obj" else ())
-    each = BYTES_PER_VERTEX * len(surface.vertex) + BYTES_PER_TEXEL * TEXTURE_PX**2
+    each = BYTES_PER_VERTEX * len(surface.vertex) + BYTES_PER_TEXEL * surface.texture_px**2
     check_room(target, len(files) * each, "the meshes")
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         for name, content in _encoded(surface.mesh(index, RUB_FROM_UP[up]), path).items():
@@ -116,6 +118,11 @@ class _Surface:
         self._right = mirrored(template) if motion.handedness is Handedness.LEFT else template
         rest_m = motion.rest_arrays()[0].astype(np.float64)
         self._textured = suffix != "ply"
+        detail = motion.avatar.detail
+        self.texture_px = TEXTURE_PX if detail is None else max(TEXTURE_PX, detail.size)
+        self._ratio = None
+        if detail is not None and self._textured:
+            self._ratio = np.exp(detail_power(motion.avatar, in_scene=False) * log_ratios(detail.texture))
         if self._textured:
             # a vertex has one UV in these files: it is written once for each that its faces have
             corners = np.column_stack([template.faces.reshape(-1), template.face_uv.reshape(-1, 2)])
@@ -144,6 +151,8 @@ class _Surface:
             from PIL import Image
 
             image = Image.fromarray(colors.reshape(TEXTURE_PX, TEXTURE_PX, 3))
+            if self._ratio is not None:
+                image = Image.fromarray(self._with_detail(image))
             material = trimesh.visual.material.PBRMaterial(
                 name="skin", baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.6
             )
@@ -154,6 +163,16 @@ class _Surface:
         return trimesh.Trimesh(
             vertices_m[self.vertex], self.faces, vertex_normals=normals, visual=visual, process=False
         )
+
+    def _with_detail(self, image: Any) -> np.ndarray:
+        """(texture_px, texture_px, 3) bytes: the picture of the Gaussians' colors, times the detail."""
+        from PIL import Image
+
+        size = (self.texture_px, self.texture_px)
+        smooth = np.asarray(image.resize(size, Image.Resampling.BILINEAR), np.float32)
+        assert self._ratio is not None
+        finer = self.texture_px // len(self._ratio)
+        return np.rint((smooth * self._ratio.repeat(finer, 0).repeat(finer, 1)).clip(0, 255)).astype(np.uint8)
 
 
 def _encoded(mesh: Any, path: Path) -> dict[str, bytes]:

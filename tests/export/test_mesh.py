@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from detail_samples import detail_of
 from usd_samples import engine_mesh, lively_motion, small_avatar
 
 from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.avatar.detail import ratio_bytes
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
 from jghand_engine.export.mesh import MESH_FORMATS, TEXTURE_PX, export_meshes
@@ -72,6 +74,25 @@ def test_the_texture_has_the_color_of_the_skin_at_its_uv(tmp_path):
         wrong = (image[row, column] != corners[:, 0]).any(axis=1)[of_one_color]
         # a face that is smaller than a texel may show its neighbor's color: 5 of 2969 do
         assert wrong.mean() < 0.005
+
+
+@pytest.mark.parametrize("size", [64, 1024])
+def test_the_texture_has_the_detail_of_the_hand(tmp_path, size):
+    """Half as bright in some columns of the texture, and as it was elsewhere."""
+    texture = np.full((size, size, 3), 128, np.uint8)
+    texture[:, size // 4 : size // 2] = ratio_bytes(np.full(3, np.log(0.5)))
+    plain = load_painted(handedness=Handedness.RIGHT).prefix(4000)
+    motion = lively_motion(Handedness.RIGHT, 1)
+    images = []
+    for name, avatar in (("plain", plain), ("detailed", replace(plain, detail=detail_of(texture)))):
+        (path,) = export_meshes(tmp_path / name, avatar, motion, FrameFiles(suffix="glb")).files
+        images.append(read(path).visual.material.baseColorTexture.convert("RGB"))
+    assert images[1].size == 2 * (max(size, TEXTURE_PX),)
+    without, ours = (np.asarray(image.resize(2 * (TEXTURE_PX,)), float) for image in images)
+    dark = slice(TEXTURE_PX // 4 + 4, TEXTURE_PX // 2 - 4)
+    # the finer picture is smooth between the Gaussians' texels
+    assert np.abs(ours[:, dark] - 0.5 * without[:, dark]).mean() < 2 < without[:, dark].mean() / 10
+    assert np.abs(ours - without)[:, TEXTURE_PX // 2 + 4 :].mean() < 2
 
 
 def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(tmp_path):
