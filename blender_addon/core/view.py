@@ -13,14 +13,17 @@ from typing import Any
 
 import numpy as np
 
+from .joints import MIDDLE, WRIST
 from .stand_in import FINE_POINTS, points_m
 from .wire import protocol
 
 # a hand is looked at from near: where new cameras, and the part of a view that can show hands, begin, meters
 CLIP_START_M = 0.01
-# the part of a view that can show a hand ends so far from its joints, meters: skin, forearm, and the blur of splats;
-# it is rounded outwards to so many pixels, so that a small move keeps the picture's size
+# the part of a view that can show a hand ends so far from its joints and the end of its forearm, meters: skin, and the
+# blur of splats; it is rounded outwards to so many pixels, so that a small move keeps the picture's size
 REACH_M = 0.06
+# a forearm ends so far behind the wrist, in lengths from there to the middle knuckle: 14 cm behind 8.8 cm
+FOREARM_LENGTH = 1.6
 CROP_STEP_PX = 32
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), -1).reshape(-1, 3) * REACH_M
 
@@ -99,7 +102,7 @@ def avatar_stamp(avatar: str) -> str:
 @dataclass(frozen=True)
 class HandInSpace:
     """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters; name: for people
-    alone; forearm: whether it is shown, of an avatar that has one."""
+    alone; forearm: whether one is shown."""
 
     handedness: str
     joints_m: np.ndarray
@@ -249,8 +252,8 @@ def part_with(view: Pinhole, hands: Sequence[HandInSpace]) -> Part | None:
     """The part of a view outside which no hand can be; None when none can be seen."""
     if not hands:
         return None
-    joints_m = np.concatenate([hand.joints_world_m for hand in hands])
-    points = view.project((joints_m[:, None] + _CORNERS).reshape(-1, 3))
+    places_m = np.concatenate([_places_m(hand) for hand in hands])
+    points = view.project((places_m[:, None] + _CORNERS).reshape(-1, 3))
     near_m = -math.inf if view.orthographic else CLIP_START_M
     if (points[:, 2] <= near_m).all():
         return None
@@ -264,6 +267,15 @@ def part_with(view: Pinhole, hands: Sequence[HandInSpace]) -> Part | None:
     if (last <= first).any():
         return None
     return Part(int(first[0]), int(first[1]), int(last[0]), int(last[1]))
+
+
+def _places_m(hand: HandInSpace) -> np.ndarray:
+    """(N, 3) the joints in the world, meters, and where the forearm ends."""
+    joints_m = hand.joints_world_m
+    if not hand.forearm:
+        return joints_m
+    wrist_m = joints_m[WRIST]
+    return np.vstack([joints_m, wrist_m + FOREARM_LENGTH * (wrist_m - joints_m[MIDDLE])])
 
 
 def picture_of(view: Pinhole, part: Part, pixels_max: int) -> Pinhole:

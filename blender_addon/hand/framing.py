@@ -15,7 +15,8 @@ from ..core.joints import LEFT, WRIST
 from ..core.view import CLIP_START_M
 from ..render.camera import set_picture_size
 
-# how far skin reaches beyond a joint, and beyond the wrist joint, where the avatar's forearm ends, meters
+# how far skin reaches beyond a joint, and how much is shown behind the wrist joint, meters: the end of a hand that has
+# no forearm; one that is longer goes on out of the picture, so that the hand fills it
 SKIN_M, WRIST_SKIN_M = 0.015, 0.045
 # air around the hand, as a part of the distance
 MARGIN = 0.06

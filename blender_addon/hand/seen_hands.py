@@ -17,7 +17,7 @@ import numpy as np
 from .. import clock, folders
 from ..core.view import BUILTIN_AVATAR, HandInSpace
 from ..errors import JGHandFailure
-from . import instances, sources
+from . import avatar_files, instances, sources
 
 # (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand and what instances some
 _found: dict[tuple[int, str], list[tuple[str, int]]] = {}
@@ -78,7 +78,8 @@ def read(
 def read_shown(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np.ndarray) -> list[HandInSpace]:
     """The hands of one of `instances.hands_shown`, with their avatar. Raises JGHandFailure as `sources.read_hands`."""
     avatar = avatar_of(hand)
-    shown = {"avatar": avatar, "name": hand.name, "forearm": hand.jghand.forearm}
+    forearm = hand.jghand.forearm and avatar_files.has_forearm(avatar)
+    shown = {"avatar": avatar, "name": hand.name, "forearm": forearm}
     return [replace(each, **shown) for each in sources.read_hands(hand, depsgraph, placed)]
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from blender_addon.core import posing
+from blender_addon.core import posing, stand_in
 from blender_addon.core import view as cropping
 from blender_addon.core.view import HandInSpace, Part, Pinhole
 
@@ -29,6 +31,24 @@ def test_the_part_holds_every_joint_and_its_skin_and_not_the_whole_view():
     reach_px = 900 * cropping.REACH_M / 1.2
     assert (pixels - reach_px >= (part.left, part.top)).all() or part.top == 0 or part.left == 0
     assert (pixels + reach_px <= (part.right, part.bottom)).all()
+
+
+@pytest.mark.parametrize("handedness", ["right", "left"])
+@pytest.mark.parametrize("turn", range(8))
+def test_the_part_holds_the_whole_forearm_of_a_hand_that_shows_one(handedness, turn):
+    hand = replace(hand_at(0.0, 0.0, 0.9), handedness=handedness, joints_m=1.2 * posing.rest_joints_m(handedness))
+    angle = turn * np.pi / 4
+    hand.world_from_hand[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    part = cropping.part_with(view_of(), [hand])
+    skin = stand_in.surface_at(hand.joints_world_m, handedness, forearm=True).vertices
+    pixels = view_of().project(skin)[:, :2]
+    assert part is not None
+    room_px = 20  # for the blur of splats
+    assert (pixels.min(0) - room_px >= (part.left, part.top)).all()
+    assert (pixels.max(0) + room_px <= (part.right, part.bottom)).all()
+    without = cropping.part_with(view_of(), [replace(hand, forearm=False)])
+    assert without is not None
+    assert without.pixels < part.pixels
 
 
 def test_two_hands_share_one_part():

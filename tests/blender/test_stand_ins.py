@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from blender_addon.core import poses, posing
-from blender_addon.hand import armature, sources, stand_ins
+from blender_addon.hand import armature, seen_hands, sources, stand_ins
 from blender_addon.render import composite, preview
 
 EXACT_M = 1e-6
@@ -131,6 +131,20 @@ def test_it_has_the_forearm_that_the_hand_shows(extension, monkeypatch):
     assert len(only(hand).data.vertices) == 1750
     hand.jghand.forearm = False
     assert len(only(hand).data.vertices) == 1610
+
+
+def test_a_view_has_room_for_a_forearm_where_the_hand_shows_one(extension, monkeypatch):
+    hand = add_hand("left")
+
+    def forearm() -> bool:
+        ((seen,), _) = seen_hands.read([hand], bpy.context.evaluated_depsgraph_get())
+        return seen.forearm
+
+    assert not forearm()
+    monkeypatch.setattr(seen_hands.avatar_files, "has_forearm", lambda avatar: True)
+    assert forearm()
+    hand.jghand.forearm = False
+    assert not forearm()
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
