@@ -188,7 +188,7 @@ class Render:
         picture |= {"size": self.picture.size_px(), "preset": self.picture.preset or "final"}
         # of a file what it holds, not what it is called
         camera = self.picture.camera if file is None else file_digest(file)
-        look = {**picture, **effect, "passes": self.passes, "camera": camera}
+        look = {**picture, **effect, "forearm": self.avatar.forearm, "passes": self.passes, "camera": camera}
         if self.light is not None:
             look["light"] = [file_digest(each) for each in files_of(self.light)]
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0

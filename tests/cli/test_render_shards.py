@@ -187,6 +187,7 @@ def test_half_written_and_damaged_pictures_are_made_again_and_no_others(half, wh
         (("--camera", "back"), "of another look"),
         (("--poses", "open,point"), "of another motion"),
         (("--avatar", "builtin"), "of another avatar"),
+        (("--no-forearm",), "of another look"),
         (("--passes", "joints"), "of another settings, look"),
     ],
 )
