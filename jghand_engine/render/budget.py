@@ -109,6 +109,7 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
         found["draft, no correctives"] = replace(draft, effects=NO_CORRECTIVES)
     if avatar.detail is not None:
         found["viewport, no detail"] = replace(viewport, effects=NO_DETAIL)
+        found["draft, no detail"] = replace(draft, effects=NO_DETAIL)
     return found
 
 

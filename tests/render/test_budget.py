@@ -106,9 +106,10 @@ def test_candidates_hold_the_presets_and_name_each_setting_once():
 
 def test_detail_can_be_shed():
     found = candidates(detailed(flat(4, 0.5)), (512, 334))
-    assert not found["viewport, no detail"].effects.allows(Effect.DETAIL)
-    assert left_out(found["viewport, no detail"], 100)["detail"] == "smooth skin"
-    assert "viewport, no detail" not in candidates(small_avatar(100), (512, 334))
+    for name in ("viewport, no detail", "draft, no detail"):
+        assert not found[name].effects.allows(Effect.DETAIL)
+        assert left_out(found[name], 100)["detail"] == "smooth skin"
+        assert name not in candidates(small_avatar(100), (512, 334))
     assert "viewport, no shadow" in found
 
 
