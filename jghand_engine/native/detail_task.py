@@ -10,8 +10,6 @@ _I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
 
 # floats that the kernel keeps of a face
 FACE_ROWS = 18
-# faces that it numbers of a hand
-FACES_MAX = 1 << 20
 # a texel is three channels of so many bits in 32; the middle one is the ratio 1
 TEXEL_BITS, TEXEL_ZERO = 10, 512
 
