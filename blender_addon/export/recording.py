@@ -83,7 +83,7 @@ class Recording:
             # the hand that is seen: nothing is repaired on the way
             *("--keep-bone-lengths", "--on-missing", "stop", "--any-proportions"),
             *("--json", str(scratch / f"{self.name}.json"), "--overwrite", *options),
-            "--forearm" if self.forearm else "--no-forearm",
+            *([] if self.forearm else ["--no-forearm"]),
         )
 
 

@@ -6,6 +6,7 @@ exports, pages and views alike. What is measured against pictures (`jghand evalu
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -33,20 +34,31 @@ def has_forearm(avatar: HandAvatar) -> bool:
 def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     """The avatar as it is shown: faded out at the end of its forearm, or, without one or where it is not wanted, at the
     wrist. An avatar on an unknown template stays as it is."""
-    place, template = avatar.position_m, avatar.info.template
-    if forearm and has_forearm(avatar):
-        shown = _rising(place @ FOREARM_WAY, *FOREARM_FADE_M)
-    elif template.startswith(BUILTIN_TEMPLATE):
-        shown = _rising(place @ WRIST_WAY - WRIST_CUT_M, *WRIST_FADE_M)
-    elif template.startswith(MANO_TEMPLATES):
-        # its hand ends square to the bones, and somewhere else in each file
-        shown = _rising(place[:, 1] - place[:, 1].min(), *WRIST_FADE_M)
-    else:
+    shown_at, template = _shown_at(avatar, forearm=forearm), avatar.info.template
+    if shown_at is None:
         return avatar
     if not forearm:
         # its mesh is the hand's alone
         avatar = replace(avatar, info=replace(avatar.info, template=template.removesuffix(FOREARM_SUFFIX)))
-    return replace(avatar, opacity=avatar.opacity * shown.astype(np.float32))
+    detail, opacity = avatar.detail, avatar.opacity * shown_at(avatar.position_m).astype(np.float32)
+    if detail is not None:
+        # what is not there hides nothing behind it
+        stays = (shown_at(detail.position_m) > 0)[detail.faces].any(1)
+        detail = replace(detail, faces=detail.faces[stays], face_uv=detail.face_uv[stays])
+    return replace(avatar, opacity=opacity, detail=detail)
+
+
+def _shown_at(avatar: HandAvatar, *, forearm: bool) -> Callable[[np.ndarray], np.ndarray] | None:
+    """How much is shown, 0..1, at canonical places (N, 3); None: all of it, wherever it is."""
+    if forearm and has_forearm(avatar):
+        return lambda place: _rising(place @ FOREARM_WAY, *FOREARM_FADE_M)
+    if avatar.info.template.startswith(BUILTIN_TEMPLATE):
+        return lambda place: _rising(place @ WRIST_WAY - WRIST_CUT_M, *WRIST_FADE_M)
+    if avatar.info.template.startswith(MANO_TEMPLATES):
+        # its hand ends square to the bones, and somewhere else in each file
+        end_m = avatar.position_m[:, 1].min()
+        return lambda place: _rising(place[:, 1] - end_m, *WRIST_FADE_M)
+    return None
 
 
 def _rising(along: np.ndarray, none: float, whole: float) -> np.ndarray:

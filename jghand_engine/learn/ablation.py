@@ -58,6 +58,8 @@ def chosen_variants(
 ) -> dict[str, TrainOptions]:
     """The rows of the table by name, in its order; none named: all. Before them SHARED, where they go on from it.
     InputError lists them."""
+    # of Gaussians alone: a texture would hide what a row lacks, and not every row can have one
+    options = replace(options, schedule=replace(options.schedule, detail_from=None))
     known = light_ablations(options) if known_light else ablations(options)
     unknown = [name for name in names if name not in known]
     if unknown:

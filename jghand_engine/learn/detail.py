@@ -26,7 +26,15 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.pictures import LruCache, Pictures
 from jghand_engine.native.library import load as load_native
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M, DetailedHand, SurfaceHits
+from jghand_engine.render.detail import (
+    ALPHA_FROM,
+    ALPHA_TO,
+    FADE_FROM_M,
+    FADE_TO_M,
+    GRAZE_MAX,
+    DetailedHand,
+    SurfaceHits,
+)
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.mesh import HandTemplate, skinned
@@ -58,6 +66,8 @@ SMOOTH, STILL = 0.3, 1e-3
 # ---- texture
 # levels that pictures read: of the whole hand they have pixels of two to four texels, and more where skin is steep
 MIP_LEVELS = 4
+# of the way from one level to the next, the part over which they are mixed, as the kernel does
+MIX_FROM, MIX_TO = 0.25, 0.75
 # steps of the coordinates that are kept of a picture: a thirtieth of a texel
 UV_STEPS = 65535
 # of a face that is seen edge-on, twice
@@ -211,12 +221,14 @@ def _shares(corners_m: np.ndarray, camera: Camera, y: np.ndarray, x: np.ndarray)
 @dataclass(frozen=True)
 class _Places:
     """Where the pixels of a picture are in the texture. pixel: (N,) int32, row by row · uv: (N, 2) uint16 · level:
-    (N,) float32 of the mips · depth_m: (N,) float32 of the surface"""
+    (N,) float32 of the mips · depth_m: (N,) float32 of the surface · graze: (N,) float32, by how much longer what lies
+    below it is along the ray"""
 
     pixel: Tensor
     uv: Tensor
     level: Tensor
     depth_m: Tensor
+    graze: Tensor
 
     def nbytes(self) -> int:
         return sum(tensor.nbytes for tensor in vars(self).values())
@@ -266,7 +278,8 @@ class DetailLearner(nn.Module):
         log_ratio = _looked_up(mips, places.uv.float() / UV_STEPS, places.level)
         alpha, depth_sum = alpha.detach().reshape(-1)[places.pixel], depth_sum.detach().reshape(-1)[places.pixel]
         scale = self._surface.skeleton.bones(joints_m).scale
-        apart = (depth_sum / alpha.clamp_min(ALPHA_FROM) - places.depth_m - scale * float(self.depth_m)).abs()
+        apart = depth_sum / alpha.clamp_min(ALPHA_FROM) - places.depth_m - scale * float(self.depth_m)
+        apart = apart.abs() / places.graze
         weight = _smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - _smooth(apart, scale * FADE_FROM_M, scale * FADE_TO_M))
         ratio = torch.ones(camera.height * camera.width, 3)
         return ratio.index_copy(0, places.pixel.long(), (weight[:, None] * log_ratio).exp()).reshape(
@@ -286,14 +299,17 @@ class DetailLearner(nn.Module):
         # texels that a pixel spans, the mean square of its two sides, as the renderer takes them
         spans2 = TEXELS**2 * _squared_slopes(surface.face_uv[face], camera.project(corners_m)[0]) / 2
         level = 0.5 * np.log2(np.clip(spans2, 1, 4.0 ** (MIP_LEVELS - 1)))
+        level = np.floor(level) + np.clip((level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM), 0, 1)
         return _Places(
             torch.from_numpy((y * camera.width + x).astype(np.int32)),
             torch.from_numpy(np.rint(np.clip(uv, 0, 1) * UV_STEPS).astype(np.uint16)),
             torch.from_numpy(level.astype(np.float32)),
             torch.from_numpy(depth_m.astype(np.float32)),
+            torch.from_numpy(_grazes(corners_m, camera, y, x).astype(np.float32)),
         )
 
     def keep_in_range(self) -> None:
+        """Ratios that a texture can hold, after every change of it."""
         with torch.no_grad():
             self.texture.clamp_(-LOG_RATIO_MAX, LOG_RATIO_MAX)
 
@@ -319,6 +335,16 @@ def _looked_up(mips: Sequence[Tensor], uv: Tensor, level: Tensor) -> Tensor:
     each = [functional.grid_sample(mip, grid, padding_mode="border", align_corners=False)[0, :, 0].T for mip in mips]
     weight = [(1 - (level - number).abs()).clamp_min(0)[:, None] for number in range(len(mips))]
     return torch.stack([one * by for one, by in zip(each, weight, strict=True)]).sum(0)
+
+
+def _grazes(corners_m: np.ndarray, camera: Camera, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """(N,) of faces (N, 3, 3) where pixels see them, GRAZE_MAX at most."""
+    sides = (corners_m[:, 1:] - corners_m[:, :1]) @ camera.camera_from_world[:3, :3].T
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    facing = normal[:, 0] * (x + 0.5 - camera.cx) / camera.fx + normal[:, 1] * (y + 0.5 - camera.cy) / camera.fy
+    facing += normal[:, 2]
+    slope2 = (normal[:, 0] ** 2 + normal[:, 1] ** 2) / np.maximum(facing**2, np.finfo(float).tiny)
+    return np.minimum(np.sqrt(1 + slope2), GRAZE_MAX)
 
 
 def _squared_slopes(uv: np.ndarray, px: np.ndarray) -> np.ndarray:

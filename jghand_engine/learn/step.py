@@ -212,7 +212,7 @@ class HandTraining:
                 torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
             self._optimizer.step()
             self.hand.keep_in_range()
-            if self._detail is not None:
+            if self._detail is not None and self._detail.is_found:
                 self._texture_optimizer.step()
                 self._detail.keep_in_range()
         figures = {name: float(term.detach()) for name, term in terms.items()}

@@ -9,6 +9,7 @@ import pytest
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
+from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.forearm import FOREARM_FADE_M, FOREARM_WAY, WRIST_CUT_M, WRIST_WAY, ended, has_forearm
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import WITH_FOREARM, load_template, load_template_with_forearm
@@ -64,6 +65,20 @@ def test_a_forearm_is_shown_up_to_its_last_centimeters_or_hidden():
     assert hidden.info.template == load_template().identifier
     alone = ended(on_template(forearm=False))
     assert np.array_equal(hidden.opacity[:1609], alone.opacity[:1609])
+
+
+def test_a_hidden_forearm_has_no_detail_that_would_hide_what_is_behind_it():
+    arm, template = on_template(forearm=True), load_template_with_forearm()
+    skin = template.faces[: template.skin_face_count].astype(np.int32)
+    uv = template.face_uv[: template.skin_face_count].astype(np.float32)
+    weights = template.bone_weights.astype(np.float32)
+    detail = Detail(template.vertices_m.astype(np.float32), weights, skin, uv, np.zeros((4, 4, 3), np.uint8), 0.001)
+    shown, hidden = (ended(replace(arm, detail=detail), forearm=forearm).detail for forearm in (True, False))
+    assert shown is not None
+    assert hidden is not None
+    assert len(hidden.face_uv) == len(hidden.faces) < len(shown.faces) <= len(skin)
+    for ends_m, left in ((0.125, shown), (0.02, hidden)):
+        assert ((detail.position_m @ FOREARM_WAY)[left.faces].min(1) < ends_m).all()
 
 
 def test_manos_hands_fade_where_theirs_end_and_unknown_ones_stay():

@@ -25,7 +25,8 @@ from jghand_engine.template.mesh import HandTemplate
 
 EYES_M = ((0.5, 0.1, 0.1), (-0.5, 0.1, 0.1), (0.0, 0.1, 0.6), (0.0, 0.1, -0.6), (0.1, 0.7, 0.2), (0.3, 0.2, 0.5))
 SIZE_PX, FOCAL_PX = (200, 200), 420.0
-FRONT_M = (0.1, 0.1, 0.5)
+FRONT_M, GRAZING_M = (0.1, 0.1, 0.5), (0.1, -0.45, 0.12)
+DEPTH_M = 1.2e-3
 # pictures that are fine enough for detail
 FINE = replace(INFO, learned_from=LearnedFrom("painted", "all", 9, "0" * 16, pixel_m=2e-4))
 
@@ -79,7 +80,7 @@ def learner_of(handedness: Handedness = Handedness.RIGHT) -> DetailLearner:
     """Found, with a smooth texture."""
     template = load_template()
     learner = DetailLearner(template, Skeleton(template.joints_m, handedness=handedness))
-    learner.depth_m.fill_(0.0)
+    learner.depth_m.fill_(DEPTH_M)
     rows, columns = torch.meshgrid(torch.arange(detail.TEXELS), torch.arange(detail.TEXELS), indexing="ij")
     with torch.no_grad():
         waves = [
@@ -89,14 +90,20 @@ def learner_of(handedness: Handedness = Handedness.RIGHT) -> DetailLearner:
     return learner
 
 
+@pytest.mark.parametrize("eye_m", [FRONT_M, GRAZING_M])
 @pytest.mark.parametrize("handedness", list(Handedness))
-def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness):
+def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness, eye_m):
+    """Of Gaussians a little below the skin, which is farther along a ray that grazes it."""
     learner, joints_m = learner_of(handedness), joints_of("relaxed", handedness)
-    camera = camera_at(joints_m.mean(0) + np.array(FRONT_M), size=SIZE_PX, focal_px=2 * FOCAL_PX)
+    camera = camera_at(joints_m.mean(0) + np.array(eye_m), size=SIZE_PX, focal_px=2 * FOCAL_PX)
     bones = learner._surface.skeleton.bones(joints_m)
     _, surface_m = learner._surface.hits()(bones, camera)
     alpha = np.where(np.isfinite(surface_m), 1.0, 0.0).astype(np.float32)
-    planes = np.stack([*(3 * [alpha]), alpha, np.where(alpha > 0, surface_m, 0)]).astype(np.float32)
+    places = learner._placed(joints_m, camera)
+    below_m = np.zeros(alpha.size, np.float32)
+    below_m[places.pixel.numpy()] = DEPTH_M * places.graze.numpy()
+    seen_m = np.where(alpha > 0, surface_m, 0) + below_m.reshape(alpha.shape)
+    planes = np.stack([*(3 * [alpha]), alpha, seen_m]).astype(np.float32)
     ours = learner.ratio(learner.mips(), joints_m, camera, *(torch.from_numpy(plane.copy()) for plane in planes[3:]))
     drawn = learner.detail()
     assert drawn is not None
