@@ -29,7 +29,6 @@ STAGES = {
     "detail": "Skin Texture",
     "shadow + compose": "Shadow",
     "compose": "Compose",
-    "enlarge": "Enlarge",
 }
 EFFECTS = {
     "skin": "Skin",

@@ -83,7 +83,7 @@ def _between(
     from_lamps: np.ndarray,
 ) -> Iterator[str]:
     """About what is between the joints (N, 3), and what sees and lights them; kinds: of materials, by their names."""
-    panes, volumes, shades = {}, {}, {}
+    panes, volumes, shades, parts = {}, {}, {}, {}
     for thing, matrix in _things(depsgraph):
         own = _kinds_of(thing, kinds)
         if VOLUME in own and _meet(from_eye, joints, thing, matrix):
@@ -91,11 +91,12 @@ def _between(
         if PANE in own and _meet(from_eye, joints, thing, matrix, around=False):
             panes[thing.name] = None
         if PANE in own and thing.visible_shadow and _meet(from_lamps, joints, thing, matrix, around=False):
-            shades[thing.name] = None
+            (shades if set(own) == {PANE} else parts)[thing.name] = None
     for names, text in (
         (panes, rpt_("{name}: no hand is seen through it; move it out of the camera's way")),
         (volumes, rpt_("{name}: a volume does not dim hands; add mist in the compositor")),
-        (shades, rpt_("{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility")),
+        (shades, rpt_("{name}: seen through, but shades hands as a whole; turn off Shadow in its Ray Visibility")),
+        (parts, rpt_("{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility")),
     ):
         if names:
             yield text.format(name=", ".join([*names][:_NAMED]) + ", …" * (len(names) > _NAMED))

@@ -100,7 +100,9 @@ def test_a_pane_between_lamp_and_hand_is_named_where_it_shades_as_a_whole(scene)
     scene.jghand.light = "CAPTURE"
     assert "shades hands" not in told()
     scene.jghand.light = "SCENE"
-    assert "Plane: its panes shade hands" in told()
+    assert "Plane: seen through, but shades hands as a whole; turn off Shadow" in told()
+    pane.data.materials.append(material("ShaderNodeBsdfDiffuse"))  # a frame
+    assert "Plane: its panes shade hands; separate them" in told()
     pane.visible_shadow = False
     assert "shades hands" not in told()
 
