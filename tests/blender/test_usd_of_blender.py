@@ -85,7 +85,8 @@ from jghand_engine.export.usd.check import check_usd
 folder = Path({folder!r})
 truth = np.load(folder / "truth.npz")["points"]
 assert [str(one) for one in check_usd(folder / "splats.usdc") if one.is_error] == []
-splats = Usd.Stage.Open(str(folder / "splats.usdc")).GetPrimAtPath("/Splats")
+stage = Usd.Stage.Open(str(folder / "splats.usdc"))  # a prim does not keep its stage alive
+splats = stage.GetPrimAtPath("/Splats")
 read = [np.array(splats.GetAttribute("positions").Get(frame), np.float64) for frame in range(5)]
 assert np.array_equal(np.stack(read), truth)
 print("sound")
