@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.captures.capture_folder import FOREARM
+from jghand_engine.captures.capture_folder import FOREARM, PLAN_FILE
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, PlannedCamera, plan_cameras
 from jghand_engine.captures.making.close_ups import plan_close_ups
@@ -55,7 +55,7 @@ EVERY_CAMERA = 6
 EVERY_CLOSE_UP = 7
 
 FORMAT = 1
-FOLDER = "plan"
+FOLDER = PLAN_FILE.parent
 # waiting for another process that is just writing the plan, seconds: it needs some on a slow disk
 LOCK_WAIT_S = 30.0
 # of hands.npz unpacked: 100 MB are the rig in as many poses as there may be, 40 MB the finest mesh's faces
@@ -108,7 +108,7 @@ class CapturePlan:
     @property
     def hand_vertices_m(self) -> np.ndarray:
         """(P, V, 3) of the hand alone, without its forearm."""
-        return self.vertices_m[:, : len(load_fields()["base_index"])] if self.render.get(FOREARM) else self.vertices_m
+        return _of_hand(self.vertices_m, forearm=bool(self.render.get(FOREARM)))
 
     @cached_property
     def record(self) -> RecordedHand:
@@ -172,6 +172,8 @@ class CapturePlan:
         chosen = {whole[int((k + 0.5) * len(whole) / tests)] for k in range(tests)}
         chosen.update(close_ups[EVERY_CLOSE_UP // 2 :: EVERY_CLOSE_UP])
         test_frames = frames[EVERY_POSE - 1 :: EVERY_POSE]
+        # the camera of a close-up sees one pose: where that is not learned, neither is the camera
+        chosen.update(name for name, planned in zip(names, self.cameras, strict=True) if planned.pose in test_frames)
         split = {
             "format": SPLITS_FORMAT, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)
         }  # fmt: skip
@@ -198,8 +200,7 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
-    hand_vertices_m = vertices_m[:, : hand.identity.hand_vertex_count] if forearm else vertices_m
-    cameras = plan_cameras(camera_plan, hand_vertices_m)
+    cameras = plan_cameras(camera_plan, _of_hand(vertices_m, forearm=forearm))
     samples = options.sampling.samples
     cameras += plan_close_ups(hand.identity, vertices_m, options.close_ups, options.seed, samples)
     faces, face_uv, person = hand.identity.faces, hand.identity.face_uv, None
@@ -233,6 +234,11 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     seen_by = [plan.cameras_of(pose) for pose in range(len(names))]
     lights = plan_lights(options.light, plan.hand_vertices_m, seen_by, tests, options.seed)
     return dataclasses.replace(plan, files={**plan.files, LIGHTS_FILE: lights_bytes(lights)})
+
+
+def _of_hand(vertices_m: np.ndarray, *, forearm: bool) -> np.ndarray:
+    """(P, V, 3) of the hand alone. forearm: whether vertices of one come after it"""
+    return vertices_m[:, : len(load_fields()["base_index"])] if forearm else vertices_m
 
 
 def _picture_skin(picture: Path, options: CaptureOptions) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -305,7 +311,7 @@ def write_plan(folder: Path, plan: CapturePlan, mesh: Path | None) -> None:
         "format": FORMAT, "options": plan.description, "render": plan.render, "poses": list(plan.pose_names),
         "cameras": [_camera_json(camera) for camera in plan.cameras],
     }  # fmt: skip
-    _write(folder / FOLDER / "plan.json", (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+    _write(folder / PLAN_FILE, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = None) -> None:
@@ -326,7 +332,7 @@ def shard_locked(folder: Path, shard: tuple[int, int]) -> contextlib.AbstractCon
 
 def read_plan(folder: Path) -> CapturePlan | None:
     """The plan that a folder was begun with, None when there is none. InputError for one that is damaged."""
-    file = folder / FOLDER / "plan.json"
+    file = folder / PLAN_FILE
     thing = f"the plan of the capture {folder}"
     remedy = "Choose another folder, or remove this one."
     try:

@@ -71,8 +71,6 @@ class Identity:
     joints25_m: (25, 3)
     weights25:  (V, 25) of the joints, rows sum to 1
     skin_face_count: number of skin faces, which come first
-    hand_vertex_count: how many vertices, the first ones, are the hand's skin: all others are of the forearm or of what
-                closes it
     """
 
     name: str
@@ -82,7 +80,6 @@ class Identity:
     joints25_m: np.ndarray
     weights25: np.ndarray
     skin_face_count: int
-    hand_vertex_count: int
 
     @property
     def joints_m(self) -> np.ndarray:
@@ -141,7 +138,6 @@ def load_identity(wanted: str, *, forearm: bool = False) -> Identity:
         joints25_m=joints25_m,
         weights25=weights,
         skin_face_count=int(rig["n_skin_faces"]),
-        hand_vertex_count=skin,
     )
 
 

@@ -129,9 +129,15 @@ def test_the_split_keeps_poses_and_cameras_of_both_sizes_for_the_test(made):
     assert len(cameras) == 5 + 4
     assert all(s.frame not in frames for s in split.novel_pose)
     assert all(s.frame in frames and s.camera_name not in cameras for s in split.novel_view)
-    assert (len(split.train), len(split.novel_pose), len(split.novel_view), len(split.novel_both)) == (29, 6, 6, 1)
-    for held_out in (split.novel_pose, split.novel_view):
+    assert (len(split.train), len(split.novel_pose), len(split.novel_view), len(split.novel_both)) == (29, 5, 6, 2)
+    for held_out in (split.novel_view, split.novel_both):
         assert {sample.camera.width for sample in held_out} == {32, CLOSE_PX}
+
+
+def test_a_close_up_of_a_new_pose_is_of_a_new_camera_too(made):
+    split = split_capture(open_capture(made))
+    learned = {sample.camera_name for sample in split.train}
+    assert all(sample.camera_name in learned for sample in split.novel_pose)
 
 
 def test_a_capture_of_an_older_jghand_whose_close_ups_saw_every_pose_is_gone_on_with(tmp_path, capsys):

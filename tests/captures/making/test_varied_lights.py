@@ -107,9 +107,10 @@ def test_held_out_lights_are_never_learned_from(made):
 def test_the_same_capture_planned_again_has_the_same_lights_and_stamps(made):
     plan = read_plan(made)
     assert plan is not None
-    tests = {4}, {"400003", "400009"}
+    tests = {4}, {"400003", "400009", "400010"}
     seen_by = [plan.cameras_of(pose) for pose in range(6)]
-    assert (plan.split()["test_frames"], plan.split()["test_cameras"]) == ({"ROM_JGHAND": [4]}, ["400003", "400009"])
+    split = plan.split()
+    assert (set(split["test_frames"]["ROM_JGHAND"]), set(split["test_cameras"])) == tests
 
     def planned(seed: int) -> bytes:
         return lights_bytes(plan_lights(VariedLight(), plan.vertices_m, seen_by, tests, seed))
