@@ -164,7 +164,7 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         name="Cameras", description="Views of every pose", default=16, min=1, soft_max=64, max=256
     )
     poses: bpy.props.IntProperty(
-        name="Poses", description="How many poses are made up", default=60, min=1, soft_max=500, max=100000
+        name="Poses", description="How many poses are made up", default=25, min=1, soft_max=500, max=100000
     )
     use_motion: bpy.props.BoolProperty(
         name="Poses of Active Hand",

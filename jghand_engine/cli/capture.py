@@ -33,8 +33,8 @@ Examples:
 
 # seconds between two lines of progress where no terminal shows a bar
 _LINE_EVERY_S = 60.0
-# how often the mesh is made finer. A person's folds, veins and tendons need edges of 0.6 mm; under a picture of skin
-# the outline alone gains, and 334 x 512 shows no more of it
+# how often the mesh is made finer. A person's folds, veins and tendons need edges of 0.6 mm; under a picture of skin,
+# whose relief is in the picture, the outline alone gains
 _SUBDIVISIONS, _SUBDIVISIONS_OF_PICTURE = 3, 1
 _OneNumber = tyro.conf.arg(metavar="NUMBER")
 
@@ -67,7 +67,7 @@ class Capture:
     )
     """How many of these see a part of the hand: palm, knuckles, tips and nails by turns, in every pose from another
     side. Always 384x384 pixels of 0.18 mm, with 32 rays or more."""
-    poses: Annotated[int, _OneNumber] = 60
+    poses: Annotated[int, _OneNumber] = 25
     """How many."""
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "501x768"
     """Pixels of the pictures of the whole hand."""

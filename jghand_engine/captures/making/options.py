@@ -99,7 +99,7 @@ class CaptureOptions:
     identity: str
     cameras: int = 16
     close_ups: int = 4
-    poses: int = 60
+    poses: int = 25
     width: int = 501
     height: int = 768
     skin: Person | Path = field(default_factory=Person)
