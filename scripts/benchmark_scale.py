@@ -197,8 +197,7 @@ def capturing(folders: Sequence[Path], poses: int) -> Cost:
         )
         for folder in folders
     ]
-    said = "jghand capture --subdivisions 2 --samples 16"
-    return difference("picture of a capture, 334x512", "one process", pairs, 4 * poses, said)
+    return difference("picture of a capture, 334x512", "one process", pairs, 4 * poses, " ".join(["jghand", *words]))
 
 
 def training(folders: Sequence[Path], capture: Path, steps: int) -> Cost:
