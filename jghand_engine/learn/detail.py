@@ -9,8 +9,9 @@ That a texel slides on a person's skin does not matter, as long as it stays on t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -74,6 +75,10 @@ UV_STEPS = 65535
 AREA_MIN_PX2 = 1e-6
 # bytes of them
 PLACES_CACHE_BYTES = 1_000_000_000
+
+
+# (H, W, 3) of a camera, of alpha (H, W) and the sum of depth (H, W) of the Gaussians that it sees
+Ratio = Callable[[Camera, Tensor, Tensor], Tensor]
 
 
 class Surface:
@@ -269,22 +274,26 @@ class DetailLearner(nn.Module):
             levels.append(functional.avg_pool2d(levels[-1], 2))
         return levels
 
-    def ratio(
-        self, mips: Sequence[Tensor], joints_m: np.ndarray, camera: Camera, alpha: Tensor, depth_sum: Tensor
-    ) -> Tensor:
-        """(H, W, 3) by which the renderer multiplies colors. alpha, depth_sum: (H, W) of the Gaussians"""
-        key = (joints_m.tobytes(), camera.camera_from_world.tobytes(), camera.width, camera.height, camera.fx)
-        places = self._places.get(key, lambda: self._placed(joints_m, camera))
-        log_ratio = _looked_up(mips, places.uv.float() / UV_STEPS, places.level)
-        alpha, depth_sum = alpha.detach().reshape(-1)[places.pixel], depth_sum.detach().reshape(-1)[places.pixel]
-        scale = self._surface.skeleton.bones(joints_m).scale
-        apart = depth_sum / alpha.clamp_min(ALPHA_FROM) - places.depth_m - scale * float(self.depth_m)
-        apart = apart.abs() / places.graze
-        weight = _smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - _smooth(apart, scale * FADE_FROM_M, scale * FADE_TO_M))
-        ratio = torch.ones(camera.height * camera.width, 3)
-        return ratio.index_copy(0, places.pixel.long(), (weight[:, None] * log_ratio).exp()).reshape(
-            camera.height, camera.width, 3
-        )
+    def ratios(self, joints_m: np.ndarray, cameras: Sequence[Camera]) -> Ratio:
+        """What the renderer multiplies colors by in pictures of one pose; looked up in one go, since the gradient of a
+        texture is as large as the texture."""
+        each = [self._places.get(_key(joints_m, camera), partial(self._placed, joints_m, camera)) for camera in cameras]
+        uv, level = (torch.cat([getattr(one, name) for one in each]) for name in ("uv", "level"))
+        values = _looked_up(self.mips(), uv.float() / UV_STEPS, level).split([len(one.pixel) for one in each])
+        of = dict(zip(map(id, cameras), zip(each, values, strict=True), strict=True))
+        scale, depth_m = self._surface.skeleton.bones(joints_m).scale, float(self.depth_m)
+
+        def ratio(camera: Camera, alpha: Tensor, depth_sum: Tensor) -> Tensor:
+            places, log_ratio = of[id(camera)]
+            alpha, depth_sum = (plane.detach().reshape(-1)[places.pixel] for plane in (alpha, depth_sum))
+            apart = depth_sum / alpha.clamp_min(ALPHA_FROM) - places.depth_m - scale * depth_m
+            fade = _smooth(apart.abs() / places.graze, scale * FADE_FROM_M, scale * FADE_TO_M)
+            weight = _smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - fade)
+            whole = torch.ones(camera.height * camera.width, 3)
+            whole = whole.index_copy(0, places.pixel.long(), (weight[:, None] * log_ratio).exp())
+            return whole.reshape(camera.height, camera.width, 3)
+
+        return ratio
 
     def _placed(self, joints_m: np.ndarray, camera: Camera) -> _Places:
         surface = self._surface
@@ -329,12 +338,22 @@ class DetailLearner(nn.Module):
         )
 
 
+def _key(joints_m: np.ndarray, camera: Camera) -> tuple:
+    """What decides where a picture's pixels are in the texture."""
+    inside = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return (joints_m.tobytes(), camera.camera_from_world.tobytes(), *inside)
+
+
 def _looked_up(mips: Sequence[Tensor], uv: Tensor, level: Tensor) -> Tensor:
     """(N, 3) of the texture at (N, 2), bilinear in two levels and linear between them."""
-    grid = torch.stack([2 * uv[:, 0] - 1, 1 - 2 * uv[:, 1]], -1)[None, None]
-    each = [functional.grid_sample(mip, grid, padding_mode="border", align_corners=False)[0, :, 0].T for mip in mips]
-    weight = [(1 - (level - number).abs()).clamp_min(0)[:, None] for number in range(len(mips))]
-    return torch.stack([one * by for one, by in zip(each, weight, strict=True)]).sum(0)
+    grid = torch.stack([2 * uv[:, 0] - 1, 1 - 2 * uv[:, 1]], -1)
+    total = torch.zeros(len(uv), 3)
+    for number, mip in enumerate(mips):
+        weight = (1 - (level - number).abs()).clamp_min(0)
+        (there,) = torch.nonzero(weight, as_tuple=True)
+        values = functional.grid_sample(mip, grid[there][None, None], padding_mode="border", align_corners=False)
+        total = total.index_add(0, there, values[0, :, 0].T * weight[there, None])
+    return total
 
 
 def _grazes(corners_m: np.ndarray, camera: Camera, y: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -10,9 +10,8 @@ copied.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from jghand_engine.hand.skeleton import Skeleton, Transform
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen
-from jghand_engine.learn.detail import PIXEL_MAX_M, DetailLearner
+from jghand_engine.learn.detail import PIXEL_MAX_M, DetailLearner, Ratio
 from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.known_light import LitHand, Pose, trained_on
 from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss, tone_loss
@@ -60,14 +59,13 @@ from jghand_engine.template.mesh import HandTemplate
 ADAM_EPS = 1e-15
 # ... and of what a pose needs of the bones, bytes; 3.5 MB each at 40,000 Gaussians
 POSE_CACHE_BYTES = 2_000_000_000
-# of the mean square of a texel's gradients, what a step keeps: texels are seen once in some hundred steps
+# of the mean square of a texel's gradients, what a step keeps: texels are seen once in some hundred steps. There is no
+# momentum, so that one that is not seen does not move
 TEXTURE_MEMORY = 0.99
 # visibility below which the shadow is black: its power with the learned gain has a finite gradient
 VISIBILITY_MIN = 1e-3
 
 CPU = torch.device("cpu")
-# (H, W, 3) of a camera, of alpha (H, W) and the sum of depth (H, W): see `DetailLearner.ratio`
-_Ratio = Callable[[Camera, Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,9 @@ class HandTraining:
         self._optimizer = self._new_optimizer()
         self._detail = self._new_detail()
         if self._detail is not None:
-            self._texture_optimizer = torch.optim.RMSprop([self._detail.texture], alpha=TEXTURE_MEMORY, eps=ADAM_EPS)
+            self._texture_optimizer = torch.optim.Adam(
+                [self._detail.texture], betas=(0.0, TEXTURE_MEMORY), eps=ADAM_EPS, fused=self._fast
+            )
         self._steps = 1
         self._count = 0
         # of the training that is over, for what is shown and baked: as much of the encoding as has been learned
@@ -227,7 +227,7 @@ class HandTraining:
         if self._detail is not None:
             state = self._texture_state()
             named |= {f"detail.{name}": tensor for name, tensor in self._detail.state_dict().items()}
-            named |= {f"detail.texture.{moment}": state[moment] for moment in ("square_avg", "step")}
+            named |= {f"detail.texture.{moment}": state[moment] for moment in ("exp_avg_sq", "step")}
         return named
 
     def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
@@ -315,11 +315,11 @@ class HandTraining:
         if self._detail is not None and start is not None and part >= start and not self._detail.is_found:
             self._detail.find(self.avatar(), self._material.train, self._pictures)
 
-    def _detail_of(self, sample: Sample) -> _Ratio | None:
-        """What multiplies the colors of a picture of that pose."""
+    def _detail_of(self, sample: Sample, views: Sequence[View]) -> Ratio | None:
+        """What multiplies the colors of these pictures of that pose."""
         if self._detail is None or not self._detail.is_found:
             return None
-        return partial(self._detail.ratio, self._detail.mips(), sample.joints_m)
+        return self._detail.ratios(sample.joints_m, [view.camera for view in views])
 
     def _set_rates(self, number: int, part: float) -> None:
         schedule = self.options.schedule
@@ -339,7 +339,7 @@ class HandTraining:
         posed = self._posed_bones(sample)
         skin, correction = self._pose(avatar, posed, part, read)
         terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
-        detail = self._detail_of(sample)
+        detail = self._detail_of(sample, views)
         for view in views:
             rgb, alpha = self._draw_in_light(avatar, skin, posed, view, detail)
             terms["l1"].append(weights.l1 * l1_loss(rgb, view.rgb))
@@ -389,7 +389,7 @@ class HandTraining:
         return 0.5 - 0.5 * torch.cos(torch.pi * (progress - self._octave).clamp(0, 1))
 
     def _draw_in_light(
-        self, avatar: HandTensors, skin: PosedSkin, posed: _PosedBones, view: View, detail: _Ratio | None = None
+        self, avatar: HandTensors, skin: PosedSkin, posed: _PosedBones, view: View, detail: Ratio | None = None
     ) -> tuple[Tensor, Tensor]:
         """As `_draw_view`; in known light as `View.rgb` has it. detail: see `_detail_of`"""
         if self._relit is None or view.lit is None:
@@ -401,7 +401,7 @@ class HandTraining:
         return tone(view.lit.exposure * _with_detail(picture, view.camera, detail)), picture.alpha
 
     def _draw_view(
-        self, avatar: HandTensors, skin: PosedSkin, shadow: float, camera: Camera, detail: _Ratio | None = None
+        self, avatar: HandTensors, skin: PosedSkin, shadow: float, camera: Camera, detail: Ratio | None = None
     ) -> tuple[Tensor, Tensor]:
         """Color (H, W, 3) and alpha (H, W) of one view, with gradients."""
         gaussians = mapped(seen_from(skin, torch.from_numpy(camera.eye_m), avatar), Tensor.cpu)
@@ -440,7 +440,7 @@ class HandTraining:
             view, avatar = self._pictures.view(sample), self._live()
             posed = self._posed_bones(sample)
             skin, _ = self._pose(avatar, posed, self._part)
-            rgb, _ = self._draw_in_light(avatar, skin, posed, view, self._detail_of(sample))
+            rgb, _ = self._draw_in_light(avatar, skin, posed, view, self._detail_of(sample, [view]))
             return replace(view, rgb=view.rgb.clamp(0, 1)), rgb.clamp(0, 1)
 
     def _joints_m(self) -> Tensor:
@@ -453,24 +453,23 @@ class HandTraining:
         return float((joints_m[18] - joints_m[0]).norm())
 
     def _texture_state(self) -> dict[str, Tensor]:
-        """RMSprop's moments of the texture; zeros before its first step, as RMSprop itself would begin."""
+        """As `_state_of`, of the texture."""
         assert self._detail is not None
-        texture = self._detail.texture
-        state = self._texture_optimizer.state[texture]
-        if not state:
-            state["step"], state["square_avg"] = torch.zeros(()), torch.zeros_like(texture)
-        return state
+        return self._started(self._texture_optimizer, self._detail.texture)
 
     def _state_of(self, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
         """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
-        state = self._optimizer.state[parameter]
+        return self._started(self._optimizer, parameter)
+
+    def _started(self, optimizer: torch.optim.Adam, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
+        state = optimizer.state[parameter]
         if not state:
             state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         return state
 
 
-def _with_detail(picture: Picture, camera: Camera, detail: _Ratio | None) -> Tensor:
+def _with_detail(picture: Picture, camera: Camera, detail: Ratio | None) -> Tensor:
     """(H, W, 3) the colors of a picture, multiplied by detail."""
     return picture.rgb if detail is None else picture.rgb * detail(camera, picture.alpha, picture.depth_sum)
 

@@ -104,7 +104,7 @@ def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness, eye_m
     below_m[places.pixel.numpy()] = DEPTH_M * places.graze.numpy()
     seen_m = np.where(alpha > 0, surface_m, 0) + below_m.reshape(alpha.shape)
     planes = np.stack([*(3 * [alpha]), alpha, seen_m]).astype(np.float32)
-    ours = learner.ratio(learner.mips(), joints_m, camera, *(torch.from_numpy(plane.copy()) for plane in planes[3:]))
+    ours = learner.ratios(joints_m, [camera])(camera, *(torch.from_numpy(plane.copy()) for plane in planes[3:]))
     drawn = learner.detail()
     assert drawn is not None
     assert np.abs(log_ratios(drawn.texture) - learner.texture.detach().permute(1, 2, 0).numpy()).max() < 0.003
