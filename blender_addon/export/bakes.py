@@ -196,20 +196,46 @@ def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
 # ---- the object that plays -------------------------------------------------------------------------------------------
 
 
-def play(context: bpy.types.Context, folder: Path) -> None:
+def play(context: bpy.types.Context, folder: Path, released: Sequence[tuple[str, bpy.types.Object]] = ()) -> None:
     """Brings all hands of a bake into the scene, as objects that play; what was active and selected stays so.
 
-    JGHandFailure: no_usd, no_bake.
+    released: what `release` returned. Each plays the hand of its name again, or the one hand where it was the one;
+    else it goes. JGHandFailure: no_usd, no_bake.
     """
     if not versions.has_usd():
         raise JGHandFailure("no_usd")
     layer = context.view_layer.objects
     active, selected = layer.active, list(layer.selected)
-    for hand in read_bake(folder):
-        _play_hand(context, hand, folder).select_set(False)
-    for thing in selected:
+    hands, names = read_bake(folder), {name for name, _ in released}
+    renamed = len(hands) == len(names) == 1
+    for hand in hands:
+        cloud = _play_hand(context, hand, folder)
+        cloud.select_set(False)
+        again = [thing for name, thing in released if renamed or name == hand.name]
+        for thing in again:
+            _take_over(thing, cloud)
+        if again:
+            bpy.data.objects.remove(cloud)
+    known = names if renamed else {hand.name for hand in hands}
+    gone = [thing for name, thing in released if name not in known]
+    for thing in (each for each in selected if each not in gone):
         thing.select_set(True)
-    layer.active = active
+    layer.active = None if active in gone else active
+    _remove(gone)
+
+
+def _take_over(thing: bpy.types.Object, cloud: bpy.types.Object) -> None:
+    """Has a released object play what a new one does, with its own materials."""
+    before, thing[BAKE_PROPERTY] = thing.data, cloud[BAKE_PROPERTY]
+    for own, new in zip(_caches(thing), _caches(cloud), strict=False):
+        own.cache_file, own.object_path = new.cache_file, new.object_path
+    cloud.data.materials.clear()
+    for material in before.materials:
+        cloud.data.materials.append(material)
+    thing.data, name = cloud.data, before.name
+    if not before.users:
+        bpy.data.batch_remove([before])
+        thing.data.name = name
 
 
 def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types.Object:
@@ -236,21 +262,39 @@ def _play_hand(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy
     return cloud
 
 
-def stop(context: bpy.types.Context, folder: Path) -> bool:
-    """Takes the objects that play a bake out of the scene; returns whether there were any.
+def release(context: bpy.types.Context, folder: Path) -> list[tuple[str, bpy.types.Object]]:
+    """Has what plays a bake let go of its files, and returns it, each with the name of its hand: USD keeps a file that
+    is open as it was read, and a new bake would not be seen. `play` lets these objects play again, with all that an
+    artist did to them."""
+    released = []
+    for thing in playing(context.scene, folder):
+        name = ""
+        for modifier in _caches(thing):
+            name = Path(modifier.cache_file.filepath).stem if modifier.cache_file is not None else name
+            modifier.cache_file = None
+        released.append((name, thing))
+    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
+    if released:
+        context.view_layer.update()
+    return released
 
-    Their cache goes with them: USD keeps a file that is open as it was read, and a new bake would not be seen.
-    """
-    old = playing(context.scene, folder)
-    for thing in old:
+
+def stop(context: bpy.types.Context, folder: Path) -> None:
+    """Takes the objects that play a bake out of the scene."""
+    _remove([thing for _, thing in release(context, folder)])
+
+
+def _remove(things: Sequence[bpy.types.Object]) -> None:
+    """Takes objects that played out of the file, and their points."""
+    for thing in things:
         cloud = thing.data
         bpy.data.objects.remove(thing)
         if not cloud.users:
             bpy.data.batch_remove([cloud])
-    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
-    if old:
-        context.view_layer.update()
-    return bool(old)
+
+
+def _caches(thing: bpy.types.Object) -> list[bpy.types.Modifier]:
+    return [modifier for modifier in thing.modifiers if modifier.type == "MESH_SEQUENCE_CACHE"]
 
 
 def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:

@@ -254,18 +254,18 @@ def _finish(made: Sequence[_NewBake]) -> None:
             thing = next((thing for thing in bpy.data.objects if thing.session_uid == bake.uid), None)
             has_bake = thing is not None and bool(thing.jghand.bake)
             before = {bake.folder, bakes.folder_of(thing)} if has_bake else {bake.folder}
-            played = [folder for folder in before if bakes.stop(context, folder)]  # files that are open stay as read
+            played = {folder: things for folder in before if (things := bakes.release(context, folder))}
             try:
                 bakes.put_in_place(bake.made, bake.folder, bake.recordings)
             except JGHandFailure:
-                for folder in played:
+                for folder, things in played.items():
                     with contextlib.suppress(JGHandFailure):  # no half of a bake plays
-                        bakes.play(context, folder)
+                        bakes.play(context, folder, things)
                 raise
             if thing is not None and thing.is_editable:
                 thing.jghand.bake = folders.beside_the_file(context, bake.folder)
             if played:
-                bakes.play(context, bake.folder)
+                bakes.play(context, bake.folder, [each for things in played.values() for each in things])
 
 
 def _clean(made: Sequence[_NewBake]) -> None:

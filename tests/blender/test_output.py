@@ -311,6 +311,9 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     context.scene.frame_set(3)
     (played,) = bakes.playing(context.scene, folder)
     before = cloud_positions(context, played)
+    played.name, played.pass_index, played.parent = "Mine", 7, bpy.data.objects.new("parent", None)
+    played.data.materials[0] = bpy.data.materials.new("My Skin")
+    played.modifiers.new("Mine", "NODES")
     hand.location.x += 0.25
     context.view_layer.update()
     assert bpy.ops.jghand.bake() == {"FINISHED"}
@@ -319,6 +322,9 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     after = cloud_positions(context, cloud)
     assert np.abs(after - before - [0.25, 0, 0]).max() < 1e-5
     assert len(bpy.data.cache_files) == len(bpy.data.pointclouds) == 1
+    assert (cloud, cloud.name, cloud.pass_index, cloud.parent) == (played, "Mine", 7, bpy.data.objects["parent"])
+    assert [material.name for material in cloud.data.materials] == ["My Skin"]
+    assert [modifier.type for modifier in cloud.modifiers] == ["MESH_SEQUENCE_CACHE", "NODES"]
 
 
 def test_the_panel_says_what_is_baked_and_that_what_plays_is_stale(baked):
