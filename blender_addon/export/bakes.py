@@ -29,7 +29,7 @@ from ..errors import JGHandFailure
 from ..hand import sources
 from ..hand.motion_files import read_motion
 from ..hand.seen_hands import avatar_of
-from .recording import Recording, avatar_digest, check_made
+from .recording import NO_FOREARM, Recording, avatar_digest, check_made
 
 STAMP = "bake.json"
 _FORMAT, _VERSION = "jghand bake", 1
@@ -94,7 +94,7 @@ def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> N
             BakedHand(
                 name=recording.name,
                 handedness=recording.handedness,
-                avatar=avatar_digest(recording.avatar),
+                avatar=avatar_digest(recording.avatar, forearm=recording.forearm),
                 joints_sha256=recording.digest,
                 first_frame=recording.first_frame,
                 frames=len(recording.joints_m),
@@ -162,10 +162,12 @@ def stale_now(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, hands: Se
     """
     folder, frame = folder_of(thing), depsgraph.scene.frame_current_final
     now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
+    avatar = avatar_digest(avatar_of(thing), forearm=thing.jghand.forearm)
     reasons = []
     for hand in hands:
-        if avatar_digest(avatar_of(thing)) != hand.avatar:
-            reasons.append("the avatar is another one")
+        if avatar != hand.avatar:
+            is_same = avatar.removesuffix(NO_FOREARM) == hand.avatar.removesuffix(NO_FOREARM)
+            reasons.append("Forearm was switched" if is_same else "the avatar is another one")
         if hand.handedness in now and _moved_at(hand, folder, frame, now[hand.handedness]):
             reasons.append("the hand moves in another way")
     return list(dict.fromkeys(reasons))

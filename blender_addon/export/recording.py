@@ -21,6 +21,7 @@ import numpy as np
 from ..core.panel_text import Translate
 from ..core.view import SHIPPED_AVATARS
 from ..errors import JGHandFailure
+from ..hand import avatar_files
 from ..hand.motion_files import MotionFile, write_motion
 
 # names that Windows keeps for devices, whatever follows after a dot
@@ -30,6 +31,8 @@ _PLY_BYTES = 68
 _POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
 # what a USD stage holds beside its samples: skeleton and mesh, and of every Gaussian what does not move (measured)
 _STATIC_BYTES, _STATIC_GAUSSIAN_BYTES = 300_000, 98
+# how the digest of an avatar ends whose forearm is left out
+NO_FOREARM = " no forearm"
 
 
 # what suits a program: the variant that is shown first, and the size of points; a test compares it with the engine's
@@ -132,13 +135,15 @@ def file_names(names: Sequence[str]) -> list[str]:
     return result
 
 
-def avatar_digest(avatar: str) -> str:
-    """What tells avatars apart: SHA-256 of a file, the name of one that the engine brings along."""
+def avatar_digest(avatar: str, *, forearm: bool = True) -> str:
+    """What tells avatars apart: SHA-256 of a file, the name of one that the engine brings along; and whether a forearm
+    is left out that it has."""
+    left_out = NO_FOREARM if not forearm and avatar_files.has_forearm(avatar) else ""
     path = Path(avatar)
     if avatar in SHIPPED_AVATARS or not path.is_file():
-        return avatar
+        return avatar + left_out
     about = path.stat()
-    return _file_digest(path, about.st_mtime_ns, about.st_size)
+    return _file_digest(path, about.st_mtime_ns, about.st_size) + left_out
 
 
 @functools.lru_cache(maxsize=32)

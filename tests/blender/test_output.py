@@ -20,7 +20,7 @@ from recording_layout import draw
 import blender_addon
 from blender_addon import folders, ui
 from blender_addon.errors import JGHandFailure
-from blender_addon.export import bakes, ops_common, usd_hook
+from blender_addon.export import bakes, ops_common, recording, usd_hook
 from blender_addon.export import panel as output
 from blender_addon.export.ops import Bake, Export, ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
@@ -301,6 +301,23 @@ def test_a_bake_of_another_pose_or_avatar_says_so_where_it_is_played(baked, capf
     assert bpy.ops.jghand.clear_bake() == {"FINISHED"}
     assert not [thing for thing in context.scene.objects if thing.type == "POINTCLOUD"]
     assert hand.jghand.show_in_viewport
+
+
+def test_a_bake_knows_whether_it_has_the_forearm_that_the_hand_shows(baked, monkeypatch):
+    context, hand, _ = baked
+
+    def reasons() -> list[str]:
+        folder = bakes.folder_of(hand)
+        return bakes.stale_now(hand, context.evaluated_depsgraph_get(), bakes.read_bake(folder))
+
+    hand.jghand.forearm = False
+    assert not reasons(), "its avatar has none"
+    monkeypatch.setattr(recording.avatar_files, "has_forearm", lambda avatar: True)
+    assert reasons() == ["Forearm was switched"]
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    assert not reasons()
+    hand.jghand.forearm = True
+    assert reasons() == ["Forearm was switched"]
 
 
 def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
