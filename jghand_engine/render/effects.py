@@ -58,8 +58,6 @@ SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1
 MAP_MS, SHADOW_MS = 1e-6, 3e-7
 # ... of detail, per face and per pixel
 FACE_MS, TEXEL_MS = 1e-4, 2e-5
-# skin is nearer to a camera than the nearest joint by this much, at most, meters on the canonical hand
-SKIN_BEFORE_JOINTS_M = 0.02
 
 
 def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
@@ -254,12 +252,14 @@ def plan_detail(
         return (), Decision(Effect.DETAIL, False, "no hand has a texture of it")
     seen, spans, cost = [], [], 0.0
     for hand, bones, (pixels, depth) in zip(hands, scene.bones, scene.seen_joints, strict=True):
-        detail, nearest_m = hand.avatar.detail, float(depth.min())
+        detail = hand.avatar.detail
         if detail is None:
             seen.append(0.0)
             continue
-        # skin may be nearer than its joints; from within the hand it is seen at any size
-        nearest_m = nearest_m - SKIN_BEFORE_JOINTS_M * bones.scale
+        # of the boxes in which the skin is, a forearm's behind the wrist too; from within them it is seen at any size
+        forward = scene.camera.camera_from_world[2]
+        depth_m = (hand.corners_m(bones.linear_offset) + bones.root_m) @ forward[:3] + forward[3]
+        nearest_m = float(depth_m.min(initial=math.inf)) - sum(hand.reach_m(bones, settings.alpha_min))
         size = bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
         spans.append(detail.texels_per_m / max(size, 1e-9))
         seen.append(math.expm1(hand.detail_power * detail.strongest(spans[-1])))

@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from detail_reference import levels_of, ratios
-from detail_samples import detailed, flat, noise
+from detail_samples import detail_of, detailed, flat, noise
 from small_avatars import known_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.avatar.detail_mips import skin_texels
 from jghand_engine.avatar.relighting import detail_power
@@ -27,6 +28,7 @@ from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.effects import DETAIL_UNSEEN
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
+from jghand_engine.template.builtin import load_template_with_forearm
 
 PLAIN = RenderSettings(shadow=ShadowMode.OFF, antialias=False, threads=2)
 WITHOUT = replace(PLAIN, effects=Choice.parse("motion-blur,depth-of-field"))
@@ -240,6 +242,23 @@ def test_detail_fades_out_with_the_size_of_the_hand():
     assert strengths[-1] == 0
     assert any(0 < strength < 1 for strength in strengths)
     assert (np.diff(strengths) <= 1e-9).all()
+
+
+def test_what_is_left_out_is_bounded_from_the_nearest_skin_which_may_be_the_end_of_a_forearm():
+    arm, bare = load_template_with_forearm(), load_painted(handedness=Handedness.RIGHT)
+    avatar = replace(
+        bare.prefix(len(arm.vertices_m)), position_m=arm.vertices_m.astype(np.float32),
+        bone_weights=arm.bone_weights.astype(np.float32), detail=detail_of(noise(256)),
+    )  # fmt: skip
+    for aside in ((0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+        # the end of the forearm, a finger tip and the palm before all else
+        eye_m = 0.5 * np.array(aside)
+        seen = Camera.looking_at(tuple(eye_m), (0, 0, 0), (1, 0, 0), width=16, height=16, focal_px=20.0)
+        nearest_m = seen.project(arm.vertices_m)[1].min()
+        plan = HandRenderer(avatar, PLAIN).render(arm.joints_m, seen).report.plan
+        texels = plan[Effect.DETAIL].figures[0]
+        # not by much: of a box around the bones the corners are nearer than skin
+        assert 0.7 < texels * seen.px_per_meter(float(nearest_m)) / avatar.detail.texels_per_m <= 1
 
 
 def test_a_hand_without_a_texture_says_so():
