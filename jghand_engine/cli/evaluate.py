@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
-from jghand_engine.cli.learning import hand_template
+from jghand_engine.cli.learning import forearm_note, hand_template
 from jghand_engine.cli.options import File, PresetName
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
@@ -167,6 +167,8 @@ class Evaluate:
             tables.append(crops_table(evaluation))
         if not self.figures_only and drawn_as_learned(avatar):
             tables.append(timed_table(evaluation.name, avatar, capture, settings))
+        if note := forearm_note(capture, avatar.info.template):
+            tables[0] = replace(tables[0], notes=(*tables[0].notes, note))
         for table in tables:
             say_whole_table(table)
         return tables
@@ -195,8 +197,6 @@ def _drawer(avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> P
 
 def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Table:
     """Time per picture of the capture's size, the hand in motion through its poses, nothing read or written."""
-    from dataclasses import replace
-
     from jghand_engine.learn.tables import inference_table
     from jghand_engine.render.subject import Subject
     from jghand_engine.render.timing import frame_case, machine, measure

@@ -12,6 +12,7 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     import torch
 
+    from jghand_engine.captures.captures import Capture
     from jghand_engine.captures.splits import Split
     from jghand_engine.learn.options import TrainOptions
     from jghand_engine.learn.perceptual import PerceptualMetric
@@ -82,6 +83,18 @@ def hand_template(mano: Path | None, *, forearm: bool = False) -> HandTemplate:
     from jghand_engine.template.mano import load_mano
 
     return load_mano(mano)
+
+
+def forearm_note(capture: Capture, template: str) -> str | None:
+    """What it means that the pictures, or a hand on that template, go on behind the wrist and the other does not."""
+    from jghand_engine.avatar.forearm import FOREARM_SUFFIX
+
+    has_one = template.endswith(FOREARM_SUFFIX)
+    if capture.shows_forearm == has_one:
+        return None
+    if has_one:
+        return f"{capture.name} ends at the wrist: all of the avatar's forearm counts as an error."
+    return f"{capture.name} shows the forearm, and a hand on {template} has none: all of it counts as an error."
 
 
 def material(

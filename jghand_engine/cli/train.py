@@ -90,7 +90,7 @@ class Train:
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
         from jghand_engine.captures.splits import split_capture
-        from jghand_engine.cli.learning import device_called, hand_template, material, train_options
+        from jghand_engine.cli.learning import device_called, forearm_note, hand_template, material, train_options
         from jghand_engine.cli.machine import JsonTraining, json_lines
         from jghand_engine.learn.options import in_known_light
         from jghand_engine.learn.progress import display
@@ -110,6 +110,8 @@ class Train:
         capture = self.pictures.open(self.folder, template)
         if self.template is None:
             template = hand_template(None, forearm=capture.shows_forearm)
+        elif note := forearm_note(capture, template.identifier):
+            say(note)
         split = split_capture(capture)
         split = split.all_learned() if self.all_pictures else split
         if split.train and split.train[0].light is not None:

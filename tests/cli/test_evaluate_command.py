@@ -10,8 +10,12 @@ from command_line import run
 from picture_sets import recorded, write_set
 from PIL import Image
 
+from jghand_engine.avatar.forearm import BUILTIN_TEMPLATE
+from jghand_engine.captures.capture_folder import PLAN_FILE, open_capture
+from jghand_engine.cli.learning import forearm_note
 from jghand_engine.export.pictures import read_png
 from jghand_engine.learn import perceptual
+from jghand_engine.template.builtin import WITH_FOREARM
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +42,21 @@ def test_an_evaluation_leaves_figures_tables_and_sheets(folder, tmp_path, capsys
     names = {"best_to_worst", "novel_pose", "novel_view", "both_novel", "views", "between"}
     assert {path.stem for path in out.glob("*.png")} == names
     assert all(min(read_png(path).shape[:2]) > 200 for path in out.glob("*.png"))
+
+
+def test_a_forearm_that_pictures_show_and_an_avatar_has_not_is_told_beside_the_figures(folder, tmp_path, capsys):
+    place, out = shutil.copytree(folder, tmp_path / "arm"), tmp_path / "out"
+    words = ("--out", out, "--limit", 1, "--preset", "draft", "--figures-only")
+    (place / PLAN_FILE).parent.mkdir()
+    (place / PLAN_FILE).write_text('{"render": {"forearm": true}}')
+    assert run("evaluate", "builtin", place, *words) == 0
+    for told in (capsys.readouterr().out, (out / "tables.md").read_text(encoding="utf-8")):
+        assert "shows the forearm, and a hand on makehuman-soma-right-1 has none" in " ".join(told.split())
+    assert forearm_note(open_capture(folder), BUILTIN_TEMPLATE) is None
+    note = forearm_note(open_capture(folder), WITH_FOREARM)
+    assert note is not None
+    assert "ends at the wrist" in note
+    assert forearm_note(open_capture(place), WITH_FOREARM) is None
 
 
 def test_figures_alone_can_be_had(folder, tmp_path, capsys):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from mano_samples import mano_fields, mano_objects, python2_pickle
 
 from jghand_engine.avatar.file import load_avatar
+from jghand_engine.captures.capture_folder import PLAN_FILE
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.learn import step
@@ -80,9 +82,14 @@ def test_a_hand_is_learned_and_exported_on_the_users_own_mano(small_capture, tin
     monkeypatch.setattr(step, "place_points", place_points)
     mano, avatar, out = tmp_path / "MANO_RIGHT.pkl", tmp_path / "mine.jghand", tmp_path / "out"
     mano.write_bytes(python2_pickle(mano_objects(mano_fields())))
-    words = ["train", str(small_capture), "--out", str(avatar), "--steps", "2"]
+    folder = shutil.copytree(small_capture, tmp_path / "small")
+    (folder / "plan").mkdir()
+    (folder / PLAN_FILE).write_text('{"render": {"forearm": true}}')
+    words = ["train", str(folder), "--out", str(avatar), "--steps", "2"]
     assert main([*words, "--template", str(mano)]) == 0
-    assert f"jghand evaluate {avatar} {small_capture} --template {mano}\n" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"jghand evaluate {avatar} {folder} --template {mano}\n" in said
+    assert "shows the forearm, and a hand on mano-right-mean-manopth-projected has none" in " ".join(said.split())
     learned, template = load_avatar(avatar), load_mano(mano)
     assert learned.info.template == template.identifier == "mano-right-mean-manopth-projected"
     np.testing.assert_allclose(np.asarray(learned.canonical_joints_m), template.joints_m, atol=1e-7)
