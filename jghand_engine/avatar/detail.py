@@ -20,6 +20,8 @@ LOG_RATIO_MAX = 0.7
 NO_RATIO, RATIO_STEPS = 128, 127
 # of the surface the part whose texels are the largest, which is not looked at: slivers of the template's texture
 LARGEST_PART = 0.01
+# of the way from one level of the mips to the next, the part over which they are mixed (native/detail.cpp)
+MIX_FROM, MIX_TO = 0.25, 0.75
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,12 @@ class Detail:
         """The largest log ratio that is left of the texture where a pixel spans so many texels, or more."""
         most = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
         level = min(math.log2(max(texels_per_px, 1.0)), len(most) - 1.0)
-        # two levels are mixed on the middle half of the way between them
-        mixed = math.floor(level) + min(max(2 * (level % 1) - 0.5, 0.0), 1.0)
-        return float(np.interp(mixed, np.arange(len(most)), most))
+        return float(np.interp(mixed_level(level), np.arange(len(most)), most))
+
+
+def mixed_level(level: float | np.ndarray) -> np.ndarray:
+    """The level of the mips that is drawn for one whose texels are as large as a pixel: whole where one serves."""
+    return np.floor(level) + np.clip((level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM), 0, 1)
 
 
 def log_ratios(texels: np.ndarray) -> np.ndarray:

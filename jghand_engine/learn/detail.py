@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.detail import LOG_RATIO_MAX, NO_RATIO, Detail, ratio_bytes
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, NO_RATIO, Detail, mixed_level, ratio_bytes
 from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
@@ -67,15 +67,10 @@ SMOOTH, STILL = 0.3, 1e-3
 # ---- texture
 # levels that pictures read: of the whole hand they have pixels of two to four texels, and more where skin is steep
 MIP_LEVELS = 4
-# of the way from one level to the next, the part over which they are mixed, as the kernel does
-MIX_FROM, MIX_TO = 0.25, 0.75
-# steps of the coordinates that are kept of a picture: a thirtieth of a texel
-UV_STEPS = 65535
-# of a face that is seen edge-on, twice
+# twice the area of a face that is seen edge-on
 AREA_MIN_PX2 = 1e-6
-# bytes of them
-PLACES_CACHE_BYTES = 1_000_000_000
-
+# steps of the coordinates that are kept of a picture, a thirtieth of a texel; bytes of all that is kept
+UV_STEPS, PLACES_CACHE_BYTES = 65535, 1_000_000_000
 
 # (H, W, 3) of a camera, of alpha (H, W) and the sum of depth (H, W) of the Gaussians that it sees
 Ratio = Callable[[Camera, Tensor, Tensor], Tensor]
@@ -262,8 +257,11 @@ class DetailLearner(nn.Module):
         return bool(self.depth_m >= 0)
 
     def find(self, avatar: HandAvatar, samples: Sequence[Sample], pictures: Pictures) -> None:
-        """Puts the surface where the avatar's Gaussians are in the samples."""
+        """Puts the surface where the avatar's Gaussians are in the samples. From the template's on, as at the first
+        time: a training that goes back before this step finds it again."""
+        self._surface.height_m = np.zeros(len(self.height_m))
         depth_m = fit_surface(self._surface, beside(avatar, samples, pictures))
+        self._places, self._hits = LruCache(PLACES_CACHE_BYTES, _Places.nbytes), None
         self.height_m.copy_(torch.from_numpy(self._surface.height_m))
         self.depth_m.fill_(depth_m)
 
@@ -307,8 +305,7 @@ class DetailLearner(nn.Module):
         uv = np.einsum("nk,nki->ni", _shares(corners_m, camera, y, x), surface.face_uv[face])
         # texels that a pixel spans, the mean square of its two sides, as the renderer takes them
         spans2 = TEXELS**2 * _squared_slopes(surface.face_uv[face], camera.project(corners_m)[0]) / 2
-        level = 0.5 * np.log2(np.clip(spans2, 1, 4.0 ** (MIP_LEVELS - 1)))
-        level = np.floor(level) + np.clip((level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM), 0, 1)
+        level = mixed_level(0.5 * np.log2(np.clip(spans2, 1, 4.0 ** (MIP_LEVELS - 1))))
         return _Places(
             torch.from_numpy((y * camera.width + x).astype(np.int32)),
             torch.from_numpy(np.rint(np.clip(uv, 0, 1) * UV_STEPS).astype(np.uint16)),

@@ -225,7 +225,7 @@ class HandTraining:
             state = self._state_of(parameter)
             named |= {f"adam.{name}.{moment}": state[moment] for moment in ("exp_avg", "exp_avg_sq", "step")}
         if self._detail is not None:
-            state = self._texture_state()
+            state = self._started(self._texture_optimizer, self._detail.texture)
             named |= {f"detail.{name}": tensor for name, tensor in self._detail.state_dict().items()}
             named |= {f"detail.texture.{moment}": state[moment] for moment in ("exp_avg_sq", "step")}
         return named
@@ -452,16 +452,11 @@ class HandTraining:
         joints_m = self.hand.points.joints_m
         return float((joints_m[18] - joints_m[0]).norm())
 
-    def _texture_state(self) -> dict[str, Tensor]:
-        """As `_state_of`, of the texture."""
-        assert self._detail is not None
-        return self._started(self._texture_optimizer, self._detail.texture)
-
     def _state_of(self, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
-        """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
         return self._started(self._optimizer, parameter)
 
     def _started(self, optimizer: torch.optim.Adam, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
+        """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
         state = optimizer.state[parameter]
         if not state:
             state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")

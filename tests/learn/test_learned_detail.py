@@ -142,6 +142,20 @@ def test_a_training_that_is_resumed_has_the_same_texture(monkeypatch, tmp_path, 
         assert torch.equal(tensor, resumed.tensors()[name]), name
 
 
+def test_a_training_that_goes_back_finds_the_same_surface_again(monkeypatch, tmp_path, small_texture):
+    training = trained_for(monkeypatch, tmp_path, steps=0)
+    before = {name: tensor.clone() for name, tensor in training.tensors().items()}, training.scalars()
+    found = []
+    for _ in range(2):
+        training.load_tensors(before[0])
+        training.load_scalars(before[1])
+        for number in range(3):
+            training.step(number)
+        found.append({name: tensor.clone() for name, tensor in training.tensors().items()})
+    for name, tensor in found[0].items():
+        assert torch.equal(tensor, found[1][name]), name
+
+
 def test_only_fine_pictures_have_detail_and_the_paper_has_none(monkeypatch, tmp_path):
     samples = painted_samples(tmp_path)
     monkeypatch.setattr("small_trainings.INFO", replace(FINE, learned_from=replace(FINE.learned_from, pixel_m=5e-4)))
