@@ -1,0 +1,241 @@
+"""What is wrong with a film, in sentences for whoever films: what it is, when, and what to do. Source: OWN_HAND 8."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
+from jghand_engine.own.film import FilmPictures, Looked, blurred
+from jghand_engine.own.masks import FilmColors, Zones, hand_size_px, opencv
+from jghand_engine.own.start import Start
+from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
+
+# of the pictures: with the hand, at least; with another hand, at most; blurred, at most
+SEEN_PART_MIN, OTHER_HAND_PART_MAX, BLURRED_PART_MAX = 0.8, 0.1, 0.3
+# about the hand's length in the pictures that are kept, pixels
+HAND_SIZE_MIN_PX = 250.0
+# how far the background moves between pictures, of the width; features that must agree on it
+CAMERA_STEP_PART_MAX, FEATURES_MIN = 0.01, 8
+# how square palm or back must be seen once; the flat hand that bone lengths come from: how bent, and how square
+VIEW_ANGLE_DEG, FLAT_BEND_DEG, FLAT_ANGLE_DEG = 45.0, 25.0, 25.0
+# of the skin, by its brightest channel and by its mean, of 255
+BURNT_U8, BURNT_PART_MAX, DARK_U8 = 250, 0.02, 45.0
+# more than this is too much to make an avatar of; less are highlights (5 % of a film of dark skin between two lamps)
+BURNT_PART_REFUSED = 0.15
+# how much the mean of the background changes, of itself
+BRIGHTNESS_STEP_MAX = 0.08
+# what the colors of skin and background have in common
+OVERLAP_MAX = 0.25
+# mask against the outline of the fit, intersection over union, mean of all pictures; what a single one may differ
+FIT_IOU_MIN, PICTURE_RESIDUAL_MAX = 0.85, 0.12
+# of held-out pictures, within the mask
+HELD_OUT_MIN_DB = 24.0
+
+_WRIST, _INDEX, _PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "pinky1"))
+# flexions of index to pinky among the 20 angles
+_FLEXIONS = [4 * finger + angle for finger in range(1, 5) for angle in (0, 2, 3)]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """check: its name · sentence: for people · refuses: whether no avatar can be made of this film"""
+
+    check: str
+    sentence: str
+    refuses: bool = False
+
+
+def refuse(findings: list[Finding]) -> None:
+    """InputError with the sentences of those that refuse; nothing where there is none."""
+    sentences = [finding.sentence for finding in findings if finding.refuses]
+    if sentences:
+        raise InputError(" ".join(sentences))
+
+
+def wanted_hand(found: FoundHands, looked: Looked, name: str, wanted: Handedness | None) -> HandOverTime:
+    """The hand that the avatar is made of. InputError where there is none, and where two are seen and none is wanted.
+
+    name: of the film
+    """
+    remedy = "Film it large, with its wrist, on a plain wall."
+    if wanted is not None:
+        if wanted not in found.hands:
+            came = f"the {next(iter(found.hands))} one alone" if found.hands else "none in any picture"
+            raise InputError(name, wanted=f"a {wanted} hand", came=came, remedy=remedy)
+        return found.hands[wanted]
+    if not found.hands:
+        raise InputError(name, wanted="a hand", came="none in any picture", remedy=remedy)
+    first, *others = sorted(found.hands.values(), key=lambda hand: -hand.seen.sum())
+    for other in others:
+        if other.seen.mean() > OTHER_HAND_PART_MAX:
+            at = _at(int(np.flatnonzero(other.seen)[0]) / looked.sightings.fps)
+            raise InputError(f"Two hands are seen{at}. Film one hand alone, or say --hand right or --hand left")
+    return first
+
+
+def seen_findings(looked: Looked, hand: HandOverTime) -> list[Finding]:
+    """Of the whole film: whether the hand is seen, and sharp."""
+    seen, fps, findings = hand.seen, looked.sightings.fps, []
+    if seen.mean() < SEEN_PART_MIN:
+        at = _at(int(np.flatnonzero(~seen)[0]) / fps)
+        findings.append(Finding("hand found", f"The hand is seen in {seen.sum()} of {len(seen)} pictures; it is not{at}"
+                                ". Film it larger, with its wrist, on a plain wall."))  # fmt: skip
+    soft = blurred(looked.sharpness) & seen
+    if soft.sum() > BLURRED_PART_MAX * seen.sum():
+        at = _at(int(np.flatnonzero(soft)[0]) / fps)
+        findings.append(Finding("blur", f"{round(100 * soft.sum() / seen.sum())} % of the film is blurred, such "
+                                f"as{at or ' its beginning'}: move more slowly, or with more light."))  # fmt: skip
+    return findings
+
+
+def picture_findings(pictures: FilmPictures, start: Start, zones: Zones, colors: FilmColors) -> list[Finding]:
+    """Of the pictures that are kept: size, camera, views, light, and what is behind the hand."""
+    moved = camera_steps(pictures, zones.away)
+    findings = [_size(pictures, start), _moving(pictures, moved), *_views(start), _ruler(start)]
+    findings += [_burnt(pictures, zones), _dark(pictures, zones), _wall(colors)]
+    if pictures.is_film and not np.nanmax(moved, initial=0.0) > CAMERA_STEP_PART_MAX:
+        findings.append(_brightness(pictures, zones.away))
+    return [finding for finding in findings if finding is not None]
+
+
+def fit_findings(pictures: FilmPictures, masks: np.ndarray, outlines: np.ndarray) -> list[Finding]:
+    """Whether the fitted hand is what the masks show. masks, outlines: (F, H, W) bool, on the hand's side"""
+    overlap = (masks & outlines).sum((1, 2)) / np.maximum((masks | outlines).sum((1, 2)), 1)
+    if overlap.mean() >= FIT_IOU_MIN:
+        return []
+    at = _where(pictures, int(overlap.argmin()))
+    return [Finding("mask against fit", f"The outline does not fit ({overlap.mean():.2f}), least of all{at}. "
+                    "Sleeve, ring, or a second hand? See masks.png.", refuses=True)]  # fmt: skip
+
+
+def report_findings(report: dict[str, Any]) -> list[Finding]:
+    """How good the avatar is, of what `report.write_report` returns: on pictures that it was not made of."""
+    found = report["mean"].get("psnr_mask")
+    if found is None or found >= HELD_OUT_MIN_DB:
+        return []
+    return [Finding("result", f"It did not learn well ({found:.1f} dB); sheet.png shows where.")]
+
+
+# ---- one after the other ---------------------------------------------------------------------------------------------
+
+
+def _size(pictures: FilmPictures, start: Start) -> Finding | None:
+    size = hand_size_px(start.camera.project(start.joints_m)[0])
+    typical = float(np.median(size))
+    if typical >= HAND_SIZE_MIN_PX:
+        return None
+    at = _where(pictures, int(size.argmin()))
+    return Finding("size", f"The hand is about {typical:.0f} pixels long, least{at}. Come nearer: 300 or more make the "
+                   "skin sharp.")  # fmt: skip
+
+
+def camera_steps(pictures: FilmPictures, away: np.ndarray) -> np.ndarray:
+    """(F,) how far the background of each picture lies from the first one's, of the width; NaN where too little of it
+    is seen. away: (F, H, W) bool, where no hand is"""
+    cv2 = opencv()
+    steps = np.full(len(pictures), np.nan)
+    if not pictures.is_film:
+        return steps
+    grays = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in pictures.rgb_u8]
+    there = cv2.goodFeaturesToTrack(grays[0], 200, 0.01, 8, mask=away[0].astype(np.uint8))
+    if there is None:
+        return steps
+    for at, gray in enumerate(grays):
+        here, found, _ = cv2.calcOpticalFlowPyrLK(grays[0], gray, there, None, maxLevel=4)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(gray, grays[0], here, None, maxLevel=4)
+        good = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.linalg.norm((back - there)[:, 0], axis=-1) < 1)
+        for points in (there, here):
+            x, y = np.clip(points[:, 0].astype(int), 0, np.array(gray.shape[::-1]) - 1).T
+            good &= away[at, y, x]
+        if good.sum() >= FEATURES_MIN:
+            steps[at] = np.linalg.norm(np.median((here - there)[good, 0], axis=0)) / gray.shape[1]
+    return steps
+
+
+def _moving(pictures: FilmPictures, moved: np.ndarray) -> Finding | None:
+    far = np.flatnonzero(np.nan_to_num(moved) > CAMERA_STEP_PART_MAX)
+    if not len(far):
+        return None
+    return Finding("camera", f"The camera moves{_where(pictures, int(far[0]))}. Lean the telephone on something; what "
+                   "moves is worked out from colors alone, a little worse.")  # fmt: skip
+
+
+def facing(start: Start) -> np.ndarray:
+    """(F,) cosine between what the palm faces and the way to the camera: 1 the palm is seen squarely, -1 the back."""
+    joints = start.joints_m
+    wrist = joints[:, _WRIST]
+    out = np.cross(joints[:, _INDEX] - wrist, joints[:, _PINKY] - wrist)
+    towards = -joints.mean(1)
+    return (out * towards).sum(1) / (np.linalg.norm(out, axis=1) * np.linalg.norm(towards, axis=1))
+
+
+def _views(start: Start) -> list[Finding]:
+    square, limit = facing(start), math.cos(math.radians(VIEW_ANGLE_DEG))
+    words = "is never seen: it is invented from other skins. Turn the hand over."
+    seen = {"palm": square.max() > limit, "back": square.min() < -limit}
+    return [Finding("views", f"The {side} of the hand {words}") for side, there in seen.items() if not there]
+
+
+def bend_deg(start: Start) -> np.ndarray:
+    """(F,) mean flexion of the joints of index to pinky."""
+    return np.degrees(start.poses.angle_rad[:, _FLEXIONS].mean(1))
+
+
+def _ruler(start: Start) -> Finding | None:
+    square = np.abs(facing(start)) > math.cos(math.radians(FLAT_ANGLE_DEG))
+    if (square & (bend_deg(start) < FLAT_BEND_DEG)).any():
+        return None
+    return Finding("ruler", "No picture shows the flat hand. Bone lengths are guessed; hold it flat for two seconds, "
+                   "palm and back.")  # fmt: skip
+
+
+def _burnt(pictures: FilmPictures, zones: Zones) -> Finding | None:
+    parts = [float((rgb[bones].max(-1) >= BURNT_U8).mean()) if bones.any() else 0.0
+             for rgb, bones in zip(pictures.rgb_u8, zones.bones, strict=True)]  # fmt: skip
+    burnt = float(np.mean(parts))
+    if burnt <= BURNT_PART_MAX:
+        return None
+    return Finding("light", f"The skin is burnt out, most{_where(pictures, int(np.argmax(parts)))}. Film it with less "
+                   "light, and lock the exposure on the hand.", refuses=burnt > BURNT_PART_REFUSED)  # fmt: skip
+
+
+def _dark(pictures: FilmPictures, zones: Zones) -> Finding | None:
+    means = [float(rgb[bones].mean()) if bones.any() else 255.0
+             for rgb, bones in zip(pictures.rgb_u8, zones.bones, strict=True)]  # fmt: skip
+    if np.mean(means) >= DARK_U8:
+        return None
+    return Finding("light", f"The skin is too dark, most{_where(pictures, int(np.argmin(means)))}. Film it with more "
+                   "light, from the front or the side.", refuses=True)  # fmt: skip
+
+
+def _brightness(pictures: FilmPictures, away: np.ndarray) -> Finding | None:
+    """Of a camera that stands still: each picture against the first, where no hand is in either."""
+    steps = []
+    for rgb, free in zip(pictures.rgb_u8, away, strict=True):
+        both = free & away[0]
+        first = float(pictures.rgb_u8[0][both].mean()) if both.any() else 0.0
+        steps.append(abs(float(rgb[both].mean()) / first - 1) if first > 0 else 0.0)
+    if max(steps) <= BRIGHTNESS_STEP_MAX:
+        return None
+    return Finding("exposure", f"The brightness changes while filming, most{_where(pictures, int(np.argmax(steps)))}. "
+                   "Lock exposure and focus.", refuses=True)  # fmt: skip
+
+
+def _wall(colors: FilmColors) -> Finding | None:
+    if colors.overlap <= OVERLAP_MAX:
+        return None
+    return Finding("skin and background", "The wall has the color of the skin. Take another one.")
+
+
+def _where(pictures: FilmPictures, picture: int) -> str:
+    """` at 0:07`, or which photograph."""
+    return _at(float(pictures.time_s[picture])) if pictures.is_film else f" in photograph {pictures.index[picture] + 1}"
+
+
+def _at(time_s: float) -> str:
+    return f" at {int(time_s) // 60}:{int(time_s) % 60:02d}"

@@ -1,0 +1,185 @@
+"""What the pictures of a film show of every Gaussian: the rasterizer's own gradient says which pixels are whose.
+
+With w_np the weight by which Gaussian n colors pixel p, occlusion and softness included, the gradient of
+sum_p C_p . (I_p m_p) with respect to the Gaussians' colors is sum_p w_np I_p m_p, and that of sum_p C_p m_p is
+sum_p w_np m_p: their quotient is the mean color that a Gaussian shows in a picture, the second how well it is seen
+there. No texture is unwrapped, and no visibility tested.
+
+Everything is of a right hand; pictures of a left one come mirrored (`film.FilmPictures`). Frames are those of motions:
+y up, z towards the camera, which is the origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.ndimage import binary_erosion
+from torch import Tensor
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.color import srgb_to_linear
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import PARENTS, Handedness
+from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.light import unit
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
+from jghand_engine.learn.skinning import pose_skin, skin_maps
+from jghand_engine.learn.tensors import HandTensors
+from jghand_engine.own.masks import wrist_side
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.settings import RenderSettings
+
+# from camera axes (x right, y down, z forward) to those of motions
+MOTION_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
+# pixels of the outline that are mixed with what is behind it
+EDGE_PX = 2
+# a channel from here on is burnt out: what it shows is less than was there
+BURNT_U8 = 250
+# what is shown around the joints, of the hand's length in the picture
+CROP_MARGIN = 0.25
+# a Gaussian that colors less of a picture than this many pixels is not seen in it
+SEEN_MIN_PX = 0.15
+# few photographs: how bent the fingers are at which a picture counts half, degrees of knuckle and middle joint. The fit
+# of a fist is a little open, and paints its fingers on the palm
+FEW_PICTURES, BENT_DEG, BENT_POWER = 8, 60.0, 4
+# bones of index to pinky, by the joint at their end: of the palm, the first and the second of the finger
+PALM_BONES, FIRST_BONES, MIDDLE_BONES = slice(2, 6), slice(7, 11), slice(12, 16)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One picture and the hand that stands in it.
+
+    camera:     of the part of the picture around the hand
+    radiance:   (h, w, 3) that part, as linear light
+    counts:     (h, w) 0 or 1: skin, away from its outline and the wrist, not burnt out
+    bones:      of the pose
+    position_m: (N, 3), normal (N, 3) unit, sigma_m (N,) of the posed Gaussians
+    shade:      (N, 3) logarithm that the pose adds; 0 without correctives
+    """
+
+    camera: Camera
+    radiance: Tensor
+    counts: Tensor
+    bones: BoneTransforms
+    position_m: Tensor
+    normal: Tensor
+    sigma_m: Tensor
+    shade: Tensor
+
+    def draw(self, rgb: Tensor, opacity: Tensor) -> tuple[Tensor, Tensor]:
+        """Color (h, w, 3), premultiplied, and alpha (h, w) of Gaussians with these colors (N, 3)."""
+        gaussians = Gaussians(self.position_m, self.sigma_m, opacity, rgb)
+        picture = rasterize(gaussians, self.camera, RenderSettings(threads=1))
+        return picture.rgb, picture.alpha
+
+    def given_back(self, rgb: Tensor, opacity: Tensor) -> tuple[Tensor, Tensor]:
+        """What each Gaussian would have to add to its color (N, 3) for the picture to be the film's, as the mean over
+        its pixels, and how many pixels (N,) it has."""
+        rgb = rgb.detach().requires_grad_()
+        drawn, alpha = self.draw(rgb, opacity)
+        # what does not cover a pixel wholly is compared with as much of the picture
+        missing = (self.radiance * alpha[..., None] - drawn).detach() * self.counts[..., None]
+        (summed,) = torch.autograd.grad((drawn * missing).sum(), rgb, retain_graph=True)
+        (weight,) = torch.autograd.grad((drawn[..., 0] * self.counts).sum(), rgb)
+        pixels = weight[:, 0]
+        return summed / pixels.clamp_min(1e-6)[:, None], pixels
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What F pictures show of N Gaussians.
+
+    shown:  the pictures
+    color:  (F, N, 3) mean linear color of the pixels that a Gaussian has
+    seen:   (F, N) how many pixels, times how squarely it faces the camera, squared, times how much the picture is
+            trusted; 0: not seen
+    """
+
+    shown: tuple[Shown, ...]
+    color: Tensor
+    seen: Tensor
+
+    def __len__(self) -> int:
+        return len(self.shown)
+
+
+def observe(
+    avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: np.ndarray
+) -> Observations:
+    """joints_m: (F, 21, 3) level order, in the camera's axes · camera: of one picture · pictures: (F, H, W, 3) uint8 ·
+    masks: (F, H, W) where the hand is"""
+    shown = tuple(_shown(avatar, joints_m, camera, pictures, masks))
+    trust = trusted(joints_m) if len(shown) < FEW_PICTURES else np.ones(len(shown))
+    opacity, black = torch.tensor(avatar.opacity), torch.zeros(len(avatar), 3)
+    color, seen = [], []
+    for one, much in zip(shown, trust, strict=True):
+        mean, pixels = one.given_back(black, opacity)
+        facing = (one.normal * unit(-one.position_m)).sum(-1).clamp_min(0)
+        color.append(mean)
+        seen.append(torch.where(pixels > SEEN_MIN_PX, pixels * facing.square() * float(much), 0))
+    return Observations(shown, torch.stack(color), torch.stack(seen))
+
+
+def trusted(joints_m: np.ndarray) -> np.ndarray:
+    """(F,) 0..1: pictures of bent hands count less. joints_m: (F, 21, 3)"""
+    bone = np.diff(joints_m[:, [list(PARENTS), list(range(21))]], axis=1)[:, 0]
+    bone = bone / np.maximum(np.linalg.norm(bone, axis=-1, keepdims=True), 1e-9)
+
+    def bend_deg(first: slice, second: slice) -> np.ndarray:
+        return np.degrees(np.arccos(np.clip((bone[:, first] * bone[:, second]).sum(-1), -1, 1))).mean(1)
+
+    bend = bend_deg(PALM_BONES, FIRST_BONES) + bend_deg(FIRST_BONES, MIDDLE_BONES)
+    return 1 / (1 + (bend / BENT_DEG) ** BENT_POWER)
+
+
+def _shown(
+    avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: np.ndarray
+) -> Iterator[Shown]:
+    count, size = len(joints_m), (camera.height, camera.width)
+    if pictures.shape != (count, *size, 3) or masks.shape != (count, *size):
+        raise InputError("pictures", wanted=f"{count} of {size[1]} x {size[0]} with masks", came=str(pictures.shape))
+    hand = HandTensors.of(avatar.for_hand(Handedness.RIGHT))
+    info, learned = avatar.info, hand.learned
+    transform = JointTransform(
+        avatar.canonical_joints_m, handedness=Handedness.RIGHT, swing=info.swing, scale_mode=info.scale_mode
+    )
+    if learned is None:
+        raise InputError(f"avatar {info.name}", wanted="one that was learned, with normals", came="a painted one")
+    turned = np.diag([*MOTION_FROM_CAMERA, 1.0])
+    every_px, _ = camera.project(joints_m)
+    # the skin behind the wrist is the forearm's, whose place no joint says
+    inside = masks & wrist_side(every_px, camera.width, camera.height)
+    for joints, joints_px, picture, mask in zip(joints_m, every_px, pictures, inside, strict=True):
+        with torch.no_grad():
+            bones = transform.bones(torch.tensor(joints * MOTION_FROM_CAMERA, dtype=torch.float32))
+            correction = None if learned.correctives is None else learned.correctives(bones.frames)
+            skin = pose_skin(hand, bones, correction, maps=skin_maps(hand.bone_weights, bones))
+        assert skin.normal is not None
+        low, high = _window(joints_px, camera)
+        part = np.s_[low[1] : high[1], low[0] : high[0]]
+        counts = binary_erosion(mask, iterations=EDGE_PX)
+        counts &= (picture < BURNT_U8).all(-1)
+        crop = camera.part(*(int(edge) for edge in (*low, *(high - low))))
+        yield Shown(
+            replace(crop, camera_from_world=camera.camera_from_world @ turned),
+            torch.from_numpy(srgb_to_linear(picture[part].astype(np.float32) / 255)),
+            torch.from_numpy(counts[part].astype(np.float32)),
+            bones,
+            skin.matt.position_m.float(),
+            skin.normal.float(),
+            skin.matt.sigma_m.float(),
+            torch.zeros(len(avatar), 3) if skin.shade is None else skin.shade.float(),
+        )
+
+
+def _window(joints_px: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """First and last column and row around a hand, within the picture, at least one of each."""
+    margin = CROP_MARGIN * np.linalg.norm(np.ptp(joints_px, axis=0))
+    size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(joints_px.min(0) - margin).astype(int), 0, size - 1)
+    return low, np.clip(np.ceil(joints_px.max(0) + margin).astype(int), low + 1, size)

@@ -1,0 +1,296 @@
+"""The hand and its motion that explain a film: bones, palm, thickness, and the pose and place in every picture.
+
+First by what the detector says, then by pictures: outlines, and the colors that the pictures themselves give to the
+skin, which are found anew as the fit goes on. Focal length and the hand's size stay as they are: a film of a turning
+hand says neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.files import writing
+from jghand_engine.hand.orders import bone_lengths, hand_length
+from jghand_engine.hand.sequence import bone_directions, rebuilt
+from jghand_engine.npz_files import read_arrays
+from jghand_engine.own.chain import Chain, rotation
+from jghand_engine.own.fit_colors import SkinColors
+from jghand_engine.own.fit_pictures import Shown
+from jghand_engine.own.fit_surface import FIT_GAUSSIANS, FitSurface, outline_factor
+from jghand_engine.own.fit_terms import (
+    Evidence,
+    anatomy_terms,
+    direction_term,
+    directions_of,
+    guide_term,
+    hand_term,
+    landmark_term,
+    smooth_term,
+)
+from jghand_engine.own.fit_views import sights
+from jghand_engine.own.shape import SHAPE_COUNT, in_shape
+from jghand_engine.own.start import Start
+from jghand_engine.render.camera import Camera
+from jghand_engine.track.poses import Poses
+
+# what is sought, and by how much a step changes it at first: radians, meters, logarithms, standard deviations
+RATES = {
+    "angle_rad": 0.012,
+    "turn_rad": 0.008,
+    "place_m": 0.0015,
+    "log_length": 0.004,
+    "palm_shift_m": 0.0003,
+    "shape": 0.05,
+}
+ADAM_BETAS = (0.8, 0.95)
+# pictures in a step, and steps in a round at least, for a few photographs have as much to learn; rates fall by half a
+# cosine to this part
+BATCH, STEPS_MIN, RATE_END = 10, 5, 0.1
+# the palm never turns farther than this from where the tracker has it: an outline does not know palm from back
+TURN_MAX_RAD = math.radians(60.0)
+# rounds of all pictures by landmarks alone; how often colors are found, and rounds with each
+LANDMARK_ROUNDS, COLOR_TIMES, PICTURE_ROUNDS = 26, 5, 9
+# what changes slowly is found anew after so many rounds: crops, the wrist's line, what the pose's network adds
+RENEW_ROUNDS = 6
+PICTURE_RATE = 0.7
+# weights of landmarks and of directions, without pictures and with them
+DETECTOR_WEIGHTS, DETECTOR_WEIGHTS_WITH_PICTURES = (0.05, 0.05), (0.03, 0.03)
+OUTLINE_WEIGHT, COLOR_WEIGHT = 4.0, 4.0
+# of so many poses the size of outlines is calibrated
+CALIBRATION_POSES = 3
+_NPZ_BYTES_MAX = 2**26
+
+# of pictures (B,) and their joints (B, 21, 3)
+Cost = Callable[[Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedHand:
+    """What a fit found, of a right hand in every case, as `Start` has it.
+
+    camera:             of a picture
+    poses:              turn (F, 3, 3), place_m (F, 3), angle_rad (F, 20)
+    joints_m:           (F, 21, 3) level order, camera axes, meters
+    own_joints_m:       (21, 3) the prior's canonical hand with the bones of this one
+    shape:              (8,) see shape.in_shape
+    outline_residual:   (F,) mean squared error of outlines, part of the hand's area; NaN where no picture was looked at
+    """
+
+    camera: Camera
+    poses: Poses
+    joints_m: np.ndarray
+    own_joints_m: np.ndarray
+    shape: np.ndarray
+    outline_residual: np.ndarray
+
+    def avatar_shape(self, avatar: HandAvatar) -> HandAvatar:
+        """The avatar with the thickness of this hand, and with its bones where no joints say them."""
+        return replace(in_shape(avatar, self.shape), own_joints_m=self.own_joints_m)
+
+    def save(self, path: Path) -> None:
+        """As .npz."""
+        camera, arrays = self.camera, {**vars(self), **vars(self.poses)}
+        arrays["camera"] = np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy])
+        del arrays["poses"]
+        with writing(path) as temporary, open(temporary, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> FittedHand:
+        """What `save` wrote. InputError for a file that is none."""
+        own = ("joints_m", "own_joints_m", "shape", "outline_residual")
+        arrays = read_arrays(
+            path, (*own, "camera", "turn", "place_m", "angle_rad"), str(path), max_bytes=_NPZ_BYTES_MAX
+        )
+        width, height, fx, fy, cx, cy = arrays["camera"].tolist()
+        camera = Camera(int(width), int(height), fx, fy, cx, cy, np.eye(4))
+        poses = Poses(arrays["turn"], arrays["place_m"], arrays["angle_rad"])
+        joints, own_joints, shape, residual = (arrays[name] for name in own)
+        return cls(camera, poses, joints, own_joints, shape, residual)
+
+
+@dataclass(eq=False)
+class Unknowns:
+    """angle_rad: (F, 20) · turn_rad: (F, 3) upon the tracker's · place_m: (F, 3) · log_length: (20,), against the
+    prior's · palm_shift_m: (5, 3) · shape: (8,)"""
+
+    angle_rad: Tensor
+    turn_rad: Tensor
+    place_m: Tensor
+    log_length: Tensor
+    palm_shift_m: Tensor
+    shape: Tensor
+
+
+class HandFit:
+    """One fit, of a right hand. What stands is where the next stage begins.
+
+    prior: the avatar whose surface is fitted · time_s: (F,) of a film's pictures; None of photographs, which have
+    nothing to do with one another · count: how many Gaussians are drawn · dtype: float64 for tests of derivatives
+    """
+
+    def __init__(
+        self,
+        prior: HandAvatar,
+        start: Start,
+        time_s: np.ndarray | None,
+        *,
+        count: int = FIT_GAUSSIANS,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        self.prior, self.start = prior, start
+        self.evidence = Evidence.of(start, time_s, dtype)
+        self.chain = Chain.of(prior.canonical_joints_m, hand_length(start.canonical_joints_m), dtype)
+        self.surface = FitSurface(prior, count, dtype)
+        self._turn = torch.from_numpy(start.poses.turn).to(dtype)
+        longer = np.log(bone_lengths(start.canonical_joints_m) / bone_lengths(prior.canonical_joints_m))
+        begin = {"angle_rad": start.poses.angle_rad, "place_m": start.poses.place_m, "log_length": longer}
+        begin |= {
+            "turn_rad": np.zeros((len(self), 3)),
+            "palm_shift_m": np.zeros((5, 3)),
+            "shape": np.zeros(SHAPE_COUNT),
+        }
+        tensors = {name: torch.tensor(array, dtype=dtype, requires_grad=True) for name, array in begin.items()}
+        self.unknowns = Unknowns(**tensors)
+        self.outline_residual = np.full(len(self), np.nan)
+
+    def __len__(self) -> int:
+        return len(self._turn)
+
+    # ---- the hand as it stands ----
+
+    def turns(self, pictures: Tensor) -> Tensor:
+        """(B, 3, 3) camera from canonical hand."""
+        return self._turn[pictures] @ rotation(self.unknowns.turn_rad[pictures])
+
+    def joints(self, pictures: Tensor) -> Tensor:
+        """(B, 21, 3) camera axes."""
+        now = self.unknowns
+        inside = self.chain.joints(now.angle_rad[pictures], now.log_length, now.palm_shift_m)
+        return inside @ self.turns(pictures).mT + now.place_m[pictures, None]
+
+    def projected(self, joints_m: Tensor) -> Tensor:
+        """(..., 21, 2) pixels of whole pictures."""
+        camera = self.start.camera
+        lens, middle = (joints_m.new_tensor(pair) for pair in ((camera.fx, camera.fy), (camera.cx, camera.cy)))
+        return joints_m[..., :2] / joints_m[..., 2:] * lens + middle
+
+    @property
+    def everything(self) -> Tensor:
+        """(F,) the numbers of all pictures."""
+        return torch.arange(len(self))
+
+    def detector_cost(self, pictures: Tensor, joints_m: Tensor, weights: tuple[float, float]) -> Tensor:
+        """What needs no picture, of some pictures: the detector, anatomy, steadiness, and how likely the hand is.
+        joints_m: (B, 21, 3) of those · weights: of landmarks and of directions"""
+        now, evidence, directions = self.unknowns, self.evidence, directions_of(joints_m)
+        angle = now.angle_rad[pictures]
+        return (
+            weights[0] * landmark_term(evidence, pictures, self.projected(joints_m))
+            + weights[1] * direction_term(evidence, pictures, directions)
+            + anatomy_terms(angle)
+            + guide_term(evidence, pictures, angle, directions)
+            + smooth_term(evidence.time_s, now.angle_rad, now.place_m, self.turns(self.everything))
+            + hand_term(now.log_length, now.palm_shift_m, now.shape)
+        )
+
+    # ---- stages ----
+
+    def fit_landmarks(self, rounds: int = LANDMARK_ROUNDS) -> None:
+        """By what the detector says."""
+
+        def cost(pictures: Tensor, joints_m: Tensor) -> Tensor:
+            return self.detector_cost(pictures, joints_m, DETECTOR_WEIGHTS)
+
+        self._descend(rounds, 1.0, lambda: cost)
+
+    def fit_pictures(
+        self, rgb_u8: np.ndarray, masks: np.ndarray, times: int = COLOR_TIMES, rounds: int = PICTURE_ROUNDS
+    ) -> None:
+        """By pictures (F, H, W, 3) and masks (F, H, W) of the hand, too. What lies beyond the wrist counts nowhere.
+
+        times: how often the skin's colors are found anew, and so many rounds with each
+        """
+        factor = self._outline_factor(rgb_u8, masks)
+        for _ in range(times):
+            standing = self.joints(self.everything).detach(), self.unknowns.shape.detach()
+            colors = self._shown(rgb_u8, masks, factor).colors(*standing)
+            self._descend(rounds, PICTURE_RATE, partial(self._picture_cost, rgb_u8, masks, factor, colors))
+        shown = self._shown(rgb_u8, masks, factor)
+        with torch.no_grad():
+            left = shown.errors(self.everything, self.joints(self.everything), self.unknowns.shape)
+        self.outline_residual = left[:, 0].numpy()
+
+    def _picture_cost(self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float, colors: SkinColors) -> Cost:
+        """With the crops, the wrist's line and what the pose's network adds as they are now."""
+        shown = self._shown(rgb_u8, masks, factor)
+
+        def cost(pictures: Tensor, joints_m: Tensor) -> Tensor:
+            outline, color = shown.errors(pictures, joints_m, self.unknowns.shape, colors).mean(0)
+            known = self.detector_cost(pictures, joints_m, DETECTOR_WEIGHTS_WITH_PICTURES)
+            return known + OUTLINE_WEIGHT * outline + COLOR_WEIGHT * color
+
+        return cost
+
+    def _descend(self, rounds: int, rate: float, cost_now: Callable[[], Cost]) -> None:
+        """Steps of Adam through all pictures. cost_now: is called every RENEW_ROUNDS, from the first on"""
+        groups = [{"params": [getattr(self.unknowns, name)]} for name in RATES]
+        adam = torch.optim.Adam(groups, betas=ADAM_BETAS)
+        generator = torch.Generator().manual_seed(0)
+        batches = min(len(self), max(STEPS_MIN, len(self) // BATCH))
+        cost = cost_now()
+        for number in range(rounds):
+            if number and number % RENEW_ROUNDS == 0:
+                cost = cost_now()
+            slower = RATE_END + (1 - RATE_END) * (1 + math.cos(math.pi * number / rounds)) / 2
+            for group, fastest in zip(adam.param_groups, RATES.values(), strict=True):
+                group["lr"] = rate * slower * fastest
+            for pictures in torch.randperm(len(self), generator=generator).tensor_split(batches):
+                pictures = pictures.sort().values
+                adam.zero_grad()
+                cost(pictures, self.joints(pictures)).backward()
+                adam.step()
+                self._hold_sides()
+
+    @torch.no_grad()
+    def _hold_sides(self) -> None:
+        turn = self.unknowns.turn_rad
+        length = turn.norm(dim=-1, keepdim=True)
+        turn.mul_(TURN_MAX_RAD / length.clamp_min(TURN_MAX_RAD))
+
+    @torch.no_grad()
+    def _shown(self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float) -> Shown:
+        joints = self.joints(self.everything)
+        seen = sights(rgb_u8, masks, joints.double().numpy(), self.start.camera)
+        return Shown(self.surface, seen, self.surface.keep(joints), factor)
+
+    @torch.no_grad()
+    def _outline_factor(self, rgb_u8: np.ndarray, masks: np.ndarray) -> float:
+        some = torch.linspace(0, len(self) - 1, min(CALIBRATION_POSES, len(self))).round().long()
+        joints, rows = self.joints(some), some.numpy()
+        seen = sights(rgb_u8[rows], masks[rows], joints.double().numpy(), self.start.camera)
+        return outline_factor(self.prior, self.surface, joints, [sight.view for sight in seen])
+
+    # ---- what was found ----
+
+    @torch.no_grad()
+    def result(self) -> FittedHand:
+        """The hand as it stands."""
+        now, everything = self.unknowns, self.everything
+        poses = Poses(*(array.double().numpy() for array in (self.turns(everything), now.place_m, now.angle_rad)))
+        straight = self.chain.joints(now.angle_rad[:1] * 0, now.log_length, now.palm_shift_m).double().numpy()
+        directions = bone_directions(self.prior.canonical_joints_m[None])
+        directions[:, :5] = bone_directions(straight)[:, :5]
+        own = rebuilt(np.zeros((1, 3)), directions, bone_lengths(straight[0]))[0]
+        joints = self.joints(everything).double().numpy()
+        shape = now.shape.double().numpy()
+        return FittedHand(self.start.camera, poses, joints, own, shape, self.outline_residual)

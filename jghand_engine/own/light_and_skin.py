@@ -1,0 +1,328 @@
+"""The light of a film and the skin that stands in it, from what its pictures show of every Gaussian.
+
+The relightable model run backward (docs/LIGHT.md). In the picture f a Gaussian n shows
+
+    color_nf = albedo_n * exp(shade_nf) / pi * sum_j reach_nfj light_j + gloss_nf
+
+with light_j of the 64 cells of one world, and reach_nfj how a Gaussian takes it: the cosine, what the hand's own flesh
+leaves of it, and what other skin throws back. Logarithms part the albedo from the light: of each Gaussian its mean over
+the pictures is taken out, and what is left is the light's alone, as the hand turns in it. Logarithms of the cells are
+smooth over the sphere and among the channels, as far as nothing speaks against it (Gauss-Newton, the prior that of a
+Gaussian process), so light is never negative, and a lamp is as bright as it is. What the film cannot tell is how bright
+its light is, and how white: a white card in the hand's place is taken to be white on average.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
+from jghand_engine.avatar.cast_task import FLESH_SOFTNESS, LAMP_HALF_WIDTH
+from jghand_engine.avatar.learned import lamp_directions
+from jghand_engine.avatar.scene_light import CELLS, SceneLight, World
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.cast_shadow import CastTensors
+from jghand_engine.learn.scene_light import (
+    Flesh,
+    LampRows,
+    ResponseTensors,
+    Shadows,
+    Skin,
+    facing_back,
+    matt,
+    past_flesh,
+    reached,
+    towards_eye,
+)
+from jghand_engine.learn.skinning import posed_anchors
+from jghand_engine.learn.tensors import HandTensors
+from jghand_engine.native.scene_light_task import LAMP_NUMBERS
+from jghand_engine.own.gather import FEW_PICTURES, Observations, Shown
+from jghand_engine.own.skin_prior import whole_skin
+
+# Gaussians that the light is found from, the first ones, which cover the hand
+LIGHT_GAUSSIANS = 3000
+# rounds of the light and of the gloss that it makes, and steps in each; no step is longer, as a factor
+LIGHT_ROUNDS, LIGHT_STEPS, STEP_MAX = 4, 2, 1.0
+# light around the hand, as it may be: spread of its logarithm, how far it is alike (concentration of a spherical
+# Gaussian, some 60 degrees wide), and spread of its color's logarithm
+LIGHT_SPREAD, LIGHT_SHARPNESS, HUE_SPREAD = 1.0, 2.0, 0.25
+# what a picture says of a Gaussian's logarithm beyond this is hardly believed; each counts as so much of one that has
+# nothing to do with the others, for normals and poses that are a little off are off in all of them
+LOG_NOISE, INDEPENDENT = 0.15, 0.05
+# of albedos: the same, and where two pictures disagree
+ALBEDO_NOISE, ALBEDO_ROUNDS, DISAGREE = 0.12, 3, 0.12
+# pixels seen squarely that are half of all that many pictures say of a Gaussian
+SEEN_HALF_PX = 0.5
+# rounds in which what a picture still lacks is given back to the Gaussians
+SHARPENED = 3
+# a color or an albedo below is black, one above white
+LEAST, MOST = 0.004, 0.95
+_NO_LAMPS = LampRows(np.ones(1), *(np.zeros((0, len(LAMP_NUMBERS))) for _ in range(2)))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How the skin of a pose answers one light: color = albedo * matt + gloss, both (N, 3)."""
+
+    matt: Tensor
+    gloss: Tensor
+
+
+@dataclass(frozen=True)
+class SeenSkin:
+    """What the pictures say of N Gaussians.
+
+    albedo: (N, 3) linear; where nothing was seen it means nothing
+    seen:   (N,) how well, in pictures: each counts 0 to 1
+    world:  the film's light
+    """
+
+    albedo: Tensor
+    seen: Tensor
+    world: World
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What is written down of where a skin comes from. name: of the film · digest: of its pictures · handedness: of the
+    hand that it shows"""
+
+    name: str
+    digest: str
+    handedness: Handedness
+
+
+class LitFilm:
+    """The light that falls on the hand of each picture."""
+
+    def __init__(self, avatar: HandAvatar, observed: Observations) -> None:
+        learned = avatar.learned
+        if learned is None or learned.response is None or learned.cast is None:
+            raise InputError(
+                f"avatar {avatar.info.name}", wanted="one that learned in known light", came="another",
+                remedy="Begin with the built-in hand.",
+            )  # fmt: skip
+        hand = HandTensors.of(avatar)
+        assert hand.learned is not None
+        assert hand.learned.cast is not None
+        self._cast: CastTensors = hand.learned.cast
+        self.response = ResponseTensors.of(learned.response, torch.float32)
+        self._directions = torch.from_numpy(lamp_directions(CELLS)).float()
+        self.observed = observed
+        joints_m = hand.canonical_joints_m
+        self._anchors, self._visible = zip(*(self._seen_of_world(one, joints_m) for one in observed.shown), strict=True)
+
+    @torch.no_grad()
+    def _seen_of_world(self, one: Shown, joints_m: Tensor) -> tuple[Skin, Tensor]:
+        """Anchors of a pose, root-relative, and what they see of the cells (A, CELLS)."""
+        around, posed_m = posed_anchors(self._cast, joints_m, one.bones)
+        anchors, flesh = Skin(*around), Flesh.of(self._cast, posed_m, one.bones.scale)
+        half_width = torch.full((1, 1), LAMP_HALF_WIDTH)
+        return anchors, past_flesh(anchors, flesh, self._directions[None], FLESH_SOFTNESS, half_width)
+
+    def reach(self, count: int) -> tuple[Tensor, Tensor]:
+        """(F, count, CELLS) how the first Gaussians take each cell's light themselves, and from skin that is white."""
+        cast, ways = self._cast.prefix(count), self._directions.T
+        own, thrown = [], []
+        for one, anchors, visible in zip(self.observed.shown, self._anchors, self._visible, strict=True):
+            cosine = (anchors.normal @ ways).clamp_min(0)
+            hidden = cosine * (1 - visible)
+            much = hidden.sum(1, keepdim=True)
+            back, length = facing_back(anchors.normal, hidden @ self._directions / much.clamp_min(1e-9))
+            bounced = much * torch.lerp(torch.tensor(0.25), (back @ ways).clamp_min(0), length) * (4 / CELLS)
+            own.append((one.normal[:count] @ ways).clamp_min(0) * cast.anchors.spread(visible))
+            thrown.append(cast.anchors.spread(bounced))
+        return torch.stack(own), torch.stack(thrown)
+
+    @torch.no_grad()
+    def answers(self, world: World) -> list[Answer]:
+        """Of the skin of each picture, as the renderer finds them."""
+        return [self._answer(number, SceneLight(world)) for number in range(len(self.observed))]
+
+    def _answer(self, number: int, light: SceneLight) -> Answer:
+        one, anchors, response = self.observed.shown[number], self._anchors[number], self.response
+        count, white = len(one.position_m), torch.ones_like(one.position_m)
+        fallen = Shadows(self._visible[number], torch.zeros(0, len(self._cast.anchors)), torch.zeros(0, count))
+        skin, eye_m = Skin(one.position_m - one.bones.root_m, one.normal), -one.bones.root_m
+        got = reached(self._cast, anchors, fallen, light, _NO_LAMPS, response)
+        lit = matt(white, skin, got, light, _NO_LAMPS, response, one.shade)
+        return Answer(lit, towards_eye(torch.zeros_like(white), skin, eye_m, got, light, _NO_LAMPS, response))
+
+
+def film_light(film: LitFilm) -> World:
+    """The world that the hand stands in."""
+    observed, count = film.observed, min(LIGHT_GAUSSIANS, film.observed.color.shape[1])
+    color, weight = observed.color[:, :count], _weight(observed.seen[:, :count])
+    # what the cells do not say of how skin answers: the pose's shade, and all that the renderer does beyond
+    beyond = torch.stack([one.shade[:count] for one in observed.shown]) * film.response.shade_gain
+    own, thrown = film.reach(count)
+    precision, gloss = _precision(lamp_directions(CELLS)), torch.zeros_like(color)
+    log_light, world = torch.zeros(CELLS, 3), World.of_cells(np.ones((CELLS, 3)))
+    for _ in range(LIGHT_ROUNDS):
+        target = (color - gloss).clamp_min(LEAST).log() - beyond
+        for _ in range(LIGHT_STEPS):
+            log_light = log_light + _step(log_light, target, weight, (own, thrown, film.response.bounce), precision)
+        # a white card is white on average
+        card = _taken(log_light, own, thrown, film.response.bounce)
+        log_light = log_light - (weight[..., None] * card).sum((0, 1)) / weight.sum()
+        world = World.of_cells(log_light.exp().double().numpy())
+        answers = film.answers(world)
+        gloss = torch.stack([answer.gloss[:count] for answer in answers])
+        matt_rgb = torch.stack([answer.matt[:count] for answer in answers]).clamp_min(LEAST)
+        beyond = matt_rgb.log() - _taken(log_light, own, thrown, film.response.bounce)
+    return world
+
+
+def _taken(log_light: Tensor, own: Tensor, thrown: Tensor, bounce: Tensor) -> Tensor:
+    """(F, S, 3) logarithm of what a white card in the place of each Gaussian sends back."""
+    light = log_light.exp()
+    each = [(own + bounce[channel] * thrown) @ light[:, channel] for channel in range(3)]
+    return (torch.stack(each, -1) / np.pi).clamp_min(LEAST).log()
+
+
+def _step(
+    log_light: Tensor, target: Tensor, weight: Tensor, reach: tuple[Tensor, Tensor, Tensor], precision: Tensor
+) -> Tensor:
+    """(CELLS, 3) what Gauss and Newton add to the light. target: (F, S, 3) logarithm of albedo times light · weight:
+    (F, S) · precision: (3 CELLS, 3 CELLS) of the prior, channel by channel"""
+    own, thrown, bounce = reach
+    # its numbers are too unlike for single precision
+    matrix, right = precision.clone(), -precision @ log_light.T.reshape(-1).double()
+    for channel in range(3):
+        part = (own + bounce[channel] * thrown) * log_light[:, channel].exp()
+        got = part.sum(-1, keepdim=True).clamp_min(1e-6)
+        slope, rest = part / got, target[..., channel] - (got[..., 0] / np.pi).log()
+        believed = weight
+        for _ in range(2):
+            whole = believed.sum(0).clamp_min(1e-6)
+            left = rest - (believed * rest).sum(0) / whole
+            believed = weight / (1 + (left / LOG_NOISE).square())
+        # the albedo, whatever it is, drops out with each Gaussian's mean
+        whole = believed.sum(0).clamp_min(1e-6)
+        left = rest - (believed * rest).sum(0) / whole
+        slope = slope - (believed[..., None] * slope).sum(0) / whole[:, None]
+        rows = (slope * believed.sqrt()[..., None]).reshape(-1, CELLS)
+        much, here = INDEPENDENT / LOG_NOISE**2, slice(channel * CELLS, (channel + 1) * CELLS)
+        matrix[here, here] += much * (rows.T @ rows).double()
+        right[here] += much * (rows.T @ (left * believed.sqrt()).reshape(-1)).double()
+    step = torch.linalg.solve(matrix, right).reshape(3, CELLS).T.float()
+    return step * (STEP_MAX / step.abs().max().clamp_min(STEP_MAX))
+
+
+def _precision(directions: np.ndarray) -> Tensor:
+    """(3 CELLS, 3 CELLS) of logarithms of light, channel by channel; the mean of each is free."""
+    alike = np.exp(LIGHT_SHARPNESS * (directions @ directions.T - 1)) + 1e-3 * np.eye(CELLS)
+    among = LIGHT_SPREAD**2 * np.ones((3, 3)) + HUE_SPREAD**2 * np.eye(3)
+    free = 1e3 * np.kron(np.eye(3), np.ones((CELLS, CELLS)))
+    return torch.from_numpy(np.linalg.inv(np.kron(among, alike) + free))
+
+
+def _weight(seen: Tensor) -> Tensor:
+    """0..1 how much a picture says of a Gaussian that has so many pixels in it."""
+    return seen / (seen + SEEN_HALF_PX)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnHand:
+    """
+    avatar: of the film's hand, lit by any scene
+    seen:   (N,) how well its Gaussians were seen, in pictures
+    world:  the film's light, around the hand of its pictures, which is a right one in every case
+    """
+
+    avatar: HandAvatar
+    seen: np.ndarray
+    world: World
+
+
+def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin, *, best: bool = False) -> OwnHand:
+    """The avatar with the skin of the hand in the film, lit by any scene, and the film's light, its own.
+
+    avatar: in the shape of the hand, of known light · best: marks are sharper, each from its best picture
+    alone, instead of a mean over those that agree
+    """
+    lit = LitFilm(avatar, observed)
+    found = seen_skin(lit, torch.tensor(avatar.opacity), best=best)
+    learned = avatar.learned
+    assert learned is not None
+    assert learned.response is not None
+    seen, albedo = found.seen.double().numpy(), found.albedo.double().numpy()
+    rgb = np.clip(whole_skin(avatar, albedo, seen), LEAST, MOST)
+    # what skin throws onto skin is what it does not take
+    paler = rgb.mean(0) / np.maximum(avatar.rgb.mean(0), LEAST)
+    bounce = np.minimum(learned.response.bounce * paler, MOST).astype(np.float32)
+    cells = found.world.terms.light
+    if origin.handedness is Handedness.LEFT:
+        # pictures were mirrored; so are the directions of the second half of the cells, of those of the first
+        cells = np.roll(cells, CELLS // 2, 0)
+    response = replace(learned.response, bounce=bounce, trained_on={}, film_light=cells.astype(np.float32))
+    info = replace(
+        avatar.info,
+        name=f"Hand of {origin.name}",
+        license=f"{avatar.info.license}; skin: the user's own",
+        learned_from=LearnedFrom(origin.name, "film", len(observed), origin.digest, _pixel_m(observed)),
+    )
+    own = replace(
+        avatar.for_hand(origin.handedness),
+        info=info,
+        rgb=rgb.astype(np.float32),
+        learned=replace(learned, response=response),
+        # fine marks of another skin
+        detail=None,
+    )
+    return OwnHand(own, seen, found.world)
+
+
+def _pixel_m(observed: Observations) -> float:
+    """Two fifths of the pictures have finer ones."""
+    sizes = [float(-one.position_m[:, 2].mean()) / one.camera.fx for one in observed.shown]
+    return float(np.quantile(sizes, 0.4))
+
+
+@torch.no_grad()
+def seen_skin(film: LitFilm, opacity: Tensor, *, best: bool = False) -> SeenSkin:
+    """Light and albedo. opacity: (N,) of the Gaussians · best: where pictures disagree, the best one is taken instead
+    of a mean; always of few photographs"""
+    observed = film.observed
+    best = best or len(observed) < FEW_PICTURES
+    world = film_light(film)
+    answers, weight = film.answers(world), _weight(observed.seen)
+    color = list(observed.color)
+    albedo = _albedo(color, answers, observed.seen, best=best)
+    known = (weight.sum(0) > 0)[:, None]
+    for _ in range(SHARPENED):
+        # what no picture shows has the color of the rest: it shines through gaps
+        shown = torch.where(known, albedo, albedo[known[:, 0]].median(0).values)
+        color = []
+        for one, answer in zip(observed.shown, answers, strict=True):
+            drawn = shown * answer.matt + answer.gloss
+            with torch.enable_grad():
+                missing, _ = one.given_back(drawn, opacity)
+            color.append(drawn + missing)
+        albedo = _albedo(color, answers, observed.seen, best=best)
+    return SeenSkin(albedo, weight.sum(0), world)
+
+
+def _albedo(color: list[Tensor], answers: list[Answer], seen: Tensor, *, best: bool) -> Tensor:
+    """(N, 3) from colors (N, 3) in F pictures, seen (F, N): their mean, what disagrees with the others left out."""
+    each = torch.stack([
+        ((mean - answer.gloss) / answer.matt.clamp_min(LEAST)).clamp(LEAST, MOST).log()
+        for mean, answer in zip(color, answers, strict=True)
+    ])  # fmt: skip
+    weight = _weight(seen)[..., None]
+    believed = weight.expand_as(each)
+    middle = each[0]
+    for _ in range(ALBEDO_ROUNDS):
+        middle = (believed * each).sum(0) / believed.sum(0).clamp_min(1e-6)
+        believed = weight / (1 + ((each - middle) / ALBEDO_NOISE).square())
+    if best:
+        one = each[seen.argmax(0), torch.arange(seen.shape[1])]
+        apart = (weight * (each - middle).square()).sum(0) / weight.sum(0).clamp_min(1e-6)
+        middle = torch.where(apart.amax(1, keepdim=True) > DISAGREE**2, one, middle)
+    return middle.exp()

@@ -1,0 +1,263 @@
+"""From a film to an avatar, stage by stage. What a stage found lies in the work folder, so that a run that was stopped
+goes on after the last one that ended.
+
+own.json      which film, and with which options
+pictures.npz  the pictures that were chosen · start.npz: what the tracker says of them · checks.json: what is wrong
+fit.npz       bones, shape and poses
+masks.npz     the hand in each picture, by the fitted outline
+sheet.png     film and avatar side by side, new poses, what was seen · report.json: figures of held-out pictures
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import __version__
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.forearm import ended
+from jghand_engine.errors import InputError
+from jghand_engine.files import make_folder, writing
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import hand_length
+from jghand_engine.json_files import read_small_json
+from jghand_engine.lock import locked
+from jghand_engine.npz_files import read_arrays
+from jghand_engine.own.checks import (
+    PICTURE_RESIDUAL_MAX,
+    Finding,
+    fit_findings,
+    picture_findings,
+    refuse,
+    report_findings,
+    seen_findings,
+    wanted_hand,
+)
+from jghand_engine.own.film import (
+    PHOTOGRAPHS_MIN,
+    FilmPictures,
+    Source,
+    Window,
+    blurred,
+    look,
+    open_source,
+    read_pictures,
+    spread_pictures,
+)
+from jghand_engine.own.gather import observe
+from jghand_engine.own.hand_fit import FittedHand, HandFit
+from jghand_engine.own.light_and_skin import Origin, skin_from
+from jghand_engine.own.masks import Zones, film_colors, hand_masks, hand_size_px, outlines_of, zones_of
+from jghand_engine.own.report import FilmView, held_out, write_report
+from jghand_engine.own.start import Start, start_of
+from jghand_engine.track import CAMERA_ANGLE_DEG
+from jghand_engine.track.detection import HandDetector
+from jghand_engine.track.hands_over_time import hands_over_time
+from jghand_engine.track.track import TrackOptions
+
+MARK, LOCK = "own.json", "lock"
+PICTURES, START, CHECKS, FIT, MASKS = "pictures.npz", "start.npz", "checks.json", "fit.npz", "masks.npz"
+_FILES = (MARK, PICTURES, START, CHECKS, FIT, MASKS, "sheet.png", "report.json")
+_MASK_BYTES_MAX = 2**28
+
+# how far a stage is: its name, how much is done, and of how much
+Told = Callable[[str, int, int], None]
+Detectors = Callable[[], AbstractContextManager[HandDetector]]
+
+
+@dataclass(frozen=True)
+class OwnOptions:
+    """hand: which one is filmed; None: the one that is seen · hand_length_m: wrist to middle tip along the bones; None:
+    the prior's · camera_angle_deg: across the longer edge; None: what the file says, else a telephone's"""
+
+    hand: Handedness | None = None
+    hand_length_m: float | None = None
+    camera_angle_deg: float | None = None
+
+    def check(self) -> None:
+        """InputError for what cannot be."""
+        angle = CAMERA_ANGLE_DEG if self.camera_angle_deg is None else self.camera_angle_deg
+        TrackOptions(self.hand_length_m, camera_angle_deg=angle).check()
+
+
+# ---- before the fit --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """What is known before anything is fitted. findings: what is wrong with the film"""
+
+    pictures: FilmPictures
+    start: Start
+    findings: list[Finding]
+
+
+def begin(source: Source, prior: HandAvatar, options: OwnOptions, detector: HandDetector, told: Told) -> Begun:
+    """Looks at all pictures, keeps the best of them and says what is wrong. InputError where no hand is to be had."""
+    notes: list[str] = []
+    looked = look(source, detector, lambda done: told("Looking for the hand", done, source.count or done), notes)
+    hand = wanted_hand(hands_over_time(looked.sightings.frames, source.fps), looked, source.name, options.hand)
+    if not source.is_film and not hand.seen.all():
+        number = int(np.flatnonzero(~hand.seen)[0]) + 1
+        remedy = "Take another one, or leave it out."
+        raise InputError(f"photograph {number}", wanted="a hand", came="none", remedy=remedy)
+    canonical = prior.canonical_joints_m
+    length_m = options.hand_length_m or hand_length(canonical)
+    angle = options.camera_angle_deg or source.camera_angle_deg or CAMERA_ANGLE_DEG
+    start = start_of(looked.sightings, hand, canonical * (length_m / hand_length(canonical)), angle, source.is_film)
+    index = spread_pictures(start.poses, start.seen & ~(blurred(looked.sharpness) & source.is_film))
+    if len(index) < PHOTOGRAPHS_MIN:
+        raise InputError(source.name, wanted=f"a hand in {PHOTOGRAPHS_MIN} pictures at least", came=f"{len(index)}")
+    start = start.part(index)
+    hand_px = float(np.median(hand_size_px(start.camera.project(start.joints_m)[0])))
+    window = Window.around(start.landmarks_px.reshape(-1, 2), hand_px, start.camera.width, start.camera.height)
+    pictures = read_pictures(source, index, window, mirrored=start.handedness is Handedness.LEFT)
+    start = start.within(window)
+    zones = _zones(start, prior, start.joints_m)
+    findings = [*(Finding("film", note) for note in notes), *seen_findings(looked, hand)]
+    findings += picture_findings(pictures, start, zones, film_colors(pictures, zones))
+    return Begun(pictures, start, findings)
+
+
+def _zones(start: Start, avatar: HandAvatar, joints_m: np.ndarray) -> Zones:
+    """Of the pictures, by the outlines of a hand with these joints (F, 21, 3)."""
+    outlines = outlines_of(ended(avatar, forearm=False), joints_m, start.camera)
+    return zones_of(start.landmarks_px, start.camera.project(joints_m)[0], outlines)
+
+
+# ---- all of it -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What the film's pictures show. masks: (F, H, W) bool"""
+
+    begun: Begun
+    fitted: FittedHand
+    masks: np.ndarray
+
+
+def explain(
+    paths: Sequence[Path], prior: HandAvatar, options: OwnOptions, work: Path, detectors: Detectors, told: Told
+) -> Explained:
+    """From the film to the hand's shape, its poses and its masks. What lies in `work` already is taken from there.
+
+    InputError for a film of which no avatar can be made; `detectors` gives the detector when one is needed.
+    """
+    begun = _begun(paths, prior, options, work, detectors, told)
+    refuse(begun.findings)
+    if (work / FIT).exists():
+        fitted = FittedHand.load(work / FIT)
+    else:
+        fitted = _fit(begun, prior, told)
+        fitted.save(work / FIT)
+    zones = _zones(begun.start, fitted.avatar_shape(prior), fitted.joints_m)
+    if (work / MASKS).exists():
+        masks = read_arrays(work / MASKS, ("hand",), str(work / MASKS), max_bytes=_MASK_BYTES_MAX)["hand"]
+    else:
+        told("Cutting the hand out", 0, 1)
+        masks = hand_masks(begun.pictures, zones, film_colors(begun.pictures, zones))
+        with writing(work / MASKS) as temporary:
+            np.savez_compressed(temporary, hand=masks)
+        told("Cutting the hand out", 1, 1)
+    refuse(fit_findings(begun.pictures, masks, (zones.outline > 0.5) & zones.side))
+    return Explained(begun, fitted, masks)
+
+
+def _begun(
+    paths: Sequence[Path], prior: HandAvatar, options: OwnOptions, work: Path, detectors: Detectors, told: Told
+) -> Begun:
+    # the last of the three that is written
+    if (work / CHECKS).exists():
+        findings = [Finding(**one) for one in read_small_json(work / CHECKS)["findings"]]
+        return Begun(FilmPictures.load(work / PICTURES), Start.load(work / START), findings)
+    with detectors() as detector:
+        begun = begin(open_source(paths), prior, options, detector, told)
+    begun.pictures.save(work / PICTURES)
+    begun.start.save(work / START)
+    _write_json(work / CHECKS, {"findings": [asdict(finding) for finding in begun.findings]})
+    return begun
+
+
+def _fit(begun: Begun, prior: HandAvatar, told: Told) -> FittedHand:
+    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave."""
+    pictures, start = begun.pictures, begun.start
+    fit = HandFit(prior, start, pictures.time_s if pictures.is_film else None)
+    told("Fitting the hand", 0, 2)
+    fit.fit_landmarks()
+    told("Fitting the hand", 1, 2)
+    now = fit.result()
+    zones = _zones(start, now.avatar_shape(prior), now.joints_m)
+    masks = hand_masks(pictures, zones, film_colors(pictures, zones))
+    fit.fit_pictures(pictures.rgb_u8, masks)
+    told("Fitting the hand", 2, 2)
+    return fit.result()
+
+
+def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> tuple[HandAvatar, list[Finding]]:
+    """The avatar: skin and light of the pictures whose outlines the fit explains, but for those that are held out to
+    judge it by; and what is to be said of it. Writes sheet.png and report.json into `work`."""
+    pictures, fitted = explained.begun.pictures, explained.fitted
+    told("Finding skin and light", 0, 2)
+    fits = np.nan_to_num(fitted.outline_residual) <= PICTURE_RESIDUAL_MAX
+    used = fits if fits.sum() >= PHOTOGRAPHS_MIN else ~np.zeros(len(pictures), bool)
+    film = FilmView(fitted.joints_m, fitted.camera, pictures.rgb_u8, explained.masks).part(used)
+    held = held_out(len(film.joints_m))
+    seen, shaped = film.part(~held), fitted.avatar_shape(prior)
+    observed = observe(shaped, seen.joints_m, seen.camera, seen.pictures, seen.masks)
+    own = skin_from(observed, shaped, Origin(pictures.source, pictures.digest, explained.begun.start.handedness))
+    told("Finding skin and light", 1, 2)
+    report = write_report(work, own, film, held)
+    told("Finding skin and light", 2, 2)
+    return own.avatar, report_findings(report)
+
+
+# ---- the work folder -------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def work_folder(path: Path, paths: Sequence[Path], options: OwnOptions, *, resume: bool) -> Iterator[None]:
+    """Makes the folder this film's for the duration; without `resume` what an earlier run left in it is forgotten.
+
+    InputError where it holds something else, or with `resume` what another film or other options gave; RetryError when
+    another process works there.
+    """
+    make_folder(path)
+    stamp = _stamp(paths, options)
+    with locked(path / LOCK, work="film", remedy="Wait until it has ended, or name another --out."):
+        there = sorted(one.name for one in path.iterdir() if not one.name.startswith(".") and one.name != LOCK)
+        if there and MARK not in there:
+            raise InputError(f"{path}", wanted="a new folder, or one of `jghand own`", came=f"one with {there[0]}",
+                             remedy="Name another --out.")  # fmt: skip
+        if resume and read_small_json(path / MARK) != stamp if there else resume:
+            raise InputError(f"{path}", wanted="what this very film and these options began", came="another beginning",
+                             remedy="Leave out --resume.")  # fmt: skip
+        if not resume:
+            for name in _FILES:
+                (path / name).unlink(missing_ok=True)
+            _write_json(path / MARK, stamp)
+        yield
+
+
+def _stamp(paths: Sequence[Path], options: OwnOptions) -> dict[str, Any]:
+    """What a work folder is of."""
+    digests = []
+    for path in paths:
+        try:
+            with open(path, "rb") as stream:
+                digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
+        except OSError as error:
+            raise InputError(f"cannot read {path}", came=str(error.strerror or error)) from error
+    return {"jghand_own": __version__, "files": digests, "options": asdict(options)}
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    with writing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,42 @@
+"""The shapes in which hands differ beyond the lengths of their bones: an avatar in one of them, and the fit's basis."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.npz_files import read_arrays
+from jghand_engine.template.builtin import ASSETS, load_fields, template_called
+from jghand_engine.template.reshape import reshaped
+
+# two that the identities of captures differ in, in standard deviations, and six growths of a tenth about the bones: of
+# thumb, index, middle, ring, pinky and palm (scripts/build_shape_basis.py)
+SHAPE_COUNT = 8
+# step of the differences by which the basis of an avatar's Gaussians is found
+_STEP = 0.1
+
+
+def in_shape(avatar: HandAvatar, shape: np.ndarray) -> HandAvatar:
+    """The avatar on the built-in template with so much (8,) of each shape; bones keep their lengths."""
+    template = template_called(avatar.info.template)
+    shapes = _shapes(forearm=avatar.has_forearm)
+    after_m = template.vertices_m + np.einsum("k,kvc->vc", np.asarray(shape, np.float64), shapes)
+    return reshaped(avatar, template.faces, template.vertices_m, after_m)
+
+
+def shape_basis(avatar: HandAvatar) -> np.ndarray:
+    """(8, N, 3) float32 how far each shape carries the canonical Gaussians, meters."""
+    moved = [in_shape(avatar, _STEP * unit).position_m.astype(np.float64) for unit in np.eye(SHAPE_COUNT)]
+    return ((np.stack(moved) - avatar.position_m) / _STEP).astype(np.float32)
+
+
+@functools.cache
+def _shapes(*, forearm: bool) -> np.ndarray:
+    """(8, V, 3) meters of the template's vertices."""
+    shapes = read_arrays(ASSETS / "hand_shapes.npz", ("shapes",), "the shapes that come with JGHand")["shapes"]
+    skin = len(load_fields()["base_index"])
+    # stored: the hand's skin, the middle of the cap that closes its wrist, the forearm
+    kept = np.r_[:skin, skin + 1 : shapes.shape[1]] if forearm else np.r_[: skin + 1]
+    return shapes[:, kept].astype(np.float64)

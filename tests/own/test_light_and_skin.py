@@ -1,0 +1,147 @@
+"""Light and skin of a film that the engine drew itself: a hand of another tone, with marks, in a known world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from drawn_film import film_of, marked_hand, plain_hand, window_world
+
+from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.avatar.relighting import in_studio, relightable
+from jghand_engine.avatar.scene_light import World, harmonics
+from jghand_engine.avatar.storage import Storage
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.own import light_and_skin
+from jghand_engine.own.gather import MOTION_FROM_CAMERA, observe
+from jghand_engine.own.light_and_skin import LitFilm, Origin, seen_skin, skin_from
+from jghand_engine.own.skin_prior import SkinPrior, whole_skin
+from jghand_engine.render.renderer import SceneRenderer
+from jghand_engine.render.settings import RenderSettings
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """The hand as it was before anything was known of it, the one that was filmed, and what the film says."""
+    hand = plain_hand()
+    filmed = marked_hand(hand)
+    film = film_of(filmed, window_world(), count=12)
+    observed = observe(hand, film.joints_m, film.camera, film.pictures, film.masks)
+    return hand, filmed, seen_skin(LitFilm(hand, observed), torch.tensor(hand.opacity))
+
+
+def falling(world: World, normal: np.ndarray) -> np.ndarray:
+    """(N, 3) irradiance."""
+    return harmonics(normal) @ world.terms.irradiance(np.full(3, 0.02))
+
+
+def test_the_light_of_a_film_is_found_but_for_its_strength(seen):
+    normal = World(np.ones((8, 16, 3))).samples[0].reshape(-1, 3)
+    ratio = falling(seen[2].world, normal) / falling(window_world(), normal)
+    ratio /= np.exp(np.log(ratio).mean(0))
+    # the hand never shows what falls on it from behind: skin that faces away from the camera is not seen
+    towards = normal[:, 2] > -0.3
+
+    assert np.sqrt(np.mean((ratio[towards] - 1) ** 2)) < 0.1
+
+
+def test_the_skin_comes_back_but_for_the_strength_of_the_light(seen):
+    _, filmed, found = seen
+    known = (found.seen > 0.5).numpy()
+    ratio = found.albedo.numpy()[known] / filmed.rgb[known]
+    error = np.abs(ratio / np.median(ratio, 0) - 1)
+    assert known.mean() > 0.6
+    assert np.median(error) < 0.03
+
+
+def test_a_mark_is_found_in_its_place(seen):
+    _, filmed, found = seen
+    palm = (filmed.rgb[:, 2] > filmed.rgb[:, 0]) & (found.seen > 0.5).numpy()
+    blue = found.albedo.numpy()[:, 2] / found.albedo.numpy()[:, 0]
+    assert palm.sum() > 5
+    assert np.median(blue[palm]) > 2 * np.median(blue[~palm])
+
+
+def test_a_hand_of_unknown_light_is_no_beginning():
+    hand = plain_hand(300)
+    film = film_of(hand, window_world(), count=3)
+    observed = observe(hand, film.joints_m, film.camera, film.pictures, film.masks)
+    with pytest.raises(InputError, match="Begin with the built-in hand"):
+        LitFilm(in_studio(hand), observed)
+
+
+def test_a_world_of_cells_has_the_light_of_its_cells():
+    light = np.random.default_rng(0).random((64, 3))
+    assert np.allclose(World.of_cells(light).terms.light, light, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    """The filmed hand, and what three photographs of its palm say; of a left hand too, whose photographs came
+    mirrored."""
+    hand = plain_hand()
+    filmed = marked_hand(hand)
+    film = film_of(filmed, window_world(), count=12).part(np.array([0, 2, 4]))
+    observed = observe(hand, film.joints_m, film.camera, film.pictures, film.masks)
+    right, left = (skin_from(observed, hand, Origin("film.mp4", "ab", side)).avatar for side in Handedness)
+    return hand, filmed, film, (right, left) if right.handedness is Handedness.RIGHT else (left, right)
+
+
+def test_a_back_that_no_photograph_shows_has_the_tone_of_the_palm_and_the_looks_of_skin(photographed):
+    _, filmed, _, (own, _) = photographed
+    normal, place_m = own.learned.normal, own.position_m
+    back = (normal[:, 2] < -0.5) & (place_m[:, 1] > 0.02) & (np.abs(filmed.rgb / filmed.rgb.mean(0) - 1).max(1) < 0.3)
+    palm = (normal[:, 2] > 0.7) & (place_m[:, 1] > 0.02)
+    ratio = np.median(own.rgb[back], 0) / np.median(own.rgb[palm], 0)
+    assert np.isfinite(own.rgb).all()
+    assert (ratio > 0.5).all()
+    assert (ratio < 1.4).all()
+    red, green, blue = np.median(own.rgb[back], 0)
+    assert red > green > blue
+
+
+def test_without_any_picture_skin_is_the_mean_of_skins():
+    hand = plain_hand(500)
+    whole = whole_skin(hand, np.full((500, 3), 0.5), np.zeros(500))
+    assert np.allclose(whole, np.exp(SkinPrior.at(hand).mean))
+    assert (np.diff(whole.mean(0)) < 0).all()
+
+
+def test_a_hand_from_a_film_stands_in_its_light_until_a_scene_has_another(photographed, tmp_path):
+    hand, _, film, (own, _) = photographed
+    save_avatar(tmp_path / "me.jghand", own, storage=Storage.COMPACT)
+    again = load_avatar(tmp_path / "me.jghand")
+    camera = replace(film.camera, camera_from_world=np.diag([*MOTION_FROM_CAMERA, 1.0]))
+
+    def error(avatar):
+        rgba = SceneRenderer([avatar], RenderSettings(antialias=False)).render(
+            [film.joints_m[0] * MOTION_FROM_CAMERA], camera
+        ).rgba  # fmt: skip
+        inside = film.masks[0] & (rgba[..., 3] > 0.98)
+        return np.abs(rgba[..., :3] - film.pictures[0] / 255)[inside].mean()
+
+    assert again.learned is not None
+    assert again.learned.response is not None
+    assert again.learned.response.film_light is not None
+    assert error(again) < 0.03
+    assert error(hand) > 2 * error(again)
+    assert relightable(again) is again
+
+
+def test_a_left_hand_is_the_mirrored_right_one(photographed):
+    *_, (right, left) = photographed
+    assert (left.rgb == right.rgb).all()
+    ways, mirror = World(np.ones((8, 16, 3))).samples[0].reshape(-1, 3), np.array([-1.0, 1, 1])
+    worlds = [World.of_cells(one.learned.response.film_light) for one in (right, left)]
+    assert np.allclose(falling(worlds[1], ways * mirror), falling(worlds[0], ways), rtol=0.02, atol=1e-3)
+    assert left.handedness is Handedness.LEFT
+
+
+def test_skin_that_is_guessed_is_never_brighter_than_white(photographed, monkeypatch):
+    hand, _, film, _ = photographed
+    monkeypatch.setattr(light_and_skin, "whole_skin", lambda avatar, albedo, seen: 2 * albedo)
+    observed = observe(hand, film.joints_m, film.camera, film.pictures, film.masks)
+    assert skin_from(observed, hand, Origin("film.mp4", "ab", Handedness.RIGHT)).avatar.rgb.max() < 1

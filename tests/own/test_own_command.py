@@ -1,0 +1,162 @@
+"""`jghand own`: what it says of a film, and how a run that was stopped goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from films_of_bones import SCALE, SKIN, drawn_hands, film_of
+from tracking_samples import CAMERA, right_joints_m, seen
+
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.cli import main
+from jghand_engine.errors import InputError
+from jghand_engine.export.video import write_video
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.own import make
+from jghand_engine.own.hand_fit import FittedHand
+from jghand_engine.own.make import OwnOptions, explain, work_folder
+from jghand_engine.own.start import Start
+from jghand_engine.track import mediapipe_hands
+from jghand_engine.track.detection import HandDetector, SeenHand
+
+RIGHT = Handedness.RIGHT
+JOINTS_M = right_joints_m(6)
+FPS = 15.0
+
+
+class Known:
+    """A detector that knows the film by heart."""
+
+    def detect(self, rgb8: np.ndarray, time_s: float) -> list[SeenHand]:
+        hand = seen(JOINTS_M[round(time_s * FPS)], RIGHT)
+        return [replace(hand, image_px=hand.image_px * SCALE)] if rgb8.std() > 1 else []
+
+
+@contextmanager
+def known(*_: object) -> Iterator[HandDetector]:
+    yield Known()
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("film") / "hand.mp4"
+    shown = film_of(CAMERA.project(JOINTS_M) * SCALE, SKIN).rgb_u8
+    write_video(path, list(shown), FPS)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def detector(monkeypatch):
+    monkeypatch.setattr(mediapipe_hands, "video_detector", known)
+
+
+@pytest.fixture
+def fits(monkeypatch) -> list[int]:
+    """Fits that take the tracker's word; how many there were."""
+    begun: list[int] = []
+
+    class Believing:
+        def __init__(self, prior: object, start: Start, time_s: np.ndarray | None) -> None:
+            self.start = start
+            begun.append(len(start.joints_m))
+
+        def fit_landmarks(self) -> None: ...
+        def fit_pictures(self, rgb_u8: np.ndarray, masks: np.ndarray) -> None:
+            assert masks.shape == rgb_u8.shape[:3]
+
+        def result(self) -> FittedHand:
+            start = self.start
+            nothing = np.full(len(start.joints_m), np.nan)
+            return FittedHand(start.camera, start.poses, start.joints_m, start.canonical_joints_m, np.zeros(8), nothing)
+
+    monkeypatch.setattr(make, "HandFit", Believing)
+    # hands of bones are thinner than one of flesh
+    monkeypatch.setattr(make, "fit_findings", lambda *_: [])
+    return begun
+
+
+def test_a_check_says_what_is_wrong_and_writes_nothing(film, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["own", str(film), "--check", "--json", "told.json"]) == 0
+    said = capsys.readouterr().out
+    assert "size: The hand is about 9" in said
+    assert "views: The back of the hand is never seen" in said
+    assert "An avatar can be made of it." in said
+    told = json.loads(Path("told.json").read_text())
+    assert (told["hand"], told["refused"]) == ("right", False)
+    assert [path.name for path in tmp_path.iterdir()] == ["told.json"]
+
+
+def test_a_film_without_a_hand_ends_with_2_and_words(tmp_path, capsys):
+    write_video(tmp_path / "wall.mp4", [np.full((96, 128, 3), 90, np.uint8)] * 6, FPS)
+    assert main(["own", str(tmp_path / "wall.mp4"), "--check"]) == 2
+    assert "wanted a hand, got none in any picture. Film it large" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "either --out FILE.jghand or --check"),
+        (["--check", "--out", "me.jghand"], "either --out FILE.jghand or --check"),
+        (["--check", "--hand-length", "18"], "60 to 400 mm"),
+        (["--check", "--camera-angle", "170"], "1 to 150 degrees"),
+        (["--check", "--hand", "left"], "the right one alone"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(film, capsys, words, told):
+    assert main(["own", str(film), *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+def explained(film: Path, work: Path, *, resume: bool, detectors=known, **options: float) -> make.Explained:
+    chosen = OwnOptions(**options)
+    with work_folder(work, [film], chosen, resume=resume):
+        return explain([film], load_builtin(handedness=RIGHT), chosen, work, detectors, lambda *_: None)
+
+
+@contextmanager
+def nobody(*_: object) -> Iterator[HandDetector]:
+    raise AssertionError("the film was looked at already")
+    yield
+
+
+def test_a_run_that_was_stopped_goes_on_after_the_last_stage_that_ended(film, tmp_path, fits, monkeypatch):
+    whole = explained(film, tmp_path / "whole.own", resume=False)
+    work = tmp_path / "me.own"
+    with monkeypatch.context() as stopping:
+        stopping.setattr(make, "hand_masks", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt()))
+        with pytest.raises(KeyboardInterrupt):
+            explained(film, work, resume=False)
+    assert not (work / make.FIT).exists()
+    again = explained(film, work, resume=True, detectors=nobody)
+    assert len(fits) == 3
+    assert np.array_equal(again.masks, whole.masks)
+    (work / make.MASKS).unlink()
+    third = explained(film, work, resume=True, detectors=nobody)
+    assert len(fits) == 3
+    assert np.array_equal(third.masks, whole.masks)
+    assert np.array_equal(third.fitted.joints_m, whole.fitted.joints_m)
+    hands = drawn_hands(CAMERA.project(JOINTS_M) * SCALE)
+    assert 0.5 < third.masks.mean() * third.masks[0].size / hands.sum((1, 2)).mean() < 1.2
+
+
+def test_a_work_folder_is_of_one_film_and_its_options_and_of_nothing_else(film, tmp_path, fits):
+    work = tmp_path / "me.own"
+    with pytest.raises(InputError, match="Leave out --resume"):
+        explained(film, work, resume=True)
+    explained(film, work, resume=False)
+    with pytest.raises(InputError, match="this very film and these options"):
+        explained(film, work, resume=True, hand_length_m=0.2)
+    explained(film, work, resume=False, hand_length_m=0.2)
+    assert len(fits) == 2
+    other = tmp_path / "pictures"
+    other.mkdir()
+    (other / "mine.png").touch()
+    with pytest.raises(InputError, match=r"one with mine\.png"):
+        explained(film, other, resume=False)

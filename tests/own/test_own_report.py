@@ -1,0 +1,58 @@
+"""What is said of an avatar from a film, on a film that the engine drew."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_film import film_of, marked_hand, plain_hand, window_world
+
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.own.gather import observe
+from jghand_engine.own.light_and_skin import Origin, OwnHand, skin_from
+from jghand_engine.own.report import FilmView, held_out, scores, seen_map, write_report
+
+
+@pytest.fixture(scope="module")
+def made():
+    """The avatar of a film without the pictures that were held out, the film, and which these are."""
+    hand = plain_hand()
+    drawn = film_of(marked_hand(hand), window_world(), count=12)
+    film, held = FilmView(drawn.joints_m, drawn.camera, drawn.pictures, drawn.masks), held_out(12)
+    known = film.part(~held)
+    observed = observe(hand, known.joints_m, known.camera, known.pictures, known.masks)
+    return skin_from(observed, hand, Origin("film.mp4", "ab", Handedness.RIGHT)), film, held
+
+
+def test_every_eighth_picture_of_a_film_is_held_out_and_no_photograph():
+    assert np.flatnonzero(held_out(20)).tolist() == [4, 12]
+    assert not held_out(5).any()
+
+
+def test_pictures_that_were_held_out_look_like_the_film(made):
+    own, film, held = made
+    (found,) = scores(own, film.part(held))
+    (other,) = scores(replace(own, avatar=replace(own.avatar, rgb=own.avatar.rgb[:, ::-1])), film.part(held))
+    assert found["psnr_mask"] > 26
+    assert found["iou"] > 0.95
+    assert other["psnr_mask"] < found["psnr_mask"] - 5
+
+
+def test_the_map_is_red_where_nothing_was_seen_and_green_elsewhere(made):
+    own, *_ = made
+    green = seen_map(own, 64)
+    red = seen_map(OwnHand(own.avatar, np.zeros_like(own.seen), own.world), 64)
+    for name in green:
+        more_red = [(picture[..., 0] > picture[..., 1] + 40.0).mean() for picture in (green[name], red[name])]
+        assert more_red[0] < 0.45 * more_red[1]
+
+
+def test_the_report_is_a_sheet_and_figures(made, tmp_path):
+    own, film, held = made
+    report = write_report(tmp_path, own, film, held)
+    assert json.loads((tmp_path / "report.json").read_text()) == report
+    assert report["held_out"] == [4]
+    assert 0.5 < float(str(report["seen_part"])) < 1
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
