@@ -95,6 +95,7 @@ ADVICE = {
     "no_avatar": Advice(
         "The file of the avatar does not exist", 'Choose another "Avatar", or put the file back', BAD_INPUT
     ),
+    "bad_pack": Advice("There are no hands in this file", "Choose a zip of JGHand's hands", BAD_INPUT),
     "bad_input": Advice("The renderer cannot use what it was given", "Correct it and try again", BAD_INPUT),
     "retry": Advice("The renderer could not do it now", "Try again", TRY_AGAIN),
     "internal": Advice("Internal error", 'Look at "Show Log" and report it', MISTAKE),

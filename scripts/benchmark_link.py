@@ -312,7 +312,7 @@ def main() -> int:
         parser.error(f"--only: wanted some of {','.join(PARTS)}, got {','.join(unknown)}")
     command = stand_in("blank")
     if options.engine_python:
-        command = (options.engine_python, "-I", "-m", "jghand_engine", "serve", "--stdio-handshake")
+        command = (options.engine_python, "-I", "-m", "jghand_engine", "serve")
     plan = Plan(command, 20, 8, 5, 200, 3.0) if options.quick else Plan(command, 300, 200, 1000, 10_000, 20.0)
     figures = Figures()
     print(machine())

@@ -24,9 +24,9 @@ from build_pose_table import joints_of
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from blender_addon.core import poses
+from blender_addon.core import poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
-from blender_addon.core.joints import HANDEDNESSES, LEFT, RIGHT
+from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT
 from blender_addon.core.poses import HandPose
 from blender_addon.hand import poses as pose_library
 from blender_addon.hand.motion_files import MotionFile, write_motion
@@ -79,6 +79,10 @@ def asset_of(pose: HandPose, picture: np.ndarray) -> bpy.types.Action:
     for bone, turn in pose.turns.items():
         for index, part in enumerate(turn):
             key(bone, "rotation_quaternion", index, part)
+    rest_m = posing.rest_joints_m(pose.handedness)
+    for bone, way in pose.knuckles.items():
+        for index, part in enumerate(way):
+            key(bone, "location", index, part * float(np.linalg.norm(rest_m[NAMES.index(bone)])))
     # a pose is what is seen: controls go back to neutral where there are any
     for bone in (HAND_CONTROL, *FINGER_CONTROLS):
         for index in (0, 2):

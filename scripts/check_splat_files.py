@@ -126,7 +126,7 @@ PRECISION = {
     "glb": Difference(1e-5, 2e-6, 3e-6, 2e-7, 2e-7),
     "splat": Difference(1e-5, 2e-6, 0.018, _HALF_BYTE, _HALF_BYTE),
     "spz": Difference(1e3 * 2**-19 + 1e-5, 0.0318, 0.066, 0.0037, _HALF_BYTE),
-    "sog": Difference(0.004, 0.011, 0.022, 0.0028, 1 / 255 + 1e-6),
+    "sog": Difference(0.006, 0.011, 0.022, 0.0028, 1 / 255 + 1e-6),
 }
 BYTES_OF_THREE = Difference(0, 0, 0, _HALF_BYTE, _HALF_BYTE)
 # reads a .splat's bytes of quaternions as 0..255 for -1..1, where 128 is not 0; of gaussforge's opacity, logits are cut

@@ -183,7 +183,7 @@ def run(options: argparse.Namespace) -> int:
 def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     """Named poses while the whole hand sways about its long axis, so that more than one side is seen."""
     motion = MotionOptions(fps=FPS, move_s=MOVE_S, hold_s=HOLD_S)
-    sequence = pose_sequence_of_names(poses, avatar.canonical_joints_m, handedness=avatar.handedness, options=motion)
+    sequence = pose_sequence_of_names(poses, avatar.rest_joints_m, handedness=avatar.handedness, options=motion)
     angle_rad = np.radians(SWAY_DEG) * np.sin(np.linspace(0, 2 * np.pi, len(sequence)))
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
@@ -220,7 +220,7 @@ def render_alone(demo: Demo, timings: Timings) -> None:
     for side, camera in demo.cameras.items():
         files = demo.frames(side)
         make_folder(files.folder)
-        FrameWriter(renderer, demo.sequence.joints_m, camera, files, timings).write_all()
+        FrameWriter(renderer, demo.sequence.poses, camera, files, timings).write_all()
 
 
 def build_blend(demo: Demo, python: Path) -> None:

@@ -65,7 +65,7 @@ def main(options: Options) -> None:
     avatar = load_avatar_called(options.avatar).for_hand(Handedness.RIGHT)
     rows = []
     for name in POSES:
-        joints_m = named_pose(name, avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+        joints_m = named_pose(name, avatar.rest_joints_m, handedness=Handedness.RIGHT)
         camera = framing_camera(joints_m[None], Handedness.RIGHT, "front", width=SIZE[0], height=SIZE[1])
         frames = [HandRenderer(avatar, preset("final"), light).render(joints_m, camera) for light in LIGHTS.values()]
         rows.append(np.concatenate([flatten(frame.displayed(), BACKGROUND) for frame in frames], 1))

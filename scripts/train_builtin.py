@@ -1,11 +1,9 @@
-"""Makes the built-in avatar anew: a capture with a photographic skin, a training on it.
+"""Makes the built-in avatar anew: a capture of a person whose skin is computed, a training on it.
 
-    python scripts/train_builtin.py --skin SKIN.png            # jghand_engine/assets/builtin_right.jghand
+    python scripts/train_builtin.py            # jghand_engine/assets/builtin_right.jghand
 
-SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
-of MakeHuman's skins (CC0-1.0), baked into that UV, and 72 minutes of training on the pictures that its capture does not
-hold out. Less than an hour of Cycles comes before, and some minutes of `jghand distill` after; what is there already is
-kept, so it goes on where it was stopped.
+Two hours of Cycles on two quiet cores, an hour of training on the pictures that the capture does not hold out, and some
+minutes of `jghand distill`; what is there already is kept, so it goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -21,21 +19,17 @@ from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.storage import Storage
 
 ASSETS = Path(__file__).resolve().parents[1] / "jghand_engine" / "assets"
-CAPTURE = (
-    *("--identity", "adult_woman", "--cameras", "14", "--close-ups", "2", "--poses", "48", "--wrist-turn", "20"),
-    *("--lights", "varied", "--samples", "20", "--subdivisions", "2", "--size", "334x512"),
-)
+CAPTURE = ["--identity", "adult_woman", "--cameras", "12", "--close-ups", "3", "--poses", "44", "--lights", "varied"]
 LICENSE = (
     "CC0-1.0 AND Apache-2.0, see NOTICE: learned from path-traced pictures of MakeHuman's hand (CC0-1.0) on a rig with "
-    "SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in the light of Blender's worlds (CC0-1.0)"
+    "SOMA's joints (Apache-2.0), in the light of Blender's worlds (CC0-1.0)"
 )
 
 
 @dataclass(frozen=True)
 class Options:
-    """skin: the picture · work: folder of the capture and the training · minutes: of training · out: the file"""
+    """work: folder of the capture and the training · minutes: of training · out: the file"""
 
-    skin: Path
     work: Path = Path("builtin")
     minutes: float = 72.0
     out: Path = ASSETS / "builtin_right.jghand"
@@ -43,7 +37,7 @@ class Options:
 
 def main(options: Options) -> None:
     capture, trained, baked = (options.work / name for name in ("capture", "trained.jghand", "baked.jghand"))
-    run("capture", "--out", capture, "--skin", options.skin, *CAPTURE)
+    run("capture", "--out", capture, *CAPTURE)
     goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
     run("distill", trained, capture, "--out", baked, "--overwrite")

@@ -56,8 +56,9 @@ MIXAMO_TIPS = tuple(name or f"RightHand{LEVEL_NAMES[place].capitalize()}" for pl
 
 
 def motion(handedness: Handedness = Handedness.RIGHT, frames: int = 40, fps: float = 30.0) -> PoseSequence:
-    """A hand that opens and closes while it turns by more than half a turn and travels."""
-    still = pose_sequence_of_names(["open", "fist", "point", "open"], hands.canonical_np(), handedness=handedness)
+    """A hand that opens and closes while it turns by more than half a turn and travels. Its palm keeps its shape, as in
+    rigs of other programs: of these poses none bends the knuckles so far that it arches."""
+    still = pose_sequence_of_names(["open", "claw", "relaxed", "open"], hands.canonical_np(), handedness=handedness)
     joints = still.joints_m[:frames]
     part = np.linspace(0, 1, len(joints))
     turn = Rotation.from_rotvec(part[:, None] * np.array([1.9, -1.1, 2.3])).as_matrix()

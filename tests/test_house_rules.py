@@ -31,6 +31,7 @@ ROOMS = (
     ("export",),
     ("track",),
     ("learn",),
+    ("own",),
     ("study",),
     ("service",),
     ("cli",),

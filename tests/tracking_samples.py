@@ -15,8 +15,8 @@ from jghand_engine.track.track import Sightings
 
 CANONICAL_M = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
 WIDTH, HEIGHT, FPS = 640, 480, 30.0
-# what an angle of 60 degrees across 640 pixels is
-CAMERA = Pinhole(320 / np.tan(np.radians(30)), 320.0, 240.0)
+# what is assumed of an unknown camera, 66 degrees across 640 pixels
+CAMERA = Pinhole(320 / np.tan(np.radians(33)), 320.0, 240.0)
 
 
 def moving_poses(count: int = 60, fps: float = FPS) -> Poses:

@@ -30,9 +30,12 @@ JOINT_RANGES_DEG = (
 )
 # the middle and last joints are hinges, with some play (METHOD 4.1); thumb, fingers. The thumb's axes here follow its
 # nail and lie up to 30 degrees from the engine's, so that its hinges seem to bend sideways too and its first joint goes
-# a little further: by what the engine's named poses need (28.6 and 4.1)
-SIDEWAYS_RANGE_DEG = (29.0, 15.0)
+# a little further: by what the engine's named poses need (30.4 and 4.1)
+SIDEWAYS_RANGE_DEG = (31.0, 15.0)
 THUMB_PLAY_DEG = 5.0
+# the first bones bend farther against the wrist's bone by what the palm arches under them: the engine's
+# `hand.kinematics.SINK_DEG`, thumb first
+SINK_DEG = (0.0, 0.3, 0.0, 2.7, 5.5)
 # turn of a bone about itself: passive play of a knuckle, and what swings about two axes have of it (assumed)
 TWIST_RANGE_DEG = 30.0
 
@@ -131,7 +134,8 @@ def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
         sign = spread_sign(finger, handedness)
         for level, bone in enumerate(moving_bones(finger)):
             play = np.radians(THUMB_PLAY_DEG) if finger == level == 0 else 0.0
-            low, high = table[0 if level == 0 else level + 1] - flexions[finger, level] + (-play, play)
+            sink = np.radians(SINK_DEG[finger]) if level == 0 else 0.0
+            low, high = table[0 if level == 0 else level + 1] - flexions[finger, level] + (-play, play + sink)
             spread = sorted(sign * table[1]) if level == 0 else (-sideways, sideways)
             result.append(
                 JointRange(

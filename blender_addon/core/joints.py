@@ -10,7 +10,9 @@ from __future__ import annotations
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 NAMES = ("wrist", *(f"{finger}{level}" for finger in FINGERS for level in (1, 2, 3, 4)))
 PARENTS = (-1, *(0 if place % 4 == 0 else place for place in range(20)))
-WRIST, INDEX, MIDDLE, PINKY = 0, 5, 9, 17
+WRIST, INDEX, MIDDLE, RING, PINKY = 0, 5, 9, 13, 17
+# the bone that the wrist hangs on, of a hand whose avatar has a forearm
+FOREARM = "forearm"
 TIPS = tuple(place for place, name in enumerate(NAMES) if name.endswith("4"))
 THUMB = (1, 2, 3, 4)
 # the joint at which a bone's tail points: the next one of the finger, the middle MCP for the wrist, none for a tip
@@ -20,6 +22,8 @@ RIGHT, LEFT = "right", "left"
 HANDEDNESSES = (RIGHT, LEFT)
 OTHER = {RIGHT: LEFT, LEFT: RIGHT}
 
+# where it begins: the elbow of the right hand at rest. The skin of an avatar ends half-way
+ELBOW_RIGHT_M = (0.0420, -0.2347, 0.0276)
 # The right hand at rest: the joints of the engine's built-in hand, meters; +y wrist to middle MCP, +x to the index
 # side, +z out of the palm. Here as well, because a rig is useful without an engine; a test compares the two.
 REST_RIGHT_M = (

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hand poses with names: turns of the finger bones from the rest pose, the same table for both hands.
+"""Hand poses with names: turns of the finger bones from the rest pose, and how far knuckles draw together; the same
+table for both hands.
 
 `assets/poses.json` holds the right hand, made from the engine's named poses by `scripts/build_pose_table.py`. A left
-hand's bones have the mirrored axes (`posing`), so that a turn (w, x, y, z) becomes (w, x, -y, -z).
+hand's bones have the mirrored axes (`posing`), so that a turn (w, x, y, z) becomes (w, x, -y, -z) and a way (x, y, z)
+becomes (-x, y, z).
 """
 
 from __future__ import annotations
@@ -20,18 +22,24 @@ from .posing import check_handedness
 
 TABLE = Path(__file__).resolve().parents[1] / "assets" / "poses.json"
 LETTER = "letter"
-_MIRROR = np.array([1.0, 1.0, -1.0, -1.0])
+_TURN_MIRROR, _WAY_MIRROR = np.array([1.0, 1.0, -1.0, -1.0]), np.array([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class HandPose:
-    """turns: bone -> (w, x, y, z) relative to the rest pose in the bone's own axes; 15 bones. kind: pose or letter."""
+    """A pose of the bones, each in its own axes, relative to the rest pose.
+
+    kind:     pose or letter
+    turns:    bone -> (w, x, y, z); 15 bones
+    knuckles: first bone of index to pinky -> (x, y, z) that it moves, as parts of its distance from the wrist at rest
+    """
 
     name: str
     kind: str
     description: str
     handedness: str
-    turns: dict[str, tuple[float, float, float, float]]
+    turns: dict[str, tuple[float, ...]]
+    knuckles: dict[str, tuple[float, ...]]
 
     @property
     def title(self) -> str:
@@ -43,22 +51,22 @@ class HandPose:
 def all_poses(handedness: str) -> tuple[HandPose, ...]:
     """Every pose of the table for one hand. Raises JGHandFailure: not_a_hand, bad_file (a broken installation)."""
     check_handedness(handedness)
-    mirror = _MIRROR if handedness == LEFT else np.ones(4)
+    turn_mirror, way_mirror = (_TURN_MIRROR, _WAY_MIRROR) if handedness == LEFT else (np.ones(4), np.ones(3))
     return tuple(
         HandPose(
             entry["name"],
             entry["kind"],
             entry["description"],
             handedness,
-            {bone: _quaternion(mirror * turn) for bone, turn in entry["bones"].items()},
+            {bone: _numbers(turn_mirror * turn) for bone, turn in entry["bones"].items()},
+            {bone: _numbers(way_mirror * way) for bone, way in entry["knuckles"].items()},
         )
         for entry in _entries()
     )
 
 
-def _quaternion(wxyz: np.ndarray) -> tuple[float, float, float, float]:
-    w, x, y, z = map(float, wxyz)
-    return w, x, y, z
+def _numbers(array: np.ndarray) -> tuple[float, ...]:
+    return tuple(map(float, array))
 
 
 def pose_named(name: str, handedness: str) -> HandPose:

@@ -13,7 +13,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import JGHandFailure
-from .joints import HANDEDNESSES, INDEX, LEFT, MIDDLE, NAMES, PARENTS, PINKY, REST_RIGHT_M, TAILS, THUMB, WRIST
+from .joints import (
+    ELBOW_RIGHT_M,
+    HANDEDNESSES,
+    INDEX,
+    LEFT,
+    MIDDLE,
+    NAMES,
+    PARENTS,
+    PINKY,
+    REST_RIGHT_M,
+    RING,
+    TAILS,
+    THUMB,
+    WRIST,
+)
 
 # a rest bone shorter than this part of the mean bone has no direction, and Blender deletes bones of no length
 REST_BONE_MIN = 1e-2
@@ -30,7 +44,7 @@ _THUMB_PAD = np.array([-0.93, 0.27, 0.26])
 @dataclass(frozen=True)
 class BoneKeys:
     """What is keyed: location (F, 21, 3) in the unit of the joints and quaternion (F, 21, 4) as w, x, y, z, both
-    relative to the rest pose in the bone's own axes, in the standard order."""
+    relative to the rest pose in the bone's own axes, in the standard order; those of a forearm's bone last."""
 
     location: np.ndarray
     quaternion: np.ndarray
@@ -82,19 +96,77 @@ def rest_matrices(joints: np.ndarray, handedness: str) -> np.ndarray:
     return matrices
 
 
-def bone_keys(joints: np.ndarray, rest: np.ndarray, handedness: str) -> BoneKeys:
+def forearm_rest(rest: np.ndarray, handedness: str) -> np.ndarray:
+    """(21, 4, 4) rest matrices -> (4, 4) that of the bone from the elbow to the wrist; same space and unit."""
+    palm, wrist = rest[WRIST, :3, :3], rest[WRIST, :3, 3]
+    side = -1.0 if handedness == LEFT else 1.0
+    size = np.linalg.norm(rest[MIDDLE, :3, 3] - wrist) / np.linalg.norm(REST_RIGHT_M[MIDDLE])
+    # x of the palm points to the index side on a right hand and away from it on a left one
+    way = palm @ (size * np.array(ELBOW_RIGHT_M) * (side, 1.0, 1.0))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = _axes_along(-way, palm[:, 2]), wrist + way
+    return matrix
+
+
+def forearm_rotations(joints: np.ndarray, handedness: str, turns: np.ndarray) -> np.ndarray:
+    """How forearms are turned about the wrist from where the palm carries them, in the space of the joints (F, 21, 3):
+    (F, 4) quaternions w, x, y, z in the palm's frame, as motion files have them -> (F, 3, 3)."""
+    palm = _palm_frames(joints, handedness)
+    return palm @ _rotations(turns) @ np.swapaxes(palm, -1, -2)
+
+
+def forearm_turns(joints: np.ndarray, handedness: str, rotations: np.ndarray) -> np.ndarray:
+    """The other way round: (F, 3, 3) -> (F, 4)."""
+    palm = _palm_frames(joints, handedness)
+    return _quaternions(np.swapaxes(palm, -1, -2) @ rotations @ palm)
+
+
+def _palm_frames(joints: np.ndarray, handedness: str) -> np.ndarray:
+    """(F, 21, 3) -> (F, 3, 3) the engine's frame of the palm (METHOD 2.7): z along the metacarpals index to pinky, x
+    out of the palm; of a left hand the mirror image of a right one's."""
+    fan = joints[:, (INDEX, MIDDLE, RING, PINKY)] - joints[:, WRIST : WRIST + 1]
+    mirror = np.array([-1.0 if handedness == LEFT else 1.0, 1.0, 1.0])
+    fan = fan * mirror
+    z = fan.sum(1)
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    area = np.cross(fan[:, :-1], fan[:, 1:]).sum(1)
+    x = area - z * np.sum(z * area, -1, keepdims=True)
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return mirror[:, None] * np.stack([x, np.cross(z, x), z], -1)
+
+
+def bone_keys(
+    joints: np.ndarray,
+    rest: np.ndarray,
+    handedness: str,
+    forearm: tuple[np.ndarray, np.ndarray] | None = None,
+    *,
+    still_wrist: bool = False,
+) -> BoneKeys:
     """(F, 21, 3) joints and (21, 4, 4) rest matrices, both in the armature's space and unit -> what is keyed.
 
     The posed bone heads equal the joints for any lengths and any palm. Quaternions keep their sign from frame to
     frame, so that interpolation never takes the long way.
+    forearm: (4, 4) rest matrix of the bone that the wrist hangs on, and (F, 4) how forearms are turned, see
+    `forearm_rotations`.
+    still_wrist: the wrist's bone stays, however the knuckles move, instead of turning with the palm.
     """
     joints = checked_joints(joints)
     rest = np.asarray(rest, np.float64)
-    axes = posed_axes(joints, rest, handedness)
-    location, quaternion = np.empty_like(joints), np.empty((*joints.shape[:2], 4))
+    axes = posed_axes(joints, rest, handedness, still_wrist=still_wrist)
+    count = len(NAMES) + (forearm is not None)
+    location, quaternion = np.empty((len(joints), count, 3)), np.empty((len(joints), count, 4))
+    above = np.broadcast_to(np.eye(3), axes[:, WRIST].shape), rest[WRIST, :3, 3]
+    if forearm is not None:
+        bone, turns = forearm
+        turn = forearm_rotations(joints, handedness, turns) @ (axes[:, WRIST] @ rest[WRIST, :3, :3].T)
+        head = joints[:, WRIST] + turn @ (bone[:3, 3] - rest[WRIST, :3, 3])
+        location[:, -1] = (head - bone[:3, 3]) @ bone[:3, :3]
+        quaternion[:, -1] = _continuous(_quaternions(bone[:3, :3].T @ turn @ bone[:3, :3]))
+        above = turn, joints[:, WRIST]
     for place, parent in enumerate(PARENTS):
         if parent < 0:
-            unposed_axes, unposed_head = np.broadcast_to(rest[place, :3, :3], axes[:, 0].shape), rest[place, :3, 3]
+            unposed_axes, unposed_head = above[0] @ rest[place, :3, :3], above[1]
         else:
             turn = axes[:, parent] @ rest[parent, :3, :3].T
             unposed_axes = turn @ rest[place, :3, :3]
@@ -105,12 +177,13 @@ def bone_keys(joints: np.ndarray, rest: np.ndarray, handedness: str) -> BoneKeys
     return BoneKeys(location, quaternion)
 
 
-def posed_axes(joints: np.ndarray, rest: np.ndarray, handedness: str) -> np.ndarray:
+def posed_axes(joints: np.ndarray, rest: np.ndarray, handedness: str, *, still_wrist: bool = False) -> np.ndarray:
     """(F, 21, 3) joints and (21, 4, 4) rest matrices -> (F, 21, 3, 3) axes of the bones in the poses."""
     axes = np.empty((len(joints), len(NAMES), 3, 3))
-    axes[:, WRIST] = palm_axes(joints, handedness) @ (
-        palm_axes(rest[None, :, :3, 3], handedness)[0].T @ rest[0, :3, :3]
-    )
+    axes[:, WRIST] = rest[0, :3, :3]
+    if not still_wrist:
+        at_rest = palm_axes(rest[None, :, :3, 3], handedness)[0]
+        axes[:, WRIST] = palm_axes(joints, handedness) @ (at_rest.T @ rest[0, :3, :3])
     for place in range(1, len(NAMES)):
         parent = PARENTS[place]
         carried = axes[:, parent] @ (rest[parent, :3, :3].T @ rest[place, :3, :3])
@@ -230,6 +303,12 @@ def _quaternions(rotations: np.ndarray) -> np.ndarray:
     best = np.argmax(np.diagonal(candidates, axis1=1, axis2=2), axis=1)
     chosen = candidates[np.arange(len(r)), best]
     return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+
+
+def _rotations(quaternions: np.ndarray) -> np.ndarray:
+    """(F, 4) unit w, x, y, z -> (F, 3, 3)."""
+    w, v = quaternions[:, 0, None, None], quaternions[:, 1:]
+    return (2 * w * w - 1) * np.eye(3) + 2 * v[:, :, None] * v[:, None, :] + 2 * w * _cross_matrix(v)
 
 
 def _continuous(quaternions: np.ndarray) -> np.ndarray:

@@ -15,13 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from . import posing
-from .joints import LEFT, RIGHT, TAILS
+from .joints import LEFT, RIGHT, TAILS, WRIST
 
 _NAME = "hand_right.npz"
 # where the skin is looked at for shadows: 3.5 mm from each other, like the engine's anchors
 POINTS = 3000
 # where light is baked: 1.8 mm from each other, less than a Gaussian of the skin is wide
 FINE_POINTS = 12_000
+# from where to where behind the wrist it bends, meters: the engine's
+BEND_M = (-0.015, 0.035)
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
@@ -73,6 +75,18 @@ def points_on(surface: Surface, count: int = POINTS) -> tuple[np.ndarray, np.nda
     normal = np.einsum("pk,pka->pa", share, surface.normals[corners])
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
     return np.einsum("pk,pka->pa", share, surface.vertices[corners]), normal
+
+
+def with_forearm_bone(weights: np.ndarray, handedness: str) -> np.ndarray:
+    """(V, 21) weights of the hand with a forearm -> (V, 22): what followed the wrist goes over to the bone that this
+    hangs on. Where it is bent, skin bends as the engine's; all of a twist is there, too."""
+    surface, rest = _template(handedness, True)
+    wrist = rest[WRIST, :3, 3]
+    way = wrist - posing.forearm_rest(rest, handedness)[:3, 3]
+    behind = (wrist - surface.vertices) @ way / np.linalg.norm(way)
+    part = ((behind - BEND_M[0]) / (BEND_M[1] - BEND_M[0])).clip(0, 1)
+    forearm = weights[:, WRIST] * part * part * (3 - 2 * part)
+    return np.column_stack([weights[:, WRIST] - forearm, weights[:, 1:], forearm])
 
 
 @cache

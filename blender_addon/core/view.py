@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .joints import MIDDLE, WRIST
+from .posing import forearm_rotations
 from .stand_in import FINE_POINTS, points_m
 from .wire import protocol
 
@@ -102,7 +103,8 @@ def avatar_stamp(avatar: str) -> str:
 @dataclass(frozen=True)
 class HandInSpace:
     """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters; name: for people
-    alone; forearm: whether one is shown."""
+    alone; forearm: whether one is shown; forearm_turn: (4,) how, see `posing.forearm_rotations`, None: as the palm
+    carries it."""
 
     handedness: str
     joints_m: np.ndarray
@@ -110,6 +112,13 @@ class HandInSpace:
     avatar: str = BUILTIN_AVATAR
     name: str = ""
     forearm: bool = True
+    forearm_turn: np.ndarray | None = None
+
+    @property
+    def pose_bytes(self) -> bytes:
+        """The same for the same pose at the same place."""
+        turn = b"" if self.forearm_turn is None else self.forearm_turn.tobytes()
+        return self.joints_m.tobytes() + self.world_from_hand.tobytes() + turn
 
     @property
     def joints_world_m(self) -> np.ndarray:
@@ -211,6 +220,9 @@ def moments_request(
         numbers["world_from_hand"] = [
             [LIGHT_FROM_WORLD @ hand.world_from_hand for hand in moment.hands] for moment in moments
         ]
+        turns = [[hand.forearm_turn for hand in moment.hands] for moment in moments]
+        if any(turn is not None for of in turns for turn in of):
+            numbers["forearms"] = [[(1, 0, 0, 0) if turn is None else turn for turn in of] for of in turns]
     arrays = {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}
     if light is not None:
         header["light"] = light.record
@@ -275,7 +287,10 @@ def _places_m(hand: HandInSpace) -> np.ndarray:
     if not hand.forearm:
         return joints_m
     wrist_m = joints_m[WRIST]
-    return np.vstack([joints_m, wrist_m + FOREARM_LENGTH * (wrist_m - joints_m[MIDDLE])])
+    behind_m = wrist_m - joints_m[MIDDLE]
+    if hand.forearm_turn is not None:
+        behind_m = forearm_rotations(joints_m[None], hand.handedness, hand.forearm_turn[None])[0] @ behind_m
+    return np.vstack([joints_m, wrist_m + FOREARM_LENGTH * behind_m])
 
 
 def picture_of(view: Pinhole, part: Part, pixels_max: int) -> Pinhole:

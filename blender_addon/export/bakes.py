@@ -25,9 +25,10 @@ import numpy as np
 
 from .. import folders, versions
 from ..core.files import write_whole
+from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 from ..hand import sources
-from ..hand.motion_files import read_motion
+from ..hand.motion_files import MotionFile, read_motion
 from ..hand.seen_hands import avatar_of
 from .recording import NO_FOREARM, Recording, avatar_digest, check_made
 
@@ -41,6 +42,8 @@ MATERIAL, LIT_MATERIAL = "JGHand Points", "JGHand Lit Points"
 _PATHS = "/Hand/Points,/Hand/Splats"
 # a joint that is further from where it was baked has moved: above Blender's rounding, below what is seen, meters
 _MOVED_M = 2e-5
+# ... and so has a forearm whose quaternion has less of this in common with that of the bake: 0.16 degrees
+_SAME_TURN = 1 - 1e-6
 # what Solid mode shows of baked points, linear: skin
 _SOLID_RGBA = (0.55, 0.30, 0.20, 1.0)
 
@@ -161,7 +164,7 @@ def stale_now(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, hands: Se
     Only this frame: to go through all would take the time of a bake. JGHandFailure: no_bake, bad_motion.
     """
     folder, frame = folder_of(thing), depsgraph.scene.frame_current_final
-    now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
+    now = {hand.handedness: hand for hand in sources.read_hands(thing, depsgraph)}
     avatar = avatar_digest(avatar_of(thing), forearm=thing.jghand.forearm)
     reasons = []
     for hand in hands:
@@ -173,8 +176,8 @@ def stale_now(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph, hands: Se
     return list(dict.fromkeys(reasons))
 
 
-def _moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray) -> bool:
-    """Whether the hand is elsewhere now than in the bake. joints_m: (21, 3) in the world, meters, at this frame.
+def _moved_at(hand: BakedHand, folder: Path, frame: float, now: HandInSpace) -> bool:
+    """Whether the hand is elsewhere now, at this frame, than in the bake.
 
     False where the bake has no such frame, and between frames.
     """
@@ -183,16 +186,20 @@ def _moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray)
         return False
     motion = folder / f"{hand.name}.npz"
     try:
-        baked_m = _joints(motion, motion.stat().st_mtime_ns)
+        baked = _motion(motion, motion.stat().st_mtime_ns)
     except OSError as error:
         raise JGHandFailure("no_bake", f"{motion}: {error.strerror or error}") from error
-    return bool(np.abs(baked_m[place] - joints_m).max() > _MOVED_M)
+    ends = (now.forearm_turn, None if baked.forearm is None else baked.forearm[place])
+    # a quaternion and its negative are the same turn
+    here, there = (np.array((1.0, 0.0, 0.0, 0.0) if turn is None else turn) for turn in ends)
+    turned = abs(here @ there) < _SAME_TURN
+    return bool(turned or np.abs(baked.joints_m[place] - now.joints_world_m).max() > _MOVED_M)
 
 
 @functools.lru_cache(maxsize=8)
-def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
-    """The joints of a bake, read once: a panel compares with them whenever it is drawn."""
-    return read_motion(motion).joints_m
+def _motion(motion: Path, _changed_ns: int) -> MotionFile:
+    """The motion of a bake, read once: a panel compares with it whenever it is drawn."""
+    return read_motion(motion)
 
 
 # ---- the object that plays -------------------------------------------------------------------------------------------

@@ -72,9 +72,7 @@ class Export(StartsJob, bpy.types.Operator):
             title, options = "Exporting PLY", ["--axes", settings.axes]
         else:
             title = "Exporting USD"
-            options = usd_options(
-                settings.variant, settings.width_factor, sizes=settings.sizes, radiance=settings.radiance
-            )
+            options = usd_options(settings.variant, settings.width_factor, settings.radiance)
         scratch = folders.job_folder()
         try:
             if settings.format == "ply" and scene_light.is_chosen(context.scene):

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 
+from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 from ..hand import armature, sources
 from ..hand.seen_hands import avatar_of
@@ -189,7 +190,7 @@ def record_steps(
         raise JGHandFailure("no_hand")
     now = context.scene
     before = now.frame_current, now.frame_subframe
-    read: list[list[np.ndarray]] = []
+    read: list[list[HandInSpace]] = []
     named: list[tuple[bpy.types.Object, str, str]] = []
     try:
         for place, frame in enumerate(frames):
@@ -199,15 +200,27 @@ def record_steps(
             turned = [name for hand, (_, side, name) in zip(hands, named, strict=True) if hand.handedness != side]
             if turned:
                 raise JGHandFailure("mirrored", f"frame {frame}: {', '.join(turned)}")
-            read.append([hand.joints_world_m for hand in hands])
+            read.append(hands)
             yield (place + 1) / len(frames)
     finally:
         now.frame_set(before[0], subframe=before[1])
     fps = now.render.fps / now.render.fps_base
     for place, (thing, handedness, name) in enumerate(named):
-        joints_m = np.stack([frame[place] for frame in read])
+        moments = [hands[place] for hands in read]
+        joints_m = np.stack([hand.joints_world_m for hand in moments])
+        turns = [hand.forearm_turn for hand in moments if hand.forearm_turn is not None]
         into.append(
-            Recording(name, handedness, avatar_of(thing), joints_m, frames[0], fps, thing.name, thing.jghand.forearm)
+            Recording(
+                name,
+                handedness,
+                avatar_of(thing),
+                joints_m,
+                frames[0],
+                fps,
+                thing.name,
+                thing.jghand.forearm,
+                np.stack(turns) if len(turns) == len(read) else None,
+            )
         )
 
 

@@ -61,7 +61,6 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
         if settings.format == "usd":
             column.prop(settings, "program")
             column.prop(settings, "variant")
-            column.prop(settings, "sizes")
             column.prop(settings, "radiance")
             column.prop(settings, "width_factor")
         elif settings.format == "ply":
@@ -70,8 +69,7 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
                 ui.paragraph(layout, context, "Colors show the light of the scene in the current frame", icon="INFO")
         layout.operator("jghand.export", icon="EXPORT")
         if settings.format != "motion":
-            sizes = settings.sizes == "per_frame"
-            _draw_size(layout, context, settings.folder, ply=settings.format == "ply", sizes=sizes)
+            _draw_size(layout, context, settings.folder, ply=settings.format == "ply")
         layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
         for note in usd_hook.left_out():
             ui.paragraph(layout, context, note, icon="ERROR")
@@ -135,18 +133,16 @@ def _look_at_bake(context: bpy.types.Context, uid: int) -> _SeenBake | None:
     return _SeenBake("", baked[0].first_frame, baked[0].last_frame, tuple(reasons), plays)
 
 
-def _draw_size(
-    layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, *, ply: bool = False, sizes: bool = False
-) -> None:
+def _draw_size(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, *, ply: bool = False) -> None:
     """What the chosen hands and frames take at most, before the click."""
-    seen = ui.kept(context, _look_at_size, folder, ply, sizes)
+    seen = ui.kept(context, _look_at_size, folder, ply)
     if seen is not None:
         size, free = seen
         icon = "NONE" if free is None or size < free else "ERROR"
         layout.label(text=size_sentence(size, free, iface_), icon=icon, translate=False)
 
 
-def _look_at_size(context: bpy.types.Context, folder: str, ply: bool, sizes: bool) -> tuple[int, int | None] | None:
+def _look_at_size(context: bpy.types.Context, folder: str, ply: bool) -> tuple[int, int | None] | None:
     """Bytes of the files, and those that are free on the disk."""
     things = ops_common.hands_to_write(context)
     if not things:
@@ -157,7 +153,7 @@ def _look_at_size(context: bpy.types.Context, folder: str, ply: bool, sizes: boo
         free = None  # said after the click, with what to do
     frames = len(ops_common.frames_to_write(context))
     hands = [avatar_files.gaussians_of(avatar_of(thing)) for thing in things]
-    size = sum(export_bytes(count, frames, learned=learned, ply=ply, sizes=sizes) for count, learned in hands)
+    size = sum(export_bytes(count, frames, learned=learned, ply=ply) for count, learned in hands)
     return size, free
 
 

@@ -39,10 +39,6 @@ PROGRAMS = (
     ("blender", "Blender", "Points, or splats where this Blender draws them", "NONE", 3),
     ("houdini", "Houdini", "Points whose width is two standard deviations", "NONE", 4),
 )
-SIZES = (
-    ("constant", "Constant", "Radii of the mean hand", "NONE", 0),
-    ("per_frame", "Per Frame", "Radii of every frame, in larger files", "NONE", 1),
-)
 RADIANCES = (
     ("srgb", "sRGB", "Colors as a screen shows them, for most viewers", "NONE", 0),
     ("linear", "Linear", "Colors as light, for path tracers", "NONE", 1),
@@ -120,9 +116,6 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         description="What a program shows that cannot choose between splats, points and mesh; all are written",
         items=VARIANTS,
         default="splats",
-    )
-    sizes: bpy.props.EnumProperty(
-        name="Splat Sizes", description="Whether radii follow every frame", items=SIZES, default="constant"
     )
     radiance: bpy.props.EnumProperty(
         name="Colors", description="What the splats' colors mean", items=RADIANCES, default="srgb"

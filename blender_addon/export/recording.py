@@ -28,7 +28,7 @@ from ..hand.motion_files import MotionFile, write_motion
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
 # bytes of one Gaussian and frame; as the engine's exporters write them
 _PLY_BYTES = 68
-_POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
+_POSITION_BYTES, _COLOR_BYTES = 12, 24
 # what a USD stage holds beside its samples: skeleton and mesh, and of every Gaussian what does not move (measured)
 _STATIC_BYTES, _STATIC_GAUSSIAN_BYTES = 300_000, 98
 # how the digest of an avatar ends whose forearm is left out
@@ -62,6 +62,8 @@ class Recording:
     # name of the object whose hand it is
     source: str = ""
     forearm: bool = True
+    # (F, 4) how it is turned, see `posing.forearm_rotations`; None: as the palm carries it
+    forearm_turns: np.ndarray | None = None
 
     @property
     def digest(self) -> str:
@@ -70,7 +72,7 @@ class Recording:
 
     def save(self, path: Path) -> None:
         """Writes a motion file. JGHandFailure: cannot_write, disk_full."""
-        write_motion(path, MotionFile(self.joints_m, self.fps, self.handedness))
+        write_motion(path, MotionFile(self.joints_m, self.fps, self.handedness, forearm=self.forearm_turns))
 
     def export_words(self, kind: str, scratch: Path, out: Path, *options: str) -> tuple[str, ...]:
         """Writes the motion into `scratch`; the words of the engine's command line that export it to `out`.
@@ -90,12 +92,9 @@ class Recording:
         )
 
 
-def usd_options(variant: str, width_factor: float, *, sizes: str = "constant", radiance: str = "srgb") -> list[str]:
+def usd_options(variant: str, width_factor: float, radiance: str = "srgb") -> list[str]:
     """Options of `export_words`. variant: what a program shows that cannot choose."""
-    return [
-        *("--default-variant", variant, "--width-factor", f"{width_factor:g}"),
-        *("--sizes", sizes, "--radiance", radiance),
-    ]
+    return ["--default-variant", variant, "--width-factor", f"{width_factor:g}", "--radiance", radiance]
 
 
 def check_made(path: Path, recording: Recording) -> dict[str, Any]:
@@ -152,12 +151,13 @@ def _file_digest(path: Path, _changed_ns: int, _size: int) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def export_bytes(gaussians: int, frames: int, *, learned: bool, ply: bool = False, sizes: bool = False) -> int:
+def export_bytes(gaussians: int, frames: int, *, learned: bool, ply: bool = False) -> int:
     """Size of the files of one hand at most: frames that are alike are stored once. learned: whether its colors change
-    with the pose, as a trained avatar's do; ply: PLY files instead of USD; sizes: radii in every frame of USD."""
+    with the pose, as a trained avatar's do; ply: PLY files instead of USD, where a hand that changes its size takes a
+    little more."""
     if ply:
         return gaussians * frames * _PLY_BYTES
-    sample = _POSITION_BYTES + _SIZE_BYTES * sizes + _COLOR_BYTES * learned
+    sample = _POSITION_BYTES + _COLOR_BYTES * learned
     return (
         gaussians * (frames + 1) * sample
         + gaussians * (_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned))

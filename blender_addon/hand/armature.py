@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -19,7 +20,7 @@ from mathutils import Vector
 
 from .. import versions
 from ..core import posing
-from ..core.joints import HANDEDNESSES, NAMES, OTHER, PARENTS, TAILS, TIPS, WRIST
+from ..core.joints import FOREARM, HANDEDNESSES, NAMES, OTHER, PARENTS, TAILS, TIPS, WRIST
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 
@@ -43,10 +44,13 @@ OBJECT_PROPERTIES = {name: f"jghand_joint_{name}" for name in NAMES}
 STAND_IN = "jghand_stand_in"
 
 
-def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str) -> bpy.types.Object:
+def build_armature(
+    context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str, *, forearm: bool = False
+) -> bpy.types.Object:
     """A new armature in the context's scene with these (21, 3) joints at rest, meters in the object's space.
 
     `posing.rest_joints_m` gives joints to start from. Object transforms are identity; the scene's unit is honored.
+    forearm: with a bone for it, see `add_forearm`.
     """
     matrices = posing.rest_matrices(np.asarray(joints_m), handedness)
     unit_m = context.scene.unit_settings.scale_length
@@ -65,7 +69,30 @@ def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, 
         bone = hand.pose.bones[bone_name]
         bone.rotation_mode = "QUATERNION"
         bone.lock_location = (parent > WRIST,) * 3
+    if forearm:
+        add_forearm(context, hand)
     return hand
+
+
+def has_forearm_bone(hand: bpy.types.Object) -> bool:
+    """Whether the wrist of our armature can be posed against its forearm."""
+    return FOREARM in hand.data.bones
+
+
+def add_forearm(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Gives our armature a bone from the elbow to the wrist, which hangs on it from now on: turned, the wrist bends.
+
+    At rest, and so in every pose before, nothing moves. Raises JGHandFailure: not_a_hand.
+    """
+    matrix = posing.forearm_rest(rest_matrices_of(hand), handedness_of(hand))
+    with edit_mode(context, hand):
+        bones = hand.data.edit_bones
+        bone, wrist = bones.new(FOREARM), bones[NAMES[WRIST]]
+        bone.head, bone.tail = Vector(matrix[:3, 3]), wrist.head
+        bone.align_roll(Vector(matrix[:3, 2]))
+        wrist.parent, wrist.use_connect = bone, False
+    hand.pose.bones[FOREARM].rotation_mode = "QUATERNION"
+    hand.pose.bones[NAMES[WRIST]].lock_location = (True,) * 3
 
 
 def name_in_files(thing: bpy.types.Object) -> tuple[str, str]:
@@ -145,9 +172,10 @@ def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: np
     placed: (4, 4) what M is multiplied with from the left, where an instance shows the hand.
     Raises JGHandFailure: not_a_hand, zero_scale, hidden.
     """
-    evaluated = evaluated_object(hand, depsgraph)
-    world = placed @ np.array(evaluated.matrix_world)
-    return in_hand_space(world, _heads(evaluated), handedness_of(hand), evaluated.name, depsgraph.scene)
+    evaluated, handedness = evaluated_object(hand, depsgraph), handedness_of(hand)
+    world, heads = placed @ np.array(evaluated.matrix_world), _heads(evaluated)
+    seen = in_hand_space(world, heads, handedness, evaluated.name, depsgraph.scene)
+    return replace(seen, forearm_turn=_forearm_turn(evaluated, heads, handedness))
 
 
 def heads_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
@@ -204,6 +232,28 @@ def _heads(evaluated: bpy.types.Object) -> np.ndarray:
     heads = np.empty((len(bones), 3), np.float32)
     bones.foreach_get("head", heads.ravel())
     return heads[places].astype(np.float64)
+
+
+def forearm_turn_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray | None:
+    """(4,) how the evaluated forearm of our armature is turned, see `posing.forearm_rotations`; None without a bone for
+    it."""
+    evaluated = evaluated_object(hand, depsgraph)
+    return _forearm_turn(evaluated, _heads(evaluated), handedness_of(hand))
+
+
+def _forearm_turn(evaluated: bpy.types.Object, heads: np.ndarray, handedness: str) -> np.ndarray | None:
+    if not has_forearm_bone(evaluated):
+        return None
+    wrist, forearm = (_turned_from_rest(evaluated.pose.bones[name]) for name in (NAMES[WRIST], FOREARM))
+    turn = posing.forearm_turns(heads[None], handedness, (forearm @ wrist.T)[None])[0]
+    # a palm without a plane has no axes to say it in
+    return turn if np.isfinite(turn).all() else None
+
+
+def _turned_from_rest(bone: bpy.types.PoseBone) -> np.ndarray:
+    """(3, 3) rotation of a bone from its rest pose, in the armature's space, without scale."""
+    linear = np.array(bone.matrix, np.float64)[:3, :3] @ np.array(bone.bone.matrix_local, np.float64)[:3, :3].T
+    return posing.polar_rotation(linear)
 
 
 def check_scale(linear: np.ndarray, name: str) -> None:

@@ -8,6 +8,7 @@ that is read here, and texts in it are somebody else's. Does not use bpy.
 from __future__ import annotations
 
 import json
+import math
 import struct
 import time
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..core.joints import NAMES
 from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, avatar_stamp
 from ..errors import JGHandFailure
 
@@ -39,6 +41,7 @@ class Card:
     learned:      whether its colors change with the pose
     known_light:  whether it learned in known light, so that it answers any; of another learned one that is estimated
     has_forearm:  whether its skin goes on behind the wrist
+    joints_m:     21 places, standard order, of its right hand at rest; None where they are the canonical hand's
     """
 
     name: str
@@ -50,6 +53,7 @@ class Card:
     learned: bool
     known_light: bool = False
     has_forearm: bool = False
+    joints_m: tuple[tuple[float, float, float], ...] | None = None
 
     @property
     def in_scene_light(self) -> str:
@@ -76,15 +80,15 @@ SHIPPED_CARDS = {
     BUILTIN_AVATAR: Card(
         name="JGHand built-in",
         license="CC0-1.0 AND Apache-2.0, see NOTICE: learned from path-traced pictures of MakeHuman's hand (CC0-1.0) "
-        "on a rig with SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in the light of Blender's worlds "
-        "(CC0-1.0)",
-        learned_from="424 images of builtin_lit train/Capture0",
+        "on a rig with SOMA's joints (Apache-2.0), in the light of Blender's worlds (CC0-1.0)",
+        learned_from="268 images of builtin train/Capture0",
         written="",
-        accuracy="30.95 on held-out pictures of builtin_lit train/Capture0 (40 of novel pose, 18 of both novel, 40 of "
-        "novel light), preset final; times on AMD EPYC (family 25), 2 threads",
+        accuracy="26.43 on held-out pictures of builtin train/Capture0 (8 of novel pose, 8 of both novel, 8 of novel "
+        "light), preset final; times on AMD EPYC (family 25), 2 threads",
         gaussians=40_000,
         learned=True,
         known_light=True,
+        has_forearm=True,
     ),
     "painted": Card(
         name="JGHand painted",
@@ -157,6 +161,9 @@ def read_card(path: Path) -> Card:
             if length > _HEADER_MAX_BYTES:
                 raise ValueError(f"a header of {length} bytes")
             header = json.loads(file.read(length))
+            ends = [about["data_offsets"][1] for name, about in header.items() if name != "__metadata__"]
+            if path.stat().st_size < 8 + length + max(ends, default=0):
+                raise ValueError("its end is missing")
         written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
         return _card(json.loads(header["__metadata__"]["jghand"]), written)
     except FileNotFoundError as error:
@@ -177,7 +184,17 @@ def _card(about: Mapping[str, Any], written: str) -> Card:
         learned=bool(learned),
         known_light=(learned.get("light") or {}).get("kind") == "known",
         has_forearm=str(about.get("template")).endswith("-forearm"),
+        joints_m=_joints(about.get("own_joints_m")),
     )
+
+
+def _joints(value: Any) -> tuple[tuple[float, float, float], ...] | None:
+    if value is None:
+        return None
+    joints = tuple((float(x), float(y), float(z)) for x, y, z in value)
+    if len(joints) != len(NAMES) or not all(math.isfinite(x) for joint in joints for x in joint):
+        raise ValueError("its joints")
+    return joints
 
 
 def _accuracy(distilled: Mapping[str, Any]) -> str:

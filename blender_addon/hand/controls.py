@@ -68,7 +68,7 @@ def add_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     handedness = armature.handedness_of(hand)
     rest = armature.rest_matrices_of(hand)
     check_editable(context, hand)
-    _own_bones(hand)
+    own_bones(hand)
     unit_m = context.scene.unit_settings.scale_length
     _remove_rules(hand)
     with armature.edit_mode(context, hand):
@@ -84,7 +84,7 @@ def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     The hand falls back to the keys of its 21 bones; `bake_steps` keeps what is seen instead.
     """
     check_editable(context, hand)
-    _own_bones(hand)
+    own_bones(hand)
     _remove_rules(hand)
     with armature.edit_mode(context, hand):
         for name in CONTROLS:
@@ -107,17 +107,19 @@ def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], fr
         motion.check_free(hand, but=RULES)
     scene, before = context.scene, context.scene.frame_current_final
     unit_m = scene.unit_settings.scale_length
-    joints = []
+    joints, turns = [], []
     try:
         for frame in frames:
             depsgraph = armature.at_frame(scene, frame)
             joints.append([armature.heads_of(hand, depsgraph) * unit_m for hand in hands])
+            turns.append([armature.forearm_turn_of(hand, depsgraph) for hand in hands])
             yield len(joints) / len(frames)
     finally:
         armature.at_frame(scene, before)
-    for hand, moves in zip(hands, np.stack(joints, axis=1), strict=True):
+    for hand, moves, turned in zip(hands, np.stack(joints, axis=1), zip(*turns, strict=True), strict=True):
         remove_controls(context, hand)
-        motion.key_motion(hand, moves, scene, frames)
+        known = [turn for turn in turned if turn is not None]
+        motion.key_motion(hand, moves, scene, frames, turns=np.array(known) if len(known) == len(frames) else None)
 
 
 def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
@@ -232,7 +234,7 @@ def check_editable(context: bpy.types.Context, hand: bpy.types.Object) -> None:
         raise JGHandFailure("not_editable", hand.name)
 
 
-def _own_bones(hand: bpy.types.Object) -> None:
+def own_bones(hand: bpy.types.Object) -> None:
     """Bones that are shared with other objects become the hand's own."""
     if hand.data.users > 1:
         hand.data = hand.data.copy()

@@ -13,16 +13,25 @@ import numpy as np
 from .. import versions
 from ..core import posing
 from ..core.controls import CONTROLS, RULES
-from ..core.joints import NAMES
+from ..core.joints import FOREARM, NAMES
 from ..errors import JGHandFailure
-from .armature import build_armature, check_scale, evaluated_object, handedness_of, rest_matrices_of, shown_handedness
+from .armature import (
+    add_forearm,
+    build_armature,
+    check_scale,
+    evaluated_object,
+    handedness_of,
+    has_forearm_bone,
+    rest_matrices_of,
+    shown_handedness,
+)
 from .motion_files import MotionFile
 
 # the channels of a bone that a driver may hold, whatever its keys say
 _CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "rotation_mode", "scale")
 # what a motion takes the place of: those of the 21 bones and of the controls, and how much our constraints do
 _REPLACED = re.compile(
-    rf'pose\.bones\["(?:{"|".join((*NAMES, *CONTROLS))})"\]\.'
+    rf'pose\.bones\["(?:{"|".join((*NAMES, FOREARM, *CONTROLS))})"\]\.'
     rf'(?:(?:{"|".join(_CHANNELS)})|constraints\["(?:{"|".join(RULES)})"\]\..*)'
 )
 
@@ -46,6 +55,8 @@ def import_motions(
 ) -> list[bpy.types.Object]:
     """Keys motions at the scene's frame rate, each on its hand or on a new one of its proportions; returns the hands.
 
+    One that says how the forearm turns brings a bone for it, but not where hands share their armature.
+
     A motion has the axes and the meters of the world, however the object of its hand, and what that hangs on, is turned
     and scaled now; a mirrored hand takes motions of the other side, which it shows. Its origin is where the object
     stands, and the world's for a new hand.
@@ -66,11 +77,17 @@ def import_motions(
         hand = one.hand
         if hand is None:
             hand = build_armature(
-                context, one.name, posing.rest_joints_m(one.motion.handedness, joints), one.motion.handedness
+                context,
+                one.name,
+                posing.rest_joints_m(one.motion.handedness, joints),
+                one.motion.handedness,
+                forearm=one.motion.forearm is not None,
             )
             hand.location = (0, 0, 0) if origin_m is None else origin_m / scene.unit_settings.scale_length
+        elif one.motion.forearm is not None and not has_forearm_bone(hand) and hand.data.users == 1:
+            add_forearm(context, hand)
         frames = first_frame + frame_rate(scene) / one.motion.fps * np.arange(len(joints))
-        key_motion(hand, joints, scene, frames, filled=one.motion.filled).name = one.name
+        key_motion(hand, joints, scene, frames, filled=one.motion.filled, turns=one.motion.forearm).name = one.name
         hands.append(hand)
     return hands
 
@@ -92,6 +109,7 @@ def key_motion(
     frames: Sequence[float] | np.ndarray,
     *,
     filled: np.ndarray | None = None,
+    turns: np.ndarray | None = None,
 ) -> bpy.types.Action:
     """Keys (F, 21, 3) joints, meters in the space of the armature object, standard order, at F frames; returns the new
     action.
@@ -101,15 +119,20 @@ def key_motion(
     controls (the object's place, whether it is rendered) goes on. For that the 21 bones turn by quaternions, have no
     scale of their own and follow their parents. Bones above the wrist are not undone.
     filled: (F,) bool, poses that nobody measured: their keys are of Blender's kind Jitter, which is shown and selected
-    apart. Raises JGHandFailure: bad_joints, not_a_hand.
+    apart. turns: (F, 4) of the forearm, see `posing.forearm_rotations`; None: it goes with the palm. Where the armature
+    has a bone for it, that carries the hand. Raises JGHandFailure: bad_joints, not_a_hand.
     """
     joints = posing.checked_joints(joints_m) / scene.unit_settings.scale_length
-    keys = posing.bone_keys(joints, rest_matrices_of(hand), handedness_of(hand))
+    forearm = None
+    if has_forearm_bone(hand):
+        rest = np.array(hand.data.bones[FOREARM].matrix_local, np.float64)
+        forearm = rest, np.tile((1.0, 0.0, 0.0, 0.0), (len(joints), 1)) if turns is None else turns
+    keys = posing.bone_keys(joints, rest_matrices_of(hand), handedness_of(hand), forearm)
     at = np.asarray(frames, dtype=np.float64)
     action = versions.new_action(
         hand, f"{hand.name} motion", replaces=lambda path: _REPLACED.fullmatch(path) is not None
     )
-    for place, name in enumerate(NAMES):
+    for place, name in enumerate(_keyed(hand)):
         for channel, values in (("location", keys.location), ("rotation_quaternion", keys.quaternion)):
             for index in range(values.shape[-1]):
                 curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
@@ -140,7 +163,7 @@ def _checked_joints(one: WantedMotion, depsgraph: bpy.types.Depsgraph, origin_m:
 
 def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:
     """Refuses a hand whose bones are moved by more than their keys and constraints with the names `but`."""
-    bones = [hand.pose.bones[name] for name in NAMES if name in hand.pose.bones]
+    bones = [hand.pose.bones[name] for name in _keyed(hand) if name in hand.pose.bones]
     movers = [
         f"{bone.name}: {rule.name}"
         for bone in bones
@@ -154,9 +177,14 @@ def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:
         raise JGHandFailure("constrained", f"{hand.name}, {'; '.join(movers)}")
 
 
+def _keyed(hand: bpy.types.Object) -> tuple[str, ...]:
+    """The bones that a motion moves, as `posing.bone_keys` lists them."""
+    return (*NAMES, FOREARM) if has_forearm_bone(hand) else NAMES
+
+
 def _prepare_bones(hand: bpy.types.Object) -> None:
     """What the keys take for granted about the bones."""
-    for name in NAMES:
+    for name in _keyed(hand):
         pose = hand.pose.bones[name]
         pose.rotation_mode = "QUATERNION"
         pose.scale = (1.0, 1.0, 1.0)

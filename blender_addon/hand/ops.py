@@ -17,12 +17,14 @@ from .. import folders, versions
 from .. import ops as common
 from ..core import bone_maps, posing
 from ..core.bone_maps import BoneMap, Recognition
-from ..core.joints import HANDEDNESSES, NAMES, RIGHT
+from ..core.joints import FOREARM, HANDEDNESSES, NAMES, RIGHT
+from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
 from ..render import scene_light
-from . import armature, controls, framing, sources, stand_ins
+from . import armature, avatar_files, controls, family, framing, sources, stand_ins
 from .properties import HANDS
+from .seen_hands import named
 
 # det of an object's axes below which it is flat and can hide nothing that is inside of it
 FLAT_DETERMINANT = 1e-12
@@ -64,6 +66,7 @@ class AddHand(Reporting, bpy.types.Operator):
     bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)
+    avatar: bpy.props.EnumProperty(name="Avatar", description="Whose hand", items=family.items)
     use_controls: bpy.props.BoolProperty(
         name="Finger Controls",
         description="Add controls for curl and spread of each finger, for pinned tips, and joint limits",
@@ -90,7 +93,13 @@ class AddHand(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         common.object_mode(context)
         name = f"{self.handedness.capitalize()} Hand"
-        hand = armature.build_armature(context, name, posing.rest_joints_m(self.handedness), self.handedness)
+        avatar = named(self.avatar)
+        own = avatar_files.card_of(avatar).joints_m
+        joints = posing.rest_joints_m(self.handedness, None if own is None else np.array([own]))
+        hand = armature.build_armature(context, name, joints, self.handedness)
+        hand.jghand.avatar = "" if self.avatar == BUILTIN_AVATAR else self.avatar
+        if avatar_files.has_forearm(avatar):
+            armature.add_forearm(context, hand)
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
         # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learned from
@@ -116,6 +125,32 @@ class AddHand(Reporting, bpy.types.Operator):
             self.warn(told, text.format(name=around.name))
         else:
             self.tell(told)
+
+
+class AddForearmBone(Reporting, bpy.types.Operator):
+    """Operator: the wrist of a hand of ours hangs on a bone from now on."""
+
+    bl_idname = "jghand.add_forearm_bone"
+    bl_label = "Add Forearm Bone"
+    bl_description = "Add a bone from the elbow to the wrist, which then bends and twists when one of them is turned"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        hand = context.object
+        if hand is None or not armature.is_hand(hand):
+            return missing(cls, "Select a hand")
+        if armature.has_forearm_bone(hand):
+            return missing(cls, "This hand has one already")
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        hand = context.object
+        controls.check_editable(context, hand)
+        controls.own_bones(hand)
+        armature.add_forearm(context, hand)
+        stand_ins.update()
+        self.tell(rpt_("Added {name}.").format(name=FOREARM))
 
 
 class UseArmature(Reporting, bpy.types.Operator):
@@ -477,7 +512,7 @@ def _look_at(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     framing.turn_view_to(context.area, joints_m, context.scene.unit_settings.scale_length)
 
 
-CLASSES = (AddHand, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand, LoadAvatar, DropAvatar)
+CLASSES = (AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand, LoadAvatar, DropAvatar)
 
 
 def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:

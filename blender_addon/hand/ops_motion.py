@@ -416,8 +416,8 @@ class TrackVideo(KeysFile, bpy.types.Operator):
     hand: bpy.props.EnumProperty(name="Hands", description="Which hands are wanted", items=_TRACKED_HANDS)
     camera_angle: bpy.props.FloatProperty(
         name="Camera Angle",
-        description="Angle of view across the longer edge of the video; 60° to 70° of most telephones",
-        default=math.radians(60.0),
+        description="Angle of view across the longer edge of the video; 63° to 70° of most telephones",
+        default=math.radians(66.0),
         min=math.radians(1.0),
         max=math.radians(150.0),
         precision=3,

@@ -16,7 +16,7 @@ from ..renderer import runtime
 from ..renderer.panel import draw_failure, draw_job, draw_status
 from ..ui import Sidebar
 from ..viewport import views
-from . import armature, avatar_files, controls, poses, sources
+from . import armature, avatar_files, controls, family, poses, sources
 from .seen_hands import avatar_of
 
 # the controls that curl and spread
@@ -49,7 +49,7 @@ class HandPanel(Sidebar, bpy.types.Panel):
         hand = ui.active(context)
         if hand is not None:
             _draw_active(layout, hand)
-        layout.operator_menu_enum("jghand.add_hand", "handedness", text="Add Hand", icon="ADD")
+        _draw_add(layout, context, icon="ADD")
         _draw_existing(layout, context)
 
 
@@ -71,10 +71,18 @@ def _shading_hint(context: bpy.types.Context) -> str:
 def _draw_empty(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """One sentence and one button."""
     ui.paragraph(layout, context, "Add a hand: an armature to pose, with a photorealistic hand on it.")
-    row = layout.row()
-    row.scale_y = 1.4
-    row.operator_menu_enum("jghand.add_hand", "handedness", text="Add Hand", icon="VIEW_PAN")
+    _draw_add(layout, context, icon="VIEW_PAN", scale_y=1.4)
     _draw_existing(layout, context)
+
+
+def _draw_add(layout: bpy.types.UILayout, context: bpy.types.Context, *, icon: str, scale_y: float = 1.0) -> None:
+    """Add Hand below the picture of the hand that it adds, where there is more than one."""
+    choice = context.window_manager.jghand
+    if len(family.items()) > 1:
+        layout.template_icon_view(choice, "hand", show_labels=True, scale=4.0, scale_popup=6.0)
+    row = layout.row()
+    row.scale_y = scale_y
+    row.operator_menu_enum("jghand.add_hand", "handedness", text="Add Hand", icon=icon).avatar = choice.hand
 
 
 def _draw_existing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -120,8 +128,6 @@ def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:
     """The settings of the active hand."""
     column = ui.settings(layout)
     column.prop(hand.jghand, "avatar", placeholder="Built-in")
-    if avatar_files.has_forearm(avatar_of(hand)):
-        column.prop(hand.jghand, "forearm")
 
 
 def _icon(hand: bpy.types.Object) -> str:
@@ -143,10 +149,15 @@ class CardPanel(Sidebar, bpy.types.Panel):
         return ui.active(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
+        layout, hand = self.layout, context.object
+        if avatar_files.has_forearm(avatar_of(hand)):
+            layout.prop(hand.jghand, "forearm")
+            if armature.is_hand(hand) and not armature.has_forearm_bone(hand):
+                layout.operator("jghand.add_forearm_bone")
         layout.operator("jghand.load_avatar", icon="FILE_FOLDER")
+        layout.operator("jghand.install_hands", icon="IMPORT")
         try:
-            card = avatar_files.card_of(avatar_of(context.object))
+            card = avatar_files.card_of(avatar_of(hand))
         except JGHandFailure as failure:
             draw_failure(layout, context, failure)
             return

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-from mathutils import Quaternion
+from mathutils import Quaternion, Vector
 
 from .. import clock, versions
 from ..core import controls as control_numbers
 from ..core.controls import CONTROLS, HAND_CONTROL
-from ..core.joints import FINGERS
+from ..core.joints import FINGERS, NAMES, WRIST
 from ..core.poses import HandPose
 from ..errors import JGHandFailure
 from . import armature, controls
@@ -35,6 +35,8 @@ _SHELF_S, _SHELF_TRIES = 0.2, 10
 
 _tries_left = 0
 MOVING_BONES = tuple(name for finger in range(len(FINGERS)) for name in control_numbers.moving_bones(finger))
+# the bones that move in the palm as fingers close: the first of index to pinky
+KNUCKLES = tuple(control_numbers.moving_bones(finger)[0] for finger in range(1, len(FINGERS)))
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,9 @@ def chosen_part(hand: bpy.types.Object) -> PosedPart:
 
 
 def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0, only: PosedPart = WHOLE_HAND) -> list[Touched]:
-    """Turns the finger bones as the pose says, and puts controls back to neutral; the wrist stays.
+    """Turns finger bones and moves knuckles as the pose says, and puts controls back to neutral; the wrist stays.
 
-    part: 0 to 1, how far from the bones' present turns towards the pose. Returns what it changed, for `key`.
+    part: 0 to 1, how far from the bones' present turns and places towards the pose. Returns what it changed, for `key`.
 
     Raises JGHandFailure: not_a_hand, also for a pose of the other hand.
     """
@@ -82,6 +84,11 @@ def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0, only: P
         if name in only.bones:
             bone = hand.pose.bones[name]
             touched.append(_set_turn(bone, _turn(bone).slerp(Quaternion(turn), part)))
+    for name, way in pose.knuckles.items():
+        if name in only.bones:
+            bone = hand.pose.bones[name]
+            bone.location = bone.location.lerp(_from_wrist(hand, name) * Vector(way), part)
+            touched.append((bone, "location"))
     return touched + _reset_controls(hand, only)
 
 
@@ -114,6 +121,11 @@ def copy_pose(source: bpy.types.Object, target: bpy.types.Object) -> list[Touche
         w, x, y, z = _turn(source.pose.bones[name])
         turn = Quaternion((w, x, -y, -z) if mirrored else (w, x, y, z))
         touched.append(_set_turn(target.pose.bones[name], turn))
+    for name in KNUCKLES:
+        bone, size = target.pose.bones[name], _from_wrist(target, name) / _from_wrist(source, name)
+        x, y, z = size * source.pose.bones[name].location
+        bone.location = (-x if mirrored else x, y, z)
+        touched.append((bone, "location"))
     if not (controls.has_controls(source) and controls.has_controls(target)):
         return touched + _reset_controls(target)
     return touched + _copy_controls(source, target, mirrored)
@@ -161,6 +173,12 @@ def _copy_controls(source: bpy.types.Object, target: bpy.types.Object, mirrored:
         touched.append((rule, "influence"))
     controls.show_held_tips(target)
     return touched
+
+
+def _from_wrist(hand: bpy.types.Object, name: str) -> float:
+    """How far a bone is from the wrist at rest, in the armature's unit."""
+    bones = hand.data.bones
+    return (bones[name].head_local - bones[NAMES[WRIST]].head_local).length
 
 
 def _turn(bone: bpy.types.PoseBone) -> Quaternion:

@@ -10,14 +10,23 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
 
 from .. import clock, folders
-from ..core.view import BUILTIN_AVATAR, HandInSpace
+from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, HandInSpace
 from ..errors import JGHandFailure
-from . import avatar_files, instances, sources
+from . import avatar_files, hand_packs, instances, sources
+
+# the folder of this user's hands, and where hands lie that came with JGHand: in the engine that the extension carries,
+# or in the one that it lies beside in a checkout
+HANDS = "hands"
+_PACKAGE = Path(__file__).resolve().parents[1]
+_CARRIED = tuple(
+    folder / "jghand_engine" / "assets" / HANDS for folder in (_PACKAGE / "engine" / "common", _PACKAGE.parent)
+)
 
 # (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand and what instances some
 _found: dict[tuple[int, str], list[tuple[str, int]]] = {}
@@ -84,8 +93,23 @@ def read_shown(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placed: n
 
 
 def avatar_of(thing: bpy.types.Object) -> str:
-    """The avatar of a hand's object: an absolute path, or the one that comes with JGHand."""
-    return folders.absolute(thing, "avatar") or BUILTIN_AVATAR
+    """The avatar of a hand's object: an absolute path, also of a hand that it has by its name, or the name of one that
+    comes with the renderer."""
+    text = thing.jghand.avatar
+    return named(text) if hand_packs.is_name(text) else folders.absolute(thing, "avatar") or BUILTIN_AVATAR
+
+
+def named(name: str) -> str:
+    """The avatar of a name, as `avatar_of`: its file lies where a pack would put it when there is none."""
+    if name in SHIPPED_AVATARS:
+        return name
+    files = [folder / f"{name}{hand_packs.SUFFIX}" for folder in hand_folders()]
+    return str(next((file for file in files if file.is_file()), files[-1]))
+
+
+def hand_folders() -> tuple[Path, ...]:
+    """Where hands lie that have a name: those that came with JGHand, then those of this user."""
+    return (*_CARRIED, folders.user_folder(HANDS, make=False))
 
 
 def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:

@@ -25,8 +25,8 @@ from bpy.app.handlers import persistent
 
 from .. import clock, versions
 from ..core.bone_maps import BoneMap
-from ..core.joints import NAMES
-from ..core.stand_in import surface_at
+from ..core.joints import FOREARM, NAMES
+from ..core.stand_in import surface_at, with_forearm_bone
 from ..errors import JGHandFailure
 from ..render import ENGINE, composite
 from . import armature, avatar_files, sources
@@ -49,7 +49,8 @@ _REST_S = 0.3
 # shadings in which something is traced
 _TRACED = {"MATERIAL", "RENDERED"}
 
-# a hand: its side, (21, 3) joints at rest in the armature's space and unit, and the bone that moves what hangs on each
+# a hand: its side, (21, 3) joints at rest in the armature's space and unit, and the bone that moves what hangs on each;
+# behind them that of the forearm, where it has one
 _Shape = tuple[str, np.ndarray, list[str]]
 
 # the stand-ins that the last update left, as `bpy.data.objects` finds them, and their session_uid
@@ -139,7 +140,8 @@ def _shapes(hand: bpy.types.Object) -> list[_Shape] | None:
         return None
     try:
         if armature.is_hand(hand):
-            return [(armature.handedness_of(hand), armature.rest_matrices_of(hand)[:, :3, 3], list(NAMES))]
+            bones = [*NAMES, *[FOREARM] * armature.has_forearm_bone(hand)]
+            return [(armature.handedness_of(hand), armature.rest_matrices_of(hand)[:, :3, 3], bones)]
         return [_mapped(bone_map, hand.data.bones) for bone_map in sources.stored_maps(hand)]
     except JGHandFailure:
         return None  # a hand that cannot be read is not drawn either, and the panel says why
@@ -231,15 +233,16 @@ def _mesh(joints: np.ndarray, side: str, bones: list[str], forearm: bool) -> bpy
     if known is not None:
         return known
     surface = surface_at(joints, side, forearm=forearm)
+    every = with_forearm_bone(surface.weights, side) if forearm and len(bones) > len(NAMES) else surface.weights
     mesh = bpy.data.meshes.new(MATERIAL)
     mesh[MADE_FROM] = digest
     mesh.from_pydata(surface.vertices, [], surface.faces)
     mesh.shade_smooth()
     mesh.materials.append(_material())
     carrier = bpy.data.objects.new(MATERIAL, mesh)  # groups are a mesh's, and only objects make them
-    for place, bone in enumerate(bones):
+    for place, bone in enumerate(bones[: every.shape[1]]):
         group = carrier.vertex_groups.get(bone) or carrier.vertex_groups.new(name=bone)
-        weights = surface.weights[:, place]
+        weights = every[:, place]
         for vertex in np.flatnonzero(weights > _WEIGHT_MIN).tolist():
             group.add([vertex], float(weights[vertex]), "ADD")
     bpy.data.objects.remove(carrier)

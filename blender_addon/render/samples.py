@@ -143,7 +143,7 @@ def _numbers(moment: Moment) -> list[object]:
     view = moment.view
     numbers: list[object] = [view.fx, view.fy, view.cx, view.cy, view.aperture_m, view.focus_m]
     numbers.append(view.camera_from_world.tobytes())
-    return numbers + [part.tobytes() for hand in moment.hands for part in (hand.joints_m, hand.world_from_hand)]
+    return numbers + [hand.pose_bytes for hand in moment.hands]
 
 
 def background(world: bpy.types.World | None) -> tuple[float, float, float]:

@@ -18,7 +18,6 @@ from ..errors import JGHandFailure
 VARIABLE = "JGHAND_ENGINE_PYTHON"
 # what the extension's zip carries beside its own modules; a checkout does not
 CARRIED = Path(__file__).resolve().parents[1] / "engine"
-_SERVE = ("serve", "--stdio-handshake")
 _INTERPRETERS = ("bin/python", "bin/python3", "Scripts/python.exe", "python.exe")
 # in Blender's own Python: what the engine needs beside Blender's numpy lies in the folders that are its first words
 _RUN_CARRIED = (
@@ -32,7 +31,7 @@ def engine_command(
     python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> tuple[str, ...]:
     """The command that starts the engine as a service; as `engine_program`."""
-    return (*engine_program(python, checkout=checkout, environment=environment), *_SERVE)
+    return (*engine_program(python, checkout=checkout, environment=environment), "serve")
 
 
 def engine_program(

@@ -39,7 +39,7 @@ JOB_END_S = 2.0
 # how often jobs are looked after
 JOB_LOOK_S = 0.25
 
-# what every job gets; see jghand_engine/cli/machine.py
+# what every job gets; see jghand_engine/cli/progress_json.py
 PROGRESS_OPTION = "--progress-json"
 # bytes of one line of a job, and letters of its text that are kept
 _LINE_MAX, _TEXT_MAX = 65536, 300

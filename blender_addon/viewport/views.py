@@ -357,8 +357,7 @@ def _want(view: View) -> Want:
             hand.avatar,
             avatar_files.stamp(hand.avatar),
             f"{hand.handedness} {hand.forearm}",
-            hand.joints_m.tobytes(),
-            hand.world_from_hand.tobytes(),
+            hand.pose_bytes,
         ]
     return Want(pacing.digest(parts), pacing.digest(view.camera.parts), view.part.pixels)
 

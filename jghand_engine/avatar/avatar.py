@@ -10,9 +10,10 @@ import numpy as np
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import PARENTS, Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.hand.orders import STANDARD_OF_LEVEL
 from jghand_engine.hand.skeleton import ScaleMode, Skeleton, Transform
+from jghand_engine.hand.wrist import SLICE_COUNT, slice_shares
 
 # radius of a Gaussian, meters
 SIGMA_MIN_M = 1e-4
@@ -23,6 +24,8 @@ DEEP_M = 1e-3
 DEEP_RADII = 1.8
 # signed distance that d = 0..1 of the UVD coordinates spans, meters (a fixed range: features must not shift)
 UVD_RANGE_M = 0.010
+# how identifiers of templates with a forearm end, and where that goes from the wrist
+FOREARM_SUFFIX, FOREARM_WAY = "-forearm", np.array([0.1751, -0.9778, 0.1149])
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,8 @@ class HandAvatar:
     uvd:                  (N, 3) float32, texture coordinates and normalized signed distance, 0..1
     learned:              what training adds; None for a painted avatar
     detail:               the texture of what the Gaussians cannot hold; None for none
+    own_joints_m:         (21, 3) float64, level order, meters: of the right hand that it stands for, at rest, where
+                          its bones are not as long as the canonical hand's; None where they are
     """
 
     info: AvatarInfo
@@ -93,9 +98,15 @@ class HandAvatar:
     uvd: np.ndarray
     learned: Learned | None = None
     detail: Detail | None = None
+    own_joints_m: np.ndarray | None = None
 
     def __len__(self) -> int:
         return self.position_m.shape[0]
+
+    @property
+    def rest_joints_m(self) -> np.ndarray:
+        """(21, 3) of a right hand that nobody drives yet: what poses are made from."""
+        return self.canonical_joints_m if self.own_joints_m is None else self.own_joints_m
 
     @property
     def pixel_m(self) -> float:
@@ -106,12 +117,40 @@ class HandAvatar:
         """The same avatar, driven by joints of the named hand."""
         return replace(self, handedness=Handedness(handedness))
 
-    def skeleton(self) -> Skeleton:
-        """What moves its bones with the joints. InputError for an avatar that follows them in another way."""
+    @property
+    def has_forearm(self) -> bool:
+        """Whether it was learned with one."""
+        return self.info.template.endswith(FOREARM_SUFFIX)
+
+    @property
+    def map_count(self) -> int:
+        """How many maps move its skin: those of 21 bones, and of the slices of a forearm."""
+        return JOINT_COUNT + SLICE_COUNT * self.has_forearm
+
+    def map_weights(self, position_m: np.ndarray, bone_weights: np.ndarray) -> np.ndarray:
+        """(N, map_count) weights of all maps, see `Bones.linear_offset`, of canonical places (N, 3) with weights of
+        bones (N, 21): slices take their shares of what follows the palm."""
+        if not self.has_forearm:
+            return bone_weights
+        shares = slice_shares((position_m - self.canonical_joints_m[0]) @ FOREARM_WAY)
+        return np.concatenate([bone_weights, (bone_weights[:, :1] * shares).astype(bone_weights.dtype)], 1)
+
+    def with_stiff_wrist(self) -> HandAvatar:
+        """The same, whose forearm goes with the palm."""
+        return replace(self, info=replace(self.info, template=self.info.template.removesuffix(FOREARM_SUFFIX)))
+
+    def skeleton(self, variant: str = "auto") -> Skeleton:
+        """What moves its bones with the joints; variant: of the native library. InputError for an avatar that follows
+        them in another way."""
         check_follows_joints(self)
         info = self.info
         return Skeleton(
-            self.canonical_joints_m, handedness=self.handedness, swing=info.swing, scale_mode=info.scale_mode
+            self.canonical_joints_m,
+            handedness=self.handedness,
+            swing=info.swing,
+            scale_mode=info.scale_mode,
+            variant=variant,
+            forearm_way=FOREARM_WAY if self.has_forearm else None,
         )
 
     def prefix(self, count: int) -> HandAvatar:

@@ -1,4 +1,5 @@
-"""The avatars that JGHand ships, so that a newcomer needs no download: a painted one, and one learned from pictures."""
+"""The avatars that JGHand ships, so that a newcomer needs no download: a painted one, one learned from pictures, and
+other persons' hands that were made from it."""
 
 from __future__ import annotations
 
@@ -32,8 +33,8 @@ def avatar_sha256(name: str) -> str:
 
 
 def load_builtin(*, handedness: Handedness) -> HandAvatar:
-    """The avatar learned from a path-traced capture of a photographic skin (scripts/train_builtin.py), driven by joints
-    of the named hand. A damaged installation raises InputError.
+    """The avatar learned from a path-traced capture (scripts/train_builtin.py), driven by joints of the named hand. A
+    damaged installation raises InputError.
 
     It is read once; everybody gets the same arrays and changes none of them.
     """
@@ -52,4 +53,4 @@ def _load_right(name: str) -> HandAvatar:
 
 
 def _asset(name: str) -> Traversable:
-    return ASSETS / f"{name}_right.jghand"
+    return ASSETS / f"{name}_right.jghand" if name in (BUILTIN, PAINTED) else ASSETS / "hands" / f"{name}.jghand"

@@ -12,7 +12,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, compact_order, set_pointers
 from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
-from jghand_engine.hand.joints import BONE_COUNT
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
@@ -67,7 +67,7 @@ class CastStep:
         groups = len(lamp)
         self.arrays = {
             "rest": own.blocked(rest),
-            **own.bones(anchors.bone_weights),
+            **own.bones(avatar.map_weights(anchors.position_m, anchors.bone_weights)),
             "foreign": own.blocked(1 - cast.own.astype(np.float64)),
             "lamp": lamp,
             "fallen": aligned_zeros((own.rows, 4)),
@@ -128,7 +128,7 @@ class CastStep:
 
 def posed_joints_m(linear_offset: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
     """(21, 3) where the bones' maps (21, 3, 4) carry the joints (21, 3) of the canonical hand, root-relative."""
-    matrices = linear_offset.astype(np.float64)
+    matrices = linear_offset[:JOINT_COUNT].astype(np.float64)
     # bone i ends at joint i
     return np.einsum("ijk,ik->ij", matrices[:, :, :3], joints_m) + matrices[:, :, 3]
 

@@ -43,7 +43,7 @@ def corrective_step(
     if correctives is None:
         return NoStep()
     if isinstance(correctives, LinearCorrectives):
-        return LinearStep(correctives, blocks, task)
+        return LinearStep(correctives, avatar, blocks, task)
     return NetworkStep(correctives, avatar, blocks, task)
 
 
@@ -57,16 +57,18 @@ class NoStep:
 class LinearStep:
     """The linear tier. arrays: fields of the task by name · first, second: see `products`"""
 
-    def __init__(self, linear: LinearCorrectives, blocks: Blocks, task: LearnedTask) -> None:
+    def __init__(self, linear: LinearCorrectives, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
         self.features = PoseFeatures(linear.angles)
         self.mean, self.projection = linear.mean.astype(np.float64), linear.projection.astype(np.float64)
         self.first, self.second = products(linear.projection.shape[1], linear.basis)
-        self._numbers = aligned_zeros((JOINT_COUNT, linear.basis))
+        # slices of a forearm have the angles of the palm, which counts whole beside them
+        numbers = aligned_zeros((avatar.map_count, linear.basis))
+        self._numbers = numbers[:JOINT_COUNT]
         directions = linear.direction.reshape(len(linear.direction), -1)
         self.arrays = {
             "direction": blocks.blocked(directions, np.int8),
             "constant": blocks.blocked(np.concatenate([linear.constant, linear.scale], 1)),
-            "numbers": self._numbers,
+            "numbers": numbers,
         }
         task.correctives, task.basis = CorrectiveKind.LINEAR, linear.basis
         set_pointers(task, self.arrays)
@@ -97,10 +99,11 @@ class NetworkStep:
         middle = np.pad(weights["middle.weight"], ((0, extra), (0, extra)))
         out = np.zeros((hidden, 6))
         out[: net.shape.hidden, : len(weights["out.weight"])] = weights["out.weight"].T
-        self._bones = aligned_zeros((JOINT_COUNT, hidden))
+        features = aligned_zeros((avatar.map_count, hidden))
+        self._bones = features[:JOINT_COUNT]
         self.arrays = {
             "places": blocks.blocked(np.pad(places, ((0, 0), (0, extra)))),
-            "features": self._bones,
+            "features": features,
             "middle": _aligned(middle.reshape(-1, NETWORK_TILE, hidden).transpose(0, 2, 1)),
             "middle_bias": _aligned(np.pad(weights["middle.bias"], (0, extra))),
             "out": _aligned(out),

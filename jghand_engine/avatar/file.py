@@ -2,7 +2,8 @@
 
 The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units (the
 word metres), handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform,
-storage, gaussians, position_box_m, pose_statistics. A scale mode is a name or the number of the blended one. transform
+storage, gaussians, position_box_m, pose_statistics. own_joints_m, which may be left out, are its joints in standard
+order. A scale mode is a name or the number of the blended one. transform
 is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which may be left out, is its `learned_from`. The
 arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3) float64. Files keep the standard joint
 order; the engine's level order ends here.
@@ -84,6 +85,8 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         "position_box_m": box_m,
         "pose_statistics": {name: list(range_) for name, range_ in avatar.info.pose_statistics.items()},
     }
+    if avatar.own_joints_m is not None:
+        description["own_joints_m"] = from_level(avatar.own_joints_m, JointOrder.STANDARD).tolist()
     if avatar.info.learned_from is not None:
         description["learnt_from"] = asdict(avatar.info.learned_from)
     if avatar.learned is not None:
@@ -111,6 +114,7 @@ def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
     """The avatar that a reader gets back when `avatar` is saved with `storage`."""
     packed, box_m = pack(_arrays(avatar), storage, linear=_is_linear(avatar))
     stored = _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
+    stored = replace(stored, own_joints_m=avatar.own_joints_m)
     if avatar.detail is not None:
         stored = replace(stored, detail=unpack_detail(*pack_detail(avatar.detail, storage), avatar.info.name))
     if avatar.learned is None:
@@ -145,6 +149,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
     plain = {name: packed.pop(name) for name in expected_arrays(about.storage, linear=about.is_linear)}
     avatar = _avatar(about.info, about.handedness, joints_m, unpack(plain, about.storage, about.box_m))
+    avatar = replace(avatar, own_joints_m=about.own_joints_m)
     if about.learned is not None:
         avatar = _with_learned(avatar, packed, about.learned)
     if about.detail is not None:
@@ -190,6 +195,9 @@ class _Description:
             pose_statistics=_pose_statistics(of),
             learned_from=_learned_from(of.object("learnt_from")),
         )
+        self.own_joints_m = None
+        if "own_joints_m" in content:
+            self.own_joints_m = to_level(of.array("own_joints_m", (JOINT_COUNT, 3)), JointOrder.STANDARD)
         version = content["format_version"]
         is_learned = PAINTED_VERSION < version <= LIT_VERSION or (version > LIT_VERSION and "learnt" in content)
         learned = of.needed("learnt") if is_learned else None

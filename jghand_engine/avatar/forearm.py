@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 
-# identifiers of the built-in hand's templates begin so; that with a forearm ends so
-BUILTIN_TEMPLATE, FOREARM_SUFFIX = "makehuman-soma-right-1", "-forearm"
+# identifiers of the built-in hand's templates begin so
+BUILTIN_TEMPLATE = "makehuman-soma-right-1"
 MANO_TEMPLATES = "mano-"
 # along the forearm of the built-in hand, from the wrist: the ends of its fade, meters. Its skin rounds off behind them
-FOREARM_WAY, FOREARM_FADE_M = np.array([0.1751, -0.9778, 0.1149]), (0.125, 0.105)
+FOREARM_FADE_M = (0.125, 0.105)
 # across the cut at the wrist of the built-in hand, and where it lies. What closed it is up to 3 mm before the cut, as
 # deep as Gaussians are under the skin, and is not seen at all
 WRIST_WAY, WRIST_CUT_M = np.array([-0.0788, 0.9616, 0.2629]), -0.0031
@@ -26,20 +26,15 @@ WRIST_FADE_M = (0.003, 0.015)
 LAYERS = 6
 
 
-def has_forearm(avatar: HandAvatar) -> bool:
-    """Whether it was learned with one."""
-    return avatar.info.template.endswith(FOREARM_SUFFIX)
-
-
 def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     """The avatar as it is shown: faded out at the end of its forearm, or, without one or where it is not wanted, at the
     wrist. An avatar on an unknown template stays as it is."""
-    shown_at, template = _shown_at(avatar, forearm=forearm), avatar.info.template
+    shown_at = _shown_at(avatar, forearm=forearm)
     if shown_at is None:
         return avatar
     if not forearm:
         # its mesh is the hand's alone
-        avatar = replace(avatar, info=replace(avatar.info, template=template.removesuffix(FOREARM_SUFFIX)))
+        avatar = avatar.with_stiff_wrist()
     detail, opacity = avatar.detail, avatar.opacity * shown_at(avatar.position_m).astype(np.float32)
     if detail is not None:
         # what is not there hides nothing behind it
@@ -50,7 +45,7 @@ def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
 
 def _shown_at(avatar: HandAvatar, *, forearm: bool) -> Callable[[np.ndarray], np.ndarray] | None:
     """How much is shown, 0..1, at canonical places (N, 3); None: all of it, wherever it is."""
-    if forearm and has_forearm(avatar):
+    if forearm and avatar.has_forearm:
         return lambda place: _rising(place @ FOREARM_WAY, *FOREARM_FADE_M)
     if avatar.info.template.startswith(BUILTIN_TEMPLATE):
         return lambda place: _rising(place @ WRIST_WAY - WRIST_CUT_M, *WRIST_FADE_M)

@@ -154,6 +154,8 @@ class SkinResponse:
     ambient:     (3,) part of the world's mean irradiance that no shadow takes
     shade_gain:  of the pose's shade
     trained_on:  how many worlds, and lamps of each kind, it was learned from, by name; empty for a guess
+    film_light:  (64, 3) radiance times solid angle of the cells of the world that a film was taken in, found with the
+                 skin, for the axes of its camera, y up; None of a hand that has no light of its own
     """
 
     spread: np.ndarray
@@ -164,6 +166,7 @@ class SkinResponse:
     ambient: np.ndarray
     shade_gain: float
     trained_on: Mapping[str, int] = field(default_factory=dict)
+    film_light: np.ndarray | None = None
 
     @cached_property
     def mirrors(self) -> bool:

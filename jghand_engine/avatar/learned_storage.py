@@ -16,7 +16,8 @@
 | response.*       | float32      | uint8 over their range   | 1/510 of the range; constants are float32: nothing     |
 | linear.*         | as it is used: int8 directions with a scale, constants as float16; nothing lost by writing    |
 
-A hand that was learned in known light has a response, and neither shine nor light. The network reads where a Gaussian
+A hand that was learned in known light has a response, and neither shine nor light; one whose light was estimated with
+its skin has that of its film, response.film_light, float32. The network reads where a Gaussian
 sits, and its bones; both stand in the file already. What the cheaper tiers cost stands under `baked`, the name of files
 of 0.1.
 """
@@ -55,7 +56,7 @@ from jghand_engine.native.learned_tasks import HIDDEN_MAX
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
-RESPONSE, RANGE = "response.", "response.range"
+RESPONSE, RANGE, FILM_LIGHT = "response.", "response.range", "response.film_light"
 # of a response: values per Gaussian, then per channel
 MATERIAL, PER_CHANNEL = ("spread", "roughness", "reflectance"), ("softness", "bounce", "ambient")
 
@@ -120,23 +121,33 @@ class CastAbout:
 
 @dataclass(frozen=True)
 class LightAbout:
-    """What the JSON says of the light that the hand was learned in: one that it carries along, or known ones that it
-    answers. trained_on: as in SkinResponse"""
+    """What the JSON says of the light that the hand was learned in: one that it carries along, known ones, or one that
+    was estimated with its skin; it answers any, but in the first case. trained_on: as in SkinResponse"""
 
     kind: str = "learnt"
     trained_on: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def is_known(self) -> bool:
-        return self.kind == "known"
+        """Whether the hand answers any light."""
+        return self.kind != "learnt"
+
+    @property
+    def is_estimated(self) -> bool:
+        return self.kind == "estimated"
 
     @classmethod
     def of(cls, response: SkinResponse | None) -> LightAbout:
-        return cls() if response is None else cls("known", dict(response.trained_on))
+        if response is None:
+            return cls()
+        return cls("known" if response.film_light is None else "estimated", dict(response.trained_on))
 
     @classmethod
     def parsed(cls, of: JsonObject) -> LightAbout:
-        kind, counts = of.one_of("kind", ("learnt", "known")), of.inner(of.fields.get("trained_on"), "trained_on")
+        kind, counts = (
+            of.one_of("kind", ("learnt", "known", "estimated")),
+            of.inner(of.fields.get("trained_on"), "trained_on"),
+        )
         for name in counts.fields:
             if not is_text(name):
                 raise of.wrong("trained_on", "names of one line")
@@ -241,6 +252,7 @@ def expected_learned_arrays(about: LearnedAbout, gaussians: int, storage: Storag
         arrays |= {RESPONSE + name: ("F32" if exact else "U8", (gaussians,)) for name in MATERIAL}
         arrays |= {RESPONSE + name: ("F32", (3,)) for name in PER_CHANNEL} | {RESPONSE + "shade_gain": ("F32", (1,))}
         arrays |= {} if exact else {RANGE: ("F32", (len(MATERIAL), 2))}
+        arrays |= {FILM_LIGHT: ("F32", (CELLS, 3))} if about.light.is_estimated else {}
     else:
         arrays[SHINE] = ("F32" if exact else "F16", (gaussians,))
         arrays |= {LIGHT + name: ("F32", shape) for name, shape in _light_shapes(about.lobes).items()}
@@ -320,6 +332,8 @@ def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: np.ndarray) 
 def _pack_response(response: SkinResponse, storage: Storage) -> dict[str, np.ndarray]:
     packed = {RESPONSE + name: _single(getattr(response, name)) for name in (*MATERIAL, *PER_CHANNEL)}
     packed[RESPONSE + "shade_gain"] = np.array([response.shade_gain], np.float32)
+    if response.film_light is not None:
+        packed[FILM_LIGHT] = _single(response.film_light)
     if storage is Storage.COMPACT:
         every = [packed[RESPONSE + name].astype(np.float64) for name in MATERIAL]
         packed[RANGE] = np.array([[values.min(), values.max()] for values in every], np.float32)
@@ -337,7 +351,10 @@ def _unpack_response(packed: dict[str, np.ndarray], about: LightAbout) -> SkinRe
                 values[name] = low + values[name] * ((high - low) / UINT8_MAX)
     gain = float(packed[RESPONSE + "shade_gain"][0])
     return SkinResponse(
-        **{name: _single(array) for name, array in values.items()}, shade_gain=gain, trained_on=about.trained_on
+        **{name: _single(array) for name, array in values.items()},
+        shade_gain=gain,
+        trained_on=about.trained_on,
+        film_light=_single(packed[FILM_LIGHT]) if about.is_estimated else None,
     )
 
 

@@ -25,7 +25,6 @@ from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
@@ -75,9 +74,10 @@ class Posing:
         self._row = np.argsort(self._poser.blocks.order)
         self._pool = shared_pool(threads)
 
-    def __call__(self, joints_m: np.ndarray) -> PosedHand:
-        """The Gaussians of joints (21, 3), level order, meters; all of them have to be finite."""
-        bones, poser = self._skeleton.bones(joints_m), self._poser
+    def __call__(self, joints_m: np.ndarray, forearm: np.ndarray | None = None) -> PosedHand:
+        """The Gaussians of joints (21, 3), level order, meters, all of them finite, and of a turned forearm, as
+        `HandPose` has it."""
+        bones, poser = self._skeleton.bones(joints_m, forearm=forearm), self._poser
         poser.prepare(bones, np.zeros(3), light=self._scene)
         self._pool.run(lambda _thread: poser.run())
         into, row = poser.into, self._row
@@ -119,7 +119,7 @@ class Poser:
         into: GaussianArrays | None = None,
         limits: Limits = LIMITS,
     ) -> None:
-        self._call, learned = library.call, avatar.learned
+        self._call, self._maps, learned = library.call, avatar.map_count, avatar.learned
         self.blocks = blocks = Blocks(avatar.position_m)
         ellipsoids = learned is not None and learned.ellipsoid is not None
         self.into = new_rows(blocks.rows, ellipsoids=ellipsoids) if into is None else into
@@ -153,7 +153,7 @@ class Poser:
         """
         linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
         task, into, rows, covariance = self._skin, self.into, self.blocks.rows, self.into.covariance_m2
-        task.linear_offset = address(linear_offset, np.float32, "linear_offset", (JOINT_COUNT, 3, 4))
+        task.linear_offset = address(linear_offset, np.float32, "linear_offset", (self._maps, 3, 4))
         task.position = address(into.position_m, np.float32, "position_m", (rows, 3), writable=True)
         task.sigma = address(into.sigma_m, np.float32, "sigma_m", (rows,), writable=True)
         task.covariance = (

@@ -131,12 +131,13 @@ def studio() -> World:
 
 def in_studio(avatar: HandAvatar) -> HandAvatar:
     """The avatar as it looks where nobody gives a light: as it is, unless it learned in known light. Then it gets the
-    light of the `studio` as others carry that of their capture, display-referred, so that all that draws or exports
-    those shows it too. Powers stand in for sRGB's curve, as in what was learned so."""
+    light of its film, else of the `studio`, as others carry that of their capture, display-referred, so that all that
+    draws or exports those shows it too. Powers stand in for sRGB's curve, as in what was learned so."""
     learned = avatar.learned
     if learned is None or learned.response is None or learned.cast is None:
         return avatar
-    response, world = learned.response, studio()
+    response = learned.response
+    world = studio() if response.film_light is None else World.of_cells(response.film_light)
     terms, mean = world.terms, world.terms.mean_irradiance
     direction = world.samples[0].reshape(-1, 3)
     wave = harmonics(direction)

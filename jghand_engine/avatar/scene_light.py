@@ -33,6 +33,8 @@ CELLS = 64
 LOBES, LOBE_ROUNDS = 32, 200
 # rows of the world that lobes are fitted to: lobes are some 30 degrees wide
 LOBE_ROWS = 16
+# rows of a world that is made of cells: 32 pixels each
+CELL_ROWS = 32
 # nodes of the integral over a rounded cosine
 GAUSS_NODES = 48
 # the world lights no normal with less than this part of its mean: harmonics may swing below zero
@@ -62,6 +64,18 @@ class World:
         turn = np.asarray(self.env_from_world, np.float64)
         if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
             raise InputError("world", wanted="a rotation env_from_world", came=str(turn.tolist()))
+
+    @classmethod
+    def of_cells(cls, light: np.ndarray) -> World:
+        """One whose `terms.light` is `light` (CELLS, 3), each cell evenly bright; +y of the joints above its first
+        row."""
+        env_from_world = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+        even = cls(np.ones((CELL_ROWS, 2 * CELL_ROWS, 3)), env_from_world)
+        direction, solid_angle = (values.reshape(-1, 3) for values in even.samples)
+        cell = (direction @ lamp_directions(CELLS).T).argmax(1)
+        whole = np.bincount(cell, solid_angle[:, 0], CELLS)
+        radiance = (light / whole[:, None])[cell].reshape(even.radiance.shape)
+        return cls(radiance.astype(np.float32), env_from_world)
 
     @cached_property
     def samples(self) -> tuple[np.ndarray, np.ndarray]:

@@ -33,7 +33,7 @@ def skin_arrays(avatar: HandAvatar, blocks: Blocks) -> dict[str, np.ndarray]:
     """What the kernel reads of an avatar at rest: fields of SkinTask by name."""
     relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
     rest = np.concatenate([relative, avatar.sigma_m[:, None]], axis=1)
-    arrays = {"rest": blocks.blocked(rest)} | blocks.bones(avatar.bone_weights)
+    arrays = {"rest": blocks.blocked(rest)} | blocks.bones(avatar.map_weights(avatar.position_m, avatar.bone_weights))
     if (axes := ellipsoid_axes(avatar)) is not None:
         arrays["axes"] = blocks.blocked(axes)
     return arrays

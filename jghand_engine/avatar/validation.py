@@ -10,6 +10,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned
+from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import check_hand_size, check_order
@@ -96,6 +97,9 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
 def _check_learned(learned: Learned, count: int, thing: str) -> None:
     """What kernels rely on. Whether a light or a skin is a likely one is not asked; files hold finite numbers alone, of
     the shapes that they say."""
+    if learned.response is not None and learned.response.film_light is not None:
+        most = float(np.finfo(np.float32).max)
+        _check_ranges(thing, {"film_light": (learned.response.film_light, (CELLS, 3), 0.0, most)})
     if learned.cast is None:
         return
     anchors = learned.cast.anchors
@@ -146,15 +150,15 @@ def _check_shapes(avatar: HandAvatar, thing: str) -> None:
 
 def _check_joints(avatar: HandAvatar, thing: str) -> None:
     """A canonical hand that joints can drive: the same checks as of any other hand, and the transform is built once."""
-    joints_m = avatar.canonical_joints_m
-    if not np.isfinite(joints_m).all():
+    if not np.isfinite(avatar.canonical_joints_m).all():
         raise InputError(f"{thing}: canonical_joints_m", wanted="finite values", came="NaN or Inf", remedy=REMEDY)
     try:
-        check_hand_size(joints_m)
-        CanonicalHand.build(joints_m)
+        for joints_m in (avatar.canonical_joints_m, avatar.rest_joints_m):
+            check_hand_size(joints_m)
+            CanonicalHand.build(joints_m)
+            check_order(joints_m)
         Swing(avatar.info.swing)
         scale_exponent(avatar.info.scale_mode)
-        check_order(joints_m)
     except InputError as error:
         raise InputError(
             f"{thing}: {error.thing}", wanted=error.wanted, came=error.came, remedy=error.remedy or REMEDY

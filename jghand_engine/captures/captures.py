@@ -29,7 +29,6 @@ class CaptureChoice:
     capture:     one person's folder of InterHand2.6M, such as 'Capture0'
     sequences:   names of sequences, such as 'ROM04_RT_Occlusion', or '0191' of HanCo
     handedness:  needed only where both hands were recorded
-    interacting: take images that show both hands too; their mask is the projected template
     some:        leave out sequences that are not there, as long as one is
     """
 
@@ -37,7 +36,6 @@ class CaptureChoice:
     capture: str | None = None
     sequences: tuple[str, ...] | None = None
     handedness: Handedness | None = None
-    interacting: bool = False
     some: bool = False
 
 

@@ -147,7 +147,7 @@ class _Reader:
         self, image: InterHandImage, handedness: Handedness, tables: CaptureTables
     ) -> tuple[Sample | None, str | None]:
         """(sample, None), or (anything, why it is left out)."""
-        if image.hand_type != handedness and not (image.hand_type == INTERACTING and self.choice.interacting):
+        if image.hand_type != handedness:
             return None, "both hands" if image.hand_type == INTERACTING else f"{image.hand_type} hand"
         if not image.hand_type_valid:
             return None, "not sure which hand it is"
@@ -189,7 +189,7 @@ def _mask_source(image: InterHandImage, mask: Path | None, has_alpha: bool) -> M
     if mask is not None:
         return MaskSource.FILE
     # alpha would hold both hands
-    return MaskSource.ALPHA if has_alpha and image.hand_type != INTERACTING else MaskSource.TEMPLATE
+    return MaskSource.ALPHA if has_alpha else MaskSource.TEMPLATE
 
 
 def _unknown(kind: str, name: str, present: list[str], file: Path) -> InputError:

@@ -18,7 +18,7 @@ import tyro
 from jghand_engine import __version__
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
-from jghand_engine.cli.machine import PROGRESS_JSON, JsonLines, started_by_a_program
+from jghand_engine.cli.progress_json import PROGRESS_JSON, JsonLines, started_by_a_program
 
 DESCRIPTION = """JGHand: 21 joint positions go in, a photorealistic hand comes out.
 
@@ -34,7 +34,7 @@ standard input stops it as Ctrl-C does."""
 # each is a module of this package, `train-many` is cli/train_many.py with the dataclass TrainMany; only the one that is
 # called gets imported
 VERBS = (
-    *("render", "export", "info", "motion", "check-data", "check-usd", "track", "capture"),
+    *("render", "export", "info", "motion", "check-data", "check-usd", "track", "own", "capture"),
     *("train", "train-many", "evaluate", "distill", "ablate", "bench", "study", "serve"),
 )
 STYLE = (
@@ -95,6 +95,5 @@ def parsed(words: Sequence[str]) -> Any:
 
 def verb_called(name: str) -> tuple[type, str]:
     """The dataclass of a verb, and its description."""
-    file = "machine" if name == "serve" else name.replace("-", "_")
-    module = importlib.import_module(f"jghand_engine.cli.{file}")
+    module = importlib.import_module(f"jghand_engine.cli.{name.replace('-', '_')}")
     return getattr(module, name.title().replace("-", "")), module.DESCRIPTION

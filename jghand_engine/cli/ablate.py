@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -46,8 +46,6 @@ class Ablate:
     """Steps of each training, the same for all."""
     variants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = ()
     """Only these rows of the table, such as "w/o screen shadow" and full."""
-    preset: Literal["default", "paper-faithful"] = "default"
-    """What the parts are taken out of."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """The same seed gives the same avatars on the same machine."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
@@ -76,7 +74,7 @@ class Ablate:
             if value < least:
                 raise InputError(name, wanted=f"{least} or more", came=str(value))
         device = device_called("auto")
-        full, perceptual = train_options(self.preset, self.seed, device)
+        full, perceptual = train_options("default", self.seed, device)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
         known_light = any(sample.light is not None for sample in split.train)
@@ -136,11 +134,9 @@ class Ablate:
         table = table_of(results)
         say_whole_table(table)
         with writing(self.out / "ablation.md") as temporary:
-            temporary.write_text(
-                f"{self.steps} steps each, preset {self.preset}.\n\n{table.markdown()}", encoding="utf-8"
-            )
+            temporary.write_text(f"{self.steps} steps each.\n\n{table.markdown()}", encoding="utf-8")
         figures = {
-            "command": "ablate", "preset": self.preset, "steps": self.steps, "seed": self.seed,
+            "command": "ablate", "steps": self.steps, "seed": self.seed,
             "variants": {name: one.as_dict() for name, one in results.items()},
         }  # fmt: skip
         write_json(self.out / "ablation.json", figures)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from jghand_engine.cli.machine import JsonProgress, json_lines
+from jghand_engine.cli.progress_json import JsonProgress, json_lines
 from jghand_engine.files import writing
 
 if TYPE_CHECKING:

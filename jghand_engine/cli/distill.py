@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -49,8 +49,6 @@ class Distill:
     """Replace --out if it is there."""
     basis: Annotated[str, tyro.conf.arg(metavar="K,K,…")] = "4,8,16,32"
     """Sizes of the linear form to try; the smallest that loses at most 0.1 dB is kept, else the most accurate."""
-    storage: Literal["compact", "exact"] = "compact"
-    """How the avatar is written: compact is a third of the size."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 40
     """At most so many held-out pictures of each kind; 0 takes all."""
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
@@ -79,9 +77,8 @@ class Distill:
             remedy = "Give the folder of the pictures after the avatar, or drop the choice of pictures."
             raise InputError("pictures of which folder", wanted="a folder of pictures", came="none", remedy=remedy)
         check_place(self.out, overwrite=self.overwrite)
-        storage = Storage(self.storage)
         # what is measured is what will be read again
-        avatar = stored_form(load_avatar_called(self.avatar), storage)
+        avatar = stored_form(load_avatar_called(self.avatar), Storage.COMPACT)
         bases = self._bases(min(BASIS_MAX, largest_basis(pose_net_of(avatar).shape)))
         by = self._measure(avatar)
         poses = torch.cat([by.known_poses, poses_near(by.known_poses, DISTIL_POSES, seed=0)])
@@ -93,7 +90,7 @@ class Distill:
         with progress("Measuring the shadow", 100) as bar:
             measured = with_shadow_seen(avatar, lambda part: bar.update(bar.task_ids[0], completed=100 * part))
         finished = distilled(measured, offers, measured_on)
-        save_avatar(self.out, finished, storage=storage)
+        save_avatar(self.out, finished, storage=Storage.COMPACT)
         self._tell(offers, finished, measured_on)
 
     def _bases(self, most: int) -> list[int]:

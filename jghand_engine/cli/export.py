@@ -33,8 +33,8 @@ frame, hand.0000.ply and so on. The web page plays the motion and poses the hand
 A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
 is shown first, and how large points are. Only --package usdc leaves some out.
 
-The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
-carry the skin between them. A trained avatar has colors of its own in every frame, in the light that it was
+The skeleton has 63 joints, with a forearm 85: the 21 that drive the hand, with the names of the motion's joints, and
+those that carry the skin between them. A trained avatar has colors of its own in every frame, in the light that it was
 learned in; what its skin mirrors depends on the camera, and is left out. The mesh of a USD stage has no light in it,
 but albedo and roughness, which other programs light.
 
@@ -49,8 +49,6 @@ Examples:
   jghand export web --poses open,fist,ok --out page
   jghand export mesh --poses fist --frames 0 --out meshes"""
 
-# part by which constant radii may be off those of a frame before it is said: less is not seen
-SIGMA_ERROR_TOLD = 0.05
 # the picture that the stage's cameras are made for
 CAMERA_PX = (1024, 1024)
 
@@ -68,9 +66,6 @@ class UsdStageOptions:
     ] = None
     """What a program shows that cannot choose; left out, what suits --for: splats, for blender and houdini points, for
     usdview points_skinned (a small file; without what training added to the pose)."""
-    sizes: Literal["constant", "per_frame"] = "constant"
-    """Radii of the splats: of the mean hand, or of every frame. A frame is then 2.3 times as large; of a trained hand,
-    whose colors are in every frame anyway, 1.4 times."""
     radiance: Literal["srgb", "linear", "albedo"] = "srgb"
     """Colors of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers; albedo
     without any light: then other programs light splats and points, as they always do the mesh."""
@@ -189,11 +184,6 @@ class Export:
         report = export_stage(self.out, avatar, sequence, cameras, options)
         size = sum(report.bytes.values())
         say(f"Wrote {report.stage}: {report.frames} frames, {size / 1e6:.1f} MB, {sum(report.seconds.values()):.1f} s")
-        if report.sigma_error > SIGMA_ERROR_TOLD:
-            say(
-                f"Constant radii are up to {100 * report.sigma_error:.0f} % off those of a frame: "
-                "--sizes per_frame writes them all."
-            )
         if self.usd.consumer != "generic":
             say(f"For {self.usd.consumer}: {PRESETS[self.usd.consumer].advice}")
         return {"for": self.usd.consumer, **usd_figures(report)}
@@ -208,7 +198,6 @@ class Export:
             name=self.name,
             default_variant=variant,
             radiance=given.radiance,
-            sizes=given.sizes,
             width_factor=preset.width_factor if given.width_factor is None else given.width_factor,
             first_frame=self.first_frame,
             up=self.up,

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from jghand_engine.cli.console import progress
 from jghand_engine.errors import InputError
 from jghand_engine.export.frame_folder import Outcome, Shard
 from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.render.blur import shutter_at
 
 if TYPE_CHECKING:
@@ -59,12 +60,12 @@ class FrameFiles:
 class FrameWriter:
     """Draws the frames of a motion through one camera into files, with passes beside them.
 
-    joints_m: (F, 21, 3) level order, world, meters
+    hands: one for each frame, in the world
     shutter: part of the time between frames that it is open
     """
 
     renderer: HandRenderer
-    joints_m: np.ndarray
+    hands: Sequence[HandPose]
     camera: Camera
     files: FrameFiles
     timings: Timings
@@ -75,7 +76,8 @@ class FrameWriter:
     def write(self, index: int) -> None:
         """Draws one frame and writes its files, the picture last: where it is, the others are."""
         path, background, texts = self.files.path(index), self.files.background, {}
-        frame = self.renderer.render(self.joints_m[index], self.camera, shutter_at(self.joints_m, index, self.shutter))
+        moments = shutter_at(self.hands, index, self.shutter, self.camera)
+        frame = self.renderer.render_moments(moments, [1.0] * len(moments))
         self.timings.add(frame.report.as_dict())
         if self.receipts is not None:
             self.receipts.add(frame.report)
@@ -90,7 +92,7 @@ class FrameWriter:
 
     def write_all(self, shard: Shard | None = None) -> Outcome:
         """Draws the frames of a shard, or all, one after the other."""
-        shard, outcome, total = shard or Shard(), Outcome(), len(self.joints_m)
+        shard, outcome, total = shard or Shard(), Outcome(), len(self.hands)
         indices = shard.indices(total)
         with progress(self.files.text, len(indices)) as bar:
             for index in indices:
@@ -107,8 +109,8 @@ class FrameWriter:
 
     def shown(self) -> Iterator[np.ndarray]:
         """The frames that lie there, as a video wants them: (H, W, 3) uint8, transparent ones on a background."""
-        with progress("Writing the video", len(self.joints_m)) as bar:
-            for index in range(len(self.joints_m)):
+        with progress("Writing the video", len(self.hands)) as bar:
+            for index in range(len(self.hands)):
                 yield flatten(premultiplied(read_png(self.files.path(index))), VIDEO_BACKGROUND)
                 bar.advance(bar.task_ids[0])
 
@@ -122,7 +124,7 @@ class FrameWriter:
         return self.passes is None or self.passes.is_whole(path)
 
 
-def made_from(
+def render_stamp(
     avatar_sha256: str, options: MotionOptions, motion: Motion, settings: RenderSettings, look: Mapping[str, Any],
     *, whole: bool,
 ) -> dict[str, str]:  # fmt: skip

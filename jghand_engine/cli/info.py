@@ -104,7 +104,7 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
             "largest": 1e3 * float(loaded.sigma_m.max()),
         },
         "size_mm": [1e3 * float(edge) for edge in extent_m],
-        "hand_length_mm": 1e3 * hand_length(loaded.canonical_joints_m),
+        "hand_length_mm": 1e3 * hand_length(loaded.rest_joints_m),
         "conventions": {
             "swing": loaded.info.swing,
             "scale": loaded.info.scale_mode,
@@ -141,6 +141,8 @@ def learned_facts(avatar: HandAvatar) -> dict[str, Any]:
 def _light(learned: Learned) -> str:
     if learned.response is None:
         return f"that of its capture, {len(learned.light.lobe_sharpness)} lobes of gloss"
+    if learned.response.film_light is not None:
+        return "estimated with the skin: that of its film, or of any scene"
     counts = ", ".join(f"{name} {count}" for name, count in learned.response.trained_on.items())
     return f"known: that of any scene{f'; learned from {counts}' if counts else ''}"
 

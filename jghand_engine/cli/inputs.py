@@ -123,4 +123,4 @@ def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseS
     fps = options.checked_fps()
     motion = PoseMotionOptions(fps=DEFAULT_FPS if fps is None else fps)
     hand = Handedness(options.hand or Handedness.RIGHT)
-    return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m, handedness=hand, options=motion)
+    return pose_sequence_of_names(pose_list(names), avatar.rest_joints_m, handedness=hand, options=motion)

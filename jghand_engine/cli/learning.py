@@ -87,7 +87,7 @@ def hand_template(mano: Path | None, *, forearm: bool = False) -> HandTemplate:
 
 def forearm_note(capture: Capture, template: str) -> str | None:
     """What it means that the pictures, or a hand on that template, go on behind the wrist and the other does not."""
-    from jghand_engine.avatar.forearm import FOREARM_SUFFIX
+    from jghand_engine.avatar.avatar import FOREARM_SUFFIX
 
     has_one = template.endswith(FOREARM_SUFFIX)
     if capture.shows_forearm == has_one:

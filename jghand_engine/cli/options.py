@@ -123,7 +123,8 @@ class AvatarOptions:
     """Which hand is shown."""
 
     avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN
-    """A .jghand file, or a hand that comes with JGHand: builtin, learned from pictures, or painted."""
+    """A .jghand file, or a hand that comes with JGHand: builtin, learned from pictures, painted, or one of the family
+    in its assets/hands by its name."""
 
 
 @dataclass(frozen=True)

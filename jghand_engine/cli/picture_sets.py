@@ -30,8 +30,6 @@ class PictureSetOptions:
     """Only these sequences, such as ROM04_RT_Occlusion, or 0191 of HanCo."""
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Which hand, where both were recorded."""
-    interacting: bool = False
-    """Take pictures that show both hands too; their mask is the projected template."""
 
     def open(self, folder: Path, template: HandTemplate | None = None) -> Capture:
         """The pictures of `folder` that are meant; what is left out of them is said. template, errors: as of
@@ -58,8 +56,4 @@ class PictureSetOptions:
         self.check()
         if self.protocol is not None:
             return None
-        return CaptureChoice(
-            sequences=self.sequences or None,
-            handedness=Handedness(self.hand) if self.hand else None,
-            interacting=self.interacting,
-        )
+        return CaptureChoice(sequences=self.sequences or None, handedness=Handedness(self.hand) if self.hand else None)

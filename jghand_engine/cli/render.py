@@ -117,14 +117,14 @@ class Render:
         joints_m = motion.sequence.joints_m
         files = FrameFiles(self.out, background, first=motion.frames.start, step=motion.frames.step)
         writer = FrameWriter(
-            renderer, joints_m, self._with_lens(camera, motion), files, Timings(), Receipts(), passes,
+            renderer, motion.sequence.poses, self._with_lens(camera, motion), files, Timings(), Receipts(), passes,
             self.effect.shutter,
         )  # fmt: skip
         if passes is not None:
             passes.start(avatar, renderer, joints_m, camera)
-        made_from, paths = self._made_from(renderer.settings, motion), [files.path(k) for k in range(len(joints_m))]
+        stamp, paths = self._stamp(renderer.settings, motion), [files.path(k) for k in range(len(joints_m))]
         make_folder(self.out)
-        settle_folder(self.out, made_from, paths, shard)
+        settle_folder(self.out, stamp, paths, shard)
         started = time.perf_counter()
         write_json(self.out / "camera.json", camera_to_dict(camera))
         outcome = writer.write_all(shard)
@@ -175,11 +175,11 @@ class Render:
             )  # fmt: skip
         return shard
 
-    def _made_from(self, settings: RenderSettings, motion: Motion) -> dict[str, str]:
+    def _stamp(self, settings: RenderSettings, motion: Motion) -> dict[str, str]:
         from dataclasses import asdict
 
         from jghand_engine.avatar.builtin import avatar_sha256
-        from jghand_engine.cli.frame_files import file_digest, made_from
+        from jghand_engine.cli.frame_files import file_digest, render_stamp
         from jghand_engine.export.light_file import files_of
 
         picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
@@ -193,7 +193,7 @@ class Render:
             look["light"] = [file_digest(each) for each in files_of(self.light)]
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
         avatar = avatar_sha256(self.avatar.avatar)
-        return made_from(avatar, self.motion, motion, settings, look, whole=whole)
+        return render_stamp(avatar, self.motion, motion, settings, look, whole=whole)
 
     def _effects(self) -> Choice | None:
         """Those that were asked for; None where what is called for runs, but for what a budget leaves out."""

@@ -59,8 +59,6 @@ class Study:
 
     def _accuracy(self) -> Report:
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.native.threads import thread_count
-        from jghand_engine.render.budget import write_profile
         from jghand_engine.study import accuracy_measures as measures
         from jghand_engine.study.accuracy_growth import QUICK_REACH
         from jghand_engine.study.accuracy_plot import draw_figure
@@ -74,8 +72,6 @@ class Study:
         if self.quick:
             plan = replace(plan, rounds=measures.QUICK_ROUNDS, reach=QUICK_REACH, poses=measures.QUICK_POSES)
         study = measures.measure_accuracy(plan, say)
-        kept = write_profile(avatar, size_px, thread_count(0), measures.profile_of(study, plan))
-        say("`jghand render --budget-ms` chooses from this." if kept else "The profile could not be kept.")
         return Report("accuracy", study.headline, study.tables(), study, draw_figure(study))
 
     def _stability(self) -> Report:

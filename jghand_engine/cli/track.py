@@ -56,8 +56,6 @@ class FitOptions:
     """More is smoother, less is livelier, 0 takes every frame alone. It never lags: it looks ahead as far as back."""
     camera_angle: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = CAMERA_ANGLE_DEG
     """Angle of view across the longer edge of the picture; 60 to 70 of most telephones and webcams."""
-    in_place: bool = False
-    """Keep the wrist at the origin. Else the hand moves as it did before the camera, which is the origin."""
     up: Literal["y", "z"] = "y"
     """Which axis points up in the motion."""
     gaps: Literal["fill", "leave"] = "fill"
@@ -154,8 +152,6 @@ class Track:
             raise InputError("--most", wanted="1 or more", came=str(self.most))
         if self.film_camera is not None and self.film_camera.suffix.lower() != ".json":
             raise InputError("--film-camera", wanted="a name that ends in .json", came=self.film_camera.name)
-        if self.film_camera is not None and self.fit.in_place:
-            raise InputError("--film-camera", wanted="a hand that moves as before that camera", came="--in-place")
         ffmpeg_program()
         fit = self.fit
         options = TrackOptions(
@@ -163,7 +159,6 @@ class Track:
             fit.bones == "own",
             fit.smoothing,
             fit.camera_angle,
-            fit.in_place,
             fit.gaps == "fill",
         )
         options.check()

@@ -91,7 +91,7 @@ class Train:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, forearm_note, hand_template, material, train_options
-        from jghand_engine.cli.machine import JsonTraining, json_lines
+        from jghand_engine.cli.progress_json import JsonTraining, json_lines
         from jghand_engine.learn.options import in_known_light
         from jghand_engine.learn.progress import display
         from jghand_engine.learn.run import check_places, train

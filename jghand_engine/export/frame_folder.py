@@ -80,17 +80,17 @@ def refuse_other_frames(folder: Path, frames: range) -> None:
         )
 
 
-def settle_folder(folder: Path, made_from: Mapping[str, str], paths: Sequence[Path], shard: Shard) -> None:
+def settle_folder(folder: Path, stamp: Mapping[str, str], paths: Sequence[Path], shard: Shard) -> None:
     """Says in an existing folder what its frames `paths` are made from. InputError when a shared run finds frames of
     something else; a run that makes them all removes those first, so that none of them is ever kept."""
-    stamp = folder / STAMP
-    found = _read_stamp(stamp)
-    old = [] if found == made_from else [path for path in paths if path.exists()]
+    path = folder / STAMP
+    found = _read_stamp(path)
+    old = [] if found == stamp else [frame for frame in paths if frame.exists()]
     if shard.is_shared:
         if not old and found is None:
-            found = _put_stamp(stamp, made_from)
-        if found != made_from:
-            names = [name for name in {**made_from, **(found or {})} if (found or {}).get(name) != made_from.get(name)]
+            found = _put_stamp(path, stamp)
+        if found != stamp:
+            names = [name for name in {**stamp, **(found or {})} if (found or {}).get(name) != stamp.get(name)]
             raise InputError(
                 f"--out {folder}",
                 wanted="frames that this very command made",
@@ -99,21 +99,21 @@ def settle_folder(folder: Path, made_from: Mapping[str, str], paths: Sequence[Pa
                 "--skip-existing replaces what is there.",
             )
         return
-    for path in (*old, *folder.glob(".frame_*.png")):
+    for frame in (*old, *folder.glob(".frame_*.png")):
         try:
-            path.unlink(missing_ok=True)
+            frame.unlink(missing_ok=True)
         except OSError as error:
-            raise file_error(path, error) from error
-    with writing(stamp) as temporary:
-        temporary.write_text(json.dumps(dict(made_from), indent=2) + "\n", encoding="utf-8")
+            raise file_error(frame, error) from error
+    with writing(path) as temporary:
+        temporary.write_text(json.dumps(dict(stamp), indent=2) + "\n", encoding="utf-8")
 
 
-def _put_stamp(path: Path, made_from: Mapping[str, str]) -> Mapping[str, str] | None:
+def _put_stamp(path: Path, stamp: Mapping[str, str]) -> Mapping[str, str] | None:
     """Writes the stamp unless another process does so at the same moment; gives what stands there then."""
     try:
         with path.open("x", encoding="utf-8") as stream:
-            stream.write(json.dumps(made_from, indent=2) + "\n")
-        return made_from
+            stream.write(json.dumps(stamp, indent=2) + "\n")
+        return stamp
     except FileExistsError:
         # whoever made it may not have written it yet
         time.sleep(STAMP_WAIT_S)

@@ -16,13 +16,16 @@ from jghand_engine.hand.sequence import PoseSequence
 
 def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
     """What tells whether a stage is still that of an avatar and a motion: SHA-256 of all that an avatar's Gaussians
-    follow from, and of the joints (F, 21, 3) float32 little-endian meters in standard order, and the engine's
-    version."""
-    joints_m = from_level(sequence.joints_m, JointOrder.STANDARD).astype("<f4")
+    follow from, and of the joints (F, 21, 3) float32 little-endian meters in standard order, of how a forearm is turned
+    (F, 4) where the motion says it, and the engine's version."""
+    numbers = {"joints": from_level(sequence.joints_m, JointOrder.STANDARD)}
+    if sequence.forearm is not None:
+        numbers["forearm"] = sequence.forearm
+    digests = {f"{name}_sha256": hashlib.sha256(each.astype("<f4").tobytes()) for name, each in numbers.items()}
     return {
         "engine_version": __version__,
         "avatar_sha256": _digest_of(avatar),
-        "joints_sha256": hashlib.sha256(joints_m.tobytes()).hexdigest(),
+        **{name: digest.hexdigest() for name, digest in digests.items()},
     }
 
 

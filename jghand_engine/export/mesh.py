@@ -25,7 +25,7 @@ from jghand_engine.files import check_room, make_folder, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.builtin import template_called
-from jghand_engine.template.mesh import HandTemplate, mirrored, posed_vertices
+from jghand_engine.template.mesh import HandTemplate, mirrored, skinned
 from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import rasterize_uv
 
@@ -116,6 +116,7 @@ class _Surface:
         self._motion, self._template, self._trimesh = motion, template, trimesh
         self._skeleton = motion.avatar.skeleton()
         self._right = mirrored(template) if motion.handedness is Handedness.LEFT else template
+        self._weights = motion.map_weights(template)
         rest_m = motion.rest_arrays()[0].astype(np.float64)
         self._textured = suffix != "ply"
         detail = motion.avatar.detail
@@ -146,7 +147,8 @@ class _Surface:
         rgb = np.asarray(motion.avatar.rgb if rgb is None else rgb, np.float64).clip(0, 1)
         mean = rgb[self._nearest].mean(axis=1)
         colors = np.rint(255 * mean).astype(np.uint8)
-        vertices_m = posed_vertices(self._right, self._skeleton, motion.sequence.joints_m[index]) @ axes.T
+        pose, rest_m = motion.sequence.pose(index), self._right.vertices_m
+        vertices_m = skinned(rest_m, self._weights, self._skeleton, pose.joints_m, pose.forearm) @ axes.T
         if self._textured:
             from PIL import Image
 

@@ -13,9 +13,11 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import PosedHand, Posing
 from jghand_engine.avatar.scene_light import SceneLight
+from jghand_engine.errors import InputError
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.sequence import HandPose, PoseSequence
+from jghand_engine.template.mesh import HandTemplate
 
 # frames whose bones are made at once
 BATCH_FRAMES = 24
@@ -23,8 +25,6 @@ BATCH_FRAMES = 24
 JOINT_AXES = (1, 2, 0)
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 TURN_FLEXION_AXIS = np.diag([1.0, -1.0, 1.0])
-# places of xx, xy, xz, yy, yz, zz in a symmetric matrix, row by row
-SYMMETRIC = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,9 @@ class BonePoses:
     """Where the engine puts the bones of F frames, level order, in the world of the hand itself.
 
     joints_m: (F, 21, 3) meters
-    axes:     (F, 21, 3, 3) joint axes of every bone, row 0 the palm's
-    scales:   (F, 21, 3) along those axes
+    axes:     (F, 21, 3, 3) joint axes of every bone, row 0 the palm's; behind them those of a forearm's slices, which
+              turn about the wrist
+    scales:   (F, as many, 3) along those axes
     """
 
     joints_m: np.ndarray
@@ -73,21 +74,14 @@ class HandMotion:
         return sum(self._skeleton.bones(joints_m).scale for joints_m in self._joints_m) / len(self)
 
     def frame(self, index: int) -> PosedHand:
-        return turned(self._posing(self._joints_m[index] @ self._light_from_world.T), self._light_from_world.T)
-
-    def rest(self) -> PosedHand:
-        """The Gaussians of the canonical hand, with what the avatar has learned of such a pose."""
-        return self._posing(self._rest_joints_m)
+        pose, turn = self.sequence.pose(index), self._light_from_world
+        posed = self._posing(pose.joints_m @ turn.T, pose.forearm)
+        return replace(posed, position_m=(posed.position_m @ turn).astype(np.float32))
 
     @property
     def colors_move(self) -> bool:
         """Whether the colors change with the pose: those of a trained avatar turn in its light."""
         return self.avatar.learned is not None
-
-    @property
-    def has_ellipsoids(self) -> bool:
-        """Whether the Gaussians are no balls: their sizes and turns then change with the pose."""
-        return self.avatar.learned is not None and self.avatar.learned.ellipsoid is not None
 
     def rest_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The Gaussians at rest, float32: canonical centers (N, 3), mirrored for a left hand, and radii (N,) at the
@@ -102,11 +96,15 @@ class HandMotion:
 
     def rest_poses(self) -> BonePoses:
         """The canonical hand as one frame."""
-        return self._poses(self._rest_joints_m[None])
+        return self._poses([HandPose(self._rest_joints_m)])
 
     def poses(self) -> Iterator[BonePoses]:
         for first in range(0, len(self), BATCH_FRAMES):
-            yield self._poses(self._joints_m[first : first + BATCH_FRAMES])
+            yield self._poses([self.sequence.pose(i) for i in range(first, min(first + BATCH_FRAMES, len(self)))])
+
+    def map_weights(self, skin: HandTemplate) -> np.ndarray:
+        """(V, maps) weights of all maps of the vertices of a surface that is the hand itself."""
+        return self.avatar.map_weights(self._mirrored(skin.vertices_m), skin.bone_weights)
 
     @property
     def _rest_joints_m(self) -> np.ndarray:
@@ -116,21 +114,22 @@ class HandMotion:
         """Canonical points (..., 3) of the hand itself: the mirror image of the model's for a left hand."""
         return points_m @ MIRROR.astype(points_m.dtype) if self.handedness is Handedness.LEFT else points_m
 
-    def _poses(self, joints_m: np.ndarray) -> BonePoses:
-        bones = [self._skeleton.bones(pose_m, np.float64) for pose_m in joints_m]
+    def _poses(self, poses: list[HandPose]) -> BonePoses:
+        bones = [self._skeleton.bones(pose.joints_m, np.float64, forearm=pose.forearm) for pose in poses]
         frames, scales = (np.stack(parts) for parts in zip(*map(self._skeleton.frames, bones), strict=True))
+        joints_m = np.stack([pose.joints_m for pose in poses])
         return BonePoses(joints_m, joint_axes(frames, self.handedness), scales[..., JOINT_AXES])
 
 
-def turned(posed: PosedHand, turn: np.ndarray) -> PosedHand:
-    """The same after a turn (3, 3)."""
-    if np.array_equal(turn, np.eye(3)):
-        return posed
-    covariance_m2 = posed.covariance_m2
-    if covariance_m2 is not None:
-        covariance_m2 = (turn @ covariance_m2[:, SYMMETRIC].reshape(-1, 3, 3) @ turn.T).reshape(-1, 9)
-        covariance_m2 = covariance_m2[:, [0, 1, 2, 4, 5, 8]].astype(np.float32)
-    return replace(posed, position_m=(posed.position_m @ turn.T).astype(np.float32), covariance_m2=covariance_m2)
+def check_balls(avatar: HandAvatar) -> None:
+    """InputError for an avatar that trained with ellipsoids, as one row of the ablation does: files hold balls."""
+    if avatar.learned is not None and avatar.learned.ellipsoid is not None:
+        raise InputError(
+            avatar.info.name,
+            wanted="Gaussians that are balls",
+            came="ellipsoids",
+            remedy="Render it, or export a mesh.",
+        )
 
 
 def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:

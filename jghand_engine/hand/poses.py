@@ -1,7 +1,7 @@
 """Poses of the hand that have a name, the shapes of the American manual alphabet, and motions through named poses.
 
 Angles are those of `hand.kinematics`, degrees, thumb first. They were set by eye: the shapes of a canonical hand, not
-measurements.
+measurements. Where fingers touch they are solved for each hand.
 """
 
 from __future__ import annotations
@@ -15,25 +15,34 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, Handedness
-from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand, Contact
+from jghand_engine.hand.kinematics import RANGES_DEG, ArchingHand, ArticulatedHand, Contact
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
 
+_Finger = tuple[float, float, float, float]
+# fingers of a fist, bent into the palm and opened for each hand; they turn so that neighbors touch, within 2 mm on all
+# hands that captures show, where the palm arches. And the thumb that rests on them
+_INDEX: _Finger = (86, 9, 106, 66)
+_MIDDLE: _Finger = (88, 0, 109, 67)
+_RING: _Finger = (88, 1, 108, 66)
+_PINKY: _Finger = (86, 16, 104, 64)
+_RESTING: _Finger = (24, -14, 50, 30)
+
 # angles of five fingers, thumb first
-POSES_DEG: dict[str, tuple[tuple[float, float, float, float], ...]] = {
+POSES_DEG: dict[str, tuple[_Finger, ...]] = {
     "open": ((0, 0, 0, 0), (4, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4)),
     "flat": ((2, -13, 0, 0), (0, -6, 0, 0), (0, 0, 0, 0), (0, -7, 0, 0), (0, -13, 0, 0)),
     "spread": ((-10, 18, -5, -5), (-3, 16, 2, 0), (-2, 0, 2, 0), (-3, 14, 2, 0), (-3, 22, 2, 0)),
     "relaxed": ((10, 5, 10, 12), (22, 0, 36, 18), (28, 0, 38, 19), (31, 0, 42, 20), (33, 3, 42, 22)),
-    "fist": ((16, -15, 44, 44), (84, 0, 106, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
-    "point": ((20, -15, 46, 44), (4, 0, 6, 4), (86, 0, 108, 66), (88, 0, 108, 66), (86, 0, 104, 64)),
-    "victory": ((27, -14, 46, 40), (4, 11, 6, 4), (4, -9, 6, 4), (86, 0, 108, 66), (86, 0, 104, 64)),
-    "three": ((34, -12, 46, 42), (4, 10, 5, 3), (4, 0, 5, 3), (4, 9, 5, 3), (82, 0, 102, 62)),
+    "fist": (_RESTING, _INDEX, _MIDDLE, _RING, _PINKY),
+    "point": (_RESTING, (4, 0, 6, 4), _MIDDLE, _RING, _PINKY),
+    "victory": ((27, -14, 46, 40), (4, 11, 6, 4), (4, -9, 6, 4), _RING, _PINKY),
+    "three": ((34, -12, 46, 42), (4, 10, 5, 3), (4, 0, 5, 3), (4, 9, 5, 3), _PINKY),
     "four": ((36, -12, 46, 44), (4, 10, 5, 3), (4, 0, 5, 3), (4, 8, 5, 3), (4, 16, 5, 3)),
-    "thumb_up": ((-12, 14, -6, -12), (86, 0, 108, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "thumb_up": ((-12, 14, -6, -12), _INDEX, _MIDDLE, _RING, _PINKY),
     "pinch": ((24, 12, 18, 28), (50, 0, 54, 32), (34, 0, 36, 21), (32, 0, 34, 18), (30, 3, 32, 18)),
     "ok": ((24, 12, 18, 30), (52, 0, 56, 34), (16, 0, 17, 9), (11, 4, 14, 6), (6, 10, 12, 6)),
-    "rock": ((22, -15, 46, 44), (4, 4, 6, 4), (86, 0, 108, 66), (86, 0, 106, 64), (4, 8, 6, 4)),
-    "call": ((-8, 24, -5, -8), (84, 0, 106, 66), (88, 0, 109, 67), (86, 0, 106, 65), (2, 18, 6, 4)),
+    "rock": (_RESTING, (4, 4, 6, 4), _MIDDLE, _RING, (4, 8, 6, 4)),
+    "call": ((-8, 24, -5, -8), _INDEX, _MIDDLE, _RING, (2, 18, 6, 4)),
     "claw": ((5, 12, 25, 40), (-4, 8, 84, 52), (-4, 0, 84, 54), (-4, 6, 84, 52), (-4, 12, 80, 50)),
     "grasp": ((22, 16, 20, 25), (54, 4, 52, 30), (56, 0, 52, 32), (58, 3, 52, 30), (58, 8, 50, 30)),
     "table": ((8, 5, 5, 5), (84, 0, 8, 4), (86, 0, 8, 4), (86, 0, 8, 4), (84, 0, 8, 4)),
@@ -50,11 +59,6 @@ CONTACTS = {
     "three": (Contact.REST, 4),
     "rock": (Contact.REST, 2),
 }
-_Finger = tuple[float, float, float, float]
-_INDEX: _Finger = (86, 0, 106, 66)
-_MIDDLE: _Finger = (88, 0, 109, 67)
-_RING: _Finger = (88, 0, 108, 66)
-_PINKY: _Finger = (86, 0, 104, 64)
 
 # Shapes only: which way the palm faces, and the movements of J and Z, belong to the wrist. Letters that differ by that
 # alone share a shape and an entry: G and Q, H and U, I and J, K and P; Z is drawn with the shape of `point`.
@@ -66,7 +70,7 @@ LETTERS_DEG: dict[str, tuple[_Finger, ...]] = {
     "E": ((34, -6, 44, 50), (34, -4, 108, 72), (36, 0, 108, 74), (36, -4, 108, 72), (34, -6, 104, 70)),
     "F": ((24, 12, 18, 30), (52, 0, 56, 34), (4, 0, 6, 4), (3, 4, 6, 4), (2, 12, 6, 4)),
     "G": ((6, -12, 2, 0), (4, 0, 4, 2), _MIDDLE, _RING, _PINKY),
-    "I": ((22, -15, 46, 44), _INDEX, _MIDDLE, _RING, (2, 4, 4, 2)),
+    "I": (_RESTING, _INDEX, _MIDDLE, _RING, (2, 4, 4, 2)),
     "K": ((8, 6, 6, 4), (2, 6, 4, 2), (48, 0, 8, 4), _RING, _PINKY),
     "L": ((-14, 6, -6, -8), (2, 0, 4, 2), _MIDDLE, _RING, _PINKY),
     "M": ((45, -6, 34, 10), (64, -4, 82, 40), (66, 0, 84, 40), (68, -4, 84, 40), _PINKY),
@@ -78,7 +82,7 @@ LETTERS_DEG: dict[str, tuple[_Finger, ...]] = {
     "U": ((27, -14, 46, 40), (2, -6, 4, 2), (2, 3, 4, 2), _RING, _PINKY),
     "V": POSES_DEG["victory"],
     "W": POSES_DEG["three"],
-    "X": ((22, -15, 46, 44), (8, 0, 88, 56), _MIDDLE, _RING, _PINKY),
+    "X": (_RESTING, (8, 0, 88, 56), _MIDDLE, _RING, _PINKY),
     "Y": POSES_DEG["call"],
 }
 # as in CONTACTS
@@ -109,17 +113,18 @@ def named_angles(name: str) -> np.ndarray:
 
 
 def named_pose(name: str, canonical_joints_m: np.ndarray, *, handedness: Handedness) -> np.ndarray:
-    """(21, 3) level-order joints of a named pose, meters; wrist and palm stay where the canonical hand has them.
+    """(21, 3) level-order joints of a named pose, meters; the wrist stays where the canonical hand has it.
 
     canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated.
     """
-    hand = ArticulatedHand(canonical_joints_m)
+    hand = ArchingHand(canonical_joints_m)
     return _handed(hand.joints(angles_on(hand, name)[None])[0], handedness)
 
 
 def angles_on(hand: ArticulatedHand, name: str) -> np.ndarray:
-    """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where tips touch."""
-    angles = np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
+    """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where fingers touch the palm
+    or the thumb."""
+    angles = hand.eased(np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1]))
     return hand.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
 
 
@@ -179,7 +184,7 @@ def pose_sequence_of_names(
     if not names:
         raise InputError("poses of a motion", wanted="at least one name", came="none")
     options.check()
-    hand = ArticulatedHand(canonical_joints_m)
+    hand = ArchingHand(canonical_joints_m)
     random = np.random.default_rng(options.seed)
     solved = {name: angles_on(hand, name) for name in dict.fromkeys(names)}
     keys = [solved[name] + options.variation_deg * random.standard_normal((5, 4)) for name in names]

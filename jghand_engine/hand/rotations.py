@@ -99,11 +99,15 @@ def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
+def turns_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) at `part` (...) of the shorter way from one to another."""
+    return slerp(first, np.where((first * second).sum(-1, keepdims=True) < 0, -second, second), part)
+
+
 def slerp_rotation(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Rotations (..., 3, 3) at `part` (...) of the shortest way between two (..., 3, 3)."""
     a, b = quaternions(first), quaternions(second)
-    b = np.where((a * b).sum(-1, keepdims=True) < 0, -b, b)
-    return quaternion_rotation(slerp(a, b, part))
+    return quaternion_rotation(turns_between(a, b, part))
 
 
 def alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:

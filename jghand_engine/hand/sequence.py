@@ -16,8 +16,9 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import bone_lengths, check_joint_shape
-from jghand_engine.hand.rotations import slerp, slerp_rotation
+from jghand_engine.hand.rotations import slerp, slerp_rotation, turns_between
 from jghand_engine.hand.skeleton import PALM_NORMAL_MIN, ZERO_BONE_EPS
+from jghand_engine.hand.wrist import NO_TURN, unit_turns
 
 # frames per second of a motion: outside this range it is most likely a frame count or milliseconds
 FPS_MIN = 0.1
@@ -57,6 +58,32 @@ class GapReport:
 
 
 @dataclass(frozen=True)
+class HandPose:
+    """One hand at one moment.
+
+    joints_m: (21, 3) level order, meters
+    forearm:  (4,) quaternion w, x, y, z by which its forearm is turned about the wrist from where the palm would carry
+              it, in the palm's frame (METHOD 2.7: x out of the palm, y to the index finger, z to the fingers) of the
+              right hand that a left one mirrors: the same however the hand lies. None: as the palm carries it
+    """
+
+    joints_m: np.ndarray
+    forearm: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, hand: np.ndarray | HandPose) -> HandPose:
+        return hand if isinstance(hand, HandPose) else cls(hand)
+
+    def between(self, other: HandPose, part: float) -> HandPose:
+        """At `part`, 0..1, of the way to another one, see `pose_between`."""
+        forearm = None
+        if self.forearm is not None or other.forearm is not None:
+            here, there = (NO_TURN if turn is None else turn for turn in (self.forearm, other.forearm))
+            forearm = turns_between(here, there, np.array(part))
+        return HandPose(pose_between(self.joints_m, other.joints_m, part), forearm)
+
+
+@dataclass(frozen=True)
 class PoseSequence:
     """One hand over time.
 
@@ -65,6 +92,7 @@ class PoseSequence:
     handedness: which hand it is
     valid:    (F, 21) bool; default: where the joint is finite
     filled:   (F,) bool, frames whose joints nobody measured: a gap was closed there; default: none
+    forearm:  (F, 4) how the forearm is turned, see `HandPose`; None: as the palm carries it
     InputError for another shape (20 or 42 joints are named), no frame, or an impossible fps.
     """
 
@@ -73,6 +101,7 @@ class PoseSequence:
     handedness: Handedness
     valid: np.ndarray = None  # type: ignore[assignment]
     filled: np.ndarray = None  # type: ignore[assignment]
+    forearm: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         joints = _as_joints(self.joints_m)
@@ -88,12 +117,25 @@ class PoseSequence:
         filled = np.zeros(len(joints), dtype=bool) if self.filled is None else np.array(self.filled, dtype=bool)
         if filled.shape != (len(joints),):
             raise InputError("filled frames of a motion", wanted=f"shape ({len(joints)},)", came=str(filled.shape))
-        for name, value in (("joints_m", joints), ("fps", fps), ("valid", valid), ("filled", filled)):
+        forearm = None if self.forearm is None else unit_turns(self.forearm)
+        if forearm is not None and forearm.shape != (len(joints), 4):
+            raise InputError("forearm of a motion", wanted=f"shape ({len(joints)}, 4)", came=str(forearm.shape))
+        own = {"joints_m": joints, "fps": fps, "valid": valid, "filled": filled, "forearm": forearm}
+        for name, value in own.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "handedness", Handedness(self.handedness))
 
     def __len__(self) -> int:
         return len(self.joints_m)
+
+    @property
+    def poses(self) -> list[HandPose]:
+        """One for each frame."""
+        return [self.pose(frame) for frame in range(len(self))]
+
+    def pose(self, frame: int) -> HandPose:
+        """The hand in a frame."""
+        return HandPose(self.joints_m[frame], None if self.forearm is None else self.forearm[frame])
 
     @property
     def duration_s(self) -> float:
@@ -131,7 +173,8 @@ class PoseSequence:
         source = np.maximum.accumulate(np.where(whole, np.arange(len(self)), -1))
         source[source < 0] = int(np.argmax(whole))
         held = self._with(self.joints_m[source])
-        return dataclasses.replace(held, filled=self.filled[source] | ~whole)
+        forearm = None if self.forearm is None else self.forearm[source]
+        return dataclasses.replace(held, filled=self.filled[source] | ~whole, forearm=forearm)
 
     def without_gaps(self) -> PoseSequence:
         """The sequence itself; InputError with frames and joints when a joint is missing anywhere."""
@@ -179,11 +222,10 @@ class PoseSequence:
         # the small addition keeps the last frame when its time is reached but for round-off
         places = np.arange(int(count + FRAME_EPS) + 1) * (self.fps / fps)
         joints = poses_at(self.joints_m, places)
-        before, after, _ = _neighbors(places, len(self))
-        filled = self.filled[before] | self.filled[after]
-        return dataclasses.replace(
-            self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled
-        )
+        before, after, part = _neighbors(places, len(self))
+        forearm = None if self.forearm is None else turns_between(self.forearm[before], self.forearm[after], part)
+        filled, valid = self.filled[before] | self.filled[after], np.isfinite(joints).all(axis=-1)
+        return dataclasses.replace(self, joints_m=joints, fps=fps, valid=valid, filled=filled, forearm=forearm)
 
     def mirrored(self) -> PoseSequence:
         """The other hand doing the same: x is negated and the handedness changes."""
@@ -203,6 +245,7 @@ class PoseSequence:
             fps=self.fps / step,
             valid=self.valid[part],
             filled=self.filled[part],
+            forearm=None if self.forearm is None else self.forearm[part],
         )
 
     def _with(self, joints: np.ndarray) -> PoseSequence:

@@ -21,6 +21,7 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.hand.rotations import half_turns, unit
+from jghand_engine.hand.wrist import Wrist
 from jghand_engine.native import library
 
 # ---- thresholds of the transform, relative to the hand's size unless a unit is given ----
@@ -128,7 +129,8 @@ def describe_flags(flags: int) -> list[str]:
 class Bones:
     """The bones of one posed hand.
 
-    linear_offset: (21, 3, 4), x_posed_m - root_m = linear_offset @ [x_m - canonical_root_m, 1]
+    linear_offset: (21, 3, 4), x_posed_m - root_m = linear_offset @ [x_m - canonical_root_m, 1]; behind them, of a hand
+                   with a forearm, the changes of its slices, see `Wrist`
     root_m:        (3,) float64, the wrist; added last, so that a hand far from the origin loses nothing before
     scale:         of the whole hand against the canonical one, s_g
     flags:         bits of FrameFlag
@@ -141,6 +143,14 @@ class Bones:
     scale: float
     flags: int
     angles_rad: np.ndarray
+
+    @property
+    def maps(self) -> np.ndarray:
+        """(21, 3, 4) as `linear_offset`, and behind them those of slices."""
+        palm, changes = self.linear_offset[:1], self.linear_offset[JOINT_COUNT:]
+        return (
+            np.concatenate([self.linear_offset[:JOINT_COUNT], palm + changes]) if len(changes) else self.linear_offset
+        )
 
     @property
     def phalanx_angles_rad(self) -> np.ndarray:
@@ -156,6 +166,7 @@ class Skeleton:
     swing:              'minimal' or 'euler', see Swing
     scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
     variant:            which native library; 'auto' is the fastest that runs here
+    forearm_way:        (3,) of the canonical hand, from the wrist along its forearm; None for a hand without one
     InputError for an unusable canonical hand or an unknown option, RetryError without a native library.
     """
 
@@ -167,9 +178,11 @@ class Skeleton:
         swing: str = Swing.MINIMAL,
         scale_mode: ScaleMode = "axial",
         variant: str = "auto",
+        forearm_way: np.ndarray | None = None,
     ) -> None:
         self.handedness = Handedness(handedness)
         self.canonical = CanonicalHand.build(canonical_joints_m)
+        self._wrist = None if forearm_way is None else Wrist(self.canonical.frames[0], forearm_way)
         self.packed = _packed(self.canonical, self.handedness, Swing(swing), scale_exponent(scale_mode))
         native = library.load(variant) or library.load(library.best_variant() or "auto")
         if native is None:
@@ -185,10 +198,13 @@ class Skeleton:
         """(3,) wrist of the canonical hand, meters."""
         return self.canonical.root_m
 
-    def bones(self, joints_m: np.ndarray, dtype: type[np.floating] = np.float32) -> Bones:
+    def bones(
+        self, joints_m: np.ndarray, dtype: type[np.floating] = np.float32, *, forearm: np.ndarray | None = None
+    ) -> Bones:
         """(21, 3) level-order joints, meters -> Bones. NaN matrices and NOT_FINITE for a joint that is not finite.
 
-        dtype: of the matrices, which are computed in double. InputError for another shape.
+        dtype: of the matrices, which are computed in double · forearm: (4,) its turn, see `HandPose`; of a hand without
+        one it counts for nothing. InputError for another shape.
         """
         joints = np.ascontiguousarray(joints_m, dtype=np.float64)
         if joints.shape != (JOINT_COUNT, 3):
@@ -197,24 +213,29 @@ class Skeleton:
         matrices, scale, angles = np.empty((JOINT_COUNT, 3, 4)), np.empty(1), np.empty(ANGLE_COUNT)
         outputs = (array.ctypes.data for array in (matrices, scale, angles))
         flags = self._call(self._address, joints.ctypes.data, *outputs)
+        if self._wrist is not None:
+            matrices = np.concatenate([matrices, self._wrist.changes(matrices[0], forearm)])
         # a hand too large for float32 becomes infinite without a word: the kernels cull it
         with np.errstate(over="ignore"):
             return Bones(matrices.astype(dtype, copy=False), joints[0].copy(), float(scale[0]), flags, angles)
 
     def frames(self, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
-        """The frames (21, 3, 3) of the palm and of bones 1..20 in one pose, and their scales (21, 3) along x, y and z.
+        """The frames (21, 3, 3) of the palm and of bones 1..20 in one pose, and their scales (21, 3) along x, y and z;
+        behind them those of a forearm's slices, which are turned palms.
 
         Columns x out of the palm, y the flexion axis, z along the bone, in right-hand space: those of a left hand are
         its mirror image's. L_i = S_i diag(scales) S_i^cT. A bone whose length and thickness both vanish has the frame
         in which the palm carries it.
         """
-        linear = bones.linear_offset[..., :3].astype(np.float64)
+        linear = bones.maps[..., :3].astype(np.float64)
+        own = self.canonical.frames
+        own = np.concatenate([own, own[:1].repeat(len(linear) - len(own), 0)])
         if self.handedness is Handedness.LEFT:
             linear = np.array([-1.0, 1.0, 1.0])[:, None] * linear
-        scaled = linear @ self.canonical.frames
+        scaled = linear @ own
         scales = np.linalg.norm(scaled, axis=-2)
-        palm = scaled[0] / scales[0] if scales[0].all() else self.canonical.frames[0]
-        carried = palm @ self.canonical.frames[0].T @ self.canonical.frames
+        palm = scaled[0] / scales[0] if scales[0].all() else own[0]
+        carried = palm @ own[0].T @ own
         axes = np.where(scales[:, None] > 0, scaled / np.where(scales > 0, scales, 1.0)[:, None], carried)
         x, y, z = np.moveaxis(axes, -1, 0)
         # a bone without a length has lost its direction alone

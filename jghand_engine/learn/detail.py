@@ -118,7 +118,7 @@ class Surface:
             texture=np.full((4, 4, 3), NO_RATIO, np.uint8),
             depth_m=0.0,
         )
-        hand = DetailedHand(closed, 1.0, self.template.joints_m, self.skeleton.handedness)
+        hand = DetailedHand(closed, 1.0, self.template.joints_m, self.skeleton.handedness, closed.bone_weights)
         return SurfaceHits(load_native("auto"), hand)
 
 

@@ -131,6 +131,7 @@ class MotionContent:
     notes:           sentences about what was read, and how
     up:              the axis that points up, "y", "z" or "-y"; None where neither the file nor its format says it
     filled:          (F,) bool, frames that nobody measured; None: none
+    forearm:         (F, 4) how it is turned, see `HandPose`; None: not known
     is_plain:        JGHand's own formats and plain arrays, whose defaults (meters, 30 fps) are documented
     files:           all that it was read from, where that is not one file alone
     """
@@ -143,6 +144,7 @@ class MotionContent:
     notes: tuple[str, ...] = ()
     up: str | None = None
     filled: np.ndarray | None = None
+    forearm: np.ndarray | None = None
     is_plain: bool = False
     files: tuple[Path, ...] = ()
 

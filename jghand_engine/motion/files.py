@@ -4,9 +4,10 @@ This module reads what stands in a file and writes; `motion.read` makes it a mot
 formats hold positions; the joint order in files that JGHand writes is the standard order, the unit meters. Nothing is
 ever unpickled.
 
-    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
+    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21), filled (F,) and forearm (F, 4)
+           optional: quaternions w, x, y, z, see `HandPose`
     .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}:
-           frames of joints; a missing joint is null; "filled", optional, lists numbers of frames
+           frames of joints; a missing joint is null; "filled", optional, lists numbers of frames, "forearm" quaternions
     .csv   comment lines `# unit: m` and so on, a header `frame,wrist_x,wrist_y,…`, one line per frame; empty cells are
            missing. Without joint names in the header the columns are the 63 numbers of the declared order. A column
            called frame and one of times (`time`, `timestamp_ms`, …) may stand anywhere. `# filled: 3 4 5` is optional
@@ -46,7 +47,7 @@ from jghand_engine.npz_files import read_arrays
 
 FORMAT, _VERSION = "jghand motion", 1
 # what a file declares beside its joints
-_DECLARED = ("order", "unit", "fps", "handedness", "filled")
+_DECLARED = ("order", "unit", "fps", "handedness", "filled", "forearm")
 
 
 def own_content(path: Path, kind: str, joints: np.ndarray, declared: Mapping[str, Any]) -> MotionContent:
@@ -63,9 +64,13 @@ def own_content(path: Path, kind: str, joints: np.ndarray, declared: Mapping[str
         except InputError as error:
             raise InputError(f"{name} of {path}", wanted=error.wanted, came=error.came[:200]) from error
     filled = _filled_frames(path, declared.get("filled"), len(joints))
+    forearm = None if declared.get("forearm") is None else np.array(declared["forearm"], np.float64)
+    if forearm is not None and (forearm.shape != (len(joints), 4) or joints.shape[1] != JOINT_COUNT):
+        wanted = f"a quaternion w, x, y, z for each of the {len(joints)} frames of one hand"
+        raise InputError(f"'forearm' in {path}", wanted=wanted, came=f"shape {forearm.shape}")
     kind = kind if found["order"] is None or found["unit"] is None else "JGHand's own format"
     track = HandTrack(joints, found["handedness"], found["order"])
-    return MotionContent(kind, (track,), found["unit"], fps=found["fps"], filled=filled, is_plain=True)
+    return MotionContent(kind, (track,), found["unit"], fps=found["fps"], filled=filled, forearm=forearm, is_plain=True)
 
 
 def checked_joints(array: np.ndarray) -> np.ndarray:
@@ -131,7 +136,7 @@ def _read_archive(source: Source, _wanted: MotionFormat) -> MotionContent:
     key = "joints_m" if "joints_m" in arrays else "joints"
     if key not in arrays:
         raise ValueError("no array 'joints_m' in it")
-    declared = {name: arrays[name].item() for name in _DECLARED if name in arrays and name != "filled"}
+    declared = {name: arrays[name].item() for name in _DECLARED if name in arrays and not arrays[name].ndim}
     if key == "joints_m" and declared.setdefault("unit", "m") != "m":
         raise ValueError(f"'joints_m' means meters, and the unit is '{declared['unit']}': call the array 'joints'")
     joints = checked_joints(arrays[key])
@@ -139,7 +144,9 @@ def _read_archive(source: Source, _wanted: MotionFormat) -> MotionContent:
     if valid.shape != joints.shape[:2]:
         raise ValueError(f"'valid' of shape {joints.shape[:2]} wanted, {valid.shape} found")
     joints[~valid.astype(bool)] = np.nan
-    return own_content(source.path, "plain npz", joints, declared | {"filled": arrays.get("filled")})
+    return own_content(
+        source.path, "plain npz", joints, declared | {name: arrays.get(name) for name in ("filled", "forearm")}
+    )
 
 
 # ---- JSON -----------------------------------------------------------------------------------------------------------
@@ -222,6 +229,8 @@ def _write_npz(file: Path, sequence: PoseSequence, joints_m: np.ndarray) -> None
         "valid": np.isfinite(joints_m).all(axis=-1),
         "filled": sequence.filled,
     }
+    if sequence.forearm is not None:
+        arrays["forearm"] = sequence.forearm
     declared: dict[str, Any] = {name: np.array(one) for name, one in _declarations(sequence).items()}
     # given a name, numpy appends .npz to what does not end so exactly
     with open(file, "wb") as stream:
@@ -231,11 +240,14 @@ def _write_npz(file: Path, sequence: PoseSequence, joints_m: np.ndarray) -> None
 def _write_json(file: Path, sequence: PoseSequence, joints_m: np.ndarray) -> None:
     frames = [[None if math.isnan(joint[0]) else joint for joint in frame] for frame in joints_m.tolist()]
     filled = {"filled": np.flatnonzero(sequence.filled).tolist()} if sequence.filled.any() else {}
-    document = {"format": FORMAT, "version": _VERSION, **_declarations(sequence), **filled, "joints": frames}
+    forearm = {} if sequence.forearm is None else {"forearm": sequence.forearm.tolist()}
+    document = {"format": FORMAT, "version": _VERSION, **_declarations(sequence), **filled, **forearm, "joints": frames}
     file.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
 
 
 def _write_csv(file: Path, sequence: PoseSequence, joints_m: np.ndarray) -> None:
+    if sequence.forearm is not None:
+        raise InputError(f"motion file {file}", wanted=".npz or .json, which hold a turned forearm", came=".csv")
     with open(file, "w", encoding="utf-8", newline="") as stream:
         stream.write(f"# format: {FORMAT} {_VERSION}\n")
         stream.writelines(f"# {name}: {value}\n" for name, value in _declarations(sequence).items())

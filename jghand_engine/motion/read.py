@@ -71,7 +71,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
         notes += warned(level_m, side)
     level_m, filled, fps, more = _evenly(file, content, level_m, wanted)
     notes += more
-    sequence = PoseSequence(level_m, fps, side, filled=filled)
+    sequence = PoseSequence(level_m, fps, side, filled=filled, forearm=content.forearm)
     if wanted.hand_length_m is not None:
         sequence = with_hand_length(sequence, wanted.hand_length_m)
     if wanted.check_hand and sequence.valid.all(axis=1).any():

@@ -7,21 +7,25 @@ display-referred, as they are blended.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM
 from jghand_engine.errors import InputError
 from jghand_engine.hand.rotations import slerp_rotation
-from jghand_engine.hand.sequence import pose_between
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library
 from jghand_engine.native.mean import NativeMean
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.image import Box, Image
 from jghand_engine.render.shadow import vogel_disc
+
+# a hand of an image: its pose, or its joints (21, 3), level order, meters, in the frame of the camera
+Hand: TypeAlias = np.ndarray | HandPose
 
 # what may be missing from an image that moves, or is out of focus, as a part of the contrast; more exposures cost more
 MOTION_ERROR_MAX = 1 / 64
@@ -85,70 +89,6 @@ def disc_px(camera: Camera, joints_m: Sequence[np.ndarray], scale: float = 1.0) 
     return max(camera.lens.blur_px(max(camera.fx, camera.fy), max(end, contract.Z_NEAR_M)) for end in ends)
 
 
-# ---- an open shutter ------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Shutter:
-    """While it is open the hands move; the pose that is rendered is the one in the middle.
-
-    opens_m, closes_m: per hand (21, 3) joints, meters, at its first and its last moment, in the frame of the camera
-    """
-
-    opens_m: Sequence[np.ndarray]
-    closes_m: Sequence[np.ndarray]
-
-    def at(self, part: float, middle_m: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Joints of every hand at `part`, 0..1, of the time."""
-        if part < 0.5:
-            pairs = zip(self.opens_m, middle_m, strict=True)
-            return [pose_between(first, second, 2 * part) for first, second in pairs]
-        pairs = zip(middle_m, self.closes_m, strict=True)
-        return [pose_between(first, second, 2 * part - 1) for first, second in pairs]
-
-    def moments(self, middle_m: Sequence[np.ndarray], camera: Camera) -> list[Moment]:
-        """Its first one, its middle and its last one."""
-        return [Moment(joints_m, camera) for joints_m in (self.opens_m, middle_m, self.closes_m)]
-
-    def travel_px(self, middle_m: Sequence[np.ndarray], camera: Camera, seen: Sequence[int]) -> float:
-        """The longest way of a joint on the image, as if it went all the time as fast as in its faster half: exposures
-        are evenly spread in time. Infinite when it passes the near plane. seen: as of `way_px`."""
-        return 2 * float(_steps_px(self.moments(middle_m, camera), seen).max(initial=0.0))
-
-
-def shutter_at(joints_m: np.ndarray, index: int, open_for: float) -> Shutter | None:
-    """The shutter of one frame of a motion (F, 21, 3), open around it for a part, 0..1, of the time between frames.
-    None for 0. Before the first frame and after the last one nothing moves."""
-    if open_for == 0:
-        return None
-    before, here, after = (joints_m[np.clip(index + step, 0, len(joints_m) - 1)] for step in (-1, 0, 1))
-    return Shutter([pose_between(here, before, open_for / 2)], [pose_between(here, after, open_for / 2)])
-
-
-def exposures(
-    middle_m: Sequence[np.ndarray], camera: Camera, shutter: Shutter | None, count: int
-) -> Iterator[tuple[list[np.ndarray], Camera]]:
-    """`count` images to be averaged: joints per hand, and a pinhole. Times are evenly spread."""
-    for index in range(count):
-        joints = list(middle_m) if shutter is None else shutter.at((index + 0.5) / count, middle_m)
-        yield joints, pinholes(camera, index, 1, count)[0]
-
-
-def pinholes(camera: Camera, index: int, each: int, moments: int) -> list[Camera]:
-    """The `each` pinholes on the lens of moment `index`: its share of a sunflower over the whole lens, the places of
-    which have nothing to do with time."""
-    if camera.lens is None:
-        return [camera] * each
-    count = each * moments
-    places_m = camera.lens.aperture_m / 2 * vogel_disc(count)
-    # a stride near the golden section that visits every place
-    stride = max(1, round(count * 0.618))
-    while math.gcd(stride, count) != 1:
-        stride += 1
-    chosen = [places_m[(index * each + turn) * stride % count] for turn in range(each)]
-    return [camera.through(float(x), float(y)) for x, y in chosen]
-
-
 # ---- moments of a scene ---------------------------------------------------------------------------------------------
 
 
@@ -156,12 +96,28 @@ def pinholes(camera: Camera, index: int, each: int, moments: int) -> list[Camera
 class Moment:
     """One moment of a scene that somebody else knows, such as Blender.
 
-    joints_m: per hand (21, 3), level order, meters, in the frame of the camera
-    camera:   with its lens
+    hands:  in the order of their avatars
+    camera: with its lens
     """
 
-    joints_m: Sequence[np.ndarray]
+    hands: Sequence[Hand]
     camera: Camera
+
+    @property
+    def joints_m(self) -> list[np.ndarray]:
+        """Per hand (21, 3)."""
+        return [HandPose.of(hand).joints_m for hand in self.hands]
+
+
+def shutter_at(hands: Sequence[Hand], index: int, open_for: float, camera: Camera) -> list[Moment]:
+    """The moments of one frame of a motion, a hand for each frame, while a shutter is open around it for a part, 0..1,
+    of the time between frames: the middles of its thirds. For 0 the frame alone. Before the first frame and after the
+    last one nothing moves."""
+    before, here, after = (HandPose.of(hands[min(max(index + k, 0), len(hands) - 1)]) for k in (-1, 0, 1))
+    if open_for == 0:
+        return [Moment([here], camera)]
+    third = open_for / 3
+    return [Moment([each], camera) for each in (here.between(before, third), here, here.between(after, third))]
 
 
 def check_moments(moments: Sequence[Moment], weights: Sequence[float]) -> None:
@@ -174,19 +130,26 @@ def check_moments(moments: Sequence[Moment], weights: Sequence[float]) -> None:
         raise InputError("weights of moments", wanted=f"{len(moments)} of 0 or more, not all 0", came=str(weights)[:80])
 
 
+def middle(moments: Sequence[Moment]) -> Moment:
+    """The moment that the image is of, but for its blur."""
+    return moments[(len(moments) - 1) // 2]
+
+
 def filled(
     moments: Sequence[Moment], weights: Sequence[float], seen: Sequence[int]
 ) -> tuple[list[Moment], list[float]]:
     """As many moments as the movement needs on the image (`motion_count`), evenly spread over the same time, and their
-    shares, which sum to 1. Between two that are given bones turn, and cameras too; before the first and after the last
-    one, by half a step, they go on so. seen: as of `way_px`."""
-    count = len(moments)
-    steps = -(-motion_count(way_px(moments, seen)) // count) if count > 1 else 1
-    if steps == 1:
+    shares, which sum to 1; those that are given where they are enough, the middle one where it is. Between two that are
+    given bones turn, and cameras too; before the first and after the last one, by half a step, they go on so. seen: as
+    of `way_px`."""
+    count, needed = len(moments), motion_count(way_px(moments, seen))
+    if needed == 1:
+        return [middle(moments)], [1.0]
+    if needed <= count:
         return list(moments), [weight / sum(weights) for weight in weights]
     between, shares = [], []
-    for place in range(count * steps):
-        at = (place + 0.5) / steps - 0.5
+    for place in range(needed):
+        at = (place + 0.5) * count / needed - 0.5
         first = min(max(math.floor(at), 0), count - 2)
         part = at - first
         between.append(_moment_between(moments[first], moments[first + 1], part))
@@ -195,25 +158,22 @@ def filled(
 
 
 def way_px(moments: Sequence[Moment], seen: Sequence[int]) -> float:
-    """The longest way of a joint on the image; infinite when it passes the near plane. seen: the numbers of the hands
-    that are in the image at some moment; where the others go makes no difference."""
-    return float(_steps_px(moments, seen).sum(0).max(initial=0.0)) if len(moments) > 1 else 0.0
-
-
-def _steps_px(moments: Sequence[Moment], seen: Sequence[int]) -> np.ndarray:
-    """(moments - 1, joints of the hands seen) pixels from one moment to the next; infinite when a joint passes the near
-    plane."""
-    if not seen:
-        return np.zeros((1, 0))
+    """The longest way of a joint on the image, as if it went all the time as fast as between the two moments where it
+    is fastest, since images are evenly spread in time; infinite when it passes the near plane. seen: the numbers of the
+    hands that are in the image at some moment; where the others go makes no difference."""
+    if len(moments) == 1 or not seen:
+        return 0.0
     places = [one.camera.project(np.concatenate([one.joints_m[hand] for hand in seen])) for one in moments]
     if not all((depth_m > contract.Z_NEAR_M).all() for _, depth_m in places):
-        return np.full((1, 1), np.inf)
-    return np.linalg.norm(np.diff(np.stack([pixels for pixels, _ in places]), axis=0), axis=-1)
+        return math.inf
+    steps_px = np.linalg.norm(np.diff(np.stack([pixels for pixels, _ in places]), axis=0), axis=-1)
+    return len(moments) * float(steps_px.max())
 
 
 def _moment_between(first: Moment, second: Moment, part: float) -> Moment:
-    joints = [pose_between(a, b, part) for a, b in zip(first.joints_m, second.joints_m, strict=True)]
-    return Moment(joints, _camera_between(first.camera, second.camera, part))
+    pairs = zip(first.hands, second.hands, strict=True)
+    hands = [HandPose.of(a).between(HandPose.of(b), part) for a, b in pairs]
+    return Moment(hands, _camera_between(first.camera, second.camera, part))
 
 
 def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
@@ -232,6 +192,21 @@ def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
         focus_m = mixed(first.lens.focus_m, second.lens.focus_m)
         lens = Lens(max(0.0, mixed(first.lens.aperture_m, second.lens.aperture_m)), focus_m)
     return replace(first, camera_from_world=matrix, lens=lens, **numbers)
+
+
+def pinholes(camera: Camera, index: int, each: int, moments: int) -> list[Camera]:
+    """The `each` pinholes on the lens of moment `index`: its share of a sunflower over the whole lens, the places of
+    which have nothing to do with time."""
+    if camera.lens is None:
+        return [camera] * each
+    count = each * moments
+    places_m = camera.lens.aperture_m / 2 * vogel_disc(count)
+    # a stride near the golden section that visits every place
+    stride = max(1, round(count * 0.618))
+    while math.gcd(stride, count) != 1:
+        stride += 1
+    chosen = [places_m[(index * each + turn) * stride % count] for turn in range(each)]
+    return [camera.through(float(x), float(y)) for x, y in chosen]
 
 
 # ---- the mean -------------------------------------------------------------------------------------------------------

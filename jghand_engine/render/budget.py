@@ -4,8 +4,8 @@
     renderer = HandRenderer(avatar, chosen.settings)
 
 What settings cost, and how near they are to the most exact image, over black, stands in a small file per machine and
-avatar in the user's cache folder. `jghand study accuracy` fills it thoroughly; where nothing is known of a size, two
-seconds of drawing do. A file that cannot be read is as if it were not there.
+avatar in the user's cache folder; where nothing is known of a size, two seconds of drawing tell. A file that cannot be
+read is as if it were not there.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import math
 import os
 import platform
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import decibels
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import cache_folder, writing
-from jghand_engine.native import contract
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import FREE_PART, FreeCores, processor
@@ -47,17 +46,9 @@ BUDGET_PART = 0.9
 # how long a machine that knows nothing of itself measures, seconds; poses whose accuracy is measured; rounds at least
 BUDGET_SECONDS = 2.0
 _POSES, _ROUNDS_MIN = 3, 5
-# accuracy of a whole image over black from which on an artist sees no difference, has to look for it, sees it at once
-LOOKS_SAME_DB = 45.0
-LOOKS_ALIKE_DB = 38.0
-LOOKS_CLOSE_DB = 30.0
-
 # of the file
-FORMAT = 3
-APPROXIMATE = "approximate creases"
+FORMAT = 4
 NO_CORRECTIVES, NO_DETAIL = (Choice(frozenset(CHOOSABLE) - {one}) for one in (Effect.CORRECTIVES, Effect.DETAIL))
-
-Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)
@@ -69,15 +60,6 @@ class Rated:
     median_ms: float
     p95_ms: float
     psnr_db: float
-
-
-@dataclass(frozen=True)
-class Profile:
-    """rows: what was measured · origin: in words, how · disturbed: whether the machine had other work meanwhile"""
-
-    rows: tuple[Rated, ...]
-    origin: str
-    disturbed: bool = False
 
 
 @dataclass(frozen=True)
@@ -130,61 +112,27 @@ def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], thr
     if not (math.isfinite(budget_ms) and budget_ms > 0):
         raise InputError("budget of a frame", wanted="milliseconds above 0", came=str(budget_ms))
     count = thread_count(threads)
-    profile = read_profile(avatar, size_px, count)
-    if profile is None:
-        profile = measure_quickly(
+    rows, disturbed = read_profile(avatar, size_px, count), False
+    if rows is None:
+        rows, disturbed = measure_quickly(
             moving_subject(avatar.info.name, avatar, *size_px), candidates(avatar, size_px), count
         )
-        write_profile(avatar, size_px, count, profile)
-    return choose(profile, budget_ms, len(avatar), threads)
+        # what was disturbed is measured again the next time
+        if not disturbed:
+            write_profile(avatar, size_px, count, rows)
+    return choose(rows, budget_ms, disturbed=disturbed, threads=threads)
 
 
-def choose(profile: Profile, budget_ms: float, total: int, threads: int = 0) -> Chosen:
-    """See `best_for`. The settings that come out may reuse stages and have so many threads. total: Gaussians of the
-    avatar."""
-    fitting = [row for row in profile.rows if row.p95_ms <= BUDGET_PART * budget_ms]
-    front = pareto_front((row.p95_ms, row.psnr_db, row) for row in fitting)
-    row = front[-1] if front else min(profile.rows, key=lambda each: each.p95_ms)
-    looks = how_it_looks(row.psnr_db, list(left_out(row.settings, total).values()))
-    words = f"{row.name}: {row.median_ms:.1f} ms (95 % below {row.p95_ms:.1f}), {row.psnr_db:.0f} dB, {looks}"
-    busy = " while the machine had other work" if profile.disturbed else ""
-    lead = f"{budget_ms:g} ms buy" if front else f"Nothing is drawn within {budget_ms:g} ms here; the quickest is"
-    settings = replace(row.settings, threads=threads, reuse=True)
-    return Chosen(settings, row.name, f"{lead} {words} ({profile.origin}{busy}).")
-
-
-def pareto_front(rows: Iterable[tuple[float, float, Row]]) -> list[Row]:
-    """What no other is both faster and more accurate than, from the fastest on. rows: time, accuracy, and whose."""
-    front: list[Row] = []
-    best = -math.inf
-    for _, accuracy, row in sorted(rows, key=lambda each: (each[0], -each[1])):
-        if accuracy > best:
-            front.append(row)
-            best = accuracy
-    return front
-
-
-def how_it_looks(psnr_db: float, causes: Sequence[str]) -> str:
-    """A few words for who does not know decibels. causes: what is left out, see `left_out`, the worst first."""
-    if psnr_db >= LOOKS_SAME_DB:
-        return "looks the same"
-    # nothing else is left: correctives of a cheaper tier
-    what = causes[0] if causes else APPROXIMATE
-    if psnr_db >= LOOKS_ALIKE_DB:
-        return f"nearly the same ({what})"
-    return what if psnr_db >= LOOKS_CLOSE_DB else f"clearly {what}" if what.startswith("soft") else what
-
-
-def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
-    """By axis, what one sees of settings that leave something out of an avatar of `total` Gaussians; of most first."""
-    seen = {
-        "correctives": "" if settings.effects.allows(Effect.CORRECTIVES) else "flat creases and knuckles",
-        "detail": "" if settings.effects.allows(Effect.DETAIL) else "smooth skin",
-        "Gaussians": "soft fingertips" if (settings.gaussians or total) < total else "",
-        "shadow": "no shadow between the fingers" if settings.shadow is ShadowMode.OFF else "",
-        "blend": "thin edges" if settings.alpha_min > contract.ALPHA_MIN else "",
-    }
-    return {axis: words for axis, words in seen.items() if words}
+def choose(rows: Sequence[Rated], budget_ms: float, *, disturbed: bool = False, threads: int = 0) -> Chosen:
+    """See `best_for`. The settings that come out may reuse stages and have so many threads. disturbed: whether the
+    machine had other work while the rows were measured."""
+    fitting = [row for row in rows if row.p95_ms <= BUDGET_PART * budget_ms]
+    quickest = min(rows, key=lambda row: row.p95_ms)
+    row = max(fitting, key=lambda row: (row.psnr_db, -row.p95_ms), default=quickest)
+    lead = f"{budget_ms:g} ms buy" if fitting else f"Nothing is drawn within {budget_ms:g} ms here; the quickest is"
+    words = f"{row.name}: {row.median_ms:.1f} ms (95 % below {row.p95_ms:.1f}), {row.psnr_db:.0f} dB"
+    busy = ", measured while the machine had other work" if disturbed else ""
+    return Chosen(replace(row.settings, threads=threads, reuse=True), row.name, f"{lead} {words}{busy}.")
 
 
 # ---- the measurement ------------------------------------------------------------------------------------------------
@@ -192,8 +140,9 @@ def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
 
 def measure_quickly(
     subject: Subject, offered: Mapping[str, RenderSettings], threads: int, seconds: float = BUDGET_SECONDS
-) -> Profile:
-    """Times of all settings in turn, and their accuracy against preset `reference`, in about so many seconds."""
+) -> tuple[tuple[Rated, ...], bool]:
+    """Times of all settings in turn, and their accuracy against preset `reference`, in about so many seconds; and
+    whether the machine had other work meanwhile."""
     started = time.perf_counter()
     steady = {name: replace(one, threads=threads, reuse=False) for name, one in offered.items()}
     renderers = {name: HandRenderer(subject.avatar, one) for name, one in steady.items()}
@@ -210,7 +159,7 @@ def measure_quickly(
         Rated(name, offered[name], float(np.median(ms)), float(np.percentile(ms, 95)), accuracy[name])
         for name, ms in times.items()
     )
-    return Profile(rows, f"measured in {seconds:g} s", disturbed=2 * sum(free) < len(free))
+    return rows, 2 * sum(free) < len(free)
 
 
 def _accuracy(subject: Subject, renderers: Mapping[str, HandRenderer], threads: int) -> dict[str, float]:
@@ -240,30 +189,23 @@ def profile_file(avatar: HandAvatar) -> Path:
     return cache_folder() / f"profile_{digest.hexdigest()[:24]}.json"
 
 
-def read_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int) -> Profile | None:
+def read_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int) -> tuple[Rated, ...] | None:
     """What is known of the candidates for images of that size and so many threads; None for nothing."""
     offered = candidates(avatar, size_px)
     try:
-        entry = _read(profile_file(avatar))[_key(size_px, threads)]
-        rows = tuple(Rated(name, offered[name], *map(float, figures)) for name, figures in entry["rows"].items())
-        sound = all(math.isfinite(row.median_ms + row.p95_ms + row.psnr_db) for row in rows)
-        return Profile(rows, str(entry["origin"])) if rows and sound else None
+        known = _read(profile_file(avatar))[_key(size_px, threads)].items()
+        rows = tuple(Rated(name, offered[name], *map(float, figures)) for name, figures in known)
+        return rows if rows and all(math.isfinite(row.p95_ms + row.psnr_db) for row in rows) else None
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 
 
-def write_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int, profile: Profile) -> bool:
-    """Adds it to the file, whole or not at all; False when it cannot be written or was disturbed, which costs only the
-    next two seconds."""
-    rows = {row.name: (row.median_ms, row.p95_ms, row.psnr_db) for row in profile.rows}
-    file = profile_file(avatar)
-    content = _read(file) | {_key(size_px, threads): {"origin": profile.origin, "rows": rows}}
-    with contextlib.suppress(JGHandError, OSError):
-        if not profile.disturbed:
-            with writing(file) as temporary:
-                temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-            return True
-    return False
+def write_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int, rows: Sequence[Rated]) -> None:
+    """Adds it to the file, whole or not at all: where it cannot be written, that costs only the next two seconds."""
+    figures = {row.name: (row.median_ms, row.p95_ms, row.psnr_db) for row in rows}
+    content = _read(profile_file(avatar)) | {_key(size_px, threads): figures}
+    with contextlib.suppress(JGHandError, OSError), writing(profile_file(avatar)) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _key(size_px: tuple[int, int], threads: int) -> str:

@@ -37,7 +37,7 @@ def views_box(views: Iterable[tuple[np.ndarray, Bones, HandFacts, Camera]], alph
     for joints, own, hand, camera in views:
         rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
         width, height = camera.width, camera.height
-        corners = hand.corners_m(own.linear_offset)
+        corners = hand.corners_m(own.maps)
         if not len(corners):
             continue
         points = corners @ rotation.T + (rotation @ joints[0] + offset_m)

@@ -20,7 +20,7 @@ from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.skin_task import skin_task
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import JOINT_COUNT, Handedness
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
@@ -43,18 +43,21 @@ _LOG2_PER_STEP = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0)
 
 @dataclass(frozen=True)
 class DetailedHand:
-    """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters"""
+    """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters · weights:
+    (V, maps) of all maps that move its surface"""
 
     detail: Detail
     power: float
     joints_m: np.ndarray
     handedness: Handedness
+    weights: np.ndarray
 
     @classmethod
     def of(cls, avatar: HandAvatar, power: float) -> DetailedHand:
         if avatar.detail is None:
             raise InputError("detail of a hand", wanted="an avatar with one", came=avatar.info.name)
-        return cls(avatar.detail, power, avatar.canonical_joints_m, avatar.handedness)
+        weights = avatar.map_weights(avatar.detail.position_m, avatar.detail.bone_weights)
+        return cls(avatar.detail, power, avatar.canonical_joints_m, avatar.handedness, weights)
 
 
 class NativeDetail:
@@ -135,7 +138,7 @@ class _Hand:
         blocks, mips = Blocks(detail.position_m), detail.mips
         relative = detail.position_m.astype(np.float64) - hand.joints_m[0]
         self._skin_arrays = {"rest": blocks.blocked(np.pad(relative, ((0, 0), (0, 1))))}
-        self._skin_arrays |= blocks.bones(detail.bone_weights)
+        self._skin_arrays |= blocks.bones(hand.weights)
         self._skin = skin_task(blocks)
         set_pointers(self._skin, self._skin_arrays)
         # neighbors stand together; a group is filled up with faces without area
@@ -162,8 +165,9 @@ class _Hand:
         )
         set_pointers(self.task, self._arrays)
         self._linear_offset: np.ndarray | None = None
+        self._maps = hand.weights.shape[1]
 
     def pose(self, bones: Bones, shift_m: np.ndarray) -> None:
         self._linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
-        self._skin.linear_offset = address(self._linear_offset, np.float32, "linear_offset", (JOINT_COUNT, 3, 4))
+        self._skin.linear_offset = address(self._linear_offset, np.float32, "linear_offset", (self._maps, 3, 4))
         self._skin.shift = tuple(shift_m)

@@ -127,7 +127,7 @@ class EffectPlan:
     """How one image is made.
 
     decisions: one per effect that the light has
-    box:       what is drawn of the image, empty where no hand can be seen; each of several exposures has its own
+    box:       what is drawn of the image, empty where no hand can be seen
     strength:  of the shadow pass, 0..1
     enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not
     plain:     share, 0..1, of the image that is not

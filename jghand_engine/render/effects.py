@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +20,17 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import SHADOW_UNSEEN
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
-from jghand_engine.render.blur import Shutter, disc_px, focus_count, focus_error, motion_count, motion_error
+from jghand_engine.render.blur import (
+    Moment,
+    disc_px,
+    filled,
+    focus_count,
+    focus_error,
+    middle,
+    motion_error,
+    pinholes,
+    way_px,
+)
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.crop import hand_box
 from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
@@ -77,32 +86,26 @@ def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
 # ---- reuse ----------------------------------------------------------------------------------------------------------
 
 
-class Kept(NamedTuple):
-    """What the last image leaves.
-
-    joints_m:      per hand (21, 3) as they were posed
-    bones:         per hand
-    corrected_rad: per hand the angles (37,) of its correctives
-    """
-
-    joints_m: list[np.ndarray]
-    bones: list[Bones]
-    corrected_rad: list[np.ndarray]
-
-
 def reusable(
-    bones: Sequence[Bones], kept: Kept | None, hands: Sequence[HandFacts], settings: RenderSettings
+    bones: Sequence[Bones],
+    before: Sequence[Bones],
+    corrected_rad: Sequence[np.ndarray],
+    hands: Sequence[HandFacts],
+    settings: RenderSettings,
 ) -> float | None:
-    """How far any point of the skin can be from where it was posed, meters; None when it has to be posed again."""
-    if kept is None or not settings.reuse or settings.effects.forces(Effect.SKIN):
+    """How far any point of the skin can be from where it was posed, meters; None when it has to be posed again.
+
+    before: as it was posed · corrected_rad: per hand the angles (37,) of its correctives
+    """
+    if not settings.reuse or settings.effects.forces(Effect.SKIN):
         return None
     most_m, moved_m = 0.0 if settings.repeatable else REUSE_SKIN_M, 0.0
-    for hand, new, old, corrected_rad in zip(hands, bones, kept.bones, kept.corrected_rad, strict=True):
+    for hand, new, old, angles_rad in zip(hands, bones, before, corrected_rad, strict=True):
         skin_m = hand.skin_change_m(new, old)
         # what a flagged hand's blended maps do to normals and offsets is not known
         if not skin_m <= (0.0 if new.flags or old.flags else most_m):
             return None
-        moved_m = max(moved_m, skin_m + _kept_offset_m(hand, corrected_rad, new.angles_rad, settings))
+        moved_m = max(moved_m, skin_m + _kept_offset_m(hand, angles_rad, new.angles_rad, settings))
     return moved_m if moved_m <= most_m else None
 
 
@@ -131,21 +134,17 @@ class Scene:
 
     joints_m: per hand (21, 3), level order, meters
     bones:    their transforms
-    camera:   with its lens
-    shutter:  None for a moment
+    camera:   a pinhole
     moved_m:  of a pose that is reused, how far its skin can have moved; None for a new one
     reshaped: whether the correctives of any hand have to be computed
-    seen:     numbers of the hands that are in the image at some moment, through some part of the lens; None for all
     lit:      how a scene lights it; None in the light of the capture
     """
 
     joints_m: Sequence[np.ndarray]
     bones: Sequence[Bones]
     camera: Camera
-    shutter: Shutter | None = None
     moved_m: float | None = None
     reshaped: bool = True
-    seen: Sequence[int] | None = None
     lit: Lit | None = None
 
     @cached_property
@@ -159,10 +158,9 @@ class Scene:
 
 
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
-    """Decides about every effect of one image."""
+    """Decides about every effect of one image through a pinhole."""
     box = scene.box(hands, settings.alpha_min)
-    exposures, blur = _blur(scene, hands, settings)
-    if not box.width and exposures == 1 and not settings.effects.forced:
+    if not box.width and not settings.effects.forced:
         other = OF_SCENE if scene.lit is None else OF_CAPTURE
         nothing = tuple(Decision(effect, False, "no hand is in the image") for effect in Effect if effect not in other)
         return EffectPlan(nothing, box)
@@ -176,8 +174,9 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
     detail, seen = plan_detail(scene, hands, settings)
+    blur = Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, False, "a pinhole")
     decisions = (*_reuse(scene, hands, settings), seen, smooth, *light, *blur, crop)
-    return EffectPlan(decisions, box, strength, enlarged, plain, exposures, detail)
+    return EffectPlan(decisions, box, strength, enlarged, plain, detail=detail)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:
@@ -258,7 +257,7 @@ def plan_detail(
             continue
         # of the boxes in which the skin is, a forearm's behind the wrist too; from within them it is seen at any size
         forward = scene.camera.camera_from_world[2]
-        depth_m = (hand.corners_m(bones.linear_offset) + bones.root_m) @ forward[:3] + forward[3]
+        depth_m = (hand.corners_m(bones.maps) + bones.root_m) @ forward[:3] + forward[3]
         nearest_m = float(depth_m.min(initial=math.inf)) - sum(hand.reach_m(bones, settings.alpha_min))
         size = bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
         spans.append(detail.texels_per_m / max(size, 1e-9))
@@ -340,27 +339,46 @@ def _seen(hand: HandFacts, *, near: bool) -> float:
     return math.inf if hand.look.seen is None or (near and not casts) else hand.look.seen
 
 
-def _blur(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[int, tuple[Decision, Decision]]:
-    """How many images are averaged, and what for."""
+# ---- blur -----------------------------------------------------------------------------------------------------------
+
+
+def plan_blur(
+    moments: Sequence[Moment],
+    weights: Sequence[float],
+    hands: Sequence[HandFacts],
+    seen: Sequence[int],
+    settings: RenderSettings,
+    scale: float,
+) -> tuple[list[tuple[Moment, float]], list[Decision]]:
+    """The moments through pinholes that one image is the mean of, with their shares, which sum to 1, and why so many.
+
+    seen: as of `way_px` · scale: of the largest hand
+    """
     allows, once_ms = settings.effects.allows, _count(hands) * (RASTER_MS + SKIN_MS)
-    times, pinholes, lens = 1, 1, scene.camera.lens
-    seen = range(len(hands)) if scene.seen is None else scene.seen
-    motion, focus = Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, False, "a pinhole")
-    if scene.shutter is not None and not allows(Effect.MOTION):
-        motion = Decision(Effect.MOTION, False, NOT_CHOSEN, "moving edges are sharp", 1.0)
-    elif scene.shutter is not None:
-        length_px = scene.shutter.travel_px(scene.joints_m, scene.camera, seen)
-        times = motion_count(length_px)
-        motion = averaged(Effect.MOTION, times, length_px, once_ms)
-    if lens is not None and lens.aperture_m > 0 and not allows(Effect.FOCUS):
-        focus = Decision(Effect.FOCUS, False, NOT_CHOSEN, "everything is sharp", 1.0)
-    elif lens is not None and lens.aperture_m > 0:
-        wide_px = disc_px(
-            scene.camera, [scene.joints_m[hand] for hand in seen], max(bones.scale for bones in scene.bones)
-        )
-        pinholes = focus_count(wide_px)
-        focus = averaged(Effect.FOCUS, pinholes, wide_px, once_ms)
-    return max(times, pinholes), (motion, focus)
+    center, shares, each, decisions = middle(moments), [1.0], 1, []
+    lens = any(moment.camera.lens is not None and moment.camera.lens.aperture_m > 0 for moment in moments)
+    if len(moments) > 1 and not allows(Effect.MOTION):
+        moments = [center]
+        decisions.append(Decision(Effect.MOTION, False, NOT_CHOSEN, "moving edges are sharp", 1.0))
+    elif len(moments) > 1:
+        travel_px = way_px(moments, seen)
+        moments, shares = filled(moments, weights, seen)
+        decisions.append(averaged(Effect.MOTION, len(moments), travel_px, once_ms))
+    if lens and not allows(Effect.FOCUS):
+        lens = False
+        decisions.append(Decision(Effect.FOCUS, False, NOT_CHOSEN, "everything is sharp", 1.0))
+    elif lens:
+        wide_px = disc_px(center.camera, [center.joints_m[hand] for hand in seen], scale)
+        each = -(-focus_count(wide_px) // len(moments))
+        decisions.append(averaged(Effect.FOCUS, len(moments) * each, wide_px, once_ms))
+    if not lens or len(moments) * each == 1:
+        moments = [replace(moment, camera=replace(moment.camera, lens=None)) for moment in moments]
+    exposures = [
+        (replace(moment, camera=pinhole), share / each)
+        for index, (moment, share) in enumerate(zip(moments, shares, strict=True))
+        for pinhole in pinholes(moment.camera, index, each, len(moments))
+    ]
+    return exposures, decisions
 
 
 def averaged(effect: Effect, count: int, size_px: float, once_ms: float = 0.0) -> Decision:

@@ -13,6 +13,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import CorrectiveChange, LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX
+from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.render.gate import ShadowGate
 
@@ -66,17 +67,17 @@ class HandFacts:
         may be from its skinned place."""
         seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
         # a bone that is longer than the hand's scale says stretches the offsets along it
-        longest = float(np.linalg.norm(bones.linear_offset[:, :, :3] @ self._frames, axis=1).max())
+        longest = float(np.linalg.norm(bones.linear_offset[:JOINT_COUNT, :, :3] @ self._frames, axis=1).max())
         return seen * max(bones.scale, 1.0), self._offset_m * max(longest, 1.0)
 
-    def corners_m(self, linear_offset: np.ndarray) -> np.ndarray:
-        """(K, 3) points relative to the hand's root whose hull holds every skinned place. linear_offset: (21, 3, 4)"""
-        return (linear_offset[self._moving] @ self._corners_m).transpose(0, 2, 1).reshape(-1, 3)
+    def corners_m(self, maps: np.ndarray) -> np.ndarray:
+        """(K, 3) points relative to the hand's root whose hull holds every skinned place. maps: of `Bones`"""
+        return (maps[self._moving] @ self._corners_m).transpose(0, 2, 1).reshape(-1, 3)
 
     def skin_change_m(self, new: Bones, old: Bones) -> float:
         """How far a point of the skin is from where another pose has it, at most, correctives that change apart: a
         skinned point is a mean of what its bones make of it, so that it moves less than some corner of a bone's box."""
-        change = new.linear_offset.astype(np.float64) - old.linear_offset
+        change = new.maps.astype(np.float64) - old.maps
         corners_m = self.corners_m(change)
         moved_m = math.sqrt(np.square(corners_m).sum(1).max(initial=0.0))
         # offsets turn with the hand, by no more than twice what their bones' maps change
@@ -85,14 +86,14 @@ class HandFacts:
 
 
 def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
-    """(21,) bool which bones move anything; (bones, 4, 8) corners of the boxes around it, canonical, root-relative, and
-    ones.
+    """(21 or more,) bool which maps move anything; (maps, 4, 8) corners of the boxes around it, canonical,
+    root-relative, and ones.
 
     A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
     in the hull of the boxes.
     """
     relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
-    moves = (avatar.bone_weights != 0).T
+    moves = (avatar.map_weights(avatar.position_m, avatar.bone_weights) != 0).T
     moving = np.asarray(moves.any(1))
     ends = [np.stack([relative[rows].min(0), relative[rows].max(0)], 1) for rows in moves[moving]]
     corners = [np.stack(np.meshgrid(*pair, [1.0], indexing="ij")).reshape(4, 8) for pair in ends]

@@ -3,8 +3,10 @@
     renderer = HandRenderer(load_builtin(handedness=Handedness.RIGHT), preset("viewport"))
     frame = renderer.render(joints_m, camera)
 
-What is done is decided in `effects.py`; here it is done. Positions are kept relative to the first hand's root and the
-root is added in double precision: a hand 1 km away loses nothing.
+A Moment is hands and a camera. Those that an image is the mean of (`blur.py`) are posed (_Posed), planned (Scene to
+EffectPlan, `effects.py`), drawn one after the other through a pinhole by the kernels (Canvas to Image, `backend.py`),
+averaged, and finished as a Frame with a FrameReport. Positions are kept relative to the first hand's root and the root
+is added in double precision: a hand 1 km away loses nothing.
 """
 
 from __future__ import annotations
@@ -24,28 +26,18 @@ from jghand_engine.color import displayed
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Bones, Skeleton, describe_flags
 from jghand_engine.native import contract
 from jghand_engine.native.rasterizer import check_image_size
 from jghand_engine.render.backend import Backend, Canvas, Pose
-from jghand_engine.render.blur import (
-    Moment,
-    Shutter,
-    check_moments,
-    disc_px,
-    exposures,
-    filled,
-    focus_count,
-    pinholes,
-    way_px,
-)
+from jghand_engine.render.blur import Hand, Moment, check_moments, middle
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.crop import NOWHERE, views_box
-from jghand_engine.render.effect_plan import Effect, EffectPlan
+from jghand_engine.render.effect_plan import Decision, Effect, EffectPlan
 from jghand_engine.render.effects import (
-    Kept,
     Scene,
-    averaged,
+    plan_blur,
     plan_effects,
     reusable,
     same_shape,
@@ -71,12 +63,14 @@ class Frame:
              primaries, 0 and up
     linear:  whether it is scene-linear: so are hands in the light of a scene
     depth_m: (H, W) float32, meters along the view axis, 0 where there is nothing (everywhere with settings.depth off)
+    covered_depth_m: the same as a mean of all that covers a pixel, blur too: what a combination by depth needs
     normal:  (H, W, 3) float32 unit, towards the camera, in its axes, 0 where there is nothing; None unless requested
     ids:     (H, W) uint8, 0 = nothing, k = the k-th hand covers most of what is covered; None unless requested
     """
 
     rgba: np.ndarray
     depth_m: np.ndarray
+    covered_depth_m: np.ndarray
     report: FrameReport
     normal: np.ndarray | None = None
     ids: np.ndarray | None = None
@@ -117,16 +111,7 @@ class SceneRenderer:
         self._avatars = [avatar for avatar, _ in chosen]
         self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
         self._facts = [HandFacts(avatar, power) for avatar, power in zip(self._avatars, powers, strict=True)]
-        self._transforms = [
-            Skeleton(
-                avatar.canonical_joints_m,
-                handedness=avatar.handedness,
-                swing=avatar.info.swing,
-                scale_mode=avatar.info.scale_mode,
-                variant=self.settings.backend,
-            )
-            for avatar in self._avatars
-        ]
+        self._transforms = [avatar.skeleton(self.settings.backend) for avatar in self._avatars]
         self._ranges = [trained_range(avatar.info) for avatar in self._avatars]
         self._looks = [facts.look for facts in self._facts if facts.look is not None]
         self._backend = Backend(self._avatars, self.settings, powers)
@@ -136,110 +121,87 @@ class SceneRenderer:
         self._bones: list[np.ndarray] | None = None  # per hand the bone of each Gaussian, once somebody asks
 
     def render(
-        self,
-        joints_m: Sequence[np.ndarray],
-        camera: Camera,
-        shutter: Shutter | None = None,
-        *,
-        check_canceled: Callable[[], None] = lambda: None,
+        self, hands: Sequence[Hand], camera: Camera, *, check_canceled: Callable[[], None] = lambda: None
     ) -> Frame:
-        """One image. joints_m: per hand (21, 3), level order, meters, in the frame the camera is given in.
-        shutter: how the hands move around these joints while it is open; None for a moment. check_canceled: called
-        between the parts of the image that take long; may raise to end it.
+        """One image of a moment. hands: in the order of the avatars, each its pose, or its joints (21, 3), level order,
+        meters, in the frame the camera is given in. check_canceled: called between the parts of the image that take
+        long; may raise to end it.
 
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
         (`PoseSequence.with_gaps_held`).
         """
+        return self.render_moments([Moment(hands, camera)], (1.0,), check_canceled=check_canceled)
+
+    def render_moments(
+        self,
+        moments: Sequence[Moment],
+        weights: Sequence[float],
+        *,
+        check_canceled: Callable[[], None] = lambda: None,
+    ) -> Frame:
+        """The mean of all moments, each with its own pose and its own camera, as an open shutter or a scene between two
+        frames gives them. Where they are too far from each other to look like a movement, more are put between them.
+        Depth, normals and ids are those of the middle one, through the middle of its lens, and the renderer is left
+        with its hands.
+
+        weights: one per moment, 0 or more, some above · check_canceled: as of `render`, and before each image of the
+        mean.
+        InputError as of `render`, for moments of different sizes, or weights that are none.
+        """
+        check_moments(moments, weights)
+        started, camera = time.perf_counter(), replace(middle(moments).camera, lens=None)
         # what is drawn may be the hand's box alone
         check_image_size(camera.width, camera.height)
-        return self._render(joints_m, camera, shutter, check_canceled)
+        moments = [replace(moment, hands=self._checked(moment.hands)) for moment in moments]
+        exposures, decisions = self._exposures(moments, weights)
+        mean, reports = None, []
+        if len(exposures) > 1:
+            mean = self._backend.mean(camera.width, camera.height, linear=self.light is not None)
+            for moment, share in exposures:
+                reports.append(FrameReport())
+                mean.add(self._expose(moment, reports[-1], check_canceled), share)
+        reports.append(FrameReport())
+        sharp = self._expose(replace(middle(moments), camera=camera), reports[-1], check_canceled)
+        check_canceled()
+        frame = self._finished(sharp, camera, reports[-1])
+        if mean is not None:
+            whole = mean.image()
+            frame = replace(frame, rgba=whole.rgba, covered_depth_m=whole.depth_m)
+        plans = [report.plan for report in reports if report.plan is not None]
+        # the middle one shows no hand where it has left the image by then, or comes later
+        plan = next((one for one in reversed(plans) if one.box.width), plans[-1])
+        report = summed(reports, plan.with_averages(decisions, len(exposures)))
+        report.total_ms = 1e3 * (time.perf_counter() - started)
+        return replace(frame, report=report)
 
     def rest(self) -> None:
         """Gives back the memory that has the size of the last image; the next one takes it anew."""
         self._drawn = None
         self._backend.rest()
 
-    def _render(
-        self,
-        joints_m: Sequence[np.ndarray],
-        camera: Camera,
-        shutter: Shutter | None,
-        check_canceled: Callable[[], None],
-    ) -> Frame:
-        started = time.perf_counter()
-        report = FrameReport(backend=self._backend.variant, threads=self._backend.threads)
+    def _exposures(
+        self, moments: Sequence[Moment], weights: Sequence[float]
+    ) -> tuple[list[tuple[Moment, float]], list[Decision]]:
+        """What one image is the mean of, as of `plan_blur`; the middle moment where no hand is in the image."""
+        center = middle(moments)
+        if len(moments) == 1 and center.camera.lens is None:
+            return [(center, 1.0)], []
+        seen = self._seen_hands(moments)
+        if not seen:
+            return [(center, 1.0)], []
+        bones = self._bones_of(center.hands)
+        return plan_blur(moments, weights, self._facts, seen, self.settings, max(one.scale for one in bones))
+
+    def _expose(self, moment: Moment, report: FrameReport, check_canceled: Callable[[], None]) -> Image:
+        """One moment through a pinhole."""
+        check_canceled()
+        report.backend, report.threads = self._backend.variant, self._backend.threads
         report.gaussians = sum(map(len, self._avatars))
-        hands = self._checked(joints_m)
-        if shutter is not None:
-            shutter = Shutter(self._checked(shutter.opens_m), self._checked(shutter.closes_m))
-        shot = self._pose(hands, report)
-        report.tier = self._tiers if shot.moved_m is None else ""
-        report.plan = plan = self._plan(shot, camera, shutter, report)
-        report.notes += shot.posed.notes + shot.posed.unseen
-        if plan.exposures == 1:
-            drawn = self._draw(shot, replace(camera, lens=None), plan, report, check_canceled)
-        else:
-            mean = self._backend.mean(camera.width, camera.height, linear=self.light is not None)
-            for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
-                shot = self._pose(moment_m, report)
-                mean.add(self._draw(shot, pinhole, plan, report, check_canceled), 1 / plan.exposures)
-            drawn = mean.image()
-        check_canceled()
-        frame = self._finished(drawn, camera, report)
-        report.total_ms = 1e3 * (time.perf_counter() - started)
-        return frame
-
-    def render_moments(
-        self,
-        moments: Sequence[Moment],
-        weights: Sequence[float] = (1.0,),
-        *,
-        middle: int = 0,
-        check_canceled: Callable[[], None] = lambda: None,
-    ) -> tuple[Frame, np.ndarray]:
-        """The mean of all moments, each with its own pose and its own camera: for whoever knows the scene between two
-        frames, as Blender does. Where they are too far from each other to look like a movement, more are put between
-        them. Depth is that of the middle one, through the middle of its lens, and the renderer is left with its hands.
-        Besides, (H, W) float32: the mean depth, meters, of all that covers a pixel, blur too: what a combination by
-        depth needs.
-
-        weights: one per moment, 0 or more, some above · check_canceled: called before each image and between the parts
-        of one; may raise to end it all.
-        InputError for moments of different sizes, or weights that are none.
-        """
-        check_moments(moments, weights)
-        center = moments[middle]
-        blurred = any(moment.camera.lens is not None and moment.camera.lens.aperture_m > 0 for moment in moments)
-        hands = self._seen_hands(moments) if blurred or len(moments) > 1 else []
-        seen, shares = filled(moments, weights, hands)
-        wide_px = disc_px(center.camera, [center.joints_m[hand] for hand in hands])
-        each = -(-focus_count(wide_px) // len(seen)) if blurred else 1
-        sharp = replace(center.camera, lens=None)
-        if len(seen) == 1 and each == 1:
-            check_canceled()
-            frame = self.render(center.joints_m, sharp, check_canceled=check_canceled)
-            return frame, frame.depth_m
-        mean = self._backend.mean(sharp.width, sharp.height, linear=self.light is not None)
-        reports, whole = [], Box(0, 0, sharp.width, sharp.height)
-        for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
-            for pinhole in pinholes(moment.camera, index, each, len(seen)):
-                check_canceled()
-                frame = self.render(moment.joints_m, pinhole, check_canceled=check_canceled)
-                if not self._empty:
-                    mean.add(Image(whole, frame.rgba, frame.depth_m), share / each)
-                reports.append(frame.report)
-        check_canceled()
-        last = self.render(center.joints_m, sharp, check_canceled=check_canceled)
-        reports.append(last.report)
-        plans, count = [report.plan for report in reports if report.plan is not None], len(seen) * each
-        # the middle one shows no hand where it has left the image by then, or comes later
-        if plan := next((one for one in reversed(plans) if one.box.width), last.report.plan):
-            motion = [averaged(Effect.MOTION, len(seen), way_px(seen, hands))] if len(seen) > 1 else []
-            focus = [averaged(Effect.FOCUS, count, wide_px)] if blurred else []
-            plan = plan.with_averages(motion + focus, count)
-        image = mean.image()
-        assert image.depth_m is not None
-        return Frame(image.rgba, last.depth_m, summed(reports, plan), linear=last.linear), image.depth_m
+        posed = self._pose(list(map(HandPose.of, moment.hands)), report)
+        report.tier = self._tiers if posed.moved_m is None else ""
+        report.plan = plan = self._plan(posed, moment.camera, report)
+        report.notes += posed.notes
+        return self._draw(posed, moment.camera, plan, report, check_canceled)
 
     def bone_ids(self, camera: Camera) -> np.ndarray:
         """(H, W) uint8: which bone covers most of a pixel, of the hands as they were drawn last, through the middle of
@@ -258,26 +220,30 @@ class SceneRenderer:
         canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, contract.ALPHA_MIN)
         return self._backend.part_map(canvas, self._bones)
 
-    def _checked(self, joints_m: Sequence[np.ndarray]) -> list[np.ndarray]:
-        if len(joints_m) != len(self._avatars):
-            raise InputError("hands of an image", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
-        return [_checked_hand(joints) for joints in joints_m]
+    def _checked(self, hands: Sequence[Hand]) -> list[HandPose]:
+        if len(hands) != len(self._avatars):
+            raise InputError("hands of an image", wanted=f"joints of {len(self._avatars)}", came=str(len(hands)))
+        return [_checked_hand(HandPose.of(hand)) for hand in hands]
+
+    def _bones_of(self, hands: Sequence[Hand]) -> list[Bones]:
+        return [_bones(transform, HandPose.of(hand)) for transform, hand in zip(self._transforms, hands, strict=True)]
 
     # ---- the pose ----------------------------------------------------------------------------------------------------
 
-    def _pose(self, hands: list[np.ndarray], report: FrameReport) -> _Shot:
+    def _pose(self, hands: list[HandPose], report: FrameReport) -> _Posed:
         """The bone transforms, and whether they are new. Nothing is kept of it before it is painted."""
         started, last, settings = time.perf_counter(), self._posed, self.settings
-        bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
-        moved_m = reusable(bones, None if last is None else last.kept, self._facts, settings)
-        if last is not None and moved_m is not None:
-            return _Shot(last, moved_m)
-        origin_m = hands[0][0]
+        bones, joints_m = self._bones_of(hands), [hand.joints_m for hand in hands]
+        if last is not None:
+            moved_m = reusable(bones, last.bones, last.corrected_rad, self._facts, settings)
+            if moved_m is not None:
+                return replace(last, moved_m=moved_m)
+        origin_m = joints_m[0][0]
         corrected = self._corrected_rad(last)
         poses = [
             Pose(one, one.root_m - origin_m, same_shape(facts, one, angles_rad, settings), others)
             for facts, one, angles_rad, others in zip(
-                self._facts, bones, corrected, capsules_beside(hands, bones), strict=True
+                self._facts, bones, corrected, capsules_beside(joints_m, bones), strict=True
             )
         ]
         unseen = _by_hand([_unseen(trained, pose) for trained, pose in zip(self._ranges, poses, strict=True)])
@@ -288,69 +254,62 @@ class SceneRenderer:
             old if pose.keep_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)
         ]
-        kept = Kept([joints.copy() for joints in hands], bones, angles)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
-        return _Shot(_Posed(kept, poses, notes, unseen), None)
+        return _Posed([joints.copy() for joints in joints_m], poses, angles, notes + unseen)
 
     def _corrected_rad(self, last: _Posed | None) -> list[np.ndarray | None]:
         """Per hand the angles of correctives that can be used again; None for none."""
         if last is None:
             return [None] * len(self._facts)
-        pairs = zip(self._facts, last.kept.corrected_rad, strict=True)
+        pairs = zip(self._facts, last.corrected_rad, strict=True)
         return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
 
-    def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
+    def _plan(self, posed: _Posed, camera: Camera, report: FrameReport) -> EffectPlan:
         started = time.perf_counter()
-        scene = shot.posed.scene(camera, shutter, shot.moved_m, self._lit(shot, camera))
-        if shutter is not None or camera.lens is not None:
-            hands_m = scene.joints_m
-            moments = [Moment(hands_m, camera)] if shutter is None else shutter.moments(hands_m, camera)
-            scene = replace(scene, seen=self._seen_hands(moments))
+        scene = posed.scene(camera, self._lit(posed, camera))
         plan = plan_effects(scene, self._facts, self.settings)
         report.ran(PLAN, 1e3 * (time.perf_counter() - started))
         return plan
 
-    def _lit(self, shot: _Shot, camera: Camera) -> Lit | None:
+    def _lit(self, posed: _Posed, camera: Camera) -> Lit | None:
         if self.light is None:
             return None
         before, drawn = self._backend.light, self._drawn
         new_world = before is None or before.world is not self.light.world
         # a new pose is seen anew in any case
         seen_anew = True
-        if shot.moved_m is not None and drawn is not None:
-            seen_anew = not np.array_equal(drawn.camera.eye_m, _at_origin(shot.posed, camera).eye_m)
+        if posed.moved_m is not None and drawn is not None:
+            seen_anew = not np.array_equal(drawn.camera.eye_m, _at_origin(posed, camera).eye_m)
         return Lit(self.light, before != self.light, new_world, seen_anew)
 
     def _seen_hands(self, moments: Sequence[Moment]) -> list[int]:
         """Numbers of the hands that are in the image at some of the moments, or pass it between them."""
-        at = [(self._checked(moment.joints_m), _rays(moment.camera)) for moment in moments]
+        at = [(moment, _rays(moment.camera)) for moment in moments]
 
         def views(hand: int) -> Iterator[tuple[np.ndarray, Bones, HandFacts, Camera]]:
-            for joints_m, cameras in at:
-                bones = self._transforms[hand].bones(joints_m[hand])
-                yield from ((joints_m[hand], bones, self._facts[hand], camera) for camera in cameras)
+            for moment, cameras in at:
+                bones, joints_m = _bones(self._transforms[hand], HandPose.of(moment.hands[hand])), moment.joints_m[hand]
+                yield from ((joints_m, bones, self._facts[hand], camera) for camera in cameras)
 
         return [hand for hand in range(len(self._facts)) if views_box(views(hand), self.settings.alpha_min).width]
 
     # ---- the image -------------------------------------------------------------------------------------------------
 
     def _draw(
-        self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, check_canceled: Callable[[], None]
+        self, posed: _Posed, camera: Camera, plan: EffectPlan, report: FrameReport, check_canceled: Callable[[], None]
     ) -> Image:
         """One moment through one pinhole: of the whole image or of the hands' box in it."""
-        posed, box = shot.posed, plan.box
-        if plan.exposures > 1 and (plan.enlarged > 1 or not plan.runs(Effect.WHOLE)):
-            box = posed.scene(camera).box(self._facts, self.settings.alpha_min)
+        box = plan.box
         self._empty = not box.width
         if self._empty:
             return self._nothing()
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
             check_canceled()
-            drawn.append((self._painted(shot, part, box, plan, report), plan.plain))
+            drawn.append((self._painted(posed, part, box, plan, report), plan.plain))
         if plan.plain < 1:
             # what was posed for the image above stays
-            again = shot if plan.plain == 0 else _Shot(posed, 0.0)
+            again = posed if plan.plain == 0 else replace(posed, moved_m=0.0)
             check_canceled()
             large = self._painted(again, part.scaled(plan.enlarged), box, plan, report)
             check_canceled()
@@ -368,19 +327,19 @@ class SceneRenderer:
         weights = np.zeros((0, 0, len(self._avatars)), np.float32) if self.settings.ids else None
         return Image(NOWHERE, np.zeros((0, 0, 4), np.float32), depth_m, weights)
 
-    def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Image:
+    def _painted(self, posed: _Posed, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Image:
         settings = self.settings
         # normals are those of the depth
         depth = settings.depth or settings.normals
-        canvas = self._canvas(shot.posed, camera, plan.strength, settings.alpha_min, depth=depth)
+        canvas = self._canvas(posed, camera, plan.strength, settings.alpha_min, depth=depth)
         canvas = replace(canvas, detail=plan.detail)
-        poses = None if shot.moved_m is not None else shot.posed.poses
+        poses = None if posed.moved_m is not None else posed.poses
         keeps = poses is None and not settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # an image that fails half way may leave the backend with half of these Gaussians: then the next one poses anew
         self._posed = self._drawn = None
         rgba, depth_m = self._backend.draw(poses, canvas, report, keep_image=keeps)
         weights = self._hand_weights(rgba, canvas, report) if settings.ids else None
-        self._posed, self._drawn = shot.posed, canvas
+        self._posed, self._drawn = posed, canvas
         return Image(box, rgba, depth_m, weights)
 
     def _hand_weights(self, rgba: np.ndarray, canvas: Canvas, report: FrameReport) -> np.ndarray:
@@ -416,7 +375,7 @@ class SceneRenderer:
         depth_m = whole.depth_m if settings.depth else None
         if depth_m is None:
             depth_m = np.zeros(whole.rgba.shape[:2], np.float32)
-        return Frame(whole.rgba, depth_m, report, normal, ids, self.light is not None)
+        return Frame(whole.rgba, depth_m, depth_m, report, normal, ids, self.light is not None)
 
 
 class HandRenderer:
@@ -428,14 +387,13 @@ class HandRenderer:
         self._scene = SceneRenderer([avatar], settings, light)
         self.settings = self._scene.settings
 
-    def render(self, joints_m: np.ndarray, camera: Camera, shutter: Shutter | None = None) -> Frame:
-        """One image. joints_m: (21, 3), level order, meters, in the frame the camera is given in. shutter: as for
-        SceneRenderer, of one hand.
+    def render(self, hand: Hand, camera: Camera) -> Frame:
+        """As SceneRenderer's, of one hand."""
+        return self._scene.render([hand], camera)
 
-        InputError names a joint that is not finite; to hold the last good pose is the motion's business
-        (`PoseSequence.with_gaps_held`).
-        """
-        return self._scene.render([joints_m], camera, shutter)
+    def render_moments(self, moments: Sequence[Moment], weights: Sequence[float]) -> Frame:
+        """As SceneRenderer's."""
+        return self._scene.render_moments(moments, weights)
 
     def bone_ids(self, camera: Camera) -> np.ndarray:
         """As SceneRenderer's."""
@@ -454,7 +412,7 @@ def _at_origin(posed: _Posed, camera: Camera) -> Camera:
     """The camera in the frame of the Gaussians: its origin is that of what was posed, also when the hand has moved by
     less than the limit since."""
     from_origin = camera.camera_from_world.copy()
-    from_origin[:3, 3] += from_origin[:3, :3] @ posed.kept.joints_m[0][0]
+    from_origin[:3, 3] += from_origin[:3, :3] @ posed.joints_m[0][0]
     return replace(camera, camera_from_world=from_origin)
 
 
@@ -462,36 +420,27 @@ def _at_origin(posed: _Posed, camera: Camera) -> Camera:
 class _Posed:
     """Hands in a pose.
 
-    kept:   what the next image may keep of it
-    poses:  transforms
-    notes:  of what is wrong with a hand
-    unseen: of what its avatar never saw
+    joints_m:      per hand (21, 3) as they were posed
+    poses:         transforms
+    corrected_rad: per hand the angles (37,) of its correctives
+    notes:         of what is wrong with a hand, and of what its avatar never saw
+    moved_m:       how far the skin can be from where the backend has it; None where it has another pose, or none
     """
 
-    kept: Kept
+    joints_m: list[np.ndarray]
     poses: list[Pose]
+    corrected_rad: list[np.ndarray]
     notes: list[str]
-    unseen: list[str]
+    moved_m: float | None = None
 
-    def scene(
-        self,
-        camera: Camera,
-        shutter: Shutter | None = None,
-        moved_m: float | None = None,
-        lit: Lit | None = None,
-    ) -> Scene:
+    @property
+    def bones(self) -> list[Bones]:
+        return [pose.bones for pose in self.poses]
+
+    def scene(self, camera: Camera, lit: Lit | None = None) -> Scene:
         """As it is seen by a camera."""
         reshaped = not all(pose.keep_correctives for pose in self.poses)
-        bones = [pose.bones for pose in self.poses]
-        return Scene(self.kept.joints_m, bones, camera, shutter, moved_m, reshaped, lit=lit)
-
-
-@dataclass(frozen=True)
-class _Shot:
-    """A pose to be drawn. moved_m: None when it is new; else how far the joints moved since the backend got it."""
-
-    posed: _Posed
-    moved_m: float | None
+        return Scene(self.joints_m, self.bones, camera, self.moved_m, reshaped, lit)
 
 
 def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
@@ -514,9 +463,13 @@ def _unseen(trained: np.ndarray | None, pose: Pose) -> list[str]:
     return [] if trained is None else [one.sentence() for one in outside(pose.bones.phalanx_angles_rad, trained)]
 
 
-def _checked_hand(joints_m: np.ndarray) -> np.ndarray:
-    """(21, 3) float64; InputError for another shape or a joint that is not finite."""
-    joints = np.asarray(joints_m)
+def _bones(skeleton: Skeleton, hand: HandPose) -> Bones:
+    return skeleton.bones(hand.joints_m, forearm=hand.forearm)
+
+
+def _checked_hand(hand: HandPose) -> HandPose:
+    """float64; InputError for another shape or a joint that is not finite."""
+    joints = np.asarray(hand.joints_m)
     joints = np.ascontiguousarray(joints, np.float64)
     if joints.shape != (JOINT_COUNT, 3):
         check_joint_shape(joints)
@@ -529,4 +482,4 @@ def _checked_hand(joints_m: np.ndarray) -> np.ndarray:
             came=f"{', '.join(names)} not finite",
             remedy="Hold the last good pose: PoseSequence.with_gaps_held().",
         )
-    return joints
+    return HandPose(joints, hand.forearm)

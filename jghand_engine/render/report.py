@@ -79,7 +79,6 @@ def summed(reports: Sequence[FrameReport], plan: EffectPlan | None) -> FrameRepo
     for report in reports:
         for name, spent_ms in report.stages.items():
             whole.ran(name, spent_ms)
-    whole.total_ms = sum(report.total_ms for report in reports)
     return whole
 
 

@@ -22,11 +22,12 @@ from jghand_engine.avatar.scene_light import Baked, SceneLight, Shades, World
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.json_files import JsonObject
 from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
-from jghand_engine.render.blur import Moment
+from jghand_engine.render.blur import Moment, middle
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
@@ -137,10 +138,10 @@ class HandImages:
             if canceled():
                 raise Canceled
 
-        frame, covered_depth_m = renderer.render_moments(moments, weights, middle=request.middle, check_canceled=check)
-        ids = renderer.bone_ids(moments[request.middle].camera) if request.ids else None
+        frame = renderer.render_moments(moments, weights, check_canceled=check)
+        ids = renderer.bone_ids(middle(moments).camera) if request.ids else None
         report = frame.report.as_dict()
-        return RenderedImage(frame.rgba, report, frame.depth_m, ids, covered_depth_m, frame.linear)
+        return RenderedImage(frame.rgba, report, frame.depth_m, ids, frame.covered_depth_m, frame.linear)
 
     def rest(self) -> None:
         """Gives back what the last images left in the renderers; avatars stay."""
@@ -331,4 +332,6 @@ def _moment(exposure: Exposure, request: ImageRequest) -> Moment:
         Lens(exposure.aperture_m, exposure.focus_m) if exposure.aperture_m > 0 else None,
         orthographic=request.orthographic,
     )
-    return Moment(list(to_level(exposure.joints_world_m, JointOrder.STANDARD)), camera)
+    joints_m = to_level(exposure.joints_world_m, JointOrder.STANDARD)
+    forearms = [None] * len(joints_m) if exposure.forearms is None else exposure.forearms
+    return Moment(list(map(HandPose, joints_m, forearms)), camera)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.hand.wrist import unit_turns
 from jghand_engine.native import contract
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
 
@@ -101,6 +102,7 @@ class Exposure:
     camera_from_world:   (4, 4) rigid, meters, OpenCV axes
     joints_m:            (n, 21, 3) in each hand's own space
     world_from_hand:     (n, 4, 4) rigid, meters
+    forearms:            (n, 4) quaternions, see `HandPose`; None: all as their palms carry them
     aperture_m, focus_m: of a thin lens, aperture 0 for a pinhole
     weight:              of this moment in the mean of all
     """
@@ -112,6 +114,7 @@ class Exposure:
     camera_from_world: np.ndarray
     joints_m: np.ndarray
     world_from_hand: np.ndarray
+    forearms: np.ndarray | None = None
     aperture_m: float = 0.0
     focus_m: float = 1.0
     weight: float = 1.0
@@ -152,7 +155,7 @@ class ImageRequest:
 
     width, height: pixels
     hands:         none for an empty image
-    exposures:     at least one, in the order of time; the middle one is the image's moment
+    exposures:     at least one, in the order of time; the middle one, or the one before, is the image's moment
     depth, ids:    whether these maps are wanted
     light:         of the scene, in which colors are scene-linear; None for the light of the captures
     """
@@ -166,11 +169,6 @@ class ImageRequest:
     depth: bool = False
     ids: bool = False
     light: RequestedLight | None = None
-
-    @property
-    def middle(self) -> int:
-        """Which exposure shows the image's moment: depth and ids are its."""
-        return (len(self.exposures) - 1) // 2
 
 
 def read_request(message: Message) -> tuple[ImageRequest, list[str]]:
@@ -246,7 +244,8 @@ def _hands(header: dict[str, Any]) -> tuple[RequestedHand, ...]:
 
 def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
     """Every moment: arrays pinholes (m, 4), lenses (m, 2; left out: pinholes), weights (m; left out: all alike),
-    camera_from_world (m, 4, 4), and where there are hands joints (m, n, 21, 3) and world_from_hand (m, n, 4, 4)."""
+    camera_from_world (m, 4, 4), and where there are hands joints (m, n, 21, 3), world_from_hand (m, n, 4, 4) and
+    forearms (m, n, 4; left out: as palms carry them)."""
     came = message.arrays.get("pinholes")
     count = came.shape[0] if came is not None else 0
     if not 1 <= count <= EXPOSURES_MAX:
@@ -271,12 +270,16 @@ def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
     if hands:
         joints = _numbers(message, "joints", (count, hands, JOINTS, 3))
         places = _rigid(message, "world_from_hand", (count, hands, 4, 4))
+    forearms = [None] * count
+    if "forearms" in message.arrays:
+        forearms = unit_turns(_numbers(message, "forearms", (count, hands, 4)))
     return tuple(
         Exposure(
             *map(float, pinholes[i]),
             camera_from_world=cameras[i],
             joints_m=joints[i],
             world_from_hand=places[i],
+            forearms=forearms[i],
             aperture_m=float(lenses[i, 0]),
             focus_m=float(lenses[i, 1]),
             weight=float(weights[i]),

@@ -1,4 +1,4 @@
-"""The renderer as a process: `python -m jghand_engine serve --stdio-handshake`.
+"""The renderer as a process: `python -m jghand_engine serve`.
 
 The parent writes a token line to stdin; the first stdout line is the handshake as JSON. Everything later goes over a
 socket on the loopback, and the end of stdin ends the process, whatever became of the parent. Source: BLENDER 3.1 to

@@ -6,16 +6,18 @@ are taken from in accuracy_reference, how time grows in accuracy_growth, the plo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from jghand_engine.avatar.tiers import LOST_MAX_DB
 from jghand_engine.learn.tables import NONE, Table, number
-from jghand_engine.render.budget import LOOKS_SAME_DB
-from jghand_engine.render.settings import PRESETS
+from jghand_engine.native import contract
+from jghand_engine.render.effect_plan import Effect
+from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.study.accuracy_growth import Growth
 from jghand_engine.study.accuracy_reference import Error
 from jghand_engine.study.accuracy_variants import AXES, TOGETHER
@@ -24,6 +26,13 @@ from jghand_engine.study.accuracy_variants import AXES, TOGETHER
 FRONT_NOISE = 0.05
 # standard errors by which a mean is taken to be certain
 CERTAIN = 2.0
+# accuracy of a whole image over black from which on an artist sees no difference, has to look for it, sees it at once
+LOOKS_SAME_DB = 45.0
+LOOKS_ALIKE_DB = 38.0
+LOOKS_CLOSE_DB = 30.0
+APPROXIMATE = "approximate creases"
+
+Named = TypeVar("Named")
 
 
 @dataclass(frozen=True)
@@ -230,3 +239,37 @@ def faster_than(row: Row, rows: Sequence[Row]) -> Row | None:
         if one.axis == TOGETHER and one.error.psnr_db >= row.error.psnr_db and one.median_ms < limit_ms
     ]
     return min(better, key=lambda one: one.median_ms, default=None)
+
+
+def pareto_front(rows: Iterable[tuple[float, float, Named]]) -> list[Named]:
+    """What no other is both faster and more accurate than, from the fastest on. rows: time, accuracy, and whose."""
+    front: list[Named] = []
+    best = -math.inf
+    for _, accuracy, row in sorted(rows, key=lambda each: (each[0], -each[1])):
+        if accuracy > best:
+            front.append(row)
+            best = accuracy
+    return front
+
+
+def how_it_looks(psnr_db: float, causes: Sequence[str]) -> str:
+    """A few words for who does not know decibels. causes: what is left out, see `left_out`, the worst first."""
+    if psnr_db >= LOOKS_SAME_DB:
+        return "looks the same"
+    # nothing else is left: correctives of a cheaper tier
+    what = causes[0] if causes else APPROXIMATE
+    if psnr_db >= LOOKS_ALIKE_DB:
+        return f"nearly the same ({what})"
+    return what if psnr_db >= LOOKS_CLOSE_DB else f"clearly {what}" if what.startswith("soft") else what
+
+
+def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
+    """By axis, what one sees of settings that leave something out of an avatar of `total` Gaussians; of most first."""
+    seen = {
+        "correctives": "" if settings.effects.allows(Effect.CORRECTIVES) else "flat creases and knuckles",
+        "detail": "" if settings.effects.allows(Effect.DETAIL) else "smooth skin",
+        "Gaussians": "soft fingertips" if (settings.gaussians or total) < total else "",
+        "shadow": "no shadow between the fingers" if settings.shadow is ShadowMode.OFF else "",
+        "blend": "thin edges" if settings.alpha_min > contract.ALPHA_MIN else "",
+    }
+    return {axis: words for axis, words in seen.items() if words}

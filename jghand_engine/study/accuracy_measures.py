@@ -16,12 +16,20 @@ from jghand_engine.captures.sample import Sample, load_image
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, held_out
 from jghand_engine.learn.metrics import checked_picture, psnr
-from jghand_engine.render.budget import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
 from jghand_engine.render.timing import Case, Measurement, frame_case, machine, measure
-from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than
+from jghand_engine.study.accuracy import (
+    APPROXIMATE,
+    Accuracy,
+    Row,
+    TruthScore,
+    faster_than,
+    how_it_looks,
+    left_out,
+    pareto_front,
+)
 from jghand_engine.study.accuracy_growth import Growth, Reach, growth_cases
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
 from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tiers, variants
@@ -94,17 +102,6 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
         plan.name, len(plan.avatar), plan.size_px, machine(0), tuple(rows), tuple(growth), poses,
         "" if plan.truth is None else plan.truth.origin,
     )  # fmt: skip
-
-
-def profile_of(study: Accuracy, plan: Plan) -> Profile:
-    """What `render.budget` chooses from."""
-    settings = {one.name: one.settings for one in variants(plan.avatar, plan.size_px, {}) if one.axis == TOGETHER}
-    rows = tuple(
-        Rated(row.name, settings[row.name], row.median_ms, row.p95_ms, row.error.psnr_db)
-        for row in study.rows
-        if row.name in settings and row.axis == TOGETHER
-    )
-    return Profile(rows, "jghand study accuracy", any(row.disturbed for row in study.rows if row.axis == TOGETHER))
 
 
 def _drawer(variant: Variant, subject: Subject) -> Callable[[np.ndarray], np.ndarray]:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.render.budget import LOOKS_SAME_DB, pareto_front
-from jghand_engine.study.accuracy import Accuracy, Row
+from jghand_engine.study.accuracy import LOOKS_SAME_DB, Accuracy, Row, pareto_front
 from jghand_engine.study.accuracy_growth import PANELS, POSES, Growth
 from jghand_engine.study.accuracy_variants import TOGETHER
 from jghand_engine.study.report import HARMLESS, INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL, title

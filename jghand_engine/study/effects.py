@@ -165,7 +165,8 @@ def opened(effect: Effect, subject: Subject, settings: RenderSettings) -> Effect
         joints = subject.poses[index]
         still = renderer.render(joints, camera)
         if effect is Effect.MOTION:
-            blurred = renderer.render(joints, camera, shutter_at(subject.poses, int(index), SHUTTER))
+            moments = shutter_at(list(subject.poses), int(index), SHUTTER, camera)
+            blurred = renderer.render_moments(moments, [1.0] * len(moments))
         else:
             depth_m = float(camera.project(joints[0])[1])
             blurred = renderer.render(joints, replace(camera, lens=Lens(APERTURE_M, depth_m)))

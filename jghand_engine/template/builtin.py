@@ -8,7 +8,8 @@ from importlib.resources.abc import Traversable
 
 import numpy as np
 
-from jghand_engine.avatar.forearm import BUILTIN_TEMPLATE, FOREARM_SUFFIX
+from jghand_engine.avatar.avatar import FOREARM_SUFFIX
+from jghand_engine.avatar.forearm import BUILTIN_TEMPLATE
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder, to_level

@@ -58,10 +58,17 @@ def posed_vertices(template: HandTemplate, skeleton: Skeleton, joints_m: np.ndar
     return skinned(template.vertices_m, template.bone_weights, skeleton, joints_m)
 
 
-def skinned(vertices_m: np.ndarray, bone_weights: np.ndarray, skeleton: Skeleton, joints_m: np.ndarray) -> np.ndarray:
-    """The same of any shape (V, 3) with bone_weights (V, 21), canonical as the skeleton is."""
-    bones = skeleton.bones(joints_m, np.float64)
-    maps = np.einsum("vb,bij->vij", bone_weights, bones.linear_offset)
+def skinned(
+    vertices_m: np.ndarray,
+    weights: np.ndarray,
+    skeleton: Skeleton,
+    joints_m: np.ndarray,
+    forearm: np.ndarray | None = None,
+) -> np.ndarray:
+    """The same of any shape (V, 3), canonical as the skeleton is. weights: (V, 21) of its bones, or of all its maps
+    (`HandAvatar.map_weights`), with which a forearm turns · forearm: how, as `HandPose` has it"""
+    bones = skeleton.bones(joints_m, np.float64, forearm=forearm)
+    maps = np.einsum("vb,bij->vij", weights, bones.linear_offset[: weights.shape[1]])
     relative_m = vertices_m - skeleton.canonical_root_m
     return np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + bones.root_m
 

@@ -12,5 +12,6 @@ track            all of it
 proof            what was seen and what came of it, side by side
 """
 
-# horizontal angle of view that is assumed of an unknown camera, degrees: a telephone's or webcam's
-CAMERA_ANGLE_DEG = 60.0
+# angle of view across the longer edge that is assumed of an unknown camera, degrees: the main cameras of telephones
+# have 63 to 70 in films
+CAMERA_ANGLE_DEG = 66.0

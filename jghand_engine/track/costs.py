@@ -33,8 +33,10 @@ ANGLE_SPEED = 8.0
 TURN_SPEED = 8.0
 PLACE_SPEED = 2.0
 SMOOTHING_FPS = 30.0
-# pull of an angle to its rest, radians: only for what no picture shows
+# pull of an angle to its rest, radians: only for what no picture shows. Fingers are hardly spread otherwise than the
+# canonical hand's: abduction is held so many times as firmly, else errors of landmarks and of bones end there
 REST_SIGMA_RAD = 1.2
+ABDUCTION_FIRMNESS = 8.0
 # no joint is taken to be nearer to the camera, meters, and no hand to be smaller in the picture, pixels
 FIT_DEPTH_MIN_M = 1e-2
 
@@ -54,7 +56,8 @@ def _beyond() -> np.ndarray:
 
 _BEYOND = _beyond()
 # a hand at rest, for what a picture does not show: fingers half bent
-_REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
+REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
+_FIRMNESS = np.tile([1.0, ABDUCTION_FIRMNESS, 1.0, 1.0], 5)
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class Trust:
 
     landmark:  error of a landmark in the image, part of the hand's length
     direction: error of the direction of a bone in the detector's estimate in space, radians
-    rest_rad:  pull of an angle to its rest
+    rest_rad:  pull of an angle to its rest; that of an abduction is firmer
     smoothing: more is smoother, 0 fits every frame alone
     """
 
@@ -132,7 +135,7 @@ class PoseCosts:
         """(F,) half the weighted squares of what does not fit in each frame."""
         seen = self.landmarks.seen
         beyond, away = _off(poses, seen)
-        costs = 0.5 * (LIMIT_SIGMA_RAD**-2 * beyond**2 + self.trust.rest_rad**-2 * away**2).sum(1)
+        costs = 0.5 * (LIMIT_SIGMA_RAD**-2 * beyond**2 + self._rest * away**2).sum(1)
         points = poses.part(seen).joints_m(self.chain)
         scale = ROBUST_SIGMAS**2
         for residual in (self._image_residual(points), self._direction_residual(points)):
@@ -145,9 +148,9 @@ class PoseCosts:
         size = STATE_COUNT + (BONE_COUNT if with_lengths else 0)
         gradient, blocks = np.zeros((len(poses), size)), np.zeros((len(poses), size, size))
         beyond, away = _off(poses, seen)
-        limit, rest = LIMIT_SIGMA_RAD**-2, self.trust.rest_rad**-2
-        gradient[:, 6:STATE_COUNT] = limit * beyond + rest * away
-        np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] = limit * (beyond != 0) + rest * seen[:, None]
+        limit = LIMIT_SIGMA_RAD**-2
+        gradient[:, 6:STATE_COUNT] = limit * beyond + self._rest * away
+        np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] = limit * (beyond != 0) + self._rest * seen[:, None]
         points, motion = _moving(self.chain, poses.part(seen), with_lengths)
         scale = ROBUST_SIGMAS**2
         for residual, slope in self._slopes(points, motion):
@@ -170,6 +173,11 @@ class PoseCosts:
         change = (motion[:, 1:] - motion[:, _PARENTS]) / length[..., None]
         across = change - unit[..., None] * (unit[..., None, :] @ change)
         yield self._direction_residual(points), across / self.trust.direction
+
+    @property
+    def _rest(self) -> np.ndarray:
+        """(20,) how firmly angles are held to their rest: 1 / variance."""
+        return (_FIRMNESS / self.trust.rest_rad) ** 2
 
     @property
     def _scale(self) -> np.ndarray:
@@ -203,7 +211,7 @@ def _off(poses: Poses, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(F, 20) how far angles overstep their limits, and how far they are from rest in frames that say anything: what is
     not seen shall go the way between what is."""
     beyond = poses.angle_rad - np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
-    return beyond, (poses.angle_rad - _REST_RAD) * seen[:, None]
+    return beyond, (poses.angle_rad - REST_RAD) * seen[:, None]
 
 
 def _moving(chain: JointChain, poses: Poses, with_lengths: bool) -> tuple[np.ndarray, np.ndarray]:

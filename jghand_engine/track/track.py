@@ -38,15 +38,14 @@ class TrackOptions:
 
     hand_length_m: wrist to middle tip along the bones; None: the avatar's · own_bones: the motion keeps the
     proportions of the hand that was seen, else those of the avatar · smoothing: 1; more is smoother, less is livelier,
-    0 takes every frame alone · camera_angle_deg: angle of view across the longer edge of the picture · in_place: the
-    wrist stays where it is · fill: frames without a hand are filled; else their joints are missing
+    0 takes every frame alone · camera_angle_deg: angle of view across the longer edge of the picture · fill:
+    frames without a hand are filled; else their joints are missing
     """
 
     hand_length_m: float | None = None
     own_bones: bool = False
     smoothing: float = 1.0
     camera_angle_deg: float = CAMERA_ANGLE_DEG
-    in_place: bool = False
     fill: bool = True
 
     def check(self) -> None:
@@ -68,10 +67,9 @@ class TrackOptions:
 class TrackedHand:
     """One hand's motion.
 
-    sequence: the motion; y up, z towards the camera, which is the origin unless the wrist was kept in place; frames
-    without the hand are filled and marked · in_view: (F, 21, 3) the same before the camera, camera axes, meters · seen:
-    (F,) bool · jitter_before_deg, jitter_after_deg: `jitter_deg` of what the detector said and of the motion ·
-    hand: what was seen
+    sequence: the motion; y up, z towards the camera, which is the origin; frames without the hand are filled and marked
+    · in_view: (F, 21, 3) the same before the camera, camera axes, meters · seen: (F,) bool · jitter_before_deg,
+    jitter_after_deg: `jitter_deg` of what the detector said and of the motion · hand: what was seen
     """
 
     sequence: PoseSequence
@@ -142,8 +140,6 @@ def track_hand(
     if hand.handedness is Handedness.LEFT:
         in_view = in_view * _MIRROR
     joints = in_view * MOTION_FROM_CAMERA
-    if options.in_place:
-        joints = joints - joints[:, :1]
     seen = hand.seen
     valid = np.broadcast_to((seen | options.fill)[:, None], joints.shape[:2])
     raw = np.stack([one.space_m for one in hand.frames if one is not None])

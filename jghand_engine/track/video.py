@@ -61,6 +61,7 @@ class Video:
     lone:          there is no sound and no subtitle, which might be longer than the film
     uneven:        the times between its frames vary
     turned_deg:    by how much it was turned upright
+    focal_35mm:    focal length in terms of a film of 36 x 24 mm, millimeters; None where the header does not say
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Video:
     lone: bool
     uneven: bool
     turned_deg: int
+    focal_35mm: float | None = None
 
 
 def open_video(path: Path | str, fps: float | None = None, *, most: int | None = None) -> Video:
@@ -192,7 +194,7 @@ def _described(file: Path, header: str, fps: float | None) -> Video:
     uneven = base is None or (rate is not None and abs(rate - base) > UNEVEN_RATE_PART * base)
     even_width, even_height = (max(2, 2 * round(edge * smaller / 2)) for edge in (width, height))
     lone = not re.search(r"Stream #.*: (Audio|Subtitle|Data): ", header)
-    return Video(file, even_width, even_height, used, frames, lone, uneven, turned)
+    return Video(file, even_width, even_height, used, frames, lone, uneven, turned, _focal_35mm(header))
 
 
 def _size(file: Path, film: str) -> tuple[int, int]:
@@ -229,6 +231,12 @@ def _turn(header: str) -> int:
     """By how many degrees ffmpeg turns the pictures, a multiple of 90."""
     found = re.search(r"rotation of (-?[\d.]+) degrees", header)
     return round(float(found[1]) / 90) * 90 % 360 if found else 0
+
+
+def _focal_35mm(header: str) -> float | None:
+    """As telephones write it among the metadata of QuickTime files."""
+    found = re.search(r"focal_length\.35mm_equivalent\s*: (\d+(?:\.\d+)?)", header)
+    return float(found[1]) or None if found else None
 
 
 def _rate(film: str, name: str) -> float | None:

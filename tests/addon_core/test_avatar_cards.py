@@ -31,7 +31,7 @@ def test_the_cards_of_avatars_that_come_with_jghand_are_those_of_their_files(nam
     read = read_card(ASSETS / file)
     assert read.written
     assert [line for line in read.lines() if line[0] != "Written"] == card_of(name).lines()
-    for fact in ("gaussians", "learned", "known_light"):
+    for fact in ("gaussians", "learned", "known_light", "has_forearm"):
         assert getattr(read, fact) == getattr(SHIPPED_CARDS[name], fact)
 
 

@@ -377,7 +377,7 @@ def test_an_engine_without_a_handshake_is_given_up(fault, monkeypatch):
 
 
 def test_a_python_without_the_engine_is_told_so():
-    failure = failure_of_command(sys.executable, "-I", "-S", "-m", "jghand_engine", "serve", "--stdio-handshake")
+    failure = failure_of_command(sys.executable, "-I", "-S", "-m", "jghand_engine", "serve")
     assert failure.kind == "no_engine"
 
 

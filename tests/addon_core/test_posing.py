@@ -8,6 +8,8 @@ import pytest
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, PARENTS, RIGHT, TAILS, TIPS
 from blender_addon.errors import JGHandFailure
+from jghand_engine.hand.orders import JointOrder, to_level
+from jghand_engine.hand.sequence import palm_frames
 
 FLEXED = ("index2", "index3", "middle2", "ring2", "pinky3", "thumb2", "thumb3")
 
@@ -168,3 +170,18 @@ def test_the_handedness_must_be_known():
     for call in (posing.rest_joints_m, lambda h: posing.rest_matrices(posing.rest_joints_m(RIGHT), h)):
         with pytest.raises(JGHandFailure, match="both"):
             call("both")
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_the_palm_in_whose_axes_a_forearm_turns_is_the_engines(handedness):
+    """A right angle about an axis of the palm is one about that of the engine's frame, mirrored for a left hand."""
+    joints_m = random_motion(handedness, frames=20)
+    mirror = np.diag([-1.0 if handedness == LEFT else 1.0, 1.0, 1.0])
+    palm, has_palm = palm_frames(to_level(joints_m @ mirror, JointOrder.STANDARD))
+    assert has_palm.all()
+    for axis in range(3):
+        quaternion = np.tile(np.sqrt(0.5) * np.eye(4)[0] + np.sqrt(0.5) * np.eye(4)[1 + axis], (20, 1))
+        turned = posing.forearm_rotations(joints_m, handedness, quaternion)
+        expected = mirror @ palm @ rotations(quaternion) @ palm.swapaxes(1, 2) @ mirror
+        np.testing.assert_allclose(turned, expected, atol=1e-12)
+        np.testing.assert_allclose(posing.forearm_turns(joints_m, handedness, turned), quaternion, atol=1e-12)

@@ -196,7 +196,7 @@ def test_the_engine_understands_the_words_of_jobs(tmp_path):
     pytest.importorskip("tyro", reason="needs the engine's packages")
     from blender_addon.renderer.jobs import PROGRESS_OPTION
     from jghand_engine import cli
-    from jghand_engine.cli.machine import PROGRESS_JSON
+    from jghand_engine.cli.progress_json import PROGRESS_JSON
 
     assert PROGRESS_OPTION == PROGRESS_JSON
     for words in all_words(tmp_path):

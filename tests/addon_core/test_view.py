@@ -152,3 +152,13 @@ def test_the_stamp_of_an_avatar_changes_with_its_file(tmp_path):
         stamps.append(avatar_stamp(str(path)))
         assert stamps[-1] == avatar_stamp(str(path))
     assert len(set(stamps)) == 4
+
+
+def test_how_a_forearm_is_turned_is_said_for_all_hands_or_for_none():
+    (straight,) = understood(*picture_request(VIEW, HANDS, outputs=["depth"]))[0].exposures
+    assert straight.forearms is None
+    turn = np.array([0.6, 0.0, 0.8, 0.0])
+    bent = [HANDS[0], replace(HANDS[1], forearm_turn=turn)]
+    (exposure,) = understood(*picture_request(VIEW, bent, outputs=["depth"]))[0].exposures
+    np.testing.assert_allclose(exposure.forearms, [(1, 0, 0, 0), turn])
+    assert bent[1].pose_bytes != HANDS[1].pose_bytes

@@ -213,6 +213,21 @@ def test_the_pictures_that_an_avatar_was_learned_from_are_kept(tmp_path):
     assert load_avatar(tmp_path / "hand.jghand").info.learned_from == learned_from
 
 
+def test_the_joints_of_a_hand_that_is_not_the_canonical_one_are_kept(tmp_path):
+    avatar = small_avatar()
+    save_avatar(tmp_path / "plain.jghand", avatar)
+    assert load_avatar(tmp_path / "plain.jghand").own_joints_m is None
+    child = replace(avatar, own_joints_m=0.7 * avatar.canonical_joints_m)
+    save_avatar(tmp_path / "child.jghand", child)
+    loaded = load_avatar(tmp_path / "child.jghand")
+    assert np.array_equal(loaded.own_joints_m, child.own_joints_m)
+    assert np.array_equal(loaded.rest_joints_m, child.own_joints_m)
+    assert np.array_equal(loaded.canonical_joints_m, avatar.canonical_joints_m)
+    flat = replace(avatar, own_joints_m=0 * avatar.canonical_joints_m)
+    with pytest.raises(InputError, match="flat"):
+        save_avatar(tmp_path / "flat.jghand", flat)
+
+
 def test_any_name_can_be_made_one_that_is_written():
     assert as_text("two\nlines\x1b" + "x" * 600) == "twolines" + "x" * 492
     assert as_text("手 · d'Ève") == "手 · d'Ève"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
+from jghand_engine.avatar import builtin
 from jghand_engine.avatar.builtin import ASSETS, load_builtin, load_painted
+from jghand_engine.avatar.file import save_avatar
 from jghand_engine.avatar.tiers import LOST_MAX_DB, Tier
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
@@ -138,7 +141,7 @@ def test_the_trained_avatar_answers_any_light_and_has_its_angles_and_its_license
     assert avatar.learned.cast is not None
     assert len(avatar.info.pose_statistics) == 30
     assert avatar.info.learned_from is not None
-    assert avatar.info.learned_from.pictures == 424
+    assert avatar.info.learned_from.pictures == 268
     assert "CC0-1.0" in avatar.info.license
     assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
 
@@ -164,3 +167,12 @@ def test_the_trained_avatar_is_closed_and_keeps_to_the_hand(pose):
     assert count == 1
     inside = binary_erosion(solid, iterations=4)
     assert frame.rgba[..., 3][inside].min() > 0.98
+
+
+def test_a_hand_in_the_assets_is_called_by_its_name(tmp_path, monkeypatch):
+    (tmp_path / "hands").mkdir()
+    save_avatar(tmp_path / "hands" / "child.jghand", load_painted(handedness=Handedness.RIGHT).prefix(50))
+    monkeypatch.setattr(builtin, "ASSETS", tmp_path)
+    monkeypatch.setattr(builtin, "SHIPPED", ("builtin", "painted", "child"))
+    assert len(builtin.load_avatar_called("child")) == 50
+    assert builtin.avatar_sha256("child") == hashlib.sha256((tmp_path / "hands/child.jghand").read_bytes()).hexdigest()

@@ -95,10 +95,10 @@ class RecordingLayout:
             check_property(arguments["dataptr"], arguments["propname"])
             check_property(arguments["active_dataptr"], arguments["active_propname"])
             assert hasattr(bpy.types, arguments["listtype_name"])
-        if function == "operator":
-            return _Button(drawn)
         if function == "operator_menu_enum":
             assert arguments["property"] in operator_type(arguments["operator"]).properties
+        if function in ("operator", "operator_menu_enum"):
+            return _Button(drawn)
         returned = [one for one in known if one.is_output]
         return RecordingLayout(self.drawn) if returned and returned[0].type == "POINTER" else None
 

@@ -55,7 +55,7 @@ def stand_in(stand_in_command) -> Iterator[EngineLink]:
 @pytest.fixture
 def engine(engine_python) -> Iterator[EngineLink]:
     """A link to the real engine."""
-    yield from _use(EngineLink(lambda: [engine_python, "-I", "-m", "jghand_engine", "serve", "--stdio-handshake"]))
+    yield from _use(EngineLink(lambda: [engine_python, "-I", "-m", "jghand_engine", "serve"]))
 
 
 def _use(link: EngineLink) -> Iterator[EngineLink]:

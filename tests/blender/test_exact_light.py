@@ -120,7 +120,7 @@ def plain_hand(engine_python, tmp_path_factory) -> str:
     [
         (of_soft_light_and_a_red_wall, 0.5, 0.05),
         (of_a_window_with_blinds, 0.65, 0.09),
-        (of_a_mesh_that_shines, 0.15, 0.1),
+        (of_a_mesh_that_shines, 0.15, 0.12),
     ],
     ids=["red wall", "blinds", "panel"],
 )

@@ -39,7 +39,7 @@ def test_a_posed_hand_is_a_textured_mesh_in_blender(tmp_path, kind):
     assert [layer.name for layer in hand.data.uv_layers] == ["UVMap"]
     (material,) = hand.data.materials
     images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"]
-    assert [tuple(image.size) for image in images] == [(512, 512)]
+    assert [tuple(image.size) for image in images] == [(2048, 2048)]
     # skin, not black: red is its strongest color
     red, green, blue, _ = np.array(images[0].pixels).reshape(-1, 4).mean(axis=0)
     assert red > green > blue > 0.1

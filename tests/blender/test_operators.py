@@ -49,6 +49,7 @@ NOT_UNDONE = {
     "make_pose_assets": "writes files and a preference",
     "export_scene_usd": "writes a file",
     "add_picture_preset": "writes a file",
+    "install_hands": "writes files of the user",
 }
 _NEEDS_NOTHING = "makes what it needs, or needs nothing"
 _ROW = "is a button beside what it is for, which it is told"
@@ -57,7 +58,7 @@ ANYWHERE = {
     **dict.fromkeys(
         ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
     ),
-    **dict.fromkeys(("open_preferences", "train", "export_scene_usd"), _NEEDS_NOTHING),
+    **dict.fromkeys(("open_preferences", "train", "export_scene_usd", "install_hands"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
     **dict.fromkeys(("add_picture_preset",), _ROW),

@@ -18,6 +18,7 @@ GONE = {
     "scene.shadow_strength": "the hands that ship have no such shadow, and no light of a scene has",
     "scene.shadow_radius_mm": "as the strength",
     "scene.output.use_cache": "a bake is played by Blender's own USD reader alone",
+    "scene.output.sizes": "radii are written in every frame where a hand changes its size",
     "scene.output.replace_others": "a click is asked about what it overwrites",
     "hand.bake_id": "a bake lies in the folder of its hand's name",
     "scene.training.overwrite": "a click is asked about what it overwrites",

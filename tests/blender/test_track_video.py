@@ -156,7 +156,7 @@ def test_the_hand_that_add_hand_made_takes_the_motion_where_it_stands(
 
 @pytest.mark.parametrize("unit_m", [1.0, 0.01])
 def test_the_films_camera_sees_the_hand_where_the_film_shows_it(extension, engine, video, capfd, unit_m):
-    """540 x 960 pixels, 60 degrees across the longer edge, looking along y; the film plays frame for frame."""
+    """540 x 960 pixels, 66 degrees across the longer edge, looking along y; the film plays frame for frame."""
     scene = extension.scene
     scene.render.fps, scene.unit_settings.scale_length = 24, unit_m
     scene.cursor.location = (1, 2, 3)
@@ -174,7 +174,7 @@ def test_the_films_camera_sees_the_hand_where_the_film_shows_it(extension, engin
     assert bpy.path.abspath(behind.clip.filepath) == str(video)
     assert behind.clip.frame_start == 11
     assert "cannot play the film" in capfd.readouterr().out, "it is none"
-    focal = 960 / 2 / np.tan(np.radians(30))
+    focal = 960 / 2 / np.tan(np.radians(33))
     for frame in range(FRAMES):
         seen = armature.read_hand(hand, armature.at_frame(scene, 11 + frame)).joints_world_m
         x, y, z = joints[frame].T

@@ -68,7 +68,7 @@ rng = np.random.default_rng(0)
 points, sigma = (rng.uniform(0.001, 0.1, shape).astype(np.float32) for shape in ((5, 500, 3), 500))
 opacity, rgb = (rng.uniform(0, 1, shape).astype(np.float32) for shape in (500, (500, 3)))
 path = Path({folder!r}) / "splats.usdc"
-layer = SplatLayer.new(path, Cloud(points[0], sigma, opacity, rgb), TimeRange(5, 30.0), Look(), Sample(points[0]))
+layer = SplatLayer.new(path, Cloud(points[0], sigma, opacity, rgb), TimeRange(5, 30.0), Look())
 for frame in range(5):
     layer.put(frame, Sample(points[frame]))
 layer.finish()
@@ -93,11 +93,11 @@ print("sound")
 """
 WAYS = {
     "layers": {},
-    "sizes": {"sizes": "per_frame", "radiance": "linear"},
+    "linear": {"radiance": "linear"},
     "usdc": {"package": "usdc"},
     "usdz": {"package": "usdz"},
 }
-FILES = ("layers/hand.usda", "layers/hand.shot.usda", "sizes/hand.usda", "usdc/hand.usdc",
+FILES = ("layers/hand.usda", "layers/hand.shot.usda", "linear/hand.usda", "usdc/hand.usdc",
          "usdz/hand.usdz")  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def test_the_exporter_runs_on_blenders_own_usd(tmp_path):
         # worst observed 1.2e-7 m, float32 against float64
         assert told[name]["off_m"] < 2e-7, name
     compared = {name.split("/")[0] for name in FILES if told[name]["off_m"] > 0}
-    assert compared == {"layers", "sizes", "usdc", "usdz"}
+    assert compared == {"layers", "linear", "usdc", "usdz"}
 
 
 def test_every_blender_writes_the_splats_themselves(tmp_path):

@@ -26,7 +26,7 @@ def main(folder: Path, variant: Variant, handedness: Handedness, radiance: str) 
     avatar, motion = small_avatar(), lively_motion(handedness, frames=12)
     up, eye_m = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([0.1, 0.2, 0.6])
     camera = Camera.looking_at(eye_m, torch.zeros(3), up, width=640, height=480, focal_px=900)
-    options = UsdOptions(default_variant=variant, sizes="per_frame", radiance=radiance)
+    options = UsdOptions(default_variant=variant, radiance=radiance)
     export_usd(folder, avatar, motion, [camera], options)
     centers, radii = engine_gaussians(avatar, motion)
     np.savez(

@@ -101,15 +101,10 @@ def test_both_hands_in_a_set_must_be_told_apart_by_the_user(tmp_path):
     assert read_interhand(tmp_path, CaptureChoice(sequences=("ROM_JGHAND",))).handedness is RIGHT
 
 
-def test_pictures_of_two_hands_are_taken_only_when_wanted_and_then_with_the_projected_mask(changeable):
+def test_pictures_of_two_hands_are_left_out(changeable):
     with edited(changeable, "data") as content:
         content["annotations"][0]["hand_type"] = "interacting"
     assert read_interhand(changeable).dropped == (("both hands", 1),)
-    capture = read_interhand(changeable, CaptureChoice(interacting=True))
-    projected = [one for one in capture.samples if one.mask_source is MaskSource.TEMPLATE]
-    assert len(capture) == 4
-    assert len(projected) == 1
-    assert "1 of 4 images have no mask" in capture.notes[0]
 
 
 def test_a_picture_whose_hand_is_doubtful_is_left_out(changeable):

@@ -263,7 +263,7 @@ def test_what_breaks_while_rendering_ends_with_its_code(tmp_path, command, monke
     def broken(*_):
         raise error
 
-    monkeypatch.setattr(HandRenderer, "render", broken)
+    monkeypatch.setattr(HandRenderer, "render_moments", broken)
     got, err = command("render", "--poses", "open", "--out", tmp_path / "out", *SMALL)
     assert got == code
     assert said in err

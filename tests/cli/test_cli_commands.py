@@ -242,7 +242,8 @@ def test_a_real_capture_is_rendered_upright_and_whole(tmp_path, shared_data):
         alpha = read_png(tmp_path / f"frame_{frame:05d}.png")[..., 3]
         assert 0.05 < (alpha > 128).mean() < 0.6
         assert not alpha[:, [0, -1]].any()
-        assert not alpha[[0, -1]].any()
+        # the forearm leaves the picture below
+        assert not alpha[0].any()
 
 
 # ---- motions ---------------------------------------------------------------------------------------------------------
@@ -408,9 +409,9 @@ def usd_options(monkeypatch):
 
 
 def test_export_hands_its_options_on(tmp_path, usd_options):
-    words = ("--name", "mine", "--radiance", "linear", "--width-factor", "2", "--sizes", "per_frame")
+    words = ("--name", "mine", "--radiance", "linear", "--width-factor", "2")
     assert run("export", "--poses", "open", "--out", tmp_path, *words, "--default-variant", "mesh") == 2
-    assert usd_options == [UsdOptions("mine", Variant.MESH, "linear", "per_frame", 2.0)]
+    assert usd_options == [UsdOptions("mine", Variant.MESH, "linear", 2.0)]
 
 
 @pytest.mark.parametrize(
@@ -427,18 +428,6 @@ def test_export_hands_its_options_on(tmp_path, usd_options):
 def test_a_preset_chooses_what_was_not_asked_for(tmp_path, usd_options, words, variant, width_factor):
     assert run("export", "--poses", "open", "--out", tmp_path, *words) == 2
     assert usd_options == [UsdOptions(default_variant=variant, width_factor=width_factor)]
-
-
-def test_export_says_when_constant_radii_are_far_from_those_of_the_frames(avatar, tmp_path, capsys):
-    words = ("--poses", "open,fist", "--avatar", "painted", "--frames", "0:9")
-    assert run("export", *words, "--out", tmp_path / "poses") == 0
-    assert "--sizes per_frame" not in capsys.readouterr().out
-    joints_m = pose_sequence_of_names(("open",), avatar.canonical_joints_m, handedness="right").joints_m[0]
-    growing_m = joints_m * np.linspace(0.8, 1.2, 5)[:, None, None]
-    np.save(tmp_path / "growing.npy", from_level(growing_m, JointOrder.STANDARD))
-    words = ("--motion", tmp_path / "growing.npy", "--hand", "right", "--avatar", "painted", "--any-proportions")
-    assert run("export", *words, "--keep-bone-lengths", "--out", tmp_path / "growing") == 0
-    assert "Constant radii are up to 25 % off those of a frame: --sizes per_frame" in capsys.readouterr().out
 
 
 def test_export_leaves_a_shot_that_was_edited_alone_unless_told(tmp_path, capsys):
@@ -524,8 +513,8 @@ def test_export_writes_a_web_page(tmp_path, capsys):
     [
         ("ply", "--radiance", "linear"),
         ("usd", "--axes", "rub"),
-        ("glb", "--sizes", "per_frame"),
-        ("web", "--sizes", "per_frame"),
+        ("glb", "--package", "usdz"),
+        ("web", "--radiance", "linear"),
         ("web", "--axes", "rub"),
         ("web", "--light", "sky.hdr"),
         ("usd", "--light", "sky.hdr"),

@@ -46,10 +46,9 @@ def file(trained, tmp_path):
     return tmp_path / "hand.jghand"
 
 
-@pytest.mark.parametrize("storage", ["compact", "exact"])
-def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
+def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys):
     out, told = tmp_path / "fast.jghand", tmp_path / "told.json"
-    assert run("distill", file, "--out", out, "--basis", "1,4,9", "--storage", storage, "--json", told) == 0
+    assert run("distill", file, "--out", out, "--basis", "1,4,9", "--json", told) == 0
     said = capsys.readouterr().out
     for name in ("exact", "linear-1", "linear-4", "linear-9", "frame ms", "lost dB", "made-up poses"):
         assert name in said
@@ -59,7 +58,7 @@ def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     assert lost[0] > lost[1] > lost[2] > 0
     assert all(tier["frame_ms"] > 0 for tier in tiers.values())
     distilled = load_avatar(out)
-    plain = stored_form(trained, Storage(storage))
+    plain = stored_form(trained, Storage.COMPACT)
     assert (distilled.rgb == plain.rgb).all()
     kept = [price for price in distilled.learned.distilled.prices if price.tier is Tier.LINEAR]
     assert len(kept) == 1

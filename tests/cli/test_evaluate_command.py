@@ -49,7 +49,7 @@ def test_a_forearm_that_pictures_show_and_an_avatar_has_not_is_told_beside_the_f
     words = ("--out", out, "--limit", 1, "--preset", "draft", "--figures-only")
     (place / PLAN_FILE).parent.mkdir()
     (place / PLAN_FILE).write_text('{"render": {"forearm": true}}')
-    assert run("evaluate", "builtin", place, *words) == 0
+    assert run("evaluate", "painted", place, *words) == 0
     for told in (capsys.readouterr().out, (out / "tables.md").read_text(encoding="utf-8")):
         assert "shows the forearm, and a hand on makehuman-soma-right-1 has none" in " ".join(told.split())
     assert forearm_note(open_capture(folder), BUILTIN_TEMPLATE) is None

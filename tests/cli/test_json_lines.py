@@ -13,7 +13,7 @@ import pytest
 from jghand_engine.cli import main
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.failures import explain
-from jghand_engine.cli.machine import JsonLines, JsonProgress, JsonTraining, json_lines
+from jghand_engine.cli.progress_json import JsonLines, JsonProgress, JsonTraining, json_lines
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.files import file_error
 from jghand_engine.learn.progress import Status

@@ -11,7 +11,7 @@ import pytest
 
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.forearm import ended
-from jghand_engine.cli.frame_files import made_from
+from jghand_engine.cli.frame_files import render_stamp
 from jghand_engine.cli.inputs import load_motion
 from jghand_engine.cli.options import FormatOptions, MotionOptions
 from jghand_engine.hand.sequence import PoseSequence
@@ -24,7 +24,7 @@ MOVED = np.array([0.001, 0.0, 0.0])
 
 def stamp(path: Path | None = None, **words) -> dict[str, str]:
     options = MotionOptions(motion=path, format=FormatOptions(hand="right"), **words)
-    return made_from("avatar", options, load_motion(options, AVATAR), preset("draft"), {}, whole=True)
+    return render_stamp("avatar", options, load_motion(options, AVATAR), preset("draft"), {}, whole=True)
 
 
 @pytest.fixture(scope="module")

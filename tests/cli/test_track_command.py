@@ -134,7 +134,6 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
     [
         (["--hand", "left"], "a left hand"),
         (["--hand", "both"], "both hands"),
-        (["--film-camera", "camera.json", "--in-place"], "--in-place"),
         (["--film-camera", "camera.png"], "ends in .json"),
         (["--hand-length", "18"], "hand length"),
         (["--hand-length", "0.19"], "60 to 400 mm"),

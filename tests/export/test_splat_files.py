@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from small_avatars import ellipsoid_avatar, known_avatar, trained_avatar
+from small_avatars import known_avatar, trained_avatar
 from usd_samples import engine_gaussians, lively_motion, small_avatar
 
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
@@ -184,9 +184,7 @@ def test_a_light_that_is_told_falls_on_the_splats(tmp_path):
     assert (rgb[1, 1] > 0.05).any()
 
 
-@pytest.mark.parametrize(
-    "avatar", [trained_avatar(), known_avatar(), ellipsoid_avatar()], ids=["own", "known", "shapes"]
-)
+@pytest.mark.parametrize("avatar", [trained_avatar(), known_avatar()], ids=["own", "known"])
 def test_light_comes_from_above_whichever_axis_points_up(avatar):
     motion = lively_motion(Handedness.RIGHT, 2)
     # x, y, z of a world with z up, as Blender has it
@@ -199,12 +197,6 @@ def test_light_comes_from_above_whichever_axis_points_up(avatar):
         )
         assert np.abs(one.rgb - other.rgb).max() < 1e-5
         assert np.abs(one.positions_m - other.positions_m).max() < 1e-7
-        axes = [Rotation.from_quat(cloud.rotations_wxyz, scalar_first=True).as_matrix() for cloud in (one, other)]
-        shapes = [
-            turn * cloud.scales_m[:, None] ** 2 @ turn.swapaxes(1, 2)
-            for turn, cloud in zip(axes, (one, other), strict=True)
-        ]
-        assert np.allclose(*shapes, atol=1e-10)
 
 
 @pytest.mark.parametrize("format", ["splat", "glb", "spz"])

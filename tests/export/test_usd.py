@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+from scipy.spatial.transform import Rotation
 from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 from usd_stages import opened
 
 from jghand_engine.avatar.avatar import LearnedFrom
+from jghand_engine.avatar.posing import Posing
 from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
@@ -23,8 +25,8 @@ from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.hand.skeleton import Transform
 from jghand_engine.render.camera import Camera
-from jghand_engine.template.builtin import load_template
-from jghand_engine.template.mesh import mirrored
+from jghand_engine.template.builtin import load_template, load_template_with_forearm
+from jghand_engine.template.mesh import mirrored, skinned
 
 pytestmark = pytest.mark.usefixtures("no_usd_warnings")
 
@@ -114,6 +116,32 @@ def test_mesh_skinned_by_usd_is_the_engine_s(export):
     read = skinned_mesh(opened(report.stage, Variant.MESH), list(range(FRAMES)))
     # worst observed 0.00011 mm; 0.01 mm is wanted
     assert np.abs(read - engine_mesh(motion)).max() < 2e-7
+
+
+@pytest.mark.parametrize("handedness", list(Handedness))
+def test_skin_and_splats_of_a_turned_forearm_are_the_engine_s(tmp_path, handedness):
+    avatar, template = small_avatar(), load_template_with_forearm()
+    rest_m = np.concatenate([avatar.position_m, template.vertices_m[1609::3]]).astype(np.float32)
+    weights = np.concatenate([avatar.bone_weights, template.bone_weights[1609::3]]).astype(np.float32)
+    rows = np.arange(len(rest_m)) % len(avatar)
+    others = {name: getattr(avatar, name)[rows] for name in ("sigma_m", "opacity", "rgb", "uvd")}
+    info = replace(avatar.info, template=template.identifier)
+    avatar = replace(avatar, info=info, position_m=rest_m, bone_weights=weights, handedness=handedness, **others)
+    turns = Rotation.from_rotvec(np.linspace(-1.2, 1.2, 6)[:, None] * [[0.4, 0.8, 0.9]]).as_quat()[:, [3, 0, 1, 2]]
+    motion = replace(lively_motion(handedness, 6), forearm=turns)
+    report = export_usd(tmp_path, avatar, motion)
+    skin, skeleton = mirrored(template) if handedness is Handedness.LEFT else template, avatar.skeleton()
+    map_weights = avatar.map_weights(template.vertices_m, template.bone_weights)
+    truth = [skinned(template.vertices_m, map_weights, skeleton, one.joints_m, one.forearm) for one in motion.poses]
+    read = skinned_mesh(opened(report.stage, Variant.MESH), list(range(6)))
+    assert read.shape[1] == len(skin.vertices_m)
+    # worst observed 1.2e-7
+    assert np.abs(read - truth).max() < 3e-7
+    written = values(report, Variant.SPLATS, "/Hand/Splats", "positions", range(6))
+    posed = [Posing(avatar, threads=1)(one.joints_m, one.forearm).position_m for one in motion.poses]
+    assert np.abs(written - posed).max() < 1e-6
+    straight = made_from(avatar, replace(motion, forearm=None))
+    assert made_from(avatar, motion).items() > straight.items()
 
 
 @pytest.mark.parametrize(("scale_mode", "swing"), [("uniform", "minimal"), (0.3, "minimal"), ("axial", "euler")])
@@ -214,9 +242,10 @@ def test_bounds_hold_every_gaussian_on_every_frame(export):
     report = export[0]
     stage = opened(report.stage, Variant.SPLATS)
     splats = stage.GetPrimAtPath("/Hand/Splats")
-    radius = 3 * np.asarray(splats.GetAttribute("scales").Get())
     for frame in range(FRAMES):
-        positions, extent = (np.asarray(splats.GetAttribute(name).Get(frame)) for name in ("positions", "extent"))
+        names = ("positions", "extent", "scales")
+        positions, extent, scales = (np.asarray(splats.GetAttribute(name).Get(frame)) for name in names)
+        radius = 3 * scales
         assert np.allclose(extent, [(positions - radius).min(axis=0), (positions + radius).max(axis=0)], atol=1e-7)
 
 
@@ -294,26 +323,30 @@ def test_linear_radiance_is_light_and_says_so(tmp_path):
     assert check_usd(light.stage) == []
 
 
-def test_sizes_per_frame_are_the_engine_s_and_constant_ones_report_their_error(export, tmp_path):
+def test_radii_of_a_hand_that_changes_its_size_are_the_engine_s_in_every_frame(export):
     report, avatar, motion = export
     _, truth = engine_gaussians(avatar, motion)
-    exact = export_usd(tmp_path, avatar, motion, [], UsdOptions(sizes="per_frame"))
-    assert check_usd(exact.stage) == []
-    written = values(exact, Variant.SPLATS, "/Hand/Splats", "scales", range(FRAMES))
+    written = values(report, Variant.SPLATS, "/Hand/Splats", "scales", range(FRAMES))
     # worst observed 8e-7
     assert np.abs(written / truth[..., None] - 1).max() < 2e-6
+    assert report.sigma_error == 0
+
+
+def test_radii_of_a_hand_that_keeps_its_size_are_constant_and_report_their_error(tmp_path):
+    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, FRAMES, length_change=0.0)
+    report = export_usd(tmp_path, avatar, motion)
+    _, truth = engine_gaussians(avatar, motion)
     constant = values(report, Variant.SPLATS, "/Hand/Splats", "scales")[0, :, 0]
+    stage = opened(report.stage, Variant.SPLATS)
+    assert stage.GetPrimAtPath("/Hand/Splats").GetAttribute("scales").GetNumTimeSamples() == 0
     assert report.sigma_error == pytest.approx(np.abs(constant / truth - 1).max(), rel=1e-4)
-    assert exact.sigma_error == 0
 
 
 def test_a_point_is_two_standard_deviations_wide_times_the_factor(export, tmp_path):
     _, avatar, motion = export
     _, sigma_m = engine_gaussians(avatar, motion)
     for factor in (1.0, 1.5):
-        report = export_usd(
-            tmp_path / str(factor), avatar, motion, [], UsdOptions(sizes="per_frame", width_factor=factor)
-        )
+        report = export_usd(tmp_path / str(factor), avatar, motion, [], UsdOptions(width_factor=factor))
         widths = values(report, Variant.POINTS, "/Hand/Points", "widths", range(FRAMES))
         assert np.abs(widths / (2 * factor * sigma_m) - 1).max() < 2e-6
 
@@ -328,7 +361,9 @@ def test_positions_are_stored_once_for_splats_and_points(tmp_path):
     """Crate keeps equal arrays once per file: a further frame costs 12 bytes per Gaussian and a little."""
     avatar = small_avatar()
     short, long = (
-        export_usd(tmp_path / str(n), avatar, lively_motion(Handedness.RIGHT, n)).bytes["hand.splats.usdc"]
+        export_usd(tmp_path / str(n), avatar, lively_motion(Handedness.RIGHT, n, length_change=0.0)).bytes[
+            "hand.splats.usdc"
+        ]
         for n in (30, 60)
     )
     # worst observed 1.015
@@ -401,7 +436,7 @@ def test_an_avatar_that_follows_the_joints_in_another_way_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"name": "a/b"}, {"default_variant": "cloud"}, {"radiance": "aces"}, {"sizes": "x"}, {"width_factor": 0.0}],
+    [{"name": "a/b"}, {"default_variant": "cloud"}, {"radiance": "aces"}, {"width_factor": 0.0}],
 )
 def test_wrong_options_are_named(wrong):
     with pytest.raises(InputError, match=str(next(iter(wrong.values())))):

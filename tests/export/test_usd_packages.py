@@ -6,25 +6,19 @@ import struct
 import subprocess
 import sys
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pxr import Usd
-from small_avatars import ellipsoid_avatar
-from usd_samples import FPS, lively_motion, small_avatar
+from usd_samples import lively_motion, small_avatar
 from usd_stages import opened
 
 from jghand_engine.errors import InputError
-from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.usd import package
 from jghand_engine.export.usd.check import NO_SPLATS, check_usd
 from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.template.builtin import load_template
 
 pytestmark = pytest.mark.usefixtures("no_usd_warnings")
 
@@ -142,59 +136,3 @@ def test_a_long_take_is_never_in_memory_at_once(package):
     script = MEMORY.format(folder=str(Path(__file__).parent), package=package)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=300)
     assert float(done.stdout) < 15
-
-
-# ---- Gaussians that are no balls -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("handedness", list(Handedness))
-def test_ellipsoids_keep_their_shape_in_every_frame(tmp_path, handedness):
-    avatar = ellipsoid_avatar(300)
-    avatar = replace(avatar, info=replace(avatar.info, template=load_template().identifier))
-    motion = lively_motion(handedness, 4)
-    report = export_usd(tmp_path, avatar, motion)
-    assert check_usd(report.stage) == []
-    stage = opened(report.stage)
-    splats = stage.GetPrimAtPath("/Hand/Splats")
-    posing = HandMotion(avatar, motion)
-    for time, posed in [(Usd.TimeCode.Default(), posing.rest()), *((frame, posing.frame(frame)) for frame in range(4))]:
-        # worst observed 6e-7
-        assert _shape_errors(splats, time, posed.covariance_m2).max() < 2e-6
-
-
-def _shape_errors(splats: Usd.Prim, time, covariance_m2: np.ndarray) -> np.ndarray:
-    """(N,) how far the covariances of splats are off at a time, as a part of what they should be, (N, 6)."""
-    scales = np.array(splats.GetAttribute("scales").Get(time), np.float64)
-    turns = np.array([np.array(_matrix(one)) for one in splats.GetAttribute("orientations").Get(time)])
-    covariance = np.einsum("nab,nb,ncb->nac", turns, scales**2, turns)
-    xx, xy, xz, yy, yz, zz = covariance_m2.astype(np.float64).T
-    wanted = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
-    return np.linalg.norm(covariance - wanted, axis=(1, 2)) / np.linalg.norm(wanted, axis=(1, 2))
-
-
-def test_ellipsoids_between_two_frames_are_what_they_are_there(tmp_path):
-    """Readers interpolate turns and sizes, so the axes must keep their order and signs from frame to frame."""
-    avatar = ellipsoid_avatar(300)
-    avatar = replace(avatar, info=replace(avatar.info, template=load_template().identifier))
-    fine = lively_motion(Handedness.RIGHT, 81)
-    report = export_usd(tmp_path, avatar, PoseSequence(fine.joints_m[::2], FPS, Handedness.RIGHT))
-    stage = opened(report.stage)
-    splats = stage.GetPrimAtPath("/Hand/Splats")
-    posing = HandMotion(avatar, fine)
-    errors = [_shape_errors(splats, frame + 0.5, posing.frame(2 * frame + 1).covariance_m2) for frame in range(40)]
-    turns = np.stack([np.array(splats.GetAttribute("orientations").Get(frame)) for frame in range(41)])
-    assert (np.sum(turns[1:] * turns[:-1], axis=-1) > 0).all(), "the short way round"
-    # worst observed 0.031, where an ellipsoid turns by much between two frames; 1.4 with the axes as they come
-    assert np.max(errors) < 0.04
-
-
-def _matrix(quaternion) -> np.ndarray:
-    """(3, 3) on column vectors, from USD's quaternion."""
-    w, (x, y, z) = quaternion.GetReal(), quaternion.GetImaginary()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from golden_store import read
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
@@ -19,10 +20,9 @@ from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.stage import Variant
 from jghand_engine.export.web.page import WebView, export_web
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.poses import named_pose, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
-from jghand_engine.render.blur import shutter_at
+from jghand_engine.render.blur import Moment, shutter_at
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import ShadowMode, preset
@@ -45,8 +45,11 @@ def avatar_of(name: str, hand: Handedness) -> HandAvatar:
     return replace(avatar, learned=replace(avatar.learned, ellipsoid=shape))
 
 
-def joints_of(pose: str, avatar: HandAvatar, hand: Handedness) -> np.ndarray:
-    return named_pose(pose, np.asarray(avatar.canonical_joints_m), handedness=hand)
+def joints_of(pose: str, hand: Handedness) -> np.ndarray:
+    """Of the shipped avatars in a pose as joints.npz has it, right hands: the named poses of one day, for a case says
+    what is drawn of joints, not what a pose is. "to_fist" are three frames on the way from an open hand."""
+    joints_m = read("joints")[pose]
+    return joints_m * (-1.0, 1.0, 1.0) if hand is LEFT else joints_m
 
 
 # ---- cameras --------------------------------------------------------------------------------------------------------
@@ -176,32 +179,30 @@ def drawn(picture: Picture, jitter_m: np.ndarray | float = 0.0) -> Frame:
     def placed(joints_m: np.ndarray) -> np.ndarray:
         return picture.scale * joints_m + np.array(picture.offset_m) + jitter_m
 
-    joints_m = placed(joints_of(picture.pose, avatar, picture.hand))
+    joints_m = placed(joints_of(picture.pose, picture.hand))
     if picture.pair:
         other = LEFT if picture.hand is RIGHT else RIGHT
-        beside_m = placed(joints_of("fist", avatar, other)) + np.array([0.02, -0.01, 0.06])
+        beside_m = placed(joints_of("fist", other)) + np.array([0.02, -0.01, 0.06])
         scene = SceneRenderer([avatar, avatar_of(picture.avatar, other)], settings)
         return scene.render([joints_m, beside_m], view)
-    shutter = None
+    moments = [Moment([joints_m], view)]
     if picture.moving:
-        # the middle of the way from an open hand
-        canonical = np.asarray(avatar.canonical_joints_m)
-        motion = pose_sequence_of_names(("open", picture.pose), canonical, handedness=picture.hand).joints_m
-        middle = len(motion) // 2
-        joints_m, shutter = placed(motion[middle]), shutter_at(placed(motion), middle, picture.moving)
-    return HandRenderer(avatar, settings).render(joints_m, view, shutter)
+        motion = joints_of(f"to_{picture.pose}", picture.hand)
+        moments = shutter_at(placed(motion), 1, picture.moving, view)
+    frame = HandRenderer(avatar, settings).render_moments(moments, [1.0] * len(moments))
+    return replace(frame, depth_m=frame.covered_depth_m)
 
 
 # ---- exports --------------------------------------------------------------------------------------------------------
 
 
-def motion_of(avatar: HandAvatar, hand: Handedness) -> PoseSequence:
+def motion_of(hand: Handedness) -> PoseSequence:
     """Three poses of a hand that turns and wanders."""
     frames = []
     for index, pose in enumerate(("open", "pinch", "fist")):
         sine, cosine = np.sin(0.4 * index), np.cos(0.4 * index)
         turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-        frames.append(joints_of(pose, avatar, hand) @ turn.T + index * np.array([0.01, -0.02, 0.03]))
+        frames.append(joints_of(pose, hand) @ turn.T + index * np.array([0.01, -0.02, 0.03]))
     return PoseSequence(np.stack(frames), 24, hand)
 
 
@@ -216,7 +217,7 @@ class Export:
     def __call__(self, folder: Path) -> None:
         # the first Gaussians cover the whole hand evenly, and more of them would tell nothing new
         avatar = avatar_of(self.avatar, self.hand).prefix(4000)
-        self.write(folder, avatar, motion_of(avatar, self.hand))
+        self.write(folder, avatar, motion_of(self.hand))
 
 
 def usd(**options: Any) -> Callable[[Path, HandAvatar, PoseSequence], object]:
@@ -245,11 +246,11 @@ def motion_file(folder: Path, _avatar: HandAvatar, motion: PoseSequence) -> None
 EXPORTS: dict[str, dict[str, Export]] = {
     "usd": {
         "usd-layers": Export("builtin", RIGHT, usd()),
-        "usd-one-file": Export("builtin", LEFT, usd(package="usdc", radiance="linear", sizes="per_frame")),
+        "usd-one-file": Export("builtin", LEFT, usd(package="usdc", radiance="linear")),
         "usd-zip": Export("painted", RIGHT, usd(package="usdz", default_variant=Variant.POINTS_SKINNED)),
     },
     "splats": {
-        "ply": Export("stretched", RIGHT, splats("ply")),
+        "ply": Export("builtin", RIGHT, splats("ply")),
         "glb": Export("builtin", LEFT, splats("glb")),
         "spz": Export("painted", RIGHT, splats("spz")),
         "splat": Export("builtin", RIGHT, splats("splat", up="z")),

@@ -9,7 +9,17 @@ from hand import sampled_hands as hands
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.kinematics import FRAME_RANGES_DEG, RANGES_DEG, ArticulatedHand, Contact
+from jghand_engine.hand.kinematics import (
+    BESIDE_PARTS,
+    FRAME_RANGES_DEG,
+    RANGES_DEG,
+    REST_PART,
+    TIP_THICKNESS_PART,
+    ArchingHand,
+    ArticulatedHand,
+    Contact,
+    segment_gap,
+)
 from jghand_engine.hand.orders import JointOrder, bone_lengths, check_order, to_level
 from jghand_engine.hand.poses import (
     CONTACTS,
@@ -46,11 +56,11 @@ def _other_hands():
 
 
 @pytest.mark.parametrize("name", pose_names())
-def test_poses_keep_wrist_knuckles_and_bone_lengths(name):
+def test_poses_keep_wrist_middle_knuckle_and_bone_lengths(name):
     for canonical in _other_hands():
         joints = named_pose(name, canonical, handedness=Handedness.RIGHT)
         assert joints.shape == (21, 3)
-        assert np.abs(joints[:6] - canonical[:6]).max() < 1e-15
+        assert np.abs(joints[[0, 1, 3]] - canonical[[0, 1, 3]]).max() < 1e-15
         assert np.abs(bone_lengths(joints) - bone_lengths(canonical)).max() < 1e-15
         check_order(joints)
 
@@ -72,7 +82,8 @@ def test_the_rest_pose_of_the_canonical_hand_does_not_matter():
         torch.from_numpy(named_pose("fist", flat, handedness=Handedness.RIGHT))
     )
     flexion = [frames.angles.reshape(3, 5, 2)[:, 1:, 0] for frames in (bent, straight)]
-    assert (flexion[0] - flexion[1]).abs().max() < np.radians(5)
+    # each lies on its own palm: observed 5.0 degrees, of the pinky
+    assert (flexion[0] - flexion[1]).abs().max() < np.radians(6)
 
 
 def _reach(joints):
@@ -111,22 +122,31 @@ def test_spreading_moves_the_fingertips_apart():
 
 @pytest.mark.parametrize("name", ["pinch", "ok"])
 def test_tips_touch(name):
-    # the joint of the thumb's tip reaches that of the index finger's on a hand of usual proportions
-    joints = named_pose(name, with_a_human_thumb(), handedness=Handedness.RIGHT)
-    assert np.linalg.norm(joints[16] - joints[17]) < 0.001
+    # the skin of the tips, that is, which lies so far from their joints, on a hand of usual proportions
+    canonical = with_a_human_thumb()
+    joints = named_pose(name, canonical, handedness=Handedness.RIGHT)
+    between_m = TIP_THICKNESS_PART * middle_finger_m(canonical)
+    assert abs(np.linalg.norm(joints[16] - joints[17]) - between_m) < 0.001
 
 
 def missed(joints: np.ndarray, contact: Contact, finger: int, length_m: float) -> np.ndarray:
-    """From the thumb's tip to where it should touch, for one hand (21, 3): the finger's tip, or its middle phalanx from
-    behind. length_m: of the middle finger with its metacarpal."""
+    """From the thumb's tip to where it should touch, for one hand (21, 3): before the pad of the finger's tip; or how
+    far the thumb is from the skin of the finger, and how deep in those before. length_m: of the middle finger with its
+    metacarpal."""
     if contact is Contact.TIP:
-        return joints[16 + finger] - joints[16]
-    knuckle, start, end = joints[[1 + finger, 6 + finger, 11 + finger]]
-    along = (end - start) / np.linalg.norm(end - start)
-    # perpendicular to the phalanx, in the plane of the finger, on the side away from the knuckle
-    behind = np.cross(along, np.cross(start - knuckle, along))
-    behind /= np.linalg.norm(behind)
-    return 0.5 * (start + end) + 0.07 * length_m * behind - joints[16]
+        start, end, tip = joints[[6 + finger, 11 + finger, 16 + finger]]
+        along = (tip - end) / np.linalg.norm(tip - end)
+        # perpendicular to the last phalanx, in the plane of the finger, on the side to which it bends
+        pad = np.cross(along, np.cross(along, end - start))
+        return tip + TIP_THICKNESS_PART * length_m * pad / np.linalg.norm(pad) - joints[16]
+
+    def gap(thumb: int, other: int) -> float:
+        bones = (first + other for first in (6, 11))
+        return float(min(segment_gap(*joints[[thumb, thumb + 5, bone, bone + 5]]) for bone in bones))
+
+    deep = [part * length_m - gap(thumb, other) for thumb, part in zip((6, 11), BESIDE_PARTS, strict=True)
+            for other in range(1, finger)]  # fmt: skip
+    return np.array([gap(11, finger) - REST_PART * length_m, *np.maximum(deep, 0)])
 
 
 def middle_finger_m(joints: np.ndarray) -> float:
@@ -137,9 +157,9 @@ def middle_finger_m(joints: np.ndarray) -> float:
 def test_no_other_angles_of_the_thumb_touch_better(name):
     """The air that is left against the turn away from the pose, each as a part of what is bearable."""
     canonical, random = with_a_human_thumb(), np.random.default_rng(0)
-    hand, length_m = ArticulatedHand(canonical), middle_finger_m(canonical)
+    hand, length_m = ArchingHand(canonical), middle_finger_m(canonical)
     contact, finger = CONTACTS[name]
-    start, solved = named_angles(name), angles_on(hand, name)
+    start, solved = hand.eased(named_angles(name)), angles_on(hand, name)
     moving = np.zeros((5, 4), dtype=bool)
     moving[[0, finger] if contact is Contact.TIP else 0] = True
 
@@ -150,8 +170,8 @@ def test_no_other_angles_of_the_thumb_touch_better(name):
     assert np.array_equal(solved[~moving], start[~moving])
     assert (solved >= RANGES_DEG[..., 0]).all()
     assert (solved <= RANGES_DEG[..., 1]).all()
-    # steps that stay far from the finger come nearer slowly: worst observed 1.2e-4
-    slack = 1e-6 if contact is Contact.TIP else 2e-4
+    # steps that stay far from the finger come nearer slowly: worst observed 1.9e-3
+    slack = 1e-6 if contact is Contact.TIP else 3e-3
     for step_deg in (0.1, 1.0, 10.0):
         for _ in range(40):
             other = np.where(moving, solved + step_deg * random.normal(size=(5, 4)), solved)
@@ -162,10 +182,11 @@ def test_no_other_angles_of_the_thumb_touch_better(name):
 def test_tips_touch_on_a_template_built_by_other_code(shared_data):
     with np.load(shared_data / "hand_right.npz", allow_pickle=False) as archive:
         template = to_level(archive["joints"].astype(np.float64), JointOrder.STANDARD)
+    between_m = TIP_THICKNESS_PART * middle_finger_m(template)
     for name in ("pinch", "ok"):
         joints = named_pose(name, template, handedness=Handedness.RIGHT)
         # worst observed 0.15 mm; the table alone leaves 28 mm
-        assert np.linalg.norm(joints[16] - joints[17]) < 3e-4
+        assert abs(np.linalg.norm(joints[16] - joints[17]) - between_m) < 3e-4
 
 
 def test_left_hand_is_the_mirror_image():

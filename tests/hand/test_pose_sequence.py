@@ -1,5 +1,7 @@
 """Motions: validation, gaps, constant bone lengths, resampling, mirroring."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hand import sampled_hands as hands
@@ -207,6 +209,25 @@ def test_resampling_leaves_gaps_where_they_were():
     doubled = broken.resampled(2 * broken.fps)
     missing = np.flatnonzero(~doubled.valid.all(axis=1))
     assert missing.tolist() == [7, 8, 9]
+
+
+def test_a_forearm_turns_with_the_frames_whatever_is_done_to_them():
+    angle_rad = np.linspace(0, 1, 40)
+    turns = np.stack([np.cos(angle_rad / 2), *np.zeros((2, 40)), np.sin(angle_rad / 2)], 1)
+    # of the two quaternions of a rotation any is the same
+    motion = replace(_moving(), forearm=turns * np.where(np.arange(40) % 3, 1, -1)[:, None])
+    np.testing.assert_allclose(motion.forearm, turns)
+    np.testing.assert_allclose(motion.resampled(2 * motion.fps).forearm[::2], turns, atol=1e-12)
+    np.testing.assert_allclose(motion.resampled(2 * motion.fps).forearm[1, 3], np.sin(angle_rad[1] / 4))
+    np.testing.assert_allclose(motion.section(3, 20, 4).forearm, turns[3:20:4])
+    # in the axes of the palm, of a right hand
+    np.testing.assert_allclose(motion.mirrored().forearm, turns)
+    gap = motion.joints_m.copy()
+    gap[7] = np.nan
+    held = replace(motion, joints_m=gap, valid=None).with_gaps_held()
+    np.testing.assert_allclose(held.forearm[7], turns[6])
+    with pytest.raises(InputError, match="forearm"):
+        replace(motion, forearm=turns[1:])
 
 
 def test_a_joint_beyond_a_missing_one_goes_straight_between_frames():

@@ -155,7 +155,7 @@ def test_a_fist_takes_more_light_than_a_flat_hand():
     """Also here, where the anchors lie in the flesh and look anywhere."""
     loss = {name: exponent(CAST, seen_of(name)) for name in ("flat", "fist")}
     assert bool((loss["fist"] <= 1e-6).all())
-    assert float(loss["fist"].mean()) < 2 * float(loss["flat"].mean())
+    assert float(loss["fist"].mean()) < 1.7 * float(loss["flat"].mean())
     assert float(loss["fist"].min()) < -0.3
 
 
@@ -185,7 +185,7 @@ def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
     for moved_m in (joints_m + 1000.0, 1.3 * joints_m):
         got = see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(moved_m)))
         # observed 1.2e-11, a kilometer away
-        torch.testing.assert_close(got.seen, wanted.seen, atol=1.5e-11, rtol=0)
+        torch.testing.assert_close(got.seen, wanted.seen, atol=4e-11, rtol=0)
 
 
 def test_gradients_of_the_joints_are_those_of_differences():

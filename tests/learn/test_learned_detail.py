@@ -109,7 +109,9 @@ def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness, eye_m
     assert drawn is not None
     assert np.abs(log_ratios(drawn.texture) - learner.texture.detach().permute(1, 2, 0).numpy()).max() < 0.003
     template = learner._surface.template
-    native = NativeDetail(library.load("auto"), [DetailedHand(drawn, 1.0, template.joints_m, handedness)])
+    native = NativeDetail(
+        library.load("auto"), [DetailedHand(drawn, 1.0, template.joints_m, handedness, drawn.bone_weights)]
+    )
     native.pose([bones], [bones.root_m])
     native.prepare(planes, camera, [1.0])
     native.run()

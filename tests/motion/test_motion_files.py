@@ -1,6 +1,7 @@
 """Motions survive files, and what a file does not say must be said. Damaged files: tests/hostile_files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,6 +41,29 @@ def test_what_is_written_is_read_back_exactly(tmp_path, suffix, motion):
     assert np.array_equal(again.joints_m, motion.joints_m, equal_nan=True)
     assert np.array_equal(again.valid, motion.valid)
     assert (again.fps, again.handedness) == (motion.fps, motion.handedness)
+
+
+def _with_forearm():
+    turns = np.random.default_rng(0).normal(size=(len(_motion()), 4))
+    return replace(_motion(), forearm=turns)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".json"])
+def test_how_a_forearm_is_turned_is_read_back(tmp_path, suffix):
+    motion = _with_forearm()
+    write_motion(tmp_path / f"motion{suffix}", motion)
+    again = read_motion_file(tmp_path / f"motion{suffix}").sequence
+    np.testing.assert_allclose(again.forearm, motion.forearm, atol=1e-15)
+    with pytest.raises(InputError, match=r"\.npz or \.json"):
+        write_motion(tmp_path / "motion.csv", motion)
+
+
+def test_turns_of_a_forearm_that_are_none_are_named(tmp_path):
+    motion = _motion()
+    for turns in (np.ones((len(motion), 3)), np.ones((len(motion) - 1, 4)), np.zeros((len(motion), 4))):
+        np.savez(tmp_path / "motion.npz", joints_m=from_level(motion.joints_m, JointOrder.STANDARD), forearm=turns)
+        with pytest.raises(InputError, match="forearm"):
+            read_motion_file(tmp_path / "motion.npz", TOLD)
 
 
 @pytest.mark.parametrize("unit", list(METERS_PER_UNIT))

@@ -9,7 +9,7 @@ import pytest
 
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.rotations import axis_rotation
-from jghand_engine.render.blur import Moment, exposures, filled, shutter_at
+from jghand_engine.render.blur import Moment, filled, middle, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.template.builtin import load_template
 
@@ -21,18 +21,23 @@ CAMERA = Camera(200, 100, 150.0, 160.0, 100.0, 50.0, np.eye(4))
 def test_a_shutter_is_open_for_half_of_its_time_before_a_frame_and_half_after_it():
     motion = np.stack([HAND_M + k * STEP_M for k in range(3)])
     for index, before, after in ((0, 0, 1), (1, 1, 1), (2, 1, 0)):  # nothing moves before the first and after the last
-        shutter = shutter_at(motion, index, 0.4)
-        assert shutter is not None
-        np.testing.assert_allclose(shutter.opens_m[0], motion[index] - 0.2 * before * STEP_M, atol=1e-12)
-        np.testing.assert_allclose(shutter.closes_m[0], motion[index] + 0.2 * after * STEP_M, atol=1e-12)
-    assert shutter_at(motion, 1, 0.0) is None
+        first, here, last = (moment.joints_m[0] for moment in shutter_at(motion, index, 0.6, CAMERA))
+        # the middles of its thirds
+        np.testing.assert_allclose(first, motion[index] - 0.2 * before * STEP_M, atol=1e-12)
+        np.testing.assert_allclose(here, motion[index])
+        np.testing.assert_allclose(last, motion[index] + 0.2 * after * STEP_M, atol=1e-12)
+    (alone,) = shutter_at(motion, 1, 0.0, CAMERA)
+    np.testing.assert_allclose(alone.joints_m[0], motion[1])
 
 
 def test_exposures_are_evenly_spread_over_the_time_that_the_shutter_is_open():
-    shutter = shutter_at(np.stack([HAND_M - STEP_M, HAND_M, HAND_M + STEP_M]), 1, 1.0)
-    places = [joints[0] - HAND_M for joints, _ in exposures([HAND_M], CAMERA, shutter, 4)]
-    wanted = np.array([-0.375, -0.125, 0.125, 0.375])[:, None, None] * STEP_M
+    opened = shutter_at(np.stack([HAND_M - STEP_M, HAND_M, HAND_M + STEP_M]), 1, 1.0, CAMERA)
+    between, shares = filled(opened, [1.0, 1.0, 1.0], [0])
+    places = [moment.joints_m[0] - HAND_M for moment in between]
+    wanted = ((np.arange(len(between)) + 0.5) / len(between) - 0.5)[:, None, None] * STEP_M
+    assert len(between) > 3
     np.testing.assert_allclose(places, np.repeat(wanted, JOINT_COUNT, axis=1), atol=1e-12)
+    np.testing.assert_allclose(shares, 1 / len(between))
 
 
 def test_moments_that_are_far_apart_get_others_between_them_in_even_steps():
@@ -45,7 +50,6 @@ def test_moments_that_are_far_apart_get_others_between_them_in_even_steps():
     between, shares = filled([first, last], [1.0, 3.0], [0])
     count = len(between)
     assert count > 4
-    assert count % 2 == 0
     parts = (np.arange(count) + 0.5) / (count / 2) - 0.5
     for moment, part in zip(between, parts, strict=True):
         np.testing.assert_allclose(moment.joints_m[0], HAND_M + 5 * part * STEP_M, atol=1e-12)
@@ -62,5 +66,18 @@ def test_moments_that_are_far_apart_get_others_between_them_in_even_steps():
 
 
 def test_moments_that_are_near_each_other_stay_as_they_are():
-    moments = [Moment([HAND_M], CAMERA), Moment([HAND_M + 1e-5], CAMERA)]
+    moments = [Moment([HAND_M], CAMERA), Moment([HAND_M + 1e-3], CAMERA)]
     assert filled(moments, [1.0, 3.0], [0]) == (moments, [0.25, 0.75])
+
+
+def test_moments_of_a_hand_at_rest_are_one_image():
+    moments = [Moment([HAND_M + 1e-6 * k], CAMERA) for k in range(8)]
+    assert filled(moments, [1.0] * 8, [0]) == ([middle(moments)], [1.0])
+
+
+def test_a_way_is_as_long_as_if_the_hand_went_all_the_time_as_fast_as_in_its_fastest_step():
+    places = [0.0, 0.01, 0.04]
+    moments = [Moment([HAND_M + np.array([x, 0.0, 0.0])], CAMERA) for x in places]
+    nearest_m = min(CAMERA.project(HAND_M)[1])
+    assert way_px(moments, [0]) == pytest.approx(3 * 0.03 * CAMERA.fx / nearest_m)
+    assert way_px(moments, []) == way_px(moments[:1], [0]) == 0.0

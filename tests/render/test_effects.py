@@ -30,7 +30,7 @@ from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, blur, effects
-from jghand_engine.render.blur import Moment, Shutter
+from jghand_engine.render.blur import Moment, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
@@ -142,7 +142,7 @@ MEASURED_STEPS = {
     "tiny": 15.73,
     "wide angle": 21.97,
     "two hands near": 0.0,
-    "two hands far": 23.75,
+    "two hands far": 28.84,
     "two hands interlocked": 0.0,
     "half behind the camera": 35.92,
 }
@@ -350,9 +350,9 @@ def test_nothing_is_posed_for_a_hand_that_is_not_in_the_picture(where: str, monk
 def test_a_hand_that_flies_into_the_picture_is_blurred_there():
     """The middle of its way is out of the picture, and the end is not."""
     joints = pose("relaxed") + np.array([0.9, 0.0, 0.0])
-    shutter = Shutter([joints], [pose("relaxed")])
+    moments = [Moment([one], camera()) for one in (joints, joints, pose("relaxed"))]
     assert not HandRenderer(RIGHT, SMALL).render(joints, camera()).rgba.any()
-    assert HandRenderer(RIGHT, SMALL).render(joints, camera(), shutter).rgba.any()
+    assert HandRenderer(RIGHT, SMALL).render_moments(moments, EVEN).rgba.any()
 
 
 def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
@@ -581,22 +581,27 @@ def linear(frame: Frame) -> np.ndarray:
 # ---- time and lens --------------------------------------------------------------------------------------------------
 
 
-def moving(shift_m: float) -> tuple[np.ndarray, Shutter]:
-    joints = pose("relaxed")
-    step = np.array([shift_m / 2, 0.0, 0.0])
-    return joints, Shutter([joints - step], [joints + step])
+EVEN = (1.0, 1.0, 1.0)
+
+
+def moving(shift_m: float, view: Camera) -> list[Moment]:
+    """While the shutter is open, a hand moves by so much."""
+    joints, step = pose("relaxed"), np.array([shift_m, 0.0, 0.0])
+    return shutter_at(np.stack([joints - step, joints, joints + step]), 1, 1.0, view)
+
+
+def mean_of(renderer: HandRenderer, shift_m: float, view: Camera, count: int) -> np.ndarray:
+    """In linear light, of `count` images while a hand moves by so much."""
+    places = [pose("relaxed") + np.array([shift_m * ((k + 0.5) / count - 0.5), 0.0, 0.0]) for k in range(count)]
+    return sum(linear(renderer.render(place, view)).astype(np.float64) / count for place in places)
 
 
 @pytest.mark.parametrize("shift_m", [0.0002, 0.002, 0.01, 0.03, 0.08])
 def test_motion_blur_is_the_mean_of_very_many_pictures(shift_m: float):
-    joints, shutter = moving(shift_m)
     settings = replace(SMALL, shadow=ShadowMode.OFF, reuse=False, depth=False)
     renderer, view = HandRenderer(RIGHT, settings), camera()
-    blurred, count = renderer.render(joints, view, shutter), max(96, round(3000 * shift_m))
-    brute = sum(
-        linear(renderer.render(shutter.at((k + 0.5) / count, [joints])[0], view)).astype(np.float64) / count
-        for k in range(count)
-    )
+    blurred = renderer.render_moments(moving(shift_m, view), EVEN)
+    brute = mean_of(renderer, shift_m, view, max(96, round(3000 * shift_m)))
     assert float(np.abs(linear(blurred) - brute).max()) <= blur.MOTION_ERROR_MAX  # observed 0.012
 
 
@@ -615,17 +620,14 @@ def test_pictures_of_a_faster_hand_stand_for_no_more_than_their_bound():
 def test_the_stated_error_of_few_pictures_is_neither_less_nor_ten_times_more_than_there_is(travel_px: float):
     """Below a pixel a single picture is off by what is stated, to a factor of ten."""
     view = camera()
-    joints, shutter = moving(travel_px * 0.53 / 300.0)
-    assert shutter.travel_px([joints], view, [0]) == pytest.approx(travel_px, rel=0.2)
+    shift_m = travel_px * 0.53 / 300.0
+    way_of_joints_px = way_px(moving(shift_m, view), [0])
+    assert way_of_joints_px == pytest.approx(travel_px, rel=0.2)
     plain = replace(SMALL, shadow=ShadowMode.OFF, reuse=False, depth=False, antialias=False)
     renderer = HandRenderer(RIGHT, plain)
-
-    def mean_of(count: int) -> np.ndarray:
-        parts = (shutter.at((k + 0.5) / count, [joints])[0] for k in range(count))
-        return sum(linear(renderer.render(part, view)).astype(np.float64) / count for part in parts)
-
-    stated = blur.motion_error(shutter.travel_px([joints], view, [0]), 1)
-    assert 0.12 * stated < float(np.abs(mean_of(1) - mean_of(64)).max()) <= stated
+    stated = blur.motion_error(way_of_joints_px, 1)
+    one, many = (mean_of(renderer, shift_m, view, count) for count in (1, 64))
+    assert 0.12 * stated < float(np.abs(one - many).max()) <= stated
 
 
 @pytest.mark.parametrize("aperture_m", [0.002, 0.01, 0.03])
@@ -670,8 +672,7 @@ def test_what_is_in_focus_stays_where_it_was():
 
 
 def test_a_shutter_over_a_hand_at_rest_and_a_pinhole_cost_one_picture():
-    joints, shutter = moving(0.0)
-    frame = HandRenderer(RIGHT, SMALL).render(joints, camera(), shutter)
+    frame = HandRenderer(RIGHT, SMALL).render_moments(moving(0.0, camera()), EVEN)
     plan = plan_of(frame)
     assert plan.exposures == 1
     assert not plan.runs(Effect.MOTION)
@@ -683,46 +684,38 @@ BEHIND_M = np.array([0.3, 0.2, 1.2])
 
 def test_a_hand_behind_the_camera_takes_one_picture_and_nothing_is_drawn(monkeypatch):
     monkeypatch.setattr(backend.Backend, "draw", lambda *_args, **_named: pytest.fail("something was drawn"))
-    joints, shutter = moving(0.04)
-    away = Shutter([shutter.opens_m[0] + BEHIND_M], [shutter.closes_m[0] + BEHIND_M])
     view = replace(camera(), lens=Lens(0.01, 0.45))
-    frame = HandRenderer(RIGHT, SMALL).render(joints + BEHIND_M, view, away)
+    moments = [Moment([moment.joints_m[0] + BEHIND_M], view) for moment in moving(0.04, view)]
+    frame = SceneRenderer([RIGHT], replace(SMALL, ids=True)).render_moments(moments, EVEN)
     assert plan_of(frame).exposures == 1
     assert plan_of(frame)[Effect.MOTION].reason == "no hand is in the image"
-    moments = [Moment([hands[0] + BEHIND_M], view) for hands in (shutter.opens_m, shutter.closes_m)]
-    mean, depth_m = SceneRenderer([RIGHT], replace(SMALL, ids=True)).render_moments(moments, (1.0, 1.0))
-    assert not mean.rgba.any()
-    assert not depth_m.any()
+    assert not frame.rgba.any()
+    assert not frame.covered_depth_m.any()
 
 
 @pytest.mark.parametrize("lens", [None, Lens(0.01, 0.45)], ids=["a pinhole", "a lens"])
 def test_a_hand_behind_the_camera_asks_for_no_more_pictures_of_another(lens: Lens | None):
-    joints, shutter = moving(0.004)
-    ends, view = (shutter.opens_m[0], shutter.closes_m[0]), replace(camera(), lens=lens)
-    alone = HandRenderer(RIGHT, SMALL).render(joints, view, shutter)
-    both = SceneRenderer([RIGHT, RIGHT], SMALL)
-    beside = both.render([joints, joints + BEHIND_M], view, Shutter(*([end, 2 * end + BEHIND_M] for end in ends)))
+    view = replace(camera(), lens=lens)
+    moments = moving(0.004, view)
+    alone = HandRenderer(RIGHT, SMALL).render_moments(moments, EVEN)
+    places = [moment.joints_m[0] for moment in moments]
+    pairs = [Moment([place, 2 * place + BEHIND_M], view) for place in places]
+    beside = SceneRenderer([RIGHT, RIGHT], SMALL).render_moments(pairs, EVEN)
     assert 1 < plan_of(beside).exposures == plan_of(alone).exposures < 40
-    one, _ = SceneRenderer([RIGHT], SMALL).render_moments([Moment([end], view) for end in ends], (1.0, 1.0))
-    moments = [Moment([end, end + BEHIND_M], view) for end in ends]
-    two, _ = both.render_moments(moments, (1.0, 1.0))
-    assert 1 < plan_of(two).exposures == plan_of(one).exposures < 40
 
 
 def test_a_hand_that_crosses_the_picture_between_two_moments_is_seen():
-    joints, _ = moving(0.0)
-    sides = [joints + np.array([x_m, 0.0, 0.0]) for x_m in (-0.6, 0.6)]
+    sides = [pose("relaxed") + np.array([x_m, 0.0, 0.0]) for x_m in (-0.6, 0.6)]
     moments = [Moment([side], camera()) for side in sides]
-    crossing, _ = SceneRenderer([RIGHT], replace(SMALL, gaussians=500)).render_moments(moments, (1.0, 1.0))
+    crossing = SceneRenderer([RIGHT], replace(SMALL, gaussians=500)).render_moments(moments, (1.0, 1.0))
     assert plan_of(crossing).exposures > 40
     assert crossing.rgba.any()
     assert "travel" in plan_of(crossing)[Effect.MOTION].reason
 
 
 def test_the_receipt_of_a_mean_is_of_a_moment_that_shows_a_hand():
-    joints, _ = moving(0.0)
-    moments = [Moment([joints + np.array([x_m, 0.0, 0.0])], camera()) for x_m in (0.0, 0.6)]
-    frame, _ = SceneRenderer([RIGHT], replace(SMALL, gaussians=500)).render_moments(moments, (1.0, 1.0), middle=1)
+    moments = [Moment([pose("relaxed") + np.array([x_m, 0.0, 0.0])], camera()) for x_m in (0.0, 0.6, 0.7)]
+    frame = SceneRenderer([RIGHT], replace(SMALL, gaussians=500)).render_moments(moments, EVEN)
     assert frame.rgba.any()
     assert not frame.depth_m.any()
     assert "no hand is in the image" not in " ".join(frame.report.lines())
@@ -731,7 +724,7 @@ def test_the_receipt_of_a_mean_is_of_a_moment_that_shows_a_hand():
 def test_faster_hands_get_more_pictures():
     counts = []
     for shift_m in (0.001, 0.004, 0.016):
-        joints, shutter = moving(shift_m)
-        counts.append(plan_of(HandRenderer(RIGHT, SMALL).render(joints, camera(), shutter)).exposures)
+        frame = HandRenderer(RIGHT, SMALL).render_moments(moving(shift_m, camera()), EVEN)
+        counts.append(plan_of(frame).exposures)
     assert counts == sorted(counts)
     assert counts[0] < counts[-1] <= 0.5 / blur.MOTION_ERROR_MAX

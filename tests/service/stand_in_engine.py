@@ -64,7 +64,7 @@ class StandInHands:
             color, near_m, numbers = _discs(picture, exposure)
             rgba += exposure.weight / total * color
             behind, near = behind + exposure.weight * (near_m > 0), near + exposure.weight * near_m
-            if index == picture.middle:
+            if index == (len(picture.exposures) - 1) // 2:
                 depth, ids = near_m, numbers
         covered = near / np.where(behind > 0, behind, 1)
         return RenderedImage(rgba, {"total_ms": 1.0, "stages": []}, depth, ids, covered)

@@ -111,3 +111,5 @@ def test_the_pose_table_is_what_the_engine_poses():
         for bone, turn in wanted["bones"].items():
             # one unit of the last digit: another machine may round the other way
             np.testing.assert_allclose(pose["bones"][bone], turn, atol=1.1e-5, err_msg=f"{pose['name']}, {bone}")
+        for bone, way in wanted["knuckles"].items():
+            np.testing.assert_allclose(pose["knuckles"][bone], way, atol=1.1e-5, err_msg=f"{pose['name']}, {bone}")

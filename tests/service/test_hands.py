@@ -279,7 +279,7 @@ def moved(hand: Hand, x_m: float) -> Hand:
 @pytest.fixture
 def as_given(monkeypatch):
     """No moments are put between those that are given."""
-    monkeypatch.setattr(blur, "motion_count", lambda _: 1)
+    monkeypatch.setattr(blur, "motion_count", lambda _: 2)
 
 
 def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and_ids(source, right, as_given):
@@ -309,7 +309,7 @@ def test_moments_that_are_far_apart_are_filled_in(source, right):
     # worst observed 0.019, of the moments as they are 0.38: the promise of blur.motion_count is 1/64 of an edge
     assert np.abs(came.rgba[..., 3] - wanted).max() < 0.025
     told = {effect["effect"]: effect for effect in came.report["effects"]}
-    assert "28 images" in told["motion-blur"]["reason"]
+    assert "32 images" in told["motion-blur"]["reason"]
 
 
 def linear(rgba: np.ndarray) -> np.ndarray:
@@ -499,3 +499,9 @@ def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
         for forearm in (True, False)
     )
     assert hidden < 0.9 * shown
+    # turned by a right angle about the axis of flexion it is not where it was; without one nothing is turned
+    turn = np.array([[np.sqrt(0.5), 0, np.sqrt(0.5), 0]])
+    bent = replace(request, exposures=(replace(request.exposures[0], forearms=turn),))
+    assert np.abs(source.render(bent).rgba - source.render(request).rgba).max() > 0.5
+    cut = [replace(each, hands=(replace(each.hands[0], forearm=False),)) for each in (bent, request)]
+    assert np.array_equal(*(source.render(each).rgba for each in cut))

@@ -15,16 +15,15 @@ from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.renderer import HandRenderer
-from jghand_engine.render.settings import PRESETS, ShadowMode
+from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
 from jghand_engine.render.timing import Measurement, frame_case, measure
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants
-from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than
+from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than, how_it_looks, left_out, pareto_front
 from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Growth, Reach, growth_cases
 from jghand_engine.study.accuracy_measures import (
     Plan,
     measure_accuracy,
-    profile_of,
 )
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
 from jghand_engine.study.accuracy_variants import (
@@ -163,13 +162,21 @@ def test_the_curves_have_the_points_that_were_asked_for(study):
     assert points == {GAUSSIANS: [200, 400], PIXELS: [384, 1536], HANDS: [1, 2], POSES: [1, 5]}
 
 
-@needs_native
-def test_the_profile_holds_what_can_be_chosen(study):
-    plan, found = study
-    rows = profile_of(found, plan).rows
-    assert {row.name for row in rows} == {row.name for row in found.rows if row.axis == TOGETHER and not row.made_by}
-    assert {row.name for row in rows} < {row.name for row in found.choices}
-    assert next(row.settings for row in rows if row.name == "draft").shadow is ShadowMode.OFF
+def test_the_front_has_nothing_that_is_both_slower_and_worse():
+    rows = [(40, 90, "exact"), (30, 40, "worse and slower"), (10, 60, "good"), (4, 30, "quick")]
+    assert pareto_front(rows) == ["quick", "good", "exact"]
+    assert pareto_front([(1, 5, "a"), (1, 6, "b"), (2, 6, "c")]) == ["b"]
+
+
+def test_words_say_what_one_sees():
+    assert how_it_looks(60, ["soft fingertips"]) == "looks the same"
+    assert how_it_looks(40, ["soft fingertips"]) == "nearly the same (soft fingertips)"
+    assert how_it_looks(33, ["thin edges", "soft fingertips"]) == "thin edges"
+    assert how_it_looks(25, ["soft fingertips"]) == "clearly soft fingertips"
+    assert how_it_looks(41, []) == "nearly the same (approximate creases)"
+    assert left_out(PRESETS["final"], 40_000) == {}
+    assert set(left_out(PRESETS["draft"], 40_000)) == {"Gaussians", "shadow", "blend"}
+    assert "Gaussians" not in left_out(PRESETS["draft"], 20_000)
 
 
 @needs_native

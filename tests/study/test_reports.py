@@ -17,9 +17,6 @@ from small_avatars import small_avatar
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
-from jghand_engine.native.threads import thread_count
-from jghand_engine.render.budget import Profile, Rated, read_profile
-from jghand_engine.render.settings import RenderSettings
 from jghand_engine.study import accuracy_measures, accuracy_plot, stability, stability_plot, stability_views
 from jghand_engine.study.accuracy import Accuracy, Row, TruthScore
 from jghand_engine.study.accuracy_growth import PANELS, Growth
@@ -111,13 +108,8 @@ def test_at_most_five_of_the_front_are_shown_with_its_ends(accuracy):
     assert (shown[0], shown[-1]) == ("0", "8")
 
 
-def test_the_study_of_accuracy_writes_its_folder_and_keeps_what_budgets_choose_from(
-    accuracy, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
+def test_the_study_of_accuracy_writes_its_folder(accuracy, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(accuracy_measures, "measure_accuracy", lambda plan, say: accuracy)
-    profile = Profile((Rated("viewport", RenderSettings(), 1.0, 1.0, 50.0),), "the study", False)
-    monkeypatch.setattr(accuracy_measures, "profile_of", lambda found, plan: profile)
     avatar, out = small_avatar(30), tmp_path / "study"
     save_avatar(tmp_path / "small.jghand", avatar)
     words = ["study", "accuracy", str(tmp_path / "small.jghand"), "--size", "48x32"]
@@ -128,7 +120,6 @@ def test_the_study_of_accuracy_writes_its_folder_and_keeps_what_budgets_choose_f
     assert content["headline"] == accuracy.headline
     with (out / "accuracy_what_can_be_chosen.csv").open(newline="") as stream:
         assert list(csv.reader(stream)) == [content["tables"][0]["columns"], *content["tables"][0]["rows"]]
-    assert read_profile(avatar, (48, 32), thread_count(0)) is not None
 
 
 # ---- stability -------------------------------------------------------------------------------------------------------

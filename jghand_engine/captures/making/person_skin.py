@@ -47,9 +47,8 @@ class PersonSkin:
         maps = paint_skin(identity, map_px or MAP_PX, person)
         low_m = MM * float(min(height.min() for height in maps.fine.values()))
         range_m = MM * float(max(height.max() for height in maps.fine.values())) - low_m
-        scatter_m = SCATTER_M * (1 - SCATTER_TAKEN * min(1.0, person.melanin / SCATTER_DARK))
         material = {
-            "person": dataclasses.asdict(person), "low_m": low_m, "range_m": range_m, "scatter_m": scatter_m
+            "person": dataclasses.asdict(person), "low_m": low_m, "range_m": range_m, "scatter_m": scatter_m(person)
         }  # fmt: skip
         # what moves the mesh, for the stamps of images: they do not hold the mesh itself
         coarse = b"".join(np.ascontiguousarray(maps.coarse[name]).tobytes() for name in sorted(maps.coarse))
@@ -67,6 +66,11 @@ class PersonSkin:
                 bent = self.surface.bent(joints[None])[0]
                 posed = np.column_stack([self.surface.posed(vertices, bent), bent])
                 stream.write(posed.astype("<f4").tobytes())
+
+
+def scatter_m(person: Person) -> float:
+    """How far light goes below the skin before it comes out again, red's."""
+    return SCATTER_M * (1 - SCATTER_TAKEN * min(1.0, person.melanin / SCATTER_DARK))
 
 
 def _pictures(maps: SkinMaps, low_m: float, range_m: float) -> Iterator[bytes]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine.captures.making.rig import RiggedHand, segment_gap
+from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, PARENTS
-from jghand_engine.hand.kinematics import RANGES_DEG, Contact
+from jghand_engine.hand.kinematics import RANGES_DEG, Contact, segment_gap
 from jghand_engine.hand.poses import LETTER_CONTACTS, LETTERS_DEG, POSES_DEG, minimum_jerk, pose_names
 
 # poses of one capture: beyond it the choice of varied ones takes minutes

@@ -19,7 +19,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS
 from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.hand.poses import CONTACTS, named_angles
+from jghand_engine.hand.poses import angles_on
 from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation, unit
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields, with_forearm
@@ -45,15 +45,6 @@ ARCH_DEG, ARCH_FLEXION_DEG = (2.6, 0.0, -2.0, -7.0), 90.0
 # fingers are so much thicker about their bones than those of the file, which are slim for the breadth of its palm; from
 # no change to all of it where the finger's share of the skin's weights is between these (SKIN 8)
 FLESH, FLESH_SHARES = 1.10, (0.5, 1.0)
-# the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then
-# lie on the palm; judged by eye on images of fists
-PALM_GAP_PART = 0.075
-# flexions are scaled down to this for it, at most, in so many steps
-EASE_MOST = 0.7
-EASE_STEPS = 31
-# rounds of alternating projection for the gap between two bones
-GAP_ROUNDS = 8
-
 # first joint of each finger in the rig: thumb CMC, MCP of the others
 FIRST_JOINTS = (1, 6, 11, 16, 21)
 # wrist, thumb CMC, index and middle MCP: what cupping does not move
@@ -207,27 +198,8 @@ class RiggedHand(ArticulatedHand):
         return self._chained(palm, fingers)
 
     def angles_of(self, name: str) -> np.ndarray:
-        """(5, 4) angles of a named pose, degrees, with the bones of the finger tips on the palm instead of in it; what
-        of its skin touches is for `closing`."""
-        angles = self.eased(np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1]))
-        return self.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
-
-    def eased(self, angles_deg: np.ndarray) -> np.ndarray:
-        """(5, 4) angles whose bent fingers are opened until their last bones lie on the palm, not in it.
-
-        Each finger's three flexions are scaled by one factor, the largest of a fixed series that leaves room.
-        """
-        factors = np.linspace(1.0, EASE_MOST, EASE_STEPS)
-        trials = np.repeat(angles_deg[None], len(factors), axis=0)
-        flexions = np.ix_(range(len(factors)), range(1, 5), (0, 2, 3))
-        trials[flexions] = trials[flexions] * factors[:, None, None]
-        free = palm_gaps_m(self.joints(trials)) >= PALM_GAP_PART * self.finger_length_m
-        # where no factor is enough the last one is the best there is
-        chosen = np.where(free.any(axis=0), free.argmax(axis=0), len(factors) - 1)
-        eased = angles_deg.copy()
-        for finger in range(1, 5):
-            eased[finger] = trials[chosen[finger - 1], finger]
-        return eased
+        """(5, 4) angles of a named pose, degrees, that touch by bones; what of its skin touches is for `closing`."""
+        return angles_on(self, name)
 
     def follow(self, joints_m: np.ndarray, *, upright: bool = False) -> RigPose:
         """(F, 21, 3) level-order joints of any right hand -> the pose whose bones point the same way.
@@ -291,33 +263,6 @@ class RiggedHand(ArticulatedHand):
             # a tip carries no skin; its rotation is that of the bone that ends there
             turn[:, first + 3] = fingers[:, 2, finger]
         return RigPose(turn, joints)
-
-
-def palm_gaps_m(joints_m: np.ndarray) -> np.ndarray:
-    """(F, 21, 3) level order -> (F, 4) smallest distance of the last two bones of index..pinky from the metacarpals."""
-    palm_start, palm_end = np.repeat(joints_m[:, :1], 4, axis=1), joints_m[:, 2:6]
-    gaps = []
-    for finger in range(1, 5):
-        bones = [
-            segment_gap(joints_m[:, [start + finger] * 4], joints_m[:, [start + 5 + finger] * 4], palm_start, palm_end)
-            for start in (6, 11)
-        ]
-        gaps.append(np.min(bones, axis=(0, 2)))
-    return np.stack(gaps, axis=1)
-
-
-def segment_gap(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> np.ndarray:
-    """Smallest distance (...) between the segments a0 a1 and b0 b1, each (..., 3): clamped closest points, alternating.
-
-    A few rounds of alternating projection; the distance is convex, so it only falls.
-    """
-    a, b = a1 - a0, b1 - b0
-    on_b = np.full(a.shape[:-1], 0.5)
-    on_a = on_b
-    for _ in range(GAP_ROUNDS):
-        on_a = (((b0 + on_b[..., None] * b - a0) * a).sum(-1) / (a * a).sum(-1)).clip(0, 1)
-        on_b = (((a0 + on_a[..., None] * a - b0) * b).sum(-1) / (b * b).sum(-1)).clip(0, 1)
-    return np.linalg.norm(a0 + on_a[..., None] * a - b0 - on_b[..., None] * b, axis=-1)
 
 
 def chain_turns(rest: np.ndarray, directions: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:

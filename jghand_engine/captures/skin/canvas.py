@@ -128,7 +128,7 @@ class Canvas:
     joints:  (21, 3) mm
     axis, palmar, length: (21, 3), (21, 3), (21,) of each bone
     size:    of the hand, for which lengths of marks are scaled
-    side:    (N,) -1 back to 1 palm
+    hand_side: (N,) -1 back to 1 palm, as if the forearm went on like the hand
     wobble:  (N,) mm by which lines depart from their way
     heights: (N,) mm of each layer: `static` is always there, `straight` while the joint nearby is straight, `bent`
              while it is bent, `fold` always, and half as much again when bent
@@ -143,7 +143,7 @@ class Canvas:
     palmar: np.ndarray
     length: np.ndarray
     size: float
-    side: np.ndarray
+    hand_side: np.ndarray
     wobble: np.ndarray = field(init=False)
     heights: dict[str, np.ndarray] = field(init=False)
     amounts: dict[str, np.ndarray] = field(init=False)
@@ -180,8 +180,6 @@ class Canvas:
         towards = towards + np.einsum("nfb,bfc->nc", shares, palmar[6:].reshape(3, 5, 3))
         side = (texels.normal * unit(towards)).sum(1).astype(np.float32)
         scale = float(np.clip(length[[12, 13, 14]].mean() / USUAL_PHALANX_MM, *SIZES))
-        forearm = smoothstep(*FOREARM_FROM_TO, texels.point[:, 1] / scale)
-        side += forearm * (FOREARM_SIDE + FOREARM_SIDES * side - side)
         return cls(texels, person, joints, axis, palmar, length, scale, side)
 
     # ---- where ---------------------------------------------------------------------------------------------------
@@ -194,6 +192,18 @@ class Canvas:
     def by_age(self, child: float, usual: float, old: float) -> float:
         """What has these values at AGES."""
         return float(np.interp(self.person.age, AGES, (child, usual, old)))
+
+    @cached_property
+    def side(self) -> np.ndarray:
+        """(N,) -1 back to 1 palm."""
+        return self.side_until(*FOREARM_FROM_TO)
+
+    def side_until(self, begin_mm: float, end_mm: float, moved_mm: np.ndarray | float = 0.0) -> np.ndarray:
+        """(N,) -1 back to 1 palm, the forearm's own beyond these places along the arm, the wrist at 0; moved_mm: how
+        far each point is taken to be from where it is."""
+        place_mm = self.texels.point[:, 1] / self.size + moved_mm
+        share = smoothstep(begin_mm, end_mm, place_mm)
+        return self.hand_side + share * (FOREARM_SIDE + FOREARM_SIDES * self.hand_side - self.hand_side)
 
     @cached_property
     def back(self) -> np.ndarray:

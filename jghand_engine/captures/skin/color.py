@@ -32,6 +32,8 @@ FURROWS_RGB = np.array([0.75, 1.0, 1.0])
 # what dry ridges send back more
 DRY, DRY_RGB = 0.035, np.array([1.0, 0.96, 0.90])
 MOON_RGB, FREE_EDGE_RGB = np.array([0.74, 0.60, 0.54]), np.array([0.78, 0.73, 0.64])
+# behind the wrist, where the palm's color ends: over centimeters, or dark skin has a cuff
+PALE_FROM_TO_MM, PALE_UNEVEN_MM = (8.0, -62.0), 1.5
 # no skin is darker or paler
 RGB_LIMITS = (0.004, 0.95)
 ROUGHNESS_LIMITS = (0.15, 0.90)
@@ -40,8 +42,9 @@ ROUGHNESS_LIMITS = (0.15, 0.90)
 def paint_color(canvas: Canvas) -> np.ndarray:
     """(N, 3) reflectance."""
     person, of = canvas.person, canvas.amounts
-    # broader than the palm of the relief: colors change slowly at the edge of the hand
-    palm = smoothstep(-0.25, 0.40, canvas.side)
+    uneven_mm = PALE_UNEVEN_MM * canvas.fractal_noise("pale", 12.0)
+    # broader than the palm of the relief: colors change slowly at the edge of the hand and behind the wrist
+    palm = smoothstep(-0.25, 0.40, canvas.side_until(*PALE_FROM_TO_MM, uneven_mm))
     rgb = reflectance(_melanin(canvas, palm), _blood(canvas, palm), _carotene(canvas, palm)).astype(np.float32)
     bluish = (VEIN + VEIN_OF_PALE * (1 - min(1.0, 2 * person.melanin))) * of["vein"]
     rgb *= 1 - bluish[:, None] * VEIN_TAKES

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.errors import InputError
-from jghand_engine.export.motion import HandMotion
+from jghand_engine.export.motion import HandMotion, check_balls
 from jghand_engine.export.splats import gltf as gltf_splats
 from jghand_engine.export.splats import ply, spz
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
@@ -215,6 +215,7 @@ class SplatMotion:
         up: str = "y",
         light: SceneLight | None = None,
     ) -> None:
+        check_balls(avatar)
         self._motion, self._axes, self._up = HandMotion(avatar, sequence, light, up), axes, up
         self.light = self._motion.light
 

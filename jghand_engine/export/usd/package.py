@@ -34,14 +34,13 @@ from pxr import Sdf, Usd
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.posing import PosedHand
+from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.relighting import material_of
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
 from jghand_engine.export.mesh import template_of
-from jghand_engine.export.motion import HandMotion
-from jghand_engine.export.splats.cloud import SteadyAxes
+from jghand_engine.export.motion import HandMotion, check_balls
 from jghand_engine.export.usd.rig import (
     build_skeleton,
     in_motion,
@@ -72,6 +71,9 @@ IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light", "albe
 # what Omniverse, usdview and Blender draw points as is a ball without a soft edge: two standard deviations close the
 # skin (as the extension has it)
 BALL_WIDTH_FACTOR = 2.0
+# by how much constant radii may be off, as a part, in the mean of a frame: those of the built-in fist are by 0.044,
+# of a hand that grows, or whose bones do, by more. And how many frames are looked at for it
+SIZE_ERROR_MAX, SIZED_FRAMES = 0.05, 16
 # bytes beside the samples of Gaussians, generous: of each Gaussian once (static arrays, skin), of each frame (bones,
 # bounds, times), and of the layers
 GAUSSIAN_BYTES, FRAME_BYTES, LAYER_BYTES = 180, 3_500, 2_000_000
@@ -89,8 +91,6 @@ class UsdOptions:
     default_variant: what a reader shows that cannot choose (Blender)
     radiance: "srgb" keeps the avatar's display-referred colors in the splats, "linear" writes light, "albedo" no light:
         other programs light splats and points as they do the mesh
-    sizes: "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, in larger files.
-        Gaussians that are no balls have theirs in every frame
     width_factor: diameter of the points of all variants, in two standard deviations
     template: surface of the avatar; None takes the built-in one
     first_frame: time code of the first frame
@@ -103,7 +103,6 @@ class UsdOptions:
     name: str = "hand"
     default_variant: Variant = Variant.SPLATS
     radiance: Literal["srgb", "linear", "albedo"] = "srgb"
-    sizes: Literal["constant", "per_frame"] = "constant"
     width_factor: float = 1.0
     template: HandTemplate | None = None
     first_frame: int = 0
@@ -117,7 +116,6 @@ class UsdOptions:
         for option, value, wanted in (
             ("default variant", self.default_variant, tuple(Variant)),
             ("radiance", self.radiance, tuple(IMAGE_STATES)),
-            ("sizes", self.sizes, ("constant", "per_frame")),
             ("up", self.up, ("y", "z")),
             ("package", self.package, PACKAGES),
         ):
@@ -189,7 +187,7 @@ class UsdReport:
     shot: path of the shot; None of a single file
     bytes: size by file name
     seconds: time by step of the work
-    sigma_error: largest relative difference between a written radius and the engine's (0 with sizes per frame)
+    sigma_error: largest relative difference between a written radius and the engine's (0 with radii in every frame)
     made_from: what the function of that name says
     """
 
@@ -216,11 +214,12 @@ def export_usd(
 
     cameras: by name, or in a row (cam0, cam1, …); only the shot layer has them
     progress: called with (frames done, frames) after every frame
-    Raises InputError for a motion with gaps, a template that is not the avatar's, a folder that cannot be written,
-    files in the way, a .usdz that would be too large; RetryError for a full or too small disk. On any failure the
-    folder is left as it was.
+    Raises InputError for a motion with gaps, Gaussians that are no balls, a template that is not the avatar's, a folder
+    that cannot be written, files in the way, a .usdz that would be too large; RetryError for a full or too small disk.
+    On any failure the folder is left as it was.
     """
     options = options or UsdOptions()
+    check_balls(avatar)
     motion = HandMotion(avatar, sequence, up=options.up)
     named_cameras = name_cameras(cameras)
     template = template_of(avatar, options.template, motion.handedness)
@@ -279,10 +278,16 @@ def describe(motion: HandMotion, options: UsdOptions) -> dict[str, Any]:
         "offsets": "none" if still else "in the positions of the splats",
         "skinnedOffsets": "none",
         "colors": "constant" if still_colored else f"per frame, in the light of the {motion.light}",
-        "material": "painted" if learned is None else "estimated" if learned.response is None else "known",
+        "material": _material(learned),
         "gloss": "none" if learned is None else "left out: it depends on the camera",
-        "sizes": options.sizes,
     }
+
+
+def _material(learned: Learned | None) -> str:
+    if learned is None:
+        return "painted"
+    is_estimated = learned.response is None or learned.response.film_light is not None
+    return "estimated" if is_estimated else "known"
 
 
 class _Writer:
@@ -298,7 +303,6 @@ class _Writer:
         self.names, self._motion, self._options, self._span = LayerNames(options.name), motion, options, span
         self._progress = progress or (lambda done, frames: None)
         self._look = Look(options.radiance != "srgb", options.width_factor)
-        self._axes = SteadyAxes()
         self.seconds: dict[str, float] = {}
         self.sigma_error = 0.0
         with self._clock("rig"):
@@ -306,6 +310,7 @@ class _Writer:
             self._cloud = Cloud(*motion.rest_arrays())
             if options.is_lit:
                 self._cloud = replace(self._cloud, rgb=linear_to_srgb(self._material.albedo), material=self._material)
+            self._has_sizes = self._changes_size()
 
     @property
     def expected_bytes(self) -> int:
@@ -313,10 +318,8 @@ class _Writer:
         count, frames = len(self._motion.avatar), self._span.frames
         each = 0
         if self._options.package != "usdc" or Variant(self._options.default_variant).has_frames:
-            # positions, colors, sizes and turns of splats; widths and colors of points; equal arrays are stored once
-            colored, sized, turned = self._colors_move, self._has_sizes, self._motion.has_ellipsoids
-            numbers = 3 + 3 * colored + 3 * sized + 4 * turned
-            each = 4 * (numbers + sized + 3 * colored)
+            # positions, colors and sizes of splats; widths and colors of points; equal arrays are stored once
+            each = 4 * (3 + 6 * self._colors_move + 4 * self._has_sizes)
         return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
 
     def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
@@ -325,12 +328,13 @@ class _Writer:
         with self._clock("rig"):
             skeleton = build_skeleton(motion.rest_poses())
             material = vertex_material(template.vertices_m, self._cloud.rest_m, self._material)
-            write_rig(layers / names.rig, skeleton, in_motion(skeleton, motion.poses()), template, material, span)
+            poses, weights = in_motion(skeleton, motion.poses()), motion.map_weights(template)
+            write_rig(layers / names.rig, skeleton, poses, template, weights, material, span)
         with self._clock("skinned points"):
-            weights = np.asarray(motion.avatar.bone_weights)
+            weights = motion.avatar.map_weights(motion.avatar.position_m, motion.avatar.bone_weights)
             write_skinned(layers / names.skinned, self._cloud, weights, options.width_factor, span)
         with self._clock("splats"):
-            splats = SplatLayer.new(layers / names.splats, self._cloud, span, self._look, self._rest())
+            splats = SplatLayer.new(layers / names.splats, self._cloud, span, self._look)
         if options.package != "usdc":
             self._write_frames(splats)
         else:
@@ -379,35 +383,26 @@ class _Writer:
                 if not self._has_sizes:
                     off = np.abs(self._cloud.sigma_m / posed.sigma_m - 1).max(initial=0)
                     self.sigma_error = max(self.sigma_error, float(off))
-                sample = self._sample(posed)
+                rgb = posed.rgb if self._colors_move else None
+                sample = Sample(posed.position_m, posed.sigma_m if self._has_sizes else None, rgb)
             with self._clock("splats"):
                 layer.put(index, sample)
             self._progress(index + 1, self._span.frames)
         with self._clock("splats"):
             layer.finish()
 
-    def _rest(self) -> Sample:
-        rest_m = self._cloud.rest_m
-        if not self._motion.has_ellipsoids:
-            return Sample(rest_m)
-        shape = self._sample(self._motion.rest())
-        return Sample(rest_m, scales_m=shape.scales_m, turns_xyzw=shape.turns_xyzw)
-
-    def _sample(self, posed: PosedHand) -> Sample:
-        """A frame as it is written; asked for in the order of time, as ellipsoids keep the axes of the one before."""
-        scales_m, turns_xyzw = None, None
-        if posed.covariance_m2 is not None:
-            scales_m, turns_xyzw = self._axes(posed.covariance_m2)
-        rgb = posed.rgb if self._colors_move else None
-        return Sample(posed.position_m, posed.sigma_m if self._has_sizes else None, rgb, scales_m, turns_xyzw)
-
     @property
     def _colors_move(self) -> bool:
         return self._motion.colors_move and not self._options.is_lit
 
-    @property
-    def _has_sizes(self) -> bool:
-        return self._options.sizes == "per_frame" or self._motion.has_ellipsoids
+    def _changes_size(self) -> bool:
+        """Whether radii are written in every frame, of which some tell: elsewhere those of the mean hand do, in files
+        of less than half the size."""
+        for index in range(0, len(self._motion), math.ceil(len(self._motion) / SIZED_FRAMES)):
+            off = np.abs(self._cloud.sigma_m / self._motion.frame(index).sigma_m - 1)
+            if off.mean() > SIZE_ERROR_MAX:
+                return True
+        return False
 
     @contextlib.contextmanager
     def _clock(self, name: str) -> Iterator[None]:

@@ -10,8 +10,9 @@ in this order,
 * 21 **skin** leaves, one per bone matrix, which carry the scale. `wrist/index1/index2_skin` moves the segment that
   *ends* at index2, where it sits (B_i maps both ends exactly, so either end can be the pivot, and at the far one
   Blender draws bones in their true length); `wrist/palm_skin` is B_0. Only these and the next have skin weights;
-* 21 **fine** leaves beside them. UsdSkel stores scales as half, 11 bits: 0.04 mm at the end of a metacarpal. A fixed
-  share FINE_SHARE of every weight goes to a twin whose scale is overdrawn by the rounding error of the first:
+* of a hand with a forearm a leaf for each slice of it, `wrist/forearm1_skin` and so on, which turn about the wrist;
+* as many **fine** leaves beside them. UsdSkel stores scales as half, 11 bits: 0.04 mm at the end of a metacarpal. A
+  fixed share FINE_SHARE of every weight goes to a twin whose scale is overdrawn by the rounding error of the first:
   (1 - share) coarse + share fine = the scale to 19 bits. A sum with fixed weights stays right between samples, and a
   client that keeps only the four largest weights loses the twin's 1/256 and with it those 0.04 mm, nothing more.
 
@@ -76,9 +77,9 @@ _READ = {
 class LocalPoses:
     """Joints of the skeleton relative to their parents over F frames.
 
-    translations_m: (F, 63, 3)
-    rotations_xyzw: (F, 63, 4), each on the side of the frame before
-    scales: (F, 63, 3), values that half precision holds exactly
+    translations_m: (F, J, 3), J = 63, with a forearm two more for each slice
+    rotations_xyzw: (F, J, 4), each on the side of the frame before
+    scales: (F, J, 3), values that half precision holds exactly
     """
 
     translations_m: np.ndarray
@@ -90,8 +91,8 @@ class LocalPoses:
 class UsdSkeleton:
     """The skeleton at rest.
 
-    tokens: 63 paths, parents first
-    bind, rest: (63, 4, 4) world and local transforms of the rest pose, acting on column vectors
+    tokens: J paths, parents first
+    bind, rest: (J, 4, 4) world and local transforms of the rest pose, acting on column vectors
     default: the rest pose as one frame
     """
 
@@ -101,22 +102,24 @@ class UsdSkeleton:
     default: LocalPoses
 
 
-def joint_tokens() -> tuple[str, ...]:
-    """The paths of all 63 joints: control joints in standard order, then skin and fine leaves in the same order."""
+def joint_tokens(slices: int = 0) -> tuple[str, ...]:
+    """The paths of all joints: control joints in standard order, then skin and fine leaves in the same order, each with
+    those of a forearm's slices behind them."""
     paths: dict[int, str] = {}
     for level, name in enumerate(LEVEL_NAMES):
         paths[level] = f"{paths[PARENTS[level]]}/{name}" if level else name
     leaves = [
         f"{paths[max(PARENTS[level], 0)]}/{LEVEL_NAMES[level] if level else 'palm'}_skin" for level in LEVEL_OF_STANDARD
     ]
+    leaves += [f"{paths[0]}/forearm{number}_skin" for number in range(1, slices + 1)]
     return (*(paths[level] for level in LEVEL_OF_STANDARD), *leaves, *(f"{leaf}_fine" for leaf in leaves))
 
 
 def build_skeleton(rest: BonePoses) -> UsdSkeleton:
-    rotations, positions_m = _world(rest.joints_m, rest.axes)
+    rotations, positions_m = _world(rest)
     local_rotations, local_positions_m = _local(rotations, positions_m)
     return UsdSkeleton(
-        joint_tokens(), _homogeneous(rotations[0], positions_m[0]),
+        joint_tokens(rest.axes.shape[1] - JOINT_COUNT), _homogeneous(rotations[0], positions_m[0]),
         _homogeneous(local_rotations[0], local_positions_m[0]), _local_poses(rest),
     )  # fmt: skip
 
@@ -132,10 +135,15 @@ def in_motion(skeleton: UsdSkeleton, batches: Iterable[BonePoses]) -> Iterator[L
 
 
 def _local_poses(poses: BonePoses) -> LocalPoses:
-    rotations, positions_m = _local(*_world(poses.joints_m, poses.axes))
-    coarse, fine = split_scales(poses.scales[:, LEVEL_OF_STANDARD])
-    scales = np.concatenate([np.ones_like(coarse), coarse, fine], axis=1)
+    rotations, positions_m = _local(*_world(poses))
+    coarse, fine = split_scales(poses.scales[:, _leaves(poses)])
+    scales = np.concatenate([np.ones_like(coarse[:, :JOINT_COUNT]), coarse, fine], axis=1)
     return LocalPoses(positions_m, same_hemisphere(quaternions(rotations)[..., [1, 2, 3, 0]]), scales)
+
+
+def _leaves(poses: BonePoses) -> list[int]:
+    """The maps in the order of their leaves: bones in standard order, slices behind them."""
+    return [*LEVEL_OF_STANDARD, *range(JOINT_COUNT, poses.axes.shape[1])]
 
 
 def split_scales(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -153,42 +161,49 @@ def same_hemisphere(quaternions: np.ndarray) -> np.ndarray:
 
 
 def skin_influences(
-    bone_weights: np.ndarray, *, most: int = JOINT_COUNT, fine: bool = True
+    map_weights: np.ndarray, *, most: int = JOINT_COUNT, fine: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joint indices and weights from bone weights (V, 21), level order; K = most bones of any vertex, at most `most`.
+    """Joint indices and weights from those of `HandAvatar.map_weights` (V, 21 or more), level order; K = most maps of
+    any vertex, at most `most`.
 
     What lies beyond that is shared out among the others, nothing else is dropped. The K shares of the skin leaves come
     first, in falling order, then those of their fine twins: (V, 2K). Without `fine` there are no twins: (V, K), and
     the skin is as exact as half precision.
     """
-    has = bone_weights > 0
-    count = max(1, int(has.sum(axis=1).max(initial=0)))
-    bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, : min(most, count)]
-    weight = np.take_along_axis(bone_weights, bone, axis=1)
+    weights = np.array(map_weights, np.float64)
+    # slices add what differs from the palm: beside it they take their part of its weight
+    weights[:, 0] = (weights[:, 0] - weights[:, JOINT_COUNT:].sum(axis=1)).clip(0)
+    leaf = np.array([*STANDARD_OF_LEVEL, *range(JOINT_COUNT, weights.shape[1])])
+    count = max(1, int((weights > 0).sum(axis=1).max(initial=0)))
+    bone = np.argsort(-weights, axis=1, kind="stable")[:, : min(most, count)]
+    weight = np.take_along_axis(weights, bone, axis=1)
     if most < count:
         weight = weight / weight.sum(axis=1, keepdims=True)
     # unused slots point at the first joint: a weight of 0 on whatever joint means nothing
-    skin = np.where(weight > 0, JOINT_COUNT + STANDARD_OF_LEVEL[bone], 0)
+    skin = np.where(weight > 0, JOINT_COUNT + leaf[bone], 0)
     if not fine:
         return skin, weight
-    twin = np.where(weight > 0, skin + JOINT_COUNT, 0)
+    twin = np.where(weight > 0, skin + len(leaf), 0)
     return (
         np.concatenate([skin, twin], axis=1),
         np.concatenate([weight * (1 - FINE_SHARE), weight * FINE_SHARE], axis=1),
     )
 
 
-def _world(joints_m: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    level = list(LEVEL_OF_STANDARD)
+def _world(poses: BonePoses) -> tuple[np.ndarray, np.ndarray]:
+    level, leaves = list(LEVEL_OF_STANDARD), _leaves(poses)
     starts = [0 if bone == 0 else bone + 5 if bone <= 15 else bone for bone in level]
-    rotations = np.concatenate([axes[:, starts], axes[:, level], axes[:, level]], axis=1)
-    return rotations, np.concatenate([joints_m[:, level]] * 3, axis=1)
+    rotations = np.concatenate([poses.axes[:, starts], poses.axes[:, leaves], poses.axes[:, leaves]], axis=1)
+    # slices turn about the wrist
+    ends = [bone if bone < JOINT_COUNT else 0 for bone in leaves]
+    return rotations, np.concatenate([poses.joints_m[:, places] for places in (level, ends, ends)], axis=1)
 
 
 def _local(rotations: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same relative to the parents; the wrist stays in the world."""
     control = [STANDARD_OF_LEVEL[max(PARENTS[level], 0)] for level in LEVEL_OF_STANDARD]
-    parent = np.array(control * 3)
+    slices = [0] * ((rotations.shape[1] - 3 * len(control)) // 2)
+    parent = np.array(control + 2 * (control + slices))
     to_parent = rotations[:, parent].swapaxes(-1, -2)
     local_rotations = to_parent @ rotations
     local_positions = (to_parent @ (positions - positions[:, parent])[..., None])[..., 0]
@@ -210,6 +225,7 @@ def write_rig(
     skeleton: UsdSkeleton,
     motion: Iterable[LocalPoses],
     skin: HandTemplate,
+    map_weights: np.ndarray,
     material: Material,
     time: TimeRange,
 ) -> None:
@@ -217,7 +233,7 @@ def write_rig(
     reference brings everything: separate references would drop skel:skeleton with a mere warning.
 
     motion:   of the skeleton, in parts that are saved one by one
-    skin:     the surface of the hand itself, mirrored for a left one
+    skin:     the surface of the hand itself, mirrored for a left one; map_weights: (V, 21 or more) of its vertices
     material: of its vertices
     """
     stage = new_layer(path, time)
@@ -229,7 +245,7 @@ def write_rig(
     prim.CreateRestTransformsAttr(_matrices(skeleton.rest))
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
     UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    _add_mesh(stage, skin, material, prim)
+    _add_mesh(stage, skin, map_weights, material, prim)
     animation.CreateJointsAttr(skeleton.tokens)
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
@@ -250,7 +266,9 @@ def write_rig(
     stage.Save()
 
 
-def _add_mesh(stage: Usd.Stage, template: HandTemplate, material: Material, skeleton: UsdSkel.Skeleton) -> None:
+def _add_mesh(
+    stage: Usd.Stage, template: HandTemplate, map_weights: np.ndarray, material: Material, skeleton: UsdSkel.Skeleton
+) -> None:
     mesh = UsdGeom.Mesh.Define(stage, f"{RIG_PATH}/Mesh")
     mesh.CreatePointsAttr(vec3f(template.vertices_m))
     mesh.CreateFaceVertexIndicesAttr(ints(template.faces))
@@ -265,7 +283,7 @@ def _add_mesh(stage: Usd.Stage, template: HandTemplate, material: Material, skel
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     coordinates.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(corners, np.float32)))
     coordinates.SetIndices(ints(index))
-    joints, weights = skin_influences(template.bone_weights)
+    joints, weights = skin_influences(map_weights)
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))
     binding.CreateJointWeightsPrimvar(False, weights.shape[1]).Set(floats(weights))
@@ -310,26 +328,26 @@ def vertex_material(vertices_m: np.ndarray, rest_m: np.ndarray, material: Materi
     return Material(means[:, :3], means[:, 3], means[:, 4])
 
 
-def write_skinned(path: Path, cloud: Cloud, bone_weights: np.ndarray, width_factor: float, time: TimeRange) -> None:
+def write_skinned(path: Path, cloud: Cloud, map_weights: np.ndarray, width_factor: float, time: TimeRange) -> None:
     """Writes all Gaussians as /Points, and every tenth, larger, as /Proxy: at rest, with a skin, for the interface to
     bind to the rig's skeleton. What training adds to a pose, and how Gaussians shrink and stretch, is in the splats and
     points of every frame alone. The joints' scales are halves, which moves a point by up to 0.04 mm.
 
-    bone_weights: (N, 21), level order
+    map_weights: (N, 21 or more), level order
     width_factor: diameter of a point in two standard deviations
     """
     stage = new_layer(path, time)
-    stage.SetDefaultPrim(_add_points(stage, SKINNED_PATH, cloud, bone_weights, width_factor))
+    stage.SetDefaultPrim(_add_points(stage, SKINNED_PATH, cloud, map_weights, width_factor))
     some = slice(None, None, PROXY_STEP)
     # fewer points are larger, as their distance on a surface grows
     wider = width_factor * np.sqrt(PROXY_STEP)
-    proxy = _add_points(stage, PROXY_PATH, cloud.every(PROXY_STEP), bone_weights[some], wider, PROXY_STEP)
+    proxy = _add_points(stage, PROXY_PATH, cloud.every(PROXY_STEP), map_weights[some], wider, PROXY_STEP)
     set_uniform(proxy, "purpose", TYPES.Token, UsdGeom.Tokens.proxy)
     stage.Save()
 
 
 def _add_points(
-    stage: Usd.Stage, path: str, cloud: Cloud, bone_weights: np.ndarray, width_factor: float, step: int = 1
+    stage: Usd.Stage, path: str, cloud: Cloud, map_weights: np.ndarray, width_factor: float, step: int = 1
 ) -> Usd.Prim:
     """Points that are every `step`-th Gaussian: Gaussians are in farthest-point order, so these cover the hand."""
     prim = UsdGeom.Points.Define(stage, path)
@@ -341,7 +359,7 @@ def _add_points(
     # which of the splats it is: skinning tools may sort
     prim.CreateIdsAttr(Vt.Int64Array.FromNumpy(step * np.arange(len(cloud.sigma_m))))
     set_display(prim.GetPrim(), *cloud.display)
-    joints, weights = skin_influences(bone_weights.astype(np.float64), most=SKIN_BONES, fine=False)
+    joints, weights = skin_influences(map_weights, most=SKIN_BONES, fine=False)
     # not applied yet: alone, without a skeleton, these are points
     binding = UsdSkel.BindingAPI(prim)
     binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))

@@ -79,16 +79,13 @@ class Sample:
     """The Gaussians at one time, float32.
 
     positions_m: (N, 3) meters
-    sigma_m: (N,) mean radii, meters; None: as they are
+    sigma_m: (N,) radii, meters; None: as they are
     rgb: (N, 3) display-referred sRGB; None: as it is
-    scales_m, turns_xyzw: (N, 3) and (N, 4) of ellipsoids; None: balls
     """
 
     positions_m: np.ndarray
     sigma_m: np.ndarray | None = None
     rgb: np.ndarray | None = None
-    scales_m: np.ndarray | None = None
-    turns_xyzw: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -126,18 +123,18 @@ class SplatLayer:
         self._unsaved = 0
 
     @classmethod
-    def new(cls, path: Path, cloud: Cloud, time: TimeRange, look: Look, rest: Sample) -> SplatLayer:
+    def new(cls, path: Path, cloud: Cloud, time: TimeRange, look: Look) -> SplatLayer:
         """A new layer, with what does not change and the rest pose: samples without a Default value show nothing in
         several readers."""
         stage = new_layer(path, time)
         announce_fallback(stage)
         layer = cls(stage, time, look, cloud.sigma_m)
-        layer._define_splats(SPLATS_PATH, cloud, turned=rest.turns_xyzw is not None)
+        layer._define_splats(SPLATS_PATH, cloud)
         points = stage.CreateClassPrim(POINTS_PATH)
         points.SetTypeName("Points")
         set_display(points, *cloud.display)
-        layer._put_sizes(rest, cloud.sigma_m, DEFAULT)
-        layer._put_positions(rest, cloud.sigma_m, DEFAULT)
+        layer._put_sizes(cloud.sigma_m, DEFAULT)
+        layer._put_positions(cloud.rest_m, cloud.sigma_m, DEFAULT)
         for path_ in layer._point_paths:
             layer._attributes[path_, "widths"].SetMetadata("interpolation", "vertex")
         return layer
@@ -147,9 +144,9 @@ class SplatLayer:
         sigma_m = self._sigma_m if sample.sigma_m is None else sample.sigma_m
         if sample.rgb is not None:
             self._put_colors(sample.rgb, time)
-        if sample.sigma_m is not None or sample.scales_m is not None:
-            self._put_sizes(sample, sigma_m, time)
-        self._put_positions(sample, sigma_m, time)
+        if sample.sigma_m is not None:
+            self._put_sizes(sigma_m, time)
+        self._put_positions(sample.positions_m, sigma_m, time)
         self._unsaved += 1
         if self._unsaved == SAVE_EVERY:
             self.finish()
@@ -158,25 +155,21 @@ class SplatLayer:
         self._stage.Save()
         self._unsaved = 0
 
-    def _put_positions(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
-        values = vec3f(sample.positions_m)
+    def _put_positions(self, positions_m: np.ndarray, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
+        values = vec3f(positions_m)
         if self._splats is not None:
             self._set(self._splats, "positions", TYPES.Point3fArray, values, time)
-            radii_m = sigma_m if sample.scales_m is None else sample.scales_m.max(axis=1)
-            box = bound(sample.positions_m, EXTENT_SIGMA * radii_m)
+            box = bound(positions_m, EXTENT_SIGMA * sigma_m)
             self._set(self._splats, "extent", TYPES.Float3Array, box, time)
         for path in self._point_paths:
             self._set(path, "points", TYPES.Point3fArray, values, time)
         if self._points is not None:
-            box = bound(sample.positions_m, self._look.width_factor * sigma_m)
+            box = bound(positions_m, self._look.width_factor * sigma_m)
             self._set(self._points, "extent", TYPES.Float3Array, box, time)
 
-    def _put_sizes(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
+    def _put_sizes(self, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
         if self._splats is not None:
-            scales_m = np.repeat(sigma_m[:, None], 3, axis=1) if sample.scales_m is None else sample.scales_m
-            self._set(self._splats, "scales", TYPES.Float3Array, vec3f(scales_m), time)
-            if sample.turns_xyzw is not None:
-                self._set(self._splats, "orientations", TYPES.QuatfArray, quatf(sample.turns_xyzw), time)
+            self._set(self._splats, "scales", TYPES.Float3Array, vec3f(np.repeat(sigma_m[:, None], 3, axis=1)), time)
         widths = floats(2 * self._look.width_factor * sigma_m)
         for path in self._point_paths:
             self._set(path, "widths", TYPES.FloatArray, widths, time)
@@ -199,7 +192,7 @@ class SplatLayer:
             attr = self._attributes[path, name] = attribute(self._stage.GetPrimAtPath(path), name, kind)
         attr.Set(value, time)
 
-    def _define_splats(self, path: str, cloud: Cloud, *, turned: bool) -> None:
+    def _define_splats(self, path: str, cloud: Cloud) -> None:
         prim = self._stage.DefinePrim(path, SPLAT_TYPE)
         self._stage.SetDefaultPrim(prim)
         set_uniform(prim, "projectionModeHint", TYPES.Token, "perspective")
@@ -211,8 +204,7 @@ class SplatLayer:
         harmonics.SetMetadata("interpolation", "vertex")
         harmonics.SetMetadata("elementSize", 1)
         Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if self._look.linear else SRGB)
-        if not turned:
-            straight = np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1))
-            self._set(path, "orientations", TYPES.QuatfArray, quatf(straight), DEFAULT)
+        straight = np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1))
+        self._set(path, "orientations", TYPES.QuatfArray, quatf(straight), DEFAULT)
         self._set(path, "opacities", TYPES.FloatArray, floats(cloud.opacity), DEFAULT)
         set_display(prim, *cloud.display)

@@ -123,7 +123,8 @@ def export_web(
             "motion for a web page", wanted=f"at most {FRAMES_MAX} frames", came=f"{len(sequence)}",
             remedy="Show a part of it with --frames.",
         )  # fmt: skip
-    shown, correctives = with_cheap_correctives(avatar.for_hand(sequence.handedness).prefix(options.gaussians))
+    hand = avatar.with_stiff_wrist().for_hand(sequence.handedness)
+    shown, correctives = with_cheap_correctives(hand.prefix(options.gaussians))
     title = options.title or avatar.info.name
     contents = {
         HAND: hand_script(shown, sequence, view),
@@ -152,7 +153,7 @@ def hand_script(avatar: HandAvatar, sequence: PoseSequence, view: WebView) -> st
     description = about | {
         "name": info.name, "license": info.license, "handedness": str(avatar.handedness), "gaussians": len(avatar),
         "learned_from": None if info.learned_from is None else _learned_from(avatar),
-        "notes": _notes(avatar), "made_by": f"Made by JGHand {__version__}",
+        "notes": _notes(avatar, sequence), "made_by": f"Made by JGHand {__version__}",
         "fps": sequence.fps, "origin_m": origin_m.tolist(), "articulated": _articulated(avatar, sequence),
         "view": {"to_eye": view.to_eye, "up": view.up, "focal": view.focal, "fill": FILL},
         "reach_m": view.reach_m, "contract": _contract(avatar.pixel_m * scale), "arrays": pack.about,
@@ -185,11 +186,12 @@ def _learned_from(avatar: HandAvatar) -> str:
     return "" if learned_from is None else f"{learned_from.pictures} pictures of {learned_from.capture}"
 
 
-def _notes(avatar: HandAvatar) -> list[str]:
+def _notes(avatar: HandAvatar, sequence: PoseSequence) -> list[str]:
+    notes = [] if sequence.forearm is None else ["Not shown here: how the forearm turns, which goes with the palm."]
     shadow = ShadowLook() if avatar.learned is None else avatar.learned.shadow
     if shadow is None or not shadow.is_seen:
-        return []
-    return ["Not shown here: the faint shadow of close fingers that JGHand's own renderer adds."]
+        return notes
+    return [*notes, "Not shown here: the faint shadow of close fingers that JGHand's own renderer adds."]
 
 
 def _articulated(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:

@@ -98,8 +98,8 @@ def test_thumbs_reach_what_they_should_touch(hand, kind):
     wanted |= {"touch_index_open": 1, "touch_index_relaxed": 1, "touch_middle_open": 2, "pinch": 1, "ok": 1}
     for name, finger in wanted.items():
         if name in joints:
-            # worst observed 0.3 mm
-            assert np.linalg.norm(joints[name][16] - joints[name][16 + finger]) < 1e-3, name
+            # pads meet, whose joints are up to a thumb's thickness apart
+            assert np.linalg.norm(joints[name][16] - joints[name][16 + finger]) < 0.022, name
 
 
 @pytest.mark.parametrize("count", [0, -1, 100_000])

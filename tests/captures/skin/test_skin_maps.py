@@ -193,3 +193,16 @@ def test_age_deepens_lines_and_long_nails_have_a_wide_edge():
     for layer in ("straight", "fold"):
         assert old.heights[layer].std() > 1.3 * young.heights[layer].std()
     assert old.amounts["free_edge"].sum() > 2 * young.amounts["free_edge"].sum()
+
+
+def test_a_dark_hand_has_no_cuff_where_its_pale_palm_ends():
+    """Along the palm side of the wrist the skin darkens from one half centimeter to the next, nowhere at once."""
+    dark = painted(load_identity("adult_man", forearm=True), SIZE, Person(melanin=0.9))
+    along_mm = dark.texels.point[:, 1]
+    brightness, inner = (
+        paint_color(dark).mean(1),
+        (dark.texels.normal[:, 2] > 0.7) & (dark.texels.shares.sum((1, 2)) < 0.1),
+    )
+    means = np.array([brightness[inner & (np.abs(along_mm - at) < 2.5)].mean() for at in range(15, -70, -5)])
+    assert means[0] > 2 * means[-1]
+    assert np.abs(np.diff(means)).max() < 0.4 * (means[0] - means[-1])

@@ -1,5 +1,4 @@
-"""Commands that another program started: `jghand serve`, progress as lines of JSON, and an end of its input that means
-Ctrl-C.
+"""Commands that another program started: progress as lines of JSON, and an end of their input that means Ctrl-C.
 
 With --progress-json every line of standard error that begins with `{` is one object whose key `jghand` says what it is:
 
@@ -25,13 +24,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 from rich.progress import Progress
 
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
-from jghand_engine.errors import DiskFullError, InputError
+from jghand_engine.errors import DiskFullError
 
 if TYPE_CHECKING:
     from jghand_engine.learn.progress import Status
@@ -46,26 +44,6 @@ STOP_WITHOUT_INPUT_S = 90.0
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # what an exit code is called, as in the replies of the service
 _KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "canceled"}
-
-
-# of `jghand serve`
-DESCRIPTION = """The engine as a process. Blender starts it; people have no need to.
-
-A line with a token comes in on standard input, a line with the port goes out on standard output."""
-
-
-@dataclass(frozen=True)
-class Serve:
-    stdio_handshake: bool = False
-    """Exchange token and port over standard input and output (the only way there is)."""
-
-    def run(self) -> int:
-        if not self.stdio_handshake:
-            raise InputError("serve", wanted="--stdio-handshake", came="nothing", remedy="Blender starts it like that.")
-        from jghand_engine.service.hands import HandImages
-        from jghand_engine.service.server import serve
-
-        return serve(HandImages())
 
 
 class JsonLines:

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The hands that Add Hand offers by picture: those that come with JGHand, and those of packs that were installed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import bpy.utils.previews
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from .. import folders
+from ..core.view import BUILTIN_AVATAR
+from ..errors import JGHandFailure
+from ..ops import REGISTERED, Reporting
+from . import hand_packs
+from .seen_hands import HANDS, hand_folders
+
+# Blender keeps no texts of dynamic items, nor their pictures
+_items: list[tuple[str, str, str, int, int]] = []
+_pictures: list[bpy.utils.previews.ImagePreviewCollection] = []
+
+
+def items(_owner: object = None, _context: bpy.types.Context | None = None) -> list[tuple[str, str, str, int, int]]:
+    """Of an enumeration: the built-in hand, then the others. Their numbers hold until hands are installed."""
+    found = [(BUILTIN_AVATAR, "Built-in", "The hand that comes with JGHand", _icon(_picture_of(BUILTIN_AVATAR)), 0)]
+    for place, hand in enumerate(hand_packs.hands_in(hand_folders()), 1):
+        found.append((hand.name, hand.title, str(hand.file), _icon(hand.picture), place))
+    if found != _items:
+        _items[:] = found
+    return _items
+
+
+def _picture_of(name: str) -> Path | None:
+    paths = (folder / f"{name}{hand_packs.PICTURE}" for folder in hand_folders())
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _icon(picture: Path | None) -> int:
+    if picture is None:
+        return 0
+    if not _pictures:
+        _pictures.append(bpy.utils.previews.new())
+    (loaded,) = _pictures
+    key = f"{picture} {picture.stat().st_mtime_ns}"
+    return (loaded[key] if key in loaded else loaded.load(key, str(picture), "IMAGE")).icon_id
+
+
+class JGHandChoice(bpy.types.PropertyGroup):
+    """`window_manager.jghand`: what Add Hand adds next; not saved with the file."""
+
+    hand: bpy.props.EnumProperty(name="Hand", description="The hand that Add Hand adds", items=items)
+
+
+class InstallHands(Reporting, bpy.types.Operator):
+    """Operator: the hands of a zip, for all files of this user."""
+
+    bl_idname = "jghand.install_hands"
+    bl_label = "Install Hands"
+    bl_description = "Choose a zip of hands: they are offered by Add Hand from then on, in every file"
+    bl_options = REGISTERED
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(default="*.zip", options={"HIDDEN"})
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Asks for the file."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def run(self, context: bpy.types.Context) -> None:
+        path = Path(bpy.path.abspath(self.filepath))
+        if not path.is_file():
+            raise JGHandFailure("bad_pack", str(path))
+        names, broken = hand_packs.unpack(path, folders.user_folder(HANDS))
+        told = rpt_("Installed hands: {names}.").format(names=", ".join(names) or "0")
+        if broken:
+            text = rpt_("Damaged, and left out: {names}. Get the zip again.")
+            self.warn(told, text.format(names=", ".join(broken)))
+        else:
+            self.tell(told)
+
+
+CLASSES = (JGHandChoice, InstallHands)
+SETTINGS = ((bpy.types.WindowManager, JGHandChoice),)
+
+
+def unregister() -> None:
+    """Gives the pictures back."""
+    while _pictures:
+        bpy.utils.previews.remove(_pictures.pop())

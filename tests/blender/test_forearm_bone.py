@@ -1,0 +1,165 @@
+"""A wrist that hangs on a forearm: what an animator turns is what the renderer is told, and nothing else changes."""
+
+from __future__ import annotations
+
+import bpy
+import hands
+import numpy as np
+import pytest
+from mathutils import Quaternion
+
+from blender_addon.core import posing
+from blender_addon.core.joints import FOREARM, HANDEDNESSES
+from blender_addon.export.ops_common import record_steps
+from blender_addon.hand import armature, avatar_files, motion, stand_ins
+from blender_addon.hand.motion_files import MotionFile, read_motion
+
+NO_TURN = (1.0, 0.0, 0.0, 0.0)
+
+
+def arm_of(context: bpy.types.Context, side: str) -> bpy.types.Object:
+    return armature.build_armature(context, side, posing.rest_joints_m(side), side, forearm=True)
+
+
+def seen(hand: bpy.types.Object):
+    bpy.context.view_layer.update()
+    return armature.read_hand(hand, bpy.context.evaluated_depsgraph_get())
+
+
+def forearm_way(read) -> np.ndarray:
+    """Where the renderer then has it, in the world: the rest hand's way, carried by the palm and turned."""
+    rest = posing.rest_matrices(posing.rest_joints_m(read.handedness), read.handedness)
+    way = posing.forearm_rest(rest, read.handedness)[:3, 3] - rest[0, :3, 3]
+    joints = read.joints_world_m[None]
+    carried = posing.posed_axes(joints, rest, read.handedness)[0, 0] @ rest[0, :3, :3].T
+    return posing.forearm_rotations(joints, read.handedness, read.forearm_turn[None])[0] @ carried @ way
+
+
+def random_turns(frames: int) -> np.ndarray:
+    turns = np.random.default_rng(4).normal(size=(frames, 4))
+    return turns / np.linalg.norm(turns, axis=1, keepdims=True)
+
+
+def test_a_hand_of_an_avatar_with_a_forearm_hangs_on_its_bone(extension, monkeypatch):
+    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: False)
+    bpy.ops.jghand.add_hand(handedness="right")
+    assert not armature.has_forearm_bone(bpy.context.object)
+    assert seen(bpy.context.object).forearm_turn is None
+    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
+    bpy.ops.jghand.add_hand(handedness="left")
+    hand = bpy.context.object
+    bone = hand.data.bones[FOREARM]
+    assert hand.data.bones["wrist"].parent == bone
+    assert bone.parent is None
+    np.testing.assert_allclose(bone.tail_local, hand.data.bones["wrist"].head_local, atol=1e-6)
+    assert bone.length == pytest.approx(0.24, abs=1e-3)
+
+
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_a_bone_for_the_forearm_moves_nothing_of_a_hand_that_is_posed(extension, monkeypatch, side):
+    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: False)
+    bpy.ops.jghand.add_hand(handedness=side)
+    hand = bpy.context.object
+    hand.pose.bones["wrist"].rotation_quaternion = Quaternion((0.3, 1, 0.2), 0.7)
+    hand.pose.bones["index2"].rotation_quaternion = Quaternion((1, 0, 0), 0.7)
+    before = seen(hand).joints_m
+    assert bpy.ops.jghand.add_forearm_bone() == {"FINISHED"}
+    np.testing.assert_allclose(seen(hand).joints_m, before, atol=1e-6)
+    assert not bpy.ops.jghand.add_forearm_bone.poll()
+
+
+@pytest.mark.parametrize("place", ["where it was made", "moved and turned", "scaled", "turned inside out"])
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_the_forearm_carries_the_hand_and_stays_where_it_is_when_the_wrist_bends(context, side, place):
+    hand = arm_of(context, side)
+    hands.put(hand, hands.PLACES[place])
+    straight = seen(hand)
+    np.testing.assert_allclose(straight.forearm_turn, NO_TURN, atol=1e-6)
+    hand.pose.bones[FOREARM].rotation_quaternion = Quaternion((0.3, 1, 0.2), 1.2)
+    carried = seen(hand)
+    np.testing.assert_allclose(carried.forearm_turn, NO_TURN, atol=1e-6)
+    assert np.abs(carried.joints_m - straight.joints_m).max() > 0.05
+    way = forearm_way(carried)
+    hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0.2, 0.4), 1.0)
+    bent = seen(hand)
+    # the hand turned, and the skin of the forearm did not
+    np.testing.assert_allclose(bent.joints_m[0], carried.joints_m[0], atol=1e-6)
+    assert np.abs(bent.joints_m - carried.joints_m).max() > 0.05
+    np.testing.assert_allclose(forearm_way(bent), way, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_a_motion_with_a_forearm_comes_back_from_its_keys(extension, side, tmp_path):
+    context = bpy.context
+    hand, joints, turns = arm_of(context, side), hands.moving_hand_m(side), random_turns(5)
+    motion.key_motion(hand, joints, context.scene, range(1, 6), turns=turns)
+    for frame in range(5):
+        read = armature.read_hand(hand, armature.at_frame(context.scene, 1 + frame))
+        np.testing.assert_allclose(read.joints_m, joints[frame], atol=1e-6)
+        assert abs(read.forearm_turn @ turns[frame]) == pytest.approx(1, abs=1e-6)
+    # ... and from what is written of it
+    recordings = []
+    list(record_steps(context, [hand], range(1, 6), recordings))
+    recordings[0].save(tmp_path / "motion.npz")
+    again = read_motion(tmp_path / "motion.npz").forearm
+    np.testing.assert_allclose(np.abs((again * turns).sum(1)), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_a_motion_without_a_forearm_moves_it_with_the_hand(context, side):
+    hand, joints = arm_of(context, side), hands.moving_hand_m(side)
+    motion.key_motion(hand, joints, context.scene, range(1, 6))
+    for frame in range(5):
+        read = armature.read_hand(hand, armature.at_frame(context.scene, 1 + frame))
+        np.testing.assert_allclose(read.joints_m, joints[frame], atol=1e-6)
+        np.testing.assert_allclose(np.abs(read.forearm_turn), NO_TURN, atol=1e-6)
+
+
+def test_a_motion_that_knows_the_forearm_makes_a_hand_with_its_bone(context):
+    content = MotionFile(hands.moving_hand_m("right"), 24.0, "right", forearm=random_turns(5))
+    plain = MotionFile(content.joints_m, 24.0, "right")
+    there = armature.build_armature(context, "there", posing.rest_joints_m("right"), "right")
+    wanted = [
+        motion.WantedMotion(each, "Wave", hand) for each, hand in ((content, None), (plain, None), (content, there))
+    ]
+    turned, straight, there = motion.import_motions(context, wanted)
+    assert not armature.has_forearm_bone(straight)
+    for hand in (turned, there):
+        read = armature.read_hand(hand, armature.at_frame(context.scene, 1))
+        assert abs(read.forearm_turn @ content.forearm[0]) == pytest.approx(1, abs=1e-6)
+
+
+def test_poses_and_controls_leave_the_wrist_as_it_is_bent(extension, monkeypatch):
+    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
+    bpy.ops.jghand.add_hand(handedness="right")
+    hand = bpy.context.object
+    hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0, 0), 0.5)
+    before = seen(hand)
+    # a fist arches the palm, whose frame the turn is in
+    bpy.ops.jghand.apply_pose(pose="claw")
+    after = seen(hand)
+    np.testing.assert_allclose(after.forearm_turn, before.forearm_turn, atol=1e-6)
+    assert np.abs(after.joints_m - before.joints_m).max() > 0.02
+    assert bpy.ops.jghand.remove_controls.poll()
+
+
+def test_the_shadow_of_a_forearm_stays_when_the_wrist_bends(extension, monkeypatch):
+    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
+    monkeypatch.setattr(stand_ins.avatar_files, "has_forearm", lambda avatar: True)
+    bpy.ops.jghand.add_hand(handedness="right")
+    hand = bpy.context.object
+    (shadow,) = hands.stand_ins_of(hand)
+    shadow.hide_viewport = False
+
+    def surface() -> np.ndarray:
+        bpy.context.view_layer.update()
+        vertices = shadow.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.vertices
+        return np.array([vertex.co for vertex in vertices])
+
+    straight = surface()
+    hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0, 0), 0.8)
+    moved = np.linalg.norm(surface() - straight, axis=1)
+    behind = straight[:, 1] < -0.05
+    assert behind.sum() > 50
+    assert moved[behind].max() < 1e-6
+    assert moved[straight[:, 1] > 0.05].min() > 0.02
