@@ -2,7 +2,7 @@
 
 For each pixel: the nearest face that looks at the camera; its place on the texture, by perspective; a level of the
 texture by how many texels the pixel spans; the ratio there, weakened at the outline and where the Gaussians lie
-elsewhere than the surface.
+elsewhere than the surface. Which face is the nearest is said to be certain where float32 finds the same one.
 """
 
 from __future__ import annotations
@@ -17,6 +17,12 @@ from jghand_engine.native import contract
 from jghand_engine.native.detail_task import TEXEL_BITS, TEXEL_ZERO
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M, GRAZE_MAX
+
+# faces reach so much farther than their edges, as in native/detail.cpp: no gaps between neighbors
+EDGE_PX = 1 / 512
+# what float32 may be off by: at an edge, where coordinates of 100 px have steps of 8e-6; in depth, a part of it, where
+# steps are 6e-8
+ROUNDING_PX, ROUNDING_DEPTH = 1e-4, 1e-6
 
 
 def levels_of(detail: Detail) -> list[np.ndarray]:
@@ -41,7 +47,8 @@ def posed_surface(avatar: HandAvatar, joints_m: np.ndarray) -> tuple[np.ndarray,
 
 
 def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.ndarray, depth_m: np.ndarray):
-    """-> (H, W, 3) what colors are multiplied by, (H, W) depth of the surface, infinite where there is none.
+    """-> (H, W, 3) what colors are multiplied by, (H, W) depth of the surface, infinite where there is none, and (H, W)
+    bool: whether rounding has no say in which face is the nearest one.
 
     alpha, depth_m: (H, W) of the Gaussians
     """
@@ -51,7 +58,9 @@ def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.n
     near = -depth if camera.orthographic else 1 / depth
     facing = -1 if avatar.handedness is Handedness.RIGHT else 1
     height, width = alpha.shape
-    nearest = np.full((height, width), -np.inf)
+    nearest, sure = np.full((height, width), -np.inf), np.zeros((height, width), bool)
+    # of the faces that rounding may find there: the nearest and the next
+    first, second = np.full((2, height, width), -np.inf)
     uv, slopes, spans = np.zeros((height, width, 2)), np.zeros((height, width, 2)), np.zeros((height, width))
     texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1).astype(np.float64)
     for corners, places in zip(detail.faces, texture_xy, strict=True):
@@ -59,8 +68,7 @@ def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.n
         area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
         if not (depth[corners] > contract.Z_NEAR_M).all() or area * facing <= 0:
             continue
-        x0, x1 = max(int(np.ceil(x.min() - 0.5)), 0), min(int(np.floor(x.max() - 0.5)), width - 1)
-        y0, y1 = max(int(np.ceil(y.min() - 0.5)), 0), min(int(np.floor(y.max() - 0.5)), height - 1)
+        (x0, x1), (y0, y1) = centers(x, width), centers(y, height)
         if x0 > x1 or y0 > y1:
             continue
         column, row = np.meshgrid(np.arange(x0, x1 + 1), np.arange(y0, y1 + 1))
@@ -76,15 +84,21 @@ def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.n
             return weight @ places
 
         shares = shares_at(0, 0)
-        here = (shares >= 0).all(-1) & (shares @ n > nearest[row, column])
+        opposite_px = np.hypot(np.roll(x, -1) - np.roll(x, 1), np.roll(y, -1) - np.roll(y, 1))
+        inside_px, found = (shares * abs(area) / opposite_px).min(-1) + EDGE_PX, shares @ n
+        here = (inside_px >= 0) & (found > nearest[row, column])
         place, step = places_at(shares), 1e-4
         along = [(places_at(shares_at(*d)) - place) / step for d in ((step, 0), (0, step))]
-        nearest[row[here], column[here]] = (shares @ n)[here]
+        nearest[row[here], column[here]], sure[row[here], column[here]] = found[here], inside_px[here] >= ROUNDING_PX
+        perhaps = np.where(inside_px >= -ROUNDING_PX, found, -np.inf)
+        second[row, column] = np.maximum(second[row, column], np.minimum(first[row, column], perhaps))
+        first[row, column] = np.maximum(first[row, column], perhaps)
         uv[row[here], column[here]] = place[here]
         # near is linear on the image
         slopes[row[here], column[here]] = np.linalg.solve(np.stack([np.diff(x), np.diff(y)], 1), np.diff(n))
         spans[row[here], column[here]] = np.sqrt(sum((a**2).sum(-1) for a in along) / 2)[here] * detail.size
     hit = np.isfinite(nearest)
+    certain = np.where(hit, sure & (second < nearest - ROUNDING_DEPTH * np.abs(nearest)), np.isinf(first))
     surface_m = np.where(hit, -nearest if camera.orthographic else 1 / np.where(hit, nearest, 1.0), np.inf)
     log = looked_up(levels_of(detail), uv, spans)
     over = 1.0 if camera.orthographic else np.where(hit, surface_m, 0)[..., None]
@@ -92,7 +106,13 @@ def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.n
     graze = np.minimum(np.sqrt(1 + (slope**2).sum(-1)), GRAZE_MAX)
     apart = np.abs(depth_m - surface_m - scale * detail.depth_m) / graze
     weight = smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - smooth(apart, scale * FADE_FROM_M, scale * FADE_TO_M)) * hit
-    return np.exp(weight[..., None] * log), surface_m
+    return np.exp(weight[..., None] * log), surface_m, certain
+
+
+def centers(corners_px: np.ndarray, size: int) -> tuple[int, int]:
+    """The first and the last row or column whose center a face may reach."""
+    reach = EDGE_PX + ROUNDING_PX - 0.5
+    return max(int(np.ceil(corners_px.min() - 1 - reach)), 0), min(int(np.floor(corners_px.max() + reach)), size - 1)
 
 
 def looked_up(levels: list[np.ndarray], uv: np.ndarray, spans: np.ndarray) -> np.ndarray:

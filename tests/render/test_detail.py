@@ -83,13 +83,15 @@ def test_the_kernel_draws_what_the_specification_says(name, handedness, view):
     avatar, seen = detailed(noise(256), handedness), view(camera())
     with_detail, without = both(avatar, name, seen)
     joints_m = pose(name, handedness)
-    wanted, surface_m = ratios(avatar, joints_m, seen, without.rgba[..., 3], without.depth_m)
+    wanted, surface_m, certain = ratios(avatar, joints_m, seen, without.rgba[..., 3], without.depth_m)
     assert np.isfinite(surface_m).sum() > 2000
-    error = np.abs(ratio_of(with_detail, without) - wanted)[without.rgba[..., 3] > 0.2]
-    # observed: 2.4e-4 in the fist, where fingers run into the palm and either of two faces may be the nearer one
-    assert error.mean() < 3e-4
-    # at edges of faces rounding decides which of two it is, and so does it at the edge of a finger which texture
-    assert (error > 3e-3).mean() < 5e-3
+    covered = without.rgba[..., 3] > 0.2
+    # where two faces meet or cross within rounding, the kernel may draw the one or the other: observed 0.9 %
+    assert certain[covered].mean() > 0.98
+    error = np.abs(ratio_of(with_detail, without) - wanted)[covered & certain]
+    # observed: 1.9e-6, and above 1e-4 two values of one pixel, on a face seen along its surface
+    assert error.mean() < 4e-6
+    assert (error > 1e-4).mean() < 3e-4
     assert wanted.std() > 0.03
 
 

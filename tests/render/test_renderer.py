@@ -31,6 +31,10 @@ from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
 
 COUNT = 4000
+# of a float32 sum of weights times depths of half a meter, whose steps are 3e-8 m; observed 5.0e-7
+DEPTH_ROUNDING_M = 6e-7
+# from the nearest to the farthest skin of the hands that are drawn here: observed 0.083 to 0.094
+HAND_DEPTH_M = 0.1
 RIGHT = load_painted(handedness=Handedness.RIGHT)
 CANONICAL_M = RIGHT.canonical_joints_m
 NATIVE = native_library.runnable_variants()
@@ -61,15 +65,19 @@ def exact_planes(pose_m: np.ndarray, view: Camera, settings: RenderSettings, han
 
 
 def check_against(frame: Frame, planes: torch.Tensor, *, flips: float) -> None:
-    exact = planes[:4].permute(1, 2, 0).numpy()
+    exact, depth_sum = planes[:4].permute(1, 2, 0).numpy(), planes[4].numpy()
+    alpha = exact[..., 3]
     error = np.abs(frame.rgba - exact).max(-1)
-    # RENDERING 3: 1.1e-4 but for flips of a threshold, up to 1/255, or of a normal of the shadow (observed 0.014)
-    assert float((error > 1.1e-4).mean()) <= flips
     assert float(error.max()) < 0.04
-    valid = exact[..., 3] > contract.DEPTH_ALPHA_MIN + 1e-3
-    depth_m = planes[4].numpy()[valid] / exact[valid][:, 3]
-    assert np.quantile(np.abs(frame.depth_m[valid] - depth_m), 0.999) < 5e-6  # observed 3.4e-6
-    assert (frame.depth_m[exact[..., 3] < contract.DEPTH_ALPHA_MIN - 1e-3] == 0).all()
+    valid = alpha > contract.DEPTH_ALPHA_MIN + 1e-3
+    depth_error = np.where(valid, np.abs(frame.depth_m * alpha - depth_sum), 0)
+    # what an early stop leaves out lies within the hand, and moves the mean depth by its part of alpha
+    allowed = DEPTH_ROUNDING_M + HAND_DEPTH_M * np.abs(frame.rgba[..., 3] - alpha)
+    # RENDERING 3: 1.1e-4 but for flips of a threshold, up to 1/255, or of a normal of the shadow (observed 0.014)
+    flipped = (error > 1.1e-4) | (depth_error > allowed)
+    assert float(flipped.mean()) <= flips
+    assert (depth_error <= allowed + HAND_DEPTH_M * contract.ALPHA_MIN).all()
+    assert (frame.depth_m[alpha < contract.DEPTH_ALPHA_MIN - 1e-3] == 0).all()
 
 
 # ---- the picture ----------------------------------------------------------------------------------------------------
