@@ -82,10 +82,8 @@ class Track:
     """Only so many frames from the start."""
     overwrite: bool = False
     """Replace motions, a proof and a camera that are there."""
-    model: File = None
-    """The networks that find a hand, a .task file; left out: those that were fetched."""
     fetch_model: bool = False
-    """Fetch them with pip if they are not here yet (35 MB, once, MediaPipe's, Apache-2.0)."""
+    """Fetch the networks that find a hand with pip if they are not here yet (35 MB, once, MediaPipe's, Apache-2.0)."""
     fit: FitOptions = field(default_factory=FitOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     json: FiguresFile = None
@@ -187,11 +185,11 @@ class Track:
         from jghand_engine.track.track import detect
         from jghand_engine.track.video import read_frames
 
-        if self.fetch_model and self.model is None:
+        if self.fetch_model:
             check_package()
             say(f"The networks that find a hand: {fetch_model()}")
         total = video.frames if self.most is None else min(self.most, video.frames or self.most)
-        with video_detector(self.model) as detector, progress("Looking for hands", total or 1) as bar:
+        with video_detector() as detector, progress("Looking for hands", total or 1) as bar:
             task = bar.task_ids[0]
             return detect(
                 read_frames(video, notes, most=self.most),

@@ -72,8 +72,6 @@ class Train:
     """The same seed and --steps give the same avatar on the same machine."""
     all_pictures: bool = False
     """Learn from the held-out pictures too: for an avatar that is used, not for one that is judged."""
-    tensorboard: bool = False
-    """Also write the curves for TensorBoard, into the work folder."""
     device: DeviceName = "auto"
     """Where torch's part runs; pictures are drawn on the CPU. auto is the CPU: cuda and mps have never been
     tried. A training that was stopped can be resumed on another device, though not to the same bits."""
@@ -164,7 +162,6 @@ class Train:
             budget=self._budget(),
             start=Start.RESUME if self.start.resume else Start.FRESH if self.start.fresh else Start.NEW,
             overwrite=self.start.overwrite,
-            tensorboard=self.tensorboard,
         )
 
     @property

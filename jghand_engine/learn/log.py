@@ -1,4 +1,4 @@
-"""The log of a training: one JSON object per line (JSONL), the same curves in TensorBoard where somebody wants them.
+"""The log of a training: one JSON object per line (JSONL).
 
 A line stands for the steps since the line before it: `step` is the number of steps done, the figures are means over
 them. A training that goes back, or goes on from a checkpoint, first cuts what lies after the step it starts from.
@@ -6,14 +6,12 @@ them. A training that goes back, or goes on from a checkpoint, first cuts what l
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.errors import InputError, install_extra
 from jghand_engine.files import file_error, writing
 from jghand_engine.learn.checkpoint import LoopState
 
@@ -35,19 +33,17 @@ def take_means(state: LoopState) -> dict[str, float]:
 class Log:
     """The file `path`, which grows by a line at a time."""
 
-    def __init__(self, path: Path, board: Board | None = None) -> None:
-        self._path, self._board = path, board
+    def __init__(self, path: Path) -> None:
+        self._path = path
 
     def write(self, step: int, figures: Mapping[str, float], **more: Any) -> None:
-        """Appends one line; `figures` also go to TensorBoard. InputError or RetryError when it cannot be written."""
+        """Appends one line. InputError or RetryError when it cannot be written."""
         line = json.dumps({"step": step, **{name: _number(value) for name, value in figures.items()}, **more})
         try:
             with open(self._path, "a", encoding="utf-8") as stream:
                 stream.write(line + "\n")
         except OSError as error:
             raise file_error(self._path, error) from error
-        if self._board is not None:
-            self._board.write(step, figures)
 
     def cut_after(self, step: int) -> None:
         """Removes the lines of steps after `step`, and one that a kill left half-written."""
@@ -58,12 +54,6 @@ class Log:
         if kept != lines:
             with writing(self._path) as temporary:
                 temporary.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
-        if self._board is not None:
-            self._board.cut_after(step)
-
-    def close(self) -> None:
-        if self._board is not None:
-            self._board.close()
 
 
 def _step_of(line: str) -> int | None:
@@ -77,32 +67,3 @@ def _step_of(line: str) -> int | None:
 def _number(value: float) -> float | None:
     """JSON has neither NaN nor infinity: the PSNR of a perfect picture is infinite."""
     return value if math.isfinite(value) else None
-
-
-class Board:
-    """TensorBoard's event files in `folder`. InputError when the package is not installed."""
-
-    def __init__(self, folder: Path) -> None:
-        if importlib.util.find_spec("tensorboard") is None:
-            raise InputError(
-                "--tensorboard", wanted="the package tensorboard", came="none",
-                remedy=install_extra("tensorboard"),
-            )  # fmt: skip
-        self._folder = folder
-        self._writer = self._open(None)
-
-    def write(self, step: int, figures: Mapping[str, float]) -> None:
-        for name, value in figures.items():
-            self._writer.add_scalar(name, value, step)
-
-    def cut_after(self, step: int) -> None:
-        self._writer.close()
-        self._writer = self._open(step + 1)
-
-    def close(self) -> None:
-        self._writer.close()
-
-    def _open(self, purge_step: int | None) -> Any:
-        from torch.utils.tensorboard import SummaryWriter
-
-        return SummaryWriter(str(self._folder), purge_step=purge_step)

@@ -13,7 +13,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -24,7 +23,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import write_png
 from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fits
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, Guard, find_non_finite
-from jghand_engine.learn.log import Board, Log, add_figures, take_means
+from jghand_engine.learn.log import Log, add_figures, take_means
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
@@ -50,7 +49,6 @@ class RunOptions:
     budget:      how long to train
     start:       whether to begin, to resume, or to forget what the folder holds
     overwrite:   replace `out` even if this training did not write it
-    tensorboard: write the curves for TensorBoard too
     log_steps:   steps that one line of the log averages
     checkpoint:  when to write one
     preview:     when to write one
@@ -62,7 +60,6 @@ class RunOptions:
     budget: Budget
     start: Start = Start.NEW
     overwrite: bool = False
-    tensorboard: bool = False
     log_steps: int = LOG_EVERY_STEPS
     checkpoint: Every = CHECKPOINTS
     preview: Every = PREVIEWS
@@ -91,10 +88,9 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
     display = display or Silent()
     check_places(options)
     work = WorkFolder(options.work, options.stamp, options.budget)
-    board = Board(work.board) if options.tensorboard else None
-    with work.opened(options.start), closing(Log(work.log, board)) as log:
+    with work.opened(options.start):
         trainable = build()
-        loop = Loop(trainable, options, work, log, display)
+        loop = Loop(trainable, options, work, Log(work.log), display)
         if options.start is Start.RESUME:
             work.remember_budget()
         with stop_requests() as stop:

@@ -3,7 +3,7 @@
 training.json   says that the folder is a training's, with which options it began, and how long it is to last
 lock            held while a training runs here
 checkpoints/    step_00000500.safetensors: the last two and the best
-log.jsonl       figures, a line per interval (see log.py); tensorboard/ the same for TensorBoard
+log.jsonl       figures, a line per interval (see log.py)
 pictures/       the first fixed view over time, truth beside ours; preview.jghand is the newest avatar
 output.json     digest of the finished avatar that this training wrote, and may replace
 """
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -87,8 +86,7 @@ class WorkFolder:
     def __init__(self, path: Path, stamp: Stamp, budget: Budget) -> None:
         self.path, self._stamp, self._budget = path, stamp, budget
         self.checkpoints = CheckpointFolder(path / "checkpoints", stamp)
-        self.log, self.board = path / "log.jsonl", path / "tensorboard"
-        self.pictures, self.preview = path / "pictures", path / "preview.jghand"
+        self.log, self.pictures, self.preview = path / "log.jsonl", path / "pictures", path / "preview.jghand"
 
     @contextmanager
     def opened(self, start: Start) -> Iterator[None]:
@@ -130,7 +128,6 @@ class WorkFolder:
         self.checkpoints.clear()
         for path in (self.log, self.preview, *self.pictures.glob("step_*.png")):
             path.unlink(missing_ok=True)
-        shutil.rmtree(self.board, ignore_errors=True)
 
 
 def stamp_of(options: DataclassInstance, pictures: Sequence[Sample]) -> dict[str, Any]:

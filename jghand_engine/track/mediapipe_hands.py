@@ -189,7 +189,7 @@ def model_file(named: Path | None = None) -> Path:
             return place
     raise InputError(
         "hand model", wanted=f"{FILE_NAME}, the networks that find a hand", came="none on this machine",
-        remedy="Fetch it once (35 MB) with --fetch-model, or name one with --model.",
+        remedy=f"Fetch it once (35 MB) with --fetch-model, or name one in {VARIABLE}.",
     )  # fmt: skip
 
 

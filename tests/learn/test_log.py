@@ -1,4 +1,4 @@
-"""The log: whole lines, cut where a training goes on, the same curves in TensorBoard."""
+"""The log: whole lines, cut where a training goes on."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import pytest
 from small_trainings import read_log
 
 from jghand_engine.errors import InputError
-from jghand_engine.learn import log as log_module
 from jghand_engine.learn.checkpoint import LoopState
-from jghand_engine.learn.log import Board, Log, add_figures, take_means
+from jghand_engine.learn.log import Log, add_figures, take_means
 
 
 def test_lines_after_the_step_and_half_written_ones_are_cut(tmp_path):
@@ -54,25 +53,3 @@ def test_means_are_taken_once():
         add_figures(state, {"loss": value})
     assert take_means(state) == {"loss": 3.0}
     assert take_means(state) == {}
-
-
-def test_tensorboard_that_is_not_installed_is_a_clear_error(tmp_path, monkeypatch):
-    monkeypatch.setattr(log_module.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"jghand\[tensorboard\]"):
-        Board(tmp_path)
-
-
-def test_tensorboard_gets_the_same_curves_and_forgets_what_is_cut(tmp_path):
-    pytest.importorskip("tensorboard", reason="the extra `tensorboard` is not installed")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    log = Log(tmp_path / "log.jsonl", Board(tmp_path / "board"))
-    for step in (5, 10, 15):
-        log.write(step, {"loss": step / 100})
-    log.cut_after(10)
-    log.write(15, {"loss": 0.5})
-    log.close()
-    events = EventAccumulator(str(tmp_path / "board"))
-    events.Reload()
-    seen = {event.step: event.value for event in events.Scalars("loss")}
-    assert seen == pytest.approx({5: 0.05, 10: 0.1, 15: 0.5})
