@@ -1,12 +1,8 @@
-"""Which color each Gaussian of a fit's hand has, by all pictures and poses as they stand, and the light it moves in.
-
-The rasterizer itself says who saw what: the gradient of a picture by the colors is the weight with which each Gaussian
-colors each pixel, what covers it and how softly it ends included.
-"""
+"""Which color each Gaussian of a fit's hand has, by all pictures and poses as they stand, and the light it moves in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +12,12 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from jghand_engine.learn.light import harmonics, unit
-from jghand_engine.learn.reference import Picture
 from jghand_engine.own.fit_surface import FitSurface, Kept, PosedBatch
 from jghand_engine.own.fit_views import Sight
+from jghand_engine.own.gather import SEEN_MIN_PX, mean_of_pixels
 
-# a Gaussian is seen in a picture from so many pixels on; seen less, by all pictures, it takes its neighbors' color
-SEEN_MIN, SEEN_ENOUGH = 0.15, 0.3
+# a Gaussian that was seen less, by all pictures, takes its neighbors' color
+SEEN_ENOUGH = 0.3
 NEIGHBORS = 16
 # rounds of albedo and light in turn; logarithms that differ by more than this count less and less
 ROUNDS, ROBUST_SIGMA = 5, 0.12
@@ -42,16 +38,6 @@ class SkinColors:
         return (self.albedo + harmonics(normal) @ self.light.to(normal) + shade).exp()
 
 
-def seen_colors(draw: Callable[[Tensor], Picture], count: int, sight: Sight) -> tuple[Tensor, Tensor]:
-    """(N, 3) mean color that each of `count` Gaussians shows in one picture, and (N,) how many pixels of it."""
-    rgb = torch.zeros(count, 3, requires_grad=True)
-    drawn = draw(rgb).rgb
-    inside = sight.inside[..., None]
-    (colored,) = torch.autograd.grad((drawn * sight.rgb * inside).sum(), rgb, retain_graph=True)
-    (covered,) = torch.autograd.grad((drawn * inside).sum(), rgb)
-    return colored / covered.clamp_min(1e-6), covered[:, 0]
-
-
 def skin_colors(
     surface: FitSurface, posed: PosedBatch, kept: Kept, pictures: Sequence[Sight], factor: float
 ) -> SkinColors:
@@ -59,18 +45,15 @@ def skin_colors(
     posed = PosedBatch(posed.position_m.float(), posed.normal.float(), posed.sigma_m.float())
     found = []
     for row, sight in enumerate(pictures):
-        draw = _drawing(surface, posed, row, sight, factor)
-        color, seen = seen_colors(draw, len(surface), sight)
+        rgb = torch.zeros(len(surface), 3, requires_grad=True)
+        drawn = surface.draw(posed, row, sight.view.camera, rgb, factor).rgb
+        color, seen = mean_of_pixels(drawn, rgb, sight.rgb, sight.inside)
         facing = (posed.normal[row] * -unit(posed.position_m[row])).sum(-1).clamp_min(0)
-        found.append((color.clamp(COLOR_MIN, 1).log() - kept.shade[row].float(), seen * facing**2 * (seen > SEEN_MIN)))
+        found.append(
+            (color.clamp(COLOR_MIN, 1).log() - kept.shade[row].float(), seen * facing**2 * (seen > SEEN_MIN_PX))
+        )
     logs, seen = (torch.stack(parts) for parts in zip(*found, strict=True))
     return _solved(logs, seen / (seen + 0.5), posed, surface)
-
-
-def _drawing(
-    surface: FitSurface, posed: PosedBatch, row: int, sight: Sight, factor: float
-) -> Callable[[Tensor], Picture]:
-    return lambda rgb: surface.draw(posed, row, sight.view.camera, rgb, factor)
 
 
 def _solved(logs: Tensor, weight: Tensor, posed: PosedBatch, surface: FitSurface) -> SkinColors:

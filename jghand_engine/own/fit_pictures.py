@@ -17,7 +17,7 @@ COVERED_MIN, COVERED_FLOOR = 0.7, 0.3
 
 
 @dataclass(frozen=True)
-class Shown:
+class FitPictures:
     """A hand before the pictures, with all that changes slowly as the fit goes on.
 
     factor: of the radii, see fit_surface.outline_factor

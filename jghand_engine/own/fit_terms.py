@@ -1,7 +1,7 @@
 """What a fit weighs: where landmarks lie, where bones point, what hands do, and how steadily. All but pictures.
 
-Weights were chosen on one film; the study's tables say what each is worth. Angles are finger by finger: flexion and
-abduction of the first joint, flexion of the second and third.
+Weights were chosen on one rendered film of a man's hand. Angles are finger by finger: flexion and abduction of the
+first joint, flexion of the second and third.
 """
 
 from __future__ import annotations

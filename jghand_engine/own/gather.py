@@ -83,11 +83,20 @@ class Shown:
         rgb = rgb.detach().requires_grad_()
         drawn, alpha = self.draw(rgb, opacity)
         # what does not cover a pixel wholly is compared with as much of the picture
-        missing = (self.radiance * alpha[..., None] - drawn).detach() * self.counts[..., None]
-        (summed,) = torch.autograd.grad((drawn * missing).sum(), rgb, retain_graph=True)
-        (weight,) = torch.autograd.grad((drawn[..., 0] * self.counts).sum(), rgb)
-        pixels = weight[:, 0]
-        return summed / pixels.clamp_min(1e-6)[:, None], pixels
+        return mean_of_pixels(drawn, rgb, (self.radiance * alpha[..., None] - drawn).detach(), self.counts)
+
+
+def mean_of_pixels(drawn: Tensor, rgb: Tensor, values: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (N, 3) of a picture's values (h, w, 3) over the pixels that each Gaussian has, and how many (N,) these are.
+
+    The rasterizer says who has what: the gradient of a picture by the colors is the weight with which each Gaussian
+    colors each pixel, what covers it and how softly it ends included. drawn: (h, w, 3) of colors `rgb` (N, 3) ·
+    counts: (h, w) 0..1
+    """
+    (summed,) = torch.autograd.grad((drawn * values * counts[..., None]).sum(), rgb, retain_graph=True)
+    (weight,) = torch.autograd.grad((drawn[..., 0] * counts).sum(), rgb)
+    pixels = weight[:, 0]
+    return summed / pixels.clamp_min(1e-6)[:, None], pixels
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.own.chain import Chain, rotation
 from jghand_engine.own.fit_colors import SkinColors
-from jghand_engine.own.fit_pictures import Shown
+from jghand_engine.own.fit_pictures import FitPictures
 from jghand_engine.own.fit_surface import FIT_GAUSSIANS, FitSurface, outline_factor
 from jghand_engine.own.fit_terms import (
     Evidence,
@@ -38,7 +38,7 @@ from jghand_engine.own.fit_terms import (
 )
 from jghand_engine.own.fit_views import sights
 from jghand_engine.own.shape import SHAPE_COUNT, in_shape
-from jghand_engine.own.start import Start
+from jghand_engine.own.start import PACKED, Start, packed, unpacked
 from jghand_engine.render.camera import Camera
 from jghand_engine.track.poses import Poses
 
@@ -98,24 +98,17 @@ class FittedHand:
 
     def save(self, path: Path) -> None:
         """As .npz."""
-        camera, arrays = self.camera, {**vars(self), **vars(self.poses)}
-        arrays["camera"] = np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy])
+        arrays = {**vars(self), **packed(self.camera, self.poses)}
         del arrays["poses"]
-        with writing(path) as temporary, open(temporary, "wb") as stream:
-            np.savez_compressed(stream, **arrays)
+        with writing(path) as temporary:
+            np.savez_compressed(temporary, **arrays)
 
     @classmethod
     def load(cls, path: Path) -> FittedHand:
         """What `save` wrote. InputError for a file that is none."""
         own = ("joints_m", "own_joints_m", "shape", "outline_residual")
-        arrays = read_arrays(
-            path, (*own, "camera", "turn", "place_m", "angle_rad"), str(path), max_bytes=_NPZ_BYTES_MAX
-        )
-        width, height, fx, fy, cx, cy = arrays["camera"].tolist()
-        camera = Camera(int(width), int(height), fx, fy, cx, cy, np.eye(4))
-        poses = Poses(arrays["turn"], arrays["place_m"], arrays["angle_rad"])
-        joints, own_joints, shape, residual = (arrays[name] for name in own)
-        return cls(camera, poses, joints, own_joints, shape, residual)
+        arrays = read_arrays(path, (*own, *PACKED), str(path), max_bytes=_NPZ_BYTES_MAX)
+        return cls(*unpacked(arrays), *(arrays[name] for name in own))
 
 
 @dataclass(eq=False)
@@ -268,10 +261,10 @@ class HandFit:
         turn.mul_(TURN_MAX_RAD / length.clamp_min(TURN_MAX_RAD))
 
     @torch.no_grad()
-    def _shown(self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float) -> Shown:
+    def _shown(self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float) -> FitPictures:
         joints = self.joints(self.everything)
         seen = sights(rgb_u8, masks, joints.double().numpy(), self.start.camera)
-        return Shown(self.surface, seen, self.surface.keep(joints), factor)
+        return FitPictures(self.surface, seen, self.surface.keep(joints), factor)
 
     @torch.no_grad()
     def _outline_factor(self, rgb_u8: np.ndarray, masks: np.ndarray) -> float:

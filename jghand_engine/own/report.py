@@ -71,15 +71,16 @@ def scores(own: OwnHand, film: FilmView) -> list[dict[str, float]]:
     the wrist is no part of it. Their poses were fitted to these very pictures, as they are in the papers on hands from
     films (UHM, HARP)."""
     sides = wrist_side(film.camera.project(film.joints_m)[0], film.camera.width, film.camera.height)
-    found = []
-    for rgba, picture, mask, side in zip(
-        drawn_before(own, film), film.pictures, film.masks & sides, sides, strict=True
-    ):
-        inside = side & (rgba[..., 3] > 0.5)
-        figures = compare(rgba[..., :3] * side[..., None], picture / 255 * mask[..., None], mask.astype(np.float32))
-        figures["iou"] = float((inside & mask).sum() / max((inside | mask).sum(), 1))
-        found.append(figures)
-    return found
+    each = zip(drawn_before(own, film), film.pictures, film.masks, sides, strict=True)
+    return [side_scores(rgba, picture / 255 * mask[..., None], mask, side) for rgba, picture, mask, side in each]
+
+
+def side_scores(rgba: np.ndarray, rgb: np.ndarray, mask: np.ndarray, side: np.ndarray) -> dict[str, float]:
+    """Figures of one picture on one side of the wrist: drawn (H, W, 4) and true (H, W, 3), both over black, 0..1; the
+    true outline (H, W) bool; the side (H, W) bool."""
+    inside, there = side & (rgba[..., 3] > 0.5), side & mask
+    figures = compare(rgba[..., :3] * side[..., None], rgb * side[..., None], there.astype(np.float32))
+    return figures | {"iou": float((inside & there).sum() / max((inside | there).sum(), 1))}
 
 
 def seen_map(own: OwnHand, edge_px: int = SHEET_PX) -> dict[str, np.ndarray]:
@@ -132,7 +133,7 @@ def write_report(folder: Path, own: OwnHand, film: FilmView, held: np.ndarray) -
 
 def _sides(avatar: HandAvatar, pose: str, edge_px: int) -> dict[str, np.ndarray]:
     """The palm and the back of a right hand in a named pose, (edge_px, edge_px, 3) uint8."""
-    joints_m = named_pose(pose, avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+    joints_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT)
     renderer, pictures = SceneRenderer([avatar], preset("final")), {}
     for side, view in (("palm", "front"), ("back", "back")):
         camera = framing_camera(joints_m[None], Handedness.RIGHT, view, width=edge_px, height=edge_px)

@@ -75,32 +75,41 @@ class Start:
 
     def save(self, path: Path) -> None:
         """As .npz."""
-        camera = self.camera
         with writing(path) as temporary:
             np.savez_compressed(
                 temporary,
-                camera=np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]),
+                **packed(self.camera, self.poses),
                 handedness=str(self.handedness),
                 landmarks_px=self.landmarks_px,
                 detector_directions=self.detector_directions,
                 canonical_joints_m=self.canonical_joints_m,
-                **vars(self.poses),
             )
 
     @classmethod
     def load(cls, path: Path) -> Start:
         """What `save` wrote. InputError for a file that is none."""
-        own = ("camera", "handedness", "landmarks_px", "detector_directions", "canonical_joints_m")
-        arrays = read_arrays(path, (*own, "turn", "place_m", "angle_rad"), str(path))
-        width, height, fx, fy, cx, cy = arrays["camera"].tolist()
-        return cls(
-            Camera(int(width), int(height), fx, fy, cx, cy, np.eye(4)),
-            Handedness(str(arrays["handedness"])),
-            arrays["landmarks_px"],
-            arrays["detector_directions"],
-            Poses(arrays["turn"], arrays["place_m"], arrays["angle_rad"]),
-            arrays["canonical_joints_m"],
-        )
+        own = ("handedness", "landmarks_px", "detector_directions", "canonical_joints_m")
+        arrays = read_arrays(path, (*own, *PACKED), str(path))
+        camera, poses = unpacked(arrays)
+        handedness, landmarks_px, directions, canonical_joints_m = (arrays[name] for name in own)
+        return cls(camera, Handedness(str(handedness)), landmarks_px, directions, poses, canonical_joints_m)
+
+
+# arrays of `packed`
+PACKED = ("camera", "turn", "place_m", "angle_rad")
+
+
+def packed(camera: Camera, poses: Poses) -> dict[str, np.ndarray]:
+    """A camera at the origin and poses before it, as arrays of a file."""
+    lens = np.array([camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy])
+    return {"camera": lens, **vars(poses)}
+
+
+def unpacked(arrays: dict[str, np.ndarray]) -> tuple[Camera, Poses]:
+    """What `packed` made arrays of."""
+    width, height, *lens = arrays["camera"].tolist()
+    poses = Poses(arrays["turn"], arrays["place_m"], arrays["angle_rad"])
+    return Camera(int(width), int(height), *lens, np.eye(4)), poses
 
 
 def start_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.own.gather import MOTION_FROM_CAMERA
+from jghand_engine.own.report import FilmView
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -21,19 +22,6 @@ from jghand_engine.render.settings import RenderSettings
 POSES = ("open", "relaxed", "open", "point", "open", "spread", "relaxed", "open")
 WAY_M = 0.42
 TONE = (0.52, 0.33, 0.27)
-
-
-@dataclass(frozen=True)
-class Film:
-    """joints_m (F, 21, 3) and camera in camera axes · pictures (F, H, W, 3) uint8 · masks (F, H, W)"""
-
-    joints_m: np.ndarray
-    camera: Camera
-    pictures: np.ndarray
-    masks: np.ndarray
-
-    def part(self, which: np.ndarray) -> Film:
-        return replace(self, joints_m=self.joints_m[which], pictures=self.pictures[which], masks=self.masks[which])
 
 
 def plain_hand(count: int = 2500) -> HandAvatar:
@@ -60,7 +48,7 @@ def window_world() -> World:
     return World((0.55 * radiance).astype(np.float32))
 
 
-def film_of(avatar: HandAvatar, world: World | None, size: tuple[int, int] = (96, 160), count: int = 8) -> Film:
+def film_of(avatar: HandAvatar, world: World | None, size: tuple[int, int] = (96, 160), count: int = 8) -> FilmView:
     """The hand turns from its palm to its back. world: None: it shines with its own colors, which are display-referred
     then; size: width and height, pixels"""
     width, height = size
@@ -81,4 +69,4 @@ def film_of(avatar: HandAvatar, world: World | None, size: tuple[int, int] = (96
         pictures.append(to_bytes(shown + (1 - rgba[..., 3:]) * np.array([0.2, 0.35, 0.3])))
         masks.append(rgba[..., 3] > 0.5)
         joints.append(placed * MOTION_FROM_CAMERA)
-    return Film(np.array(joints), camera, np.stack(pictures), np.stack(masks))
+    return FilmView(np.array(joints), camera, np.stack(pictures), np.stack(masks))

@@ -5,13 +5,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
-from drawn_films import CANONICAL_M, PRIOR, film
+from shaped_films import CANONICAL_M, PRIOR, film
 
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.own import fit_surface
-from jghand_engine.own.fit_pictures import Shown
+from jghand_engine.own.fit_pictures import FitPictures
 from jghand_engine.own.fit_surface import FitSurface, outline_factor
 from jghand_engine.own.fit_terms import guides
 from jghand_engine.own.fit_views import sights, view_of
@@ -32,7 +32,7 @@ def disturbed(poses: Poses, seed: int = 0) -> Poses:
     return Poses(poses.turn @ turned, place, poses.angle_rad + 0.05 * random.standard_normal(poses.angle_rad.shape))
 
 
-def outline(fit: HandFit, shown: Shown) -> float:
+def outline(fit: HandFit, shown: FitPictures) -> float:
     with torch.no_grad():
         joints = fit.joints(fit.everything)
         return float(shown.errors(fit.everything, joints, fit.unknowns.shape)[:, 0].mean())
@@ -71,7 +71,7 @@ def exact():
     joints = fit.joints(fit.everything).detach()
     camera = truth.camera.scaled(1 / 4)
     seen = sights(truth.rgb_u8[:, 2::4, 2::4], truth.masks[:, 2::4, 2::4], joints.numpy(), camera)
-    shown = Shown(fit.surface, seen, fit.surface.keep(joints), 1.0)
+    shown = FitPictures(fit.surface, seen, fit.surface.keep(joints), 1.0)
     return fit, shown, shown.colors(joints, fit.unknowns.shape.detach())
 
 

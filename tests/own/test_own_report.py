@@ -12,15 +12,14 @@ from drawn_film import film_of, marked_hand, plain_hand, window_world
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own.gather import observe
 from jghand_engine.own.light_and_skin import Origin, OwnHand, skin_from
-from jghand_engine.own.report import FilmView, held_out, scores, seen_map, write_report
+from jghand_engine.own.report import held_out, scores, seen_map, write_report
 
 
 @pytest.fixture(scope="module")
 def made():
     """The avatar of a film without the pictures that were held out, the film, and which these are."""
     hand = plain_hand()
-    drawn = film_of(marked_hand(hand), window_world(), count=12)
-    film, held = FilmView(drawn.joints_m, drawn.camera, drawn.pictures, drawn.masks), held_out(12)
+    film, held = film_of(marked_hand(hand), window_world(), count=12), held_out(12)
     known = film.part(~held)
     observed = observe(hand, known.joints_m, known.camera, known.pictures, known.masks)
     return skin_from(observed, hand, Origin("film.mp4", "ab", Handedness.RIGHT)), film, held
@@ -56,3 +55,10 @@ def test_the_report_is_a_sheet_and_figures(made, tmp_path):
     assert report["held_out"] == [4]
     assert 0.5 < float(str(report["seen_part"])) < 1
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+def test_new_poses_are_those_of_the_own_bones(made):
+    own, *_ = made
+    longer = own.avatar.canonical_joints_m * (1.0, 1.3, 1.0)
+    shown = [seen_map(replace(own, avatar=replace(own.avatar, own_joints_m=bones)), 64) for bones in (None, longer)]
+    assert all((shown[0][name] != shown[1][name]).any() for name in shown[0])
