@@ -1,0 +1,260 @@
+"""How good `jghand own` is, over films whose truth is known (scripts/make_test_films.py): tables of docs/OWN_HAND.md.
+
+    python scripts/judge_own.py --films films                           every film in the folder that has its truth
+    python scripts/judge_own.py --films films --photographs --exact     also five photographs, and joints that are known
+    python scripts/judge_own.py --films films --page docs/OWN_HAND.md   puts the tables into the page
+
+Wants the extra `track` and its networks. Beside each film lies what was made of it, as own.jghand and so on; what is
+there is judged and not made again. Held out are other poses from other cameras, which the avatar is driven to by exact
+joints. Nothing beyond the wrist counts. Everything that is printed is measured in this run, but for the times of films
+that were made in an earlier one.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+from other_programs import put_into_page, table
+from PIL import Image
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.sample import load_image
+from jghand_engine.captures.splits import split_capture
+from jghand_engine.cli import main as jghand
+from jghand_engine.color import linear_to_srgb, srgb_to_linear
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.evaluate import AvatarPicturer
+from jghand_engine.own.film import FilmPictures
+from jghand_engine.own.hand_fit import FittedHand
+from jghand_engine.own.make import FIT, MASKS, PICTURES, START, Begun, Explained, hand_of
+from jghand_engine.own.masks import wrist_side
+from jghand_engine.own.report import side_scores
+from jghand_engine.own.start import Start
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.settings import preset
+from jghand_engine.track import CAMERA_ANGLE_DEG
+from jghand_engine.track.motion_errors import MotionErrors, motion_errors
+from jghand_engine.track.video import open_video, read_frames
+
+# seconds of a film at which it shows what is to be photographed: palm, back, the thumb's side, a fist from both sides
+PHOTOGRAPHED_S = (1.0, 7.8, 5.3, 2.9, 9.7)
+AVATAR = {"film": "own", "photographs": "photographs", "exact": "exact"}
+
+
+@dataclass(frozen=True)
+class Options:
+    """films: folder of folders with film.mp4, truth.npz and capture/ · photographs: also five pictures of each film ·
+    exact: also with joints and masks that are known, of the shape that the film gave · page: gets the tables"""
+
+    films: Path
+    photographs: bool = False
+    exact: bool = False
+    page: Path | None = None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What an avatar of a film is worth.
+
+    whole, cut:   PSNR in dB and SSIM of held-out pictures, and of the hand's box alone · within_db: within its mask
+    iou:          of outlines, held out
+    motion:       the fit's errors, see MotionErrors; None where it was given the truth
+    masks:        mean and worst overlap with the true ones; None where they are given
+    fitted_db:    of pictures of the film that no skin was made of, whole and cut, in poses that were fitted to them:
+                  what papers on hands from films print (UHM, HARP); None of photographs
+    seconds:      wall and processor time of making it; None: made earlier
+    """
+
+    whole: tuple[float, float]
+    cut: tuple[float, float]
+    within_db: float
+    iou: float
+    motion: MotionErrors | None
+    masks: tuple[float, float] | None
+    fitted_db: tuple[float, float] | None
+    seconds: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Of the pictures of a film that an avatar is made of. camera: of a picture · joints_m: (F, 21, 3) camera axes
+    masks: (F, H, W) of the hand on its side of the wrist"""
+
+    camera: Camera
+    joints_m: np.ndarray
+    masks: np.ndarray
+
+    @classmethod
+    def of(cls, folder: Path, pictures: FilmPictures) -> Truth:
+        """Of photographs by their numbers among PHOTOGRAPHED_S."""
+        with np.load(folder / "truth.npz") as stored:
+            times = pictures.time_s if pictures.is_film else np.array(PHOTOGRAPHED_S)[pictures.index]
+            rows = np.abs(stored["time_s"] - times[:, None]).argmin(1)
+            width, height = (int(edge) for edge in stored["size_px"])
+            focal = float(stored["focal_px"])
+            camera = Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4))
+            return cls(camera, stored["joints_m"][rows], stored["mask"][rows])
+
+    def within(self, camera: Camera, shrunk: float) -> Truth:
+        """Of the part of the pictures that a camera with another focal length sees, so many times smaller."""
+        left, top = round(self.camera.cx - camera.cx * shrunk), round(self.camera.cy - camera.cy * shrunk)
+        width, height = round(camera.width * shrunk), round(camera.height * shrunk)
+        cut = [Image.fromarray(one[top : top + height, left : left + width]) for one in self.masks]
+        size = camera.width, camera.height
+        masks = [np.asarray(one.convert("L").resize(size, Image.Resampling.BOX)) >= 128 for one in cut]
+        part = self.camera.part(left, top, width, height)
+        across, down = size[0] / width, size[1] / height
+        lens = (part.fx * across, part.fy * down, part.cx * across, part.cy * down)
+        return Truth(Camera(*size, *lens, np.eye(4)), self.joints_m, np.stack(masks))
+
+
+def held_out_scores(avatar: HandAvatar, folder: Path, gain: float) -> list[dict[str, float]]:
+    """Of each held-out picture of a film's capture. gain: of the film's exposure"""
+    draw, found = AvatarPicturer(avatar, preset("final")), []
+    for sample in split_capture(open_capture(folder / "capture"), to_learn=False).test:
+        truth, camera = load_image(sample), sample.camera
+        side = wrist_side(camera.project(sample.joints_m)[0][None], camera.width, camera.height)[0]
+        straight = truth.rgb / np.maximum(truth.mask, 1e-3)[..., None]
+        exposed = linear_to_srgb(np.clip(gain * srgb_to_linear(straight), 0, 1)) * truth.mask[..., None]
+        found.append(side_scores(draw(sample.joints_m, sample.handedness, camera), exposed, truth.mask >= 0.5, side))
+    return found
+
+
+def judge(folder: Path, name: str, seconds: tuple[float, float] | None = None) -> Judged:
+    """What lies beside a film as `name`.jghand, and its work folder."""
+    work, known = folder / f"{name}.own", name == AVATAR["exact"]
+    with np.load(folder / "truth.npz") as stored:
+        gain = float(np.median(stored["gain"]))
+    each = held_out_scores(load_avatar(folder / f"{name}.jghand"), folder, gain)
+    mean = {figure: float(np.mean([one[figure] for one in each])) for figure in each[0]}
+    report = json.loads((work / "report.json").read_text(encoding="utf-8"))["mean"]
+    motion = masks = None
+    if not known:
+        fitted, pictures = FittedHand.load(work / FIT), FilmPictures.load(work / PICTURES)
+        whole = Truth.of(folder, pictures)
+        shrunk = shrunk_by(work, whole.camera)
+        truth = whole.within(fitted.camera, shrunk)
+        motion = motion_errors(fitted.joints_m, fitted.camera.fx * shrunk, whole.joints_m, whole.camera.fx)
+        with np.load(work / MASKS) as stored:
+            ours = stored["hand"]
+        overlap = (ours & truth.masks).sum((1, 2)) / (ours | truth.masks).sum((1, 2))
+        masks = float(overlap.mean()), float(overlap.min())
+    return Judged(
+        (mean["psnr_full"], mean["ssim_full"]), (mean["psnr_box"], mean["ssim_box"]), mean["psnr_mask"], mean["iou"],
+        motion, masks, (report["psnr_full"], report["psnr_box"]) if report else None, seconds,
+    )  # fmt: skip
+
+
+def shrunk_by(work: Path, camera: Camera) -> float:
+    """How many times smaller the pictures of a work folder are than the film's."""
+    assumed = json.loads((work / "own.json").read_text(encoding="utf-8"))["options"]["camera_angle_deg"]
+    edge = max(camera.width, camera.height)
+    focal_px = edge / (2 * np.tan(np.radians(assumed or CAMERA_ANGLE_DEG) / 2))
+    return focal_px / Start.load(work / START).camera.fx
+
+
+# ---- what is judged --------------------------------------------------------------------------------------------------
+
+
+def made(folder: Path, name: str) -> tuple[float, float] | None:
+    """Makes what is not there of a film; seconds that it took. SystemExit where `jghand own` refuses the film."""
+    out = folder / f"{name}.jghand"
+    if out.exists():
+        return None
+    began = time.perf_counter(), time.process_time()
+    if name == AVATAR["exact"]:
+        make_exact(folder, out)
+    else:
+        given = [folder / "film.mp4"] if name == AVATAR["film"] else photographs(folder)
+        if jghand(["own", *map(str, given), "--out", str(out)]):
+            raise SystemExit(f"{folder}: no avatar")
+    return time.perf_counter() - began[0], time.process_time() - began[1]
+
+
+def photographs(folder: Path) -> list[Path]:
+    """Pictures of the film, as files."""
+    with np.load(folder / "truth.npz") as stored:
+        rows = np.abs(stored["time_s"] - np.array(PHOTOGRAPHED_S)[:, None]).argmin(1)
+    frames = list(read_frames(open_video(folder / "film.mp4"), []))
+    files = [folder / f"photograph{number}.png" for number in range(len(rows))]
+    for file, row in zip(files, rows, strict=True):
+        Image.fromarray(frames[row]).save(file)
+    return files
+
+
+def make_exact(folder: Path, out: Path) -> None:
+    """The skin of the film on the hand that stands where it truly stood, cut out by the true masks."""
+    work, prior = folder / f"{AVATAR['film']}.own", load_builtin(handedness=Handedness.RIGHT)
+    pictures, start, fitted = FilmPictures.load(work / PICTURES), Start.load(work / START), FittedHand.load(work / FIT)
+    whole = Truth.of(folder, pictures)
+    truth = whole.within(fitted.camera, shrunk_by(work, whole.camera))
+    nothing = np.zeros(len(pictures))
+    known = replace(fitted, camera=truth.camera, joints_m=truth.joints_m, outline_residual=nothing)
+    out.with_suffix(".own").mkdir(exist_ok=True)
+    avatar, _ = hand_of(
+        Explained(Begun(pictures, start, []), known, truth.masks), prior, out.with_suffix(".own"), lambda *_: None
+    )
+    save_avatar(out, avatar)
+
+
+def main(options: Options) -> None:
+    kinds = ["film", *(kind for kind in ("photographs", "exact") if getattr(options, kind))]
+    rows: dict[tuple[str, str], Judged] = {}
+    for truth in sorted(options.films.glob("*/truth.npz")):
+        folder = truth.parent
+        if not (folder / "capture").is_dir():
+            continue
+        for kind in kinds:
+            seconds = made(folder, AVATAR[kind])
+            rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
+            kept = folder / f"{AVATAR[kind]}.judged.json"
+            kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
+    text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
+    print(text)
+    if options.page is not None:
+        put_into_page(options.page, Path(__file__).name, text)
+
+
+def held_out_table(rows: dict[tuple[str, str], Judged]) -> str:
+    """Of pictures that were held out."""
+    header = ("film", "made from", "whole, dB / SSIM", "cut to the hand", "within the mask, dB", "outline IoU",
+              "pose fitted, whole / cut, dB")  # fmt: skip
+    cells = [
+        (
+            name, kind, f"{one.whole[0]:.1f} / {one.whole[1]:.3f}", f"{one.cut[0]:.1f} / {one.cut[1]:.3f}",
+            f"{one.within_db:.1f}", f"{one.iou:.3f}",
+            f"{one.fitted_db[0]:.1f} / {one.fitted_db[1]:.1f}" if one.fitted_db else "",
+        )
+        for (name, kind), one in rows.items()
+    ]  # fmt: skip
+    return table(header, cells, words=2)
+
+
+def fit_table(rows: dict[tuple[str, str], Judged]) -> str:
+    """Of the fit, and of the masks."""
+    header = ("film", "made from", "aligned mm", "wrist mm", "finger bones, deg", "in the palm, deg", "bone lengths",
+              "pixels", "masks, mean / worst", "wall / processor s")  # fmt: skip
+    cells = []
+    for (name, kind), one in rows.items():
+        if one.motion is None or one.masks is None:
+            continue
+        motion, spent = one.motion, one.seconds
+        cells.append((
+            name, kind, f"{motion.aligned_mm:.1f}", f"{motion.wrist_mm:.1f}",
+            *(f"{middle:.1f} / {most:.0f}" for middle, most in (motion.camera_deg, motion.palm_deg)),
+            f"{100 * motion.bones_part:.1f} %", f"{motion.px[0]:.1f} / {motion.px[1]:.0f}",
+            f"{one.masks[0]:.3f} / {one.masks[1]:.3f}", f"{spent[0]:.0f} / {spent[1]:.0f}" if spent else "",
+        ))  # fmt: skip
+    return table(header, cells, words=2)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

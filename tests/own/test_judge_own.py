@@ -1,0 +1,97 @@
+"""The tables that say how good `jghand own` is, on a small film whose truth is known."""
+
+import json
+import math
+from dataclasses import replace
+
+import judge_own
+import numpy as np
+import pytest
+from picture_sets import recorded, write_set
+from shaped_films import FOCAL_PX, FPS, HEIGHT, PRIOR, WIDTH, film
+
+from jghand_engine.avatar.file import save_avatar
+from jghand_engine.own.film import FilmPictures
+from jghand_engine.own.hand_fit import FittedHand
+
+ANGLE_DEG = 2 * math.degrees(math.atan(HEIGHT / 2 / FOCAL_PX))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A film's truth, an avatar and a work folder that are right, and a capture to draw it in."""
+    truth, place = film(4), tmp_path / "man"
+    work = place / "own.own"
+    work.mkdir(parents=True)
+    np.savez(
+        place / "truth.npz", joints_m=truth.joints_m, mask=truth.masks, time_s=truth.time_s, focal_px=FOCAL_PX,
+        size_px=(WIDTH, HEIGHT), gain=np.ones(4),
+    )  # fmt: skip
+    (work / "own.json").write_text(json.dumps({"options": {"camera_angle_deg": ANGLE_DEG}}))
+    (work / "report.json").write_text(json.dumps({"mean": {"psnr_full": 30.0, "psnr_box": 25.0}}))
+    FilmPictures(truth.rgb_u8, np.arange(4) / FPS, np.arange(4), "film.mp4", "ab", True).save(work / "pictures.npz")
+    truth.start().save(work / "start.npz")
+    found = FittedHand(truth.camera, truth.poses, truth.joints_m, truth.canonical_joints_m, truth.shape, np.zeros(4))
+    found.save(work / "fit.npz")
+    np.savez(work / "masks.npz", hand=truth.masks)
+    save_avatar(place / "own.jghand", PRIOR)
+    write_set(place / "capture", recorded(frames=2, cameras=1))
+    (place / "capture" / "splits.json").write_text(json.dumps({"format": 1, "test_cameras": ["400262"]}))
+    return place
+
+
+def test_a_right_hand_has_no_errors_and_covers_what_is_held_out(folder):
+    found = judge_own.judge(folder, "own")
+    assert found.motion is not None
+    assert found.motion.wrist_mm == pytest.approx(0, abs=1e-6)
+    assert found.motion.px == pytest.approx((0, 0), abs=1e-6)
+    assert found.masks == (1, 1)
+    assert found.fitted_db == (30, 25)
+    assert found.iou > 0.85
+    assert found.whole[0] > found.cut[0] > 8
+
+
+def test_what_is_wrong_is_counted(folder):
+    work, right = folder / "own.own", judge_own.judge(folder, "own")
+    found = FittedHand.load(work / "fit.npz")
+    bent = found.joints_m.copy()
+    bent[:, 16:] += (0, 0, 0.01)
+    replace(found, joints_m=bent).save(work / "fit.npz")
+    masks = np.load(work / "masks.npz")["hand"]
+    masks[1, : HEIGHT // 2] = False
+    np.savez(work / "masks.npz", hand=masks)
+    save_avatar(folder / "own.jghand", replace(PRIOR, sigma_m=np.minimum(2 * PRIOR.sigma_m, 4e-3)))
+    wrong = judge_own.judge(folder, "own")
+    assert wrong.motion is not None
+    assert wrong.motion.wrist_mm == pytest.approx(10 * 5 / 21, rel=0.2)
+    assert wrong.masks is not None
+    assert wrong.masks[1] < 0.9 < wrong.masks[0]
+    assert wrong.iou < right.iou - 0.02
+    assert wrong.whole < right.whole
+
+
+def test_a_shown_part_of_a_film_is_judged_by_that_part_of_its_truth(folder):
+    pictures = FilmPictures.load(folder / "own.own" / "pictures.npz")
+    truth = judge_own.Truth.of(folder, pictures)
+    part = truth.camera.part(8, 16, 64, 96)
+    half = truth.within(part.scaled(1 / 2), 2.0)
+    lens = (32, 48, FOCAL_PX / 2, FOCAL_PX / 2, 20, 32)
+    assert (
+        half.camera.width,
+        half.camera.height,
+        half.camera.fx,
+        half.camera.fy,
+        half.camera.cx,
+        half.camera.cy,
+    ) == lens
+    whole = truth.masks[:, 16:112, 8:72].reshape(4, 48, 2, 32, 2).mean((2, 4))
+    assert np.array_equal(half.masks, whole >= 0.5)
+
+
+def test_the_tables_have_a_line_for_each_hand(folder, capsys):
+    judge_own.main(judge_own.Options(folder.parent))
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| man | film |")]
+    assert len(said) == 2
+    assert "| 30.0 / 25.0 |" in said[0]
+    assert "| 1.000 / 1.000 |" in said[1]
+    assert json.loads((folder / "own.judged.json").read_text())["fitted_db"] == [30, 25]
