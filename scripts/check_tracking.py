@@ -2,6 +2,7 @@
 
     python scripts/check_tracking.py                            videos rendered here, about five minutes
     python scripts/check_tracking.py --capture FOLDER           also single pictures whose joints are exact
+    python scripts/check_tracking.py --exact                    the table of `jghand track --exact` alone, half an hour
     python scripts/check_tracking.py --page docs/TRACKING.md    puts the tables into the page
 
 Wants the extra `track` and the networks (`jghand track --fetch-model`). The rendered videos show the built-in avatar
@@ -30,11 +31,13 @@ from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.poses import MotionOptions, named_pose, pose_sequence_of_names
 from jghand_engine.hand.rotations import alignment, vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
+from jghand_engine.own.film import look, source_of
+from jghand_engine.own.make import exact_track
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.track.detection import SecondLook, SeenHand
-from jghand_engine.track.hands_over_time import HandOverTime
+from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
 from jghand_engine.track.mediapipe_hands import MediaPipeHands, video_detector
 from jghand_engine.track.poses import Pinhole
 from jghand_engine.track.track import (
@@ -43,6 +46,7 @@ from jghand_engine.track.track import (
     Sightings,
     TrackOptions,
     angles_between_deg,
+    camera_of,
     detect,
     jitter_deg,
     track,
@@ -281,6 +285,25 @@ def rows_of_sightings(truth: Truth, sightings: Sightings, canonical_m: np.ndarra
         yield row(method, track(sightings, canonical_m, options)[truth.handedness].sequence.joints_m)
 
 
+def exact_rows(truth: Truth, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
+    """The quick motion and the exact one of one rendered video."""
+    options = TrackOptions(camera_angle_deg=truth.angle_deg)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        write_video(path, film(truth), FPS)
+        source = source_of(open_video(path))
+        with video_detector(model) as detector:
+            looked = look(source, detector)
+        hand = hands_over_time(looked.sightings.frames, source.fps).hands[truth.handedness]
+        camera = camera_of(looked.sightings, truth.angle_deg)
+        found = {
+            "jghand track": track_hand(hand, camera, source.fps, canonical_m, options),
+            "**jghand track --exact**": exact_track(source, looked, hand, canonical_m, options, lambda *_: None),
+        }
+    for method, one in found.items():
+        yield measured(truth.name, method, one.sequence.joints_m, truth.joints_m, one.seen, FPS)
+
+
 def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
     """Single pictures: each is looked at and fitted for itself."""
     samples = open_capture(folder).samples
@@ -340,12 +363,19 @@ def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[st
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--capture", type=Path)
+    parser.add_argument("--exact", action="store_true", help="only the table of `jghand track --exact`")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--page", type=Path, help="write the tables into this page, between its marks")
     options = parser.parse_args()
     canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
+    rows_of, marks = (
+        (exact_rows, "check_tracking.py --exact") if options.exact else (rows_of_video, "check_tracking.py")
+    )
     sources: list[Callable[[], Iterator[Row]]] = [
-        lambda truth=truth: rows_of_video(truth, canonical, options.model) for truth in truths(canonical)
+        lambda truth=truth: rows_of(truth, canonical, options.model)
+        for truth in truths(canonical)
+        # the exact motion is no other at the border
+        if not (options.exact and truth.angle_deg == WIDE_DEG)
     ]
     if options.capture:
         sources.append(lambda: rows_of_capture(options.capture, canonical, options.model))
@@ -355,12 +385,14 @@ def main() -> None:
             rows.append(row.cells())
             print(" | ".join(rows[-1]), flush=True)
     tables = [table(HEADER, rows, words=2)]
-    small = list(small_hands(canonical, options.model))
-    tables.append(table(["hand's length, of the picture's height", "found by one look", "with the second look"], small))
+    if not options.exact:
+        small = list(small_hands(canonical, options.model))
+        heads = ["hand's length, of the picture's height", "found by one look", "with the second look"]
+        tables.append(table(heads, small))
     text = "\n\n".join(tables)
     print(f"\n{text}")
     if options.page:
-        put_into_page(options.page, "check_tracking.py", text)
+        put_into_page(options.page, marks, text)
 
 
 if __name__ == "__main__":

@@ -200,7 +200,10 @@ def make_exact(folder: Path, out: Path) -> None:
     known = replace(fitted, camera=truth.camera, joints_m=truth.joints_m, outline_residual=nothing)
     out.with_suffix(".own").mkdir(exist_ok=True)
     avatar, _ = hand_of(
-        Explained(Begun(pictures, start, []), known, truth.masks), prior, out.with_suffix(".own"), lambda *_: None
+        Explained(Begun(start, pictures, start, []), known, truth.masks),
+        prior,
+        out.with_suffix(".own"),
+        lambda *_: None,
     )
     save_avatar(out, avatar)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +78,22 @@ def progress(text: str, total: int) -> Iterator[Progress]:
     with Progress(*columns, console=err(), transient=False, disable=not err().is_terminal) as bar:
         bar.add_task(text, total=total)
         yield bar
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, int, int], None]]:
+    """Call it with the name of a stage, how much of it is done, and of how much: a bar for each, in turn."""
+    with ExitStack() as shown:
+        bars: dict[str, Progress] = {}
+
+        def told(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                shown.close()
+                bars.clear()
+                bars[stage] = shown.enter_context(progress(stage, total))
+            bars[stage].update(bars[stage].task_ids[0], completed=done, total=max(done, total))
+
+        yield told
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_figures
+from jghand_engine.cli.console import say, stages, write_figures
 from jghand_engine.cli.options import FiguresFile, HandName
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from jghand_engine.own.checks import Finding
-    from jghand_engine.own.make import OwnOptions, Told
+    from jghand_engine.own.make import OwnOptions
 
 DESCRIPTION = """Make an avatar of your own hand, from one film of a telephone or 3 to 10 photographs.
 
@@ -58,10 +54,18 @@ class Own:
     one camera cannot tell a small hand from a far one."""
     camera_angle: Annotated[float | None, tyro.conf.arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Angle of view across the longer edge of the picture. Left out: what the file says, else a telephone's."""
+    minutes: Annotated[float, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = 0.0
+    """Let the fit by pictures go on for so long: colors are found anew, and poses by them, again and again. Left out,
+    or where it is too short: five times."""
+    marks: Literal["mean", "best"] = "mean"
+    """Where pictures disagree on a spot of skin: the mean of those that agree, or the best picture alone, which is
+    sharper and may be wrong. Of less than eight photographs always the best."""
+    motion: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Also write the motion of the hand in the film, as exact as `jghand track --exact`: .npz, .json or .csv."""
     resume: bool = False
     """Go on with a film that was stopped, after the last stage that ended."""
     overwrite: bool = False
-    """Replace --out if it is there."""
+    """Replace --out and --motion if they are there."""
     fetch_model: bool = False
     """Fetch the networks that find a hand, as `jghand track` does."""
     json: FiguresFile = None
@@ -78,6 +82,7 @@ class Own:
             None if self.hand is None else Handedness(self.hand),
             None if self.hand_length is None else 1e-3 * self.hand_length,
             self.camera_angle,
+            60 * self.minutes,
         )
         options.check()
         if self.fetch_model:
@@ -97,7 +102,7 @@ class Own:
         from jghand_engine.track.mediapipe_hands import video_detector
 
         source = open_source(self.pictures)
-        with video_detector() as detector, _stages() as told:
+        with video_detector() as detector, stages() as told:
             begun = begin(source, load_builtin(handedness=Handedness.RIGHT), options, detector, told)
         self._tell(begun.findings)
         refused = any(finding.refuses for finding in begun.findings)
@@ -117,45 +122,39 @@ class Own:
         from jghand_engine.avatar.file import save_avatar
         from jghand_engine.files import check_place
         from jghand_engine.hand.joints import Handedness
-        from jghand_engine.own.make import explain, hand_of, work_folder
+        from jghand_engine.motion.files import check_written_suffix, write_motion
+        from jghand_engine.own.make import check_has_motion, explain, hand_of, motion_of, work_folder
         from jghand_engine.track.mediapipe_hands import video_detector
 
         if out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(out))
         check_place(out, overwrite=self.overwrite)
+        if self.motion is not None:
+            check_written_suffix(self.motion)
+            check_place(self.motion, overwrite=self.overwrite, option="--motion")
+            check_has_motion(self.pictures)
         work, prior, started = out.with_suffix(".own"), load_builtin(handedness=Handedness.RIGHT), time.perf_counter()
-        with work_folder(work, self.pictures, options, resume=self.resume), _stages() as told:
+        with work_folder(work, self.pictures, options, resume=self.resume), stages() as told:
             explained = explain(self.pictures, prior, options, work, video_detector, told)
             self._tell(explained.begun.findings)
-            avatar, judged = hand_of(explained, prior, work, told)
+            avatar, judged = hand_of(explained, prior, work, told, best=self.marks == "best")
             save_avatar(out, avatar)
+            if self.motion is not None:
+                write_motion(self.motion, motion_of(self.pictures, explained, prior, told))
         self._tell(judged)
         side, count = explained.begun.start.handedness, len(explained.begun.pictures)
         say(f"{out}: a {side} hand, from {count} pictures, in {time.perf_counter() - started:.0f} s.")
+        if self.motion is not None:
+            say(f"{self.motion}: its motion. jghand render --motion {self.motion} --avatar {out} --out pictures")
         say(f"Film and avatar side by side: {work / 'sheet.png'}")
         say(f"See it: jghand render --poses open,fist,point --hand {side} --avatar {out} --out pictures")
         write_figures(self.json, {
             "command": "own", "pictures": [str(path) for path in self.pictures], "check": False, "out": str(out),
             "work": str(work), "hand": side, "pictures_used": count,
+            "motion": None if self.motion is None else str(self.motion),
             "findings": [asdict(finding) for finding in (*explained.begun.findings, *judged)],
         })  # fmt: skip
 
     def _tell(self, findings: list[Finding]) -> None:
         for finding in findings:
             say(f"{finding.check}: {finding.sentence}")
-
-
-@contextmanager
-def _stages() -> Iterator[Told]:
-    """What tells how far a stage is, a bar for each."""
-    with ExitStack() as shown:
-        bars: dict[str, Progress] = {}
-
-        def told(stage: str, done: int, total: int) -> None:
-            if stage not in bars:
-                shown.close()
-                bars.clear()
-                bars[stage] = shown.enter_context(progress(stage, total))
-            bars[stage].update(bars[stage].task_ids[0], completed=done, total=max(done, total))
-
-        yield told

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_figures, write_json
+from jghand_engine.cli.console import progress, say, stages, write_figures, write_json
 from jghand_engine.cli.options import AvatarOptions, FiguresFile, File
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.own.film import Looked
     from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
     from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
     from jghand_engine.track.video import Video
@@ -38,6 +39,7 @@ Examples:
   jghand track hand.mp4 --out motion.npz --fetch-model --proof side_by_side.mp4
   jghand track both_hands.mp4 --out motion.npz          writes motion_right.npz and motion_left.npz
   jghand track hand.mp4 --out motion.npz --hand right --hand-length 190
+  jghand track hand.mp4 --out motion.npz --exact          minutes instead of seconds, and fingers are nearer
   jghand render --motion motion.npz --out pictures --video hand_again.mp4
   jghand track hand.mp4 --out motion.npz --film-camera camera.json
   jghand render --motion motion.npz --camera camera.json --out pictures          seen as in the film"""
@@ -47,6 +49,9 @@ Examples:
 class FitOptions:
     """How the motion is made of what was seen."""
 
+    exact: bool = False
+    """Fit a hand to outlines and colors, too: bones and thickness to the best pictures, then the pose in each. One hand
+    in at most 900 pictures."""
     hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
     """Length of the true hand in millimeters, wrist to tip of the straight middle finger. Left out: the avatar's, as
     one camera cannot tell a small hand from a far one."""
@@ -106,10 +111,15 @@ class Track:
                 f"{video.fps:g} per second."
             )
         started = time.perf_counter()
-        sightings = self._look(video, notes)
+        looked = self._look(video, notes)
+        sightings = looked.sightings
         seconds_looking = time.perf_counter() - started
         found = hands_over_time(sightings.frames, sightings.fps)
-        hands = track(sightings, avatar.canonical_joints_m, options, self._wanted(found))
+        wanted = self._wanted(found)
+        if self.fit.exact:
+            hands = self._exactly(video, looked, wanted, avatar, options)
+        else:
+            hands = track(sightings, avatar.canonical_joints_m, options, wanted)
         notes += [
             f"{_doubt(side, hand)}, and taken for a mistake."
             for side, hand in found.doubted.items()
@@ -160,6 +170,8 @@ class Track:
             fit.gaps == "fill",
         )
         options.check()
+        if fit.exact and fit.smoothing != 1:
+            raise InputError("--smoothing", wanted="none with --exact, which has its own", came=f"{fit.smoothing:g}")
         self._check_places()
         return options
 
@@ -180,10 +192,9 @@ class Track:
             # a report is replaced, as every command does
             check_place(path, overwrite=self.overwrite or name == "--json", option=name)
 
-    def _look(self, video: Video, notes: list[str]) -> Sightings:
+    def _look(self, video: Video, notes: list[str]) -> Looked:
+        from jghand_engine.own.film import look, source_of
         from jghand_engine.track.mediapipe_hands import check_package, fetch_model, video_detector
-        from jghand_engine.track.track import detect
-        from jghand_engine.track.video import read_frames
 
         if self.fetch_model:
             check_package()
@@ -191,12 +202,31 @@ class Track:
         total = video.frames if self.most is None else min(self.most, video.frames or self.most)
         with video_detector() as detector, progress("Looking for hands", total or 1) as bar:
             task = bar.task_ids[0]
-            return detect(
-                read_frames(video, notes, most=self.most),
-                video.fps,
+            return look(
+                source_of(video),
                 detector,
                 lambda done: bar.update(task, completed=done, total=max(done, total or 0)),
+                notes,
+                most=self.most,
             )
+
+    def _exactly(
+        self,
+        video: Video,
+        looked: Looked,
+        wanted: dict[Handedness, HandOverTime],
+        avatar: HandAvatar,
+        options: TrackOptions,
+    ) -> dict[Handedness, TrackedHand]:
+        """What --exact makes of the one hand that is wanted."""
+        from jghand_engine.own.film import source_of
+        from jghand_engine.own.make import exact_track
+
+        if len(wanted) > 1:
+            raise InputError("--exact", wanted="one hand", came="both", remedy="Say --hand right or --hand left.")
+        ((side, hand),) = wanted.items()
+        with stages() as told:
+            return {side: exact_track(source_of(video), looked, hand, avatar.canonical_joints_m, options, told)}
 
     def _wanted(self, found: FoundHands) -> dict[Handedness, HandOverTime]:
         """The hands of the film that are asked for; InputError says what there is instead."""

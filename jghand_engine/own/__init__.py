@@ -8,6 +8,7 @@ chain   the bones whose lengths are sought, in torch
 shape   what hands differ in beyond their bones: a basis, and an avatar in a shape
 hand_fit     bones, thickness and motion that explain the film: by the detector alone, then by pictures
 fit_terms    what that weighs beside pictures · fit_views, fit_surface, fit_colors, fit_pictures: what it draws
+exact   the motion of all pictures, by the hand that the best ones gave
 gather  what each picture shows of every Gaussian
 light_and_skin  the light of the film, and the albedo of what was seen: the avatar
 skin_prior      skin that no picture shows

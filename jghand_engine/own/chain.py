@@ -6,13 +6,13 @@ The hand as a whole keeps its length: one camera cannot tell a small hand from a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.hand.orders import hand_length
+from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.track.poses import JointChain
 
 # within the four angles of a finger: flexion of its three bones, and abduction of the first
@@ -66,6 +66,14 @@ class Chain:
             turn = turn @ rotation(self.flexion_axes[joint] * angle[..., which, None])
             levels.append(levels[-1] + (turn @ bones[joint][..., None])[..., 0])
         return torch.cat(levels, 1)
+
+
+def chain_of(canonical_joints_m: np.ndarray, own_joints_m: np.ndarray) -> JointChain:
+    """A canonical hand's chain with another one's palm and bone lengths, which is what a fit with that canonical hand
+    found: its axes stay. Both (21, 3) level order, meters."""
+    chain = JointChain.of(canonical_joints_m)
+    longer = (bone_lengths(own_joints_m) / bone_lengths(canonical_joints_m))[_PALM:].reshape(3, 5, 1)
+    return replace(chain, palm_m=own_joints_m[:6] - own_joints_m[0], bones_m=chain.bones_m * longer)
 
 
 def rotation(vector_rad: Tensor) -> Tensor:

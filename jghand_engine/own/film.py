@@ -68,10 +68,11 @@ class Source:
     _video: Video | None = None
     _photographs: tuple[np.ndarray, ...] = field(default=(), repr=False)
 
-    def read(self, notes: list[str] | None = None) -> Iterator[np.ndarray]:
-        """The pictures, (H, W, 3) uint8 sRGB; `notes` gets a sentence when the film is damaged."""
+    def read(self, notes: list[str] | None = None, *, most: int | None = None) -> Iterator[np.ndarray]:
+        """The pictures, (H, W, 3) uint8 sRGB; `notes` gets a sentence when the film is damaged. most: of a film, so
+        many from its beginning"""
         if self._video is not None:
-            yield from read_frames(self._video, notes)
+            yield from read_frames(self._video, notes, most=most)
         else:
             yield from self._photographs
 
@@ -103,8 +104,13 @@ def _film(path: Path) -> Source:
     if video.fps > LOOK_FPS_MAX:
         # every second or third picture, so that each is one of the film's own
         video = open_video(path, video.fps / math.ceil(video.fps / LOOK_FPS_MAX))
+    return source_of(video)
+
+
+def source_of(video: Video) -> Source:
+    """A film, all of whose pictures are looked at."""
     angle = None if video.focal_35mm is None else view_angle_deg(video.focal_35mm, video.width, video.height)
-    return Source(path.name, (video.height, video.width), video.fps, video.frames, True, angle, video)
+    return Source(video.path.name, (video.height, video.width), video.fps, video.frames, True, angle, video)
 
 
 def _photograph(path: Path) -> tuple[np.ndarray, float | None]:
@@ -182,10 +188,13 @@ def look(
     detector: HandDetector,
     tick: Callable[[int], None] = lambda done: None,
     notes: list[str] | None = None,
+    *,
+    most: int | None = None,
 ) -> Looked:
-    """Looks for hands in all pictures; tick is told how many were looked at, `notes` gets what is wrong with it."""
+    """Looks for hands in all pictures; tick is told how many were looked at, `notes` gets what is wrong with it. most:
+    as of `Source.read`"""
     watcher = _SharpnessToo(detector)
-    sightings = detect(source.read(notes), source.fps, watcher, tick)
+    sightings = detect(source.read(notes, most=most), source.fps, watcher, tick)
     return Looked(sightings, np.array(watcher.sharpness))
 
 
@@ -231,13 +240,17 @@ class Window:
     size_px: tuple[int, int]
 
     @classmethod
-    def around(cls, points_px: np.ndarray, hand_px: float, width: int, height: int) -> Window:
-        """The part of pictures of this width and height about points (N, 2), of hands that are so many pixels long."""
+    def around(
+        cls, points_px: np.ndarray, hand_px: float, size_px: tuple[int, int], kept_px: float = HAND_SIZE_PX
+    ) -> Window:
+        """The part about points (N, 2) of pictures of this width and height, of hands that are so many pixels long;
+        they are kept at most `kept_px` long."""
+        width, height = size_px
         margin = WINDOW_MARGIN * hand_px
         low = np.clip(np.floor(points_px.min(0) - margin), 0, (width - 1, height - 1)).astype(int)
         high = np.clip(np.ceil(points_px.max(0) + margin), low + 1, (width, height)).astype(int)
         part = high - low
-        scale = min(1.0, PICTURE_EDGE_PX / part.max(), HAND_SIZE_PX / max(hand_px, 1.0))
+        scale = min(1.0, PICTURE_EDGE_PX / part.max(), kept_px / max(hand_px, 1.0))
         wide, high_px = np.maximum(1, np.round(scale * part)).astype(int).tolist()
         left, top, across, down = np.concatenate([low, part]).tolist()
         return cls(left, top, across, down, (wide, high_px))

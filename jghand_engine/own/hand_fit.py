@@ -8,6 +8,7 @@ hand says neither.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,7 +23,7 @@ from jghand_engine.files import writing
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.npz_files import read_arrays
-from jghand_engine.own.chain import Chain, rotation
+from jghand_engine.own.chain import Chain, chain_of, rotation
 from jghand_engine.own.fit_colors import SkinColors
 from jghand_engine.own.fit_pictures import FitPictures
 from jghand_engine.own.fit_surface import FIT_GAUSSIANS, FitSurface, outline_factor
@@ -40,7 +41,7 @@ from jghand_engine.own.fit_views import sights
 from jghand_engine.own.shape import SHAPE_COUNT, in_shape
 from jghand_engine.own.start import PACKED, Start, packed, unpacked
 from jghand_engine.render.camera import Camera
-from jghand_engine.track.poses import Poses
+from jghand_engine.track.poses import JointChain, Poses
 
 # what is sought, and by how much a step changes it at first: radians, meters, logarithms, standard deviations
 RATES = {
@@ -51,10 +52,12 @@ RATES = {
     "palm_shift_m": 0.0003,
     "shape": 0.05,
 }
+# those that every picture has of its own
+POSE_NUMBERS = ("angle_rad", "turn_rad", "place_m")
 ADAM_BETAS = (0.8, 0.95)
-# pictures in a step, and steps in a round at least, for a few photographs have as much to learn; rates fall by half a
-# cosine to this part
-BATCH, STEPS_MIN, RATE_END = 10, 5, 0.1
+# pictures in a step, and steps in a round: at least, for a few photographs have as much to learn, and at most, for Adam
+# moves every picture in every step; rates fall by half a cosine to this part
+BATCH, STEPS_MIN, STEPS_MAX, RATE_END = 10, 5, 6, 0.1
 # the palm never turns farther than this from where the tracker has it: an outline does not know palm from back
 TURN_MAX_RAD = math.radians(60.0)
 # rounds of all pictures by landmarks alone; how often colors are found, and rounds with each
@@ -124,11 +127,22 @@ class Unknowns:
     shape: Tensor
 
 
+@dataclass(frozen=True)
+class Effort:
+    """times: how often the skin's colors are found anew at least · least_s: go on with that for so many seconds ·
+    rounds: of all pictures with each"""
+
+    times: int = COLOR_TIMES
+    least_s: float = 0.0
+    rounds: int = PICTURE_ROUNDS
+
+
 class HandFit:
     """One fit, of a right hand. What stands is where the next stage begins.
 
     prior: the avatar whose surface is fitted · time_s: (F,) of a film's pictures; None of photographs, which have
-    nothing to do with one another · count: how many Gaussians are drawn · dtype: float64 for tests of derivatives
+    nothing to do with one another · hand: one that was fitted to this prior: only poses and places are sought ·
+    count: how many Gaussians are drawn · dtype: float64 for tests of derivatives
     """
 
     def __init__(
@@ -136,6 +150,7 @@ class HandFit:
         prior: HandAvatar,
         start: Start,
         time_s: np.ndarray | None,
+        hand: FittedHand | None = None,
         *,
         count: int = FIT_GAUSSIANS,
         dtype: torch.dtype = torch.float32,
@@ -152,7 +167,17 @@ class HandFit:
             "palm_shift_m": np.zeros((5, 3)),
             "shape": np.zeros(SHAPE_COUNT),
         }
-        tensors = {name: torch.tensor(array, dtype=dtype, requires_grad=True) for name, array in begin.items()}
+        if hand is not None:
+            whole, known = (
+                JointChain.of(prior.canonical_joints_m),
+                chain_of(prior.canonical_joints_m, hand.own_joints_m),
+            )
+            begin |= {"palm_shift_m": (known.palm_m - whole.palm_m)[1:], "shape": hand.shape}
+            begin["log_length"] = np.r_[np.zeros(5), np.log(known.bone_lengths_m / whole.bone_lengths_m)[5:]]
+        sought = RATES if hand is None else POSE_NUMBERS
+        tensors = {
+            name: torch.tensor(array, dtype=dtype, requires_grad=name in sought) for name, array in begin.items()
+        }
         self.unknowns = Unknowns(**tensors)
         self.outline_residual = np.full(len(self), np.nan)
 
@@ -207,17 +232,28 @@ class HandFit:
         self._descend(rounds, 1.0, lambda: cost)
 
     def fit_pictures(
-        self, rgb_u8: np.ndarray, masks: np.ndarray, times: int = COLOR_TIMES, rounds: int = PICTURE_ROUNDS
+        self,
+        rgb_u8: np.ndarray,
+        masks: np.ndarray,
+        effort: Effort | None = None,
+        colored: np.ndarray | None = None,
+        tick: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
         """By pictures (F, H, W, 3) and masks (F, H, W) of the hand, too. What lies beyond the wrist counts nowhere.
 
-        times: how often the skin's colors are found anew, and so many rounds with each
+        colored: numbers of the pictures that the skin's colors are found from; all · tick: is told how often they were
+        found, of how often
         """
+        effort, started, done = effort or Effort(), time.monotonic(), 0
         factor = self._outline_factor(rgb_u8, masks)
-        for _ in range(times):
-            standing = self.joints(self.everything).detach(), self.unknowns.shape.detach()
-            colors = self._shown(rgb_u8, masks, factor).colors(*standing)
-            self._descend(rounds, PICTURE_RATE, partial(self._picture_cost, rgb_u8, masks, factor, colors))
+        rows = np.arange(len(self)) if colored is None else colored
+        while done < effort.times or time.monotonic() - started < effort.least_s:
+            tick(done, max(effort.times, done + 1))
+            standing = self.joints(torch.from_numpy(rows)).detach(), self.unknowns.shape.detach()
+            colors = self._shown(rgb_u8, masks, factor, rows).colors(*standing)
+            self._descend(effort.rounds, PICTURE_RATE, partial(self._picture_cost, rgb_u8, masks, factor, colors))
+            done += 1
+        tick(done, done)
         shown = self._shown(rgb_u8, masks, factor)
         with torch.no_grad():
             left = shown.errors(self.everything, self.joints(self.everything), self.unknowns.shape)
@@ -236,16 +272,17 @@ class HandFit:
 
     def _descend(self, rounds: int, rate: float, cost_now: Callable[[], Cost]) -> None:
         """Steps of Adam through all pictures. cost_now: is called every RENEW_ROUNDS, from the first on"""
-        groups = [{"params": [getattr(self.unknowns, name)]} for name in RATES]
+        rates = {name: step for name, step in RATES.items() if getattr(self.unknowns, name).requires_grad}
+        groups = [{"params": [getattr(self.unknowns, name)]} for name in rates]
         adam = torch.optim.Adam(groups, betas=ADAM_BETAS)
         generator = torch.Generator().manual_seed(0)
-        batches = min(len(self), max(STEPS_MIN, len(self) // BATCH))
+        batches = min(len(self), max(STEPS_MIN, min(len(self) // BATCH, STEPS_MAX)))
         cost = cost_now()
         for number in range(rounds):
             if number and number % RENEW_ROUNDS == 0:
                 cost = cost_now()
             slower = RATE_END + (1 - RATE_END) * (1 + math.cos(math.pi * number / rounds)) / 2
-            for group, fastest in zip(adam.param_groups, RATES.values(), strict=True):
+            for group, fastest in zip(adam.param_groups, rates.values(), strict=True):
                 group["lr"] = rate * slower * fastest
             for pictures in torch.randperm(len(self), generator=generator).tensor_split(batches):
                 pictures = pictures.sort().values
@@ -261,9 +298,11 @@ class HandFit:
         turn.mul_(TURN_MAX_RAD / length.clamp_min(TURN_MAX_RAD))
 
     @torch.no_grad()
-    def _shown(self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float) -> FitPictures:
-        joints = self.joints(self.everything)
-        seen = sights(rgb_u8, masks, joints.double().numpy(), self.start.camera)
+    def _shown(
+        self, rgb_u8: np.ndarray, masks: np.ndarray, factor: float, rows: np.ndarray | slice = slice(None)
+    ) -> FitPictures:
+        joints = self.joints(self.everything[rows])
+        seen = sights(rgb_u8[rows], masks[rows], joints.double().numpy(), self.start.camera)
         return FitPictures(self.surface, seen, self.surface.keep(joints), factor)
 
     @torch.no_grad()

@@ -2,7 +2,8 @@
 goes on after the last one that ended.
 
 own.json      which film, and with which options
-pictures.npz  the pictures that were chosen · start.npz: what the tracker says of them · checks.json: what is wrong
+track.npz     what the tracker says of all pictures · pictures.npz: the best of them · start.npz: what it says of these
+checks.json   what is wrong with the film
 fit.npz       bones, shape and poses
 masks.npz     the hand in each picture, by the fitted outline
 sheet.png     film and avatar side by side, new poses, what was seen · report.json: figures of held-out pictures
@@ -22,14 +23,17 @@ import numpy as np
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.forearm import ended
 from jghand_engine.errors import InputError
 from jghand_engine.files import make_folder, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import hand_length
+from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.json_files import read_small_json
 from jghand_engine.lock import locked
 from jghand_engine.npz_files import read_arrays
+from jghand_engine.own.chain import chain_of
 from jghand_engine.own.checks import (
     PICTURE_RESIDUAL_MAX,
     Finding,
@@ -40,9 +44,11 @@ from jghand_engine.own.checks import (
     seen_findings,
     wanted_hand,
 )
+from jghand_engine.own.exact import check_length, exact_poses
 from jghand_engine.own.film import (
     PHOTOGRAPHS_MIN,
     FilmPictures,
+    Looked,
     Source,
     Window,
     blurred,
@@ -52,20 +58,24 @@ from jghand_engine.own.film import (
     spread_pictures,
 )
 from jghand_engine.own.gather import observe
-from jghand_engine.own.hand_fit import FittedHand, HandFit
+from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
 from jghand_engine.own.light_and_skin import Origin, skin_from
 from jghand_engine.own.masks import Zones, film_colors, hand_masks, hand_size_px, outlines_of, zones_of
 from jghand_engine.own.report import FilmView, held_out, write_report
 from jghand_engine.own.start import Start, start_of
 from jghand_engine.track import CAMERA_ANGLE_DEG
 from jghand_engine.track.detection import HandDetector
-from jghand_engine.track.hands_over_time import hands_over_time
-from jghand_engine.track.track import TrackOptions
+from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
+from jghand_engine.track.poses import JointChain
+from jghand_engine.track.track import TrackedHand, TrackOptions, sequence_of, tracked
 
 MARK, LOCK = "own.json", "lock"
-PICTURES, START, CHECKS, FIT, MASKS = "pictures.npz", "start.npz", "checks.json", "fit.npz", "masks.npz"
-_FILES = (MARK, PICTURES, START, CHECKS, FIT, MASKS, "sheet.png", "report.json")
+TRACK, PICTURES, START, CHECKS = "track.npz", "pictures.npz", "start.npz", "checks.json"
+FIT, MASKS = "fit.npz", "masks.npz"
+_FILES = (MARK, TRACK, PICTURES, START, CHECKS, FIT, MASKS, "sheet.png", "report.json")
 _MASK_BYTES_MAX = 2**28
+# a day: more is a mistake
+FIT_MOST_S = 86400.0
 
 # how far a stage is: its name, how much is done, and of how much
 Told = Callable[[str, int, int], None]
@@ -75,16 +85,20 @@ Detectors = Callable[[], AbstractContextManager[HandDetector]]
 @dataclass(frozen=True)
 class OwnOptions:
     """hand: which one is filmed; None: the one that is seen · hand_length_m: wrist to middle tip along the bones; None:
-    the prior's · camera_angle_deg: across the longer edge; None: what the file says, else a telephone's"""
+    the prior's · camera_angle_deg: across the longer edge; None: what the file says, else a telephone's · fit_s: the
+    fit by pictures goes on for so many seconds, if it does not take longer anyway"""
 
     hand: Handedness | None = None
     hand_length_m: float | None = None
     camera_angle_deg: float | None = None
+    fit_s: float = 0.0
 
     def check(self) -> None:
         """InputError for what cannot be."""
         angle = CAMERA_ANGLE_DEG if self.camera_angle_deg is None else self.camera_angle_deg
         TrackOptions(self.hand_length_m, camera_angle_deg=angle).check()
+        if not 0 <= self.fit_s <= FIT_MOST_S:
+            raise InputError("minutes", wanted=f"0 to {FIT_MOST_S / 60:g}", came=f"{self.fit_s / 60:g}")
 
 
 # ---- before the fit --------------------------------------------------------------------------------------------------
@@ -92,8 +106,13 @@ class OwnOptions:
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """What is known before anything is fitted. findings: what is wrong with the film"""
+    """What is known before anything is fitted.
 
+    track: what the tracker says of all pictures, whole ones · pictures: the best of them · start: what it says of
+    these, as they were cut · findings: what is wrong with the film
+    """
+
+    track: Start
     pictures: FilmPictures
     start: Start
     findings: list[Finding]
@@ -108,22 +127,30 @@ def begin(source: Source, prior: HandAvatar, options: OwnOptions, detector: Hand
         number = int(np.flatnonzero(~hand.seen)[0]) + 1
         remedy = "Take another one, or leave it out."
         raise InputError(f"photograph {number}", wanted="a hand", came="none", remedy=remedy)
+    begun = best_pictures(source, prior, options, looked, hand)
+    pictures, start = begun.pictures, begun.start
+    zones = _zones(start, prior, start.joints_m)
+    begun.findings.extend([*(Finding("film", note) for note in notes), *seen_findings(looked, hand)])
+    begun.findings.extend(picture_findings(pictures, start, zones, film_colors(pictures, zones)))
+    return begun
+
+
+def best_pictures(source: Source, prior: HandAvatar, options: OwnOptions, looked: Looked, hand: HandOverTime) -> Begun:
+    """What the tracker says of a hand that was seen, and the pictures that are fitted; nothing is found wrong yet.
+    InputError where there are too few."""
     canonical = prior.canonical_joints_m
     length_m = options.hand_length_m or hand_length(canonical)
     angle = options.camera_angle_deg or source.camera_angle_deg or CAMERA_ANGLE_DEG
-    start = start_of(looked.sightings, hand, canonical * (length_m / hand_length(canonical)), angle, source.is_film)
-    index = spread_pictures(start.poses, start.seen & ~(blurred(looked.sharpness) & source.is_film))
+    track = start_of(looked.sightings, hand, canonical * (length_m / hand_length(canonical)), angle, source.is_film)
+    index = spread_pictures(track.poses, track.seen & ~(blurred(looked.sharpness) & source.is_film))
     if len(index) < PHOTOGRAPHS_MIN:
         raise InputError(source.name, wanted=f"a hand in {PHOTOGRAPHS_MIN} pictures at least", came=f"{len(index)}")
-    start = start.part(index)
+    start = track.part(index)
     hand_px = float(np.median(hand_size_px(start.camera.project(start.joints_m)[0])))
-    window = Window.around(start.landmarks_px.reshape(-1, 2), hand_px, start.camera.width, start.camera.height)
+    size_px = start.camera.width, start.camera.height
+    window = Window.around(start.landmarks_px.reshape(-1, 2), hand_px, size_px)
     pictures = read_pictures(source, index, window, mirrored=start.handedness is Handedness.LEFT)
-    start = start.within(window)
-    zones = _zones(start, prior, start.joints_m)
-    findings = [*(Finding("film", note) for note in notes), *seen_findings(looked, hand)]
-    findings += picture_findings(pictures, start, zones, film_colors(pictures, zones))
-    return Begun(pictures, start, findings)
+    return Begun(track, pictures, start.within(window), [])
 
 
 def _zones(start: Start, avatar: HandAvatar, joints_m: np.ndarray) -> Zones:
@@ -156,7 +183,7 @@ def explain(
     if (work / FIT).exists():
         fitted = FittedHand.load(work / FIT)
     else:
-        fitted = _fit(begun, prior, told)
+        fitted = fit_hand(begun, prior, told, options.fit_s)
         fitted.save(work / FIT)
     zones = _zones(begun.start, fitted.avatar_shape(prior), fitted.joints_m)
     if (work / MASKS).exists():
@@ -177,33 +204,83 @@ def _begun(
     # the last of the three that is written
     if (work / CHECKS).exists():
         findings = [Finding(**one) for one in read_small_json(work / CHECKS)["findings"]]
-        return Begun(FilmPictures.load(work / PICTURES), Start.load(work / START), findings)
+        pictures, start = FilmPictures.load(work / PICTURES), Start.load(work / START)
+        return Begun(Start.load(work / TRACK), pictures, start, findings)
     with detectors() as detector:
         begun = begin(open_source(paths), prior, options, detector, told)
+    begun.track.save(work / TRACK)
     begun.pictures.save(work / PICTURES)
     begun.start.save(work / START)
     _write_json(work / CHECKS, {"findings": [asdict(finding) for finding in begun.findings]})
     return begun
 
 
-def _fit(begun: Begun, prior: HandAvatar, told: Told) -> FittedHand:
-    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave."""
+def fit_hand(begun: Begun, prior: HandAvatar, told: Told, fit_s: float = 0.0) -> FittedHand:
+    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave. fit_s: as of
+    `OwnOptions`"""
     pictures, start = begun.pictures, begun.start
     fit = HandFit(prior, start, pictures.time_s if pictures.is_film else None)
-    told("Fitting the hand", 0, 2)
+    told("Fitting the hand by landmarks", 0, 1)
     fit.fit_landmarks()
-    told("Fitting the hand", 1, 2)
     now = fit.result()
     zones = _zones(start, now.avatar_shape(prior), now.joints_m)
     masks = hand_masks(pictures, zones, film_colors(pictures, zones))
-    fit.fit_pictures(pictures.rgb_u8, masks)
-    told("Fitting the hand", 2, 2)
+
+    def tick(done: int, total: int) -> None:
+        told("Fitting the hand by pictures", done, total)
+
+    fit.fit_pictures(pictures.rgb_u8, masks, Effort(least_s=fit_s), tick=tick)
     return fit.result()
 
 
-def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> tuple[HandAvatar, list[Finding]]:
+def exact_track(
+    source: Source,
+    looked: Looked,
+    hand: HandOverTime,
+    canonical_joints_m: np.ndarray,
+    options: TrackOptions,
+    told: Told,
+) -> TrackedHand:
+    """As `track.track_hand`, by outlines and colors too. canonical_joints_m: of the avatar that takes the motion.
+
+    InputError where there are too few pictures of the hand, or too many.
+    """
+    check_length(int(hand.seen.sum()))
+    length_m, prior = hand_length(canonical_joints_m), load_builtin(handedness=Handedness.RIGHT)
+    wanted_m = options.hand_length_m or length_m
+    begun = best_pictures(source, prior, OwnOptions(None, wanted_m, options.camera_angle_deg), looked, hand)
+    fitted = fit_hand(begun, prior, told)
+    poses = exact_poses(source, begun.track, begun.pictures.index, fitted, prior, told)
+    own = chain_of(prior.canonical_joints_m, fitted.own_joints_m)
+    chain = own if options.own_bones else JointChain.of(canonical_joints_m * (wanted_m / length_m))
+    return tracked(hand, poses.joints_m(chain), source.fps, fill=options.fill)
+
+
+def check_has_motion(paths: Sequence[Path]) -> Source:
+    """The film; InputError for photographs, and for one that is too long."""
+    source = open_source(paths)
+    if not source.is_film:
+        raise InputError("--motion", wanted="a film", came="photographs")
+    check_length(source.count or 0)
+    return source
+
+
+def motion_of(paths: Sequence[Path], explained: Explained, prior: HandAvatar, told: Told) -> PoseSequence:
+    """Of the hand in all pictures that were looked at, with its own bones. InputError as of `check_has_motion`."""
+    begun, fitted, source = explained.begun, explained.fitted, check_has_motion(paths)
+    poses = exact_poses(source, begun.track, begun.pictures.index, fitted, prior, told)
+    joints_m = poses.joints_m(chain_of(prior.canonical_joints_m, fitted.own_joints_m))
+    hand = begun.track.handedness
+    if hand is Handedness.LEFT:
+        joints_m = joints_m * (-1.0, 1.0, 1.0)
+    return sequence_of(joints_m, hand, begun.track.seen, source.fps)
+
+
+def hand_of(
+    explained: Explained, prior: HandAvatar, work: Path, told: Told, *, best: bool = False
+) -> tuple[HandAvatar, list[Finding]]:
     """The avatar: skin and light of the pictures whose outlines the fit explains, but for those that are held out to
-    judge it by; and what is to be said of it. Writes sheet.png and report.json into `work`."""
+    judge it by; and what is to be said of it. Writes sheet.png and report.json into `work`. best: as of `skin_from`"""
     pictures, fitted = explained.begun.pictures, explained.fitted
     told("Finding skin and light", 0, 2)
     fits = np.nan_to_num(fitted.outline_residual) <= PICTURE_RESIDUAL_MAX
@@ -212,7 +289,8 @@ def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> 
     held = held_out(len(film.joints_m))
     seen, shaped = film.part(~held), fitted.avatar_shape(prior)
     observed = observe(shaped, seen.joints_m, seen.camera, seen.pictures, seen.masks)
-    own = skin_from(observed, shaped, Origin(pictures.source, pictures.digest, explained.begun.start.handedness))
+    origin = Origin(pictures.source, pictures.digest, explained.begun.start.handedness)
+    own = skin_from(observed, shaped, origin, best=best)
     told("Finding skin and light", 1, 2)
     report = write_report(work, own, film, held)
     told("Finding skin and light", 2, 2)

@@ -137,20 +137,33 @@ def track_hand(
     own = own_canonical_joints(scaled, landmarks, length_m)
     poses = fit(JointChain.of(own), landmarks, Trust(smoothing=options.smoothing))
     in_view = poses.joints_m(JointChain.of(own if options.own_bones else scaled))
+    return tracked(hand, in_view, fps, fill=options.fill)
+
+
+def tracked(hand: HandOverTime, in_view: np.ndarray, fps: float, *, fill: bool) -> TrackedHand:
+    """The motion of a hand whose joints, as a right hand's, are (F, 21, 3) in camera axes, meters. fill: as of
+    `TrackOptions`"""
     if hand.handedness is Handedness.LEFT:
         in_view = in_view * _MIRROR
-    joints = in_view * MOTION_FROM_CAMERA
     seen = hand.seen
-    valid = np.broadcast_to((seen | options.fill)[:, None], joints.shape[:2])
     raw = np.stack([one.space_m for one in hand.frames if one is not None])
     return TrackedHand(
-        PoseSequence(joints, fps, hand.handedness, valid, ~seen & options.fill),
+        sequence_of(in_view, hand.handedness, seen, fps, fill=fill),
         in_view,
         seen,
         jitter_before_deg=jitter_deg(raw),
         jitter_after_deg=jitter_deg(in_view[seen]),
         hand=hand,
     )
+
+
+def sequence_of(
+    in_view: np.ndarray, handedness: Handedness, seen: np.ndarray, fps: float, *, fill: bool = True
+) -> PoseSequence:
+    """Joints (F, 21, 3) in camera axes, meters, as a motion. seen: (F,) bool · fill: others are marked as filled; else
+    their joints are missing"""
+    valid = np.broadcast_to((seen | fill)[:, None], in_view.shape[:2])
+    return PoseSequence(in_view * MOTION_FROM_CAMERA, fps, handedness, valid, ~seen & fill)
 
 
 def landmarks_of(hand: HandOverTime, camera: Pinhole, fps: float) -> Landmarks:

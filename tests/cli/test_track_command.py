@@ -15,6 +15,7 @@ from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.motion.read import read_motion_file
+from jghand_engine.own import make
 from jghand_engine.track import hands_over_time, mediapipe_hands
 from jghand_engine.track import track as module
 
@@ -109,6 +110,29 @@ def test_two_hands_become_two_files(film, sees, right, left, tmp_path):
         assert read_motion(tmp_path / f"motion_{side}.json").handedness is side
 
 
+def test_the_exact_motion_is_of_one_hand_and_takes_the_place_of_the_quick_one(
+    film, sees, right, left, tmp_path, capsys, monkeypatch
+):
+    sees([a + b for a, b in zip(right, left, strict=True)])
+    assert track(film, tmp_path / "motion.npz", "--exact") == 2
+    assert "--exact: wanted one hand, got both. Say --hand right or --hand left." in capsys.readouterr().err
+    asked = []
+
+    def exact_track(source, looked, hand, canonical_joints_m, options, told):
+        asked.append((source.fps, len(looked.sharpness), hand.handedness, options.own_bones))
+        told("Fitting all pictures", 1, 2)
+        camera = module.camera_of(looked.sightings, options.camera_angle_deg)
+        quick = module.track_hand(hand, camera, source.fps, canonical_joints_m, options)
+        return module.tracked(hand, quick.in_view * (-1, 1, 1) + (0, 0, 1), source.fps, fill=True)
+
+    monkeypatch.setattr(make, "exact_track", exact_track)
+    sees([a + b for a, b in zip(right, left, strict=True)])
+    words = ["--exact", "--hand", "left", "--bones", "own"]
+    assert track(film, tmp_path / "motion.npz", *words) == 0
+    assert asked == [(FPS, COUNT, Handedness.LEFT, True)]
+    assert (read_motion(tmp_path / "motion.npz").joints_m[..., 2] < -1).all()
+
+
 def test_one_side_can_be_chosen(film, sees, right, left, tmp_path):
     sees([a + b for a, b in zip(right, left, strict=True)])
     assert track(film, tmp_path / "motion.csv", "--hand", "left") == 0
@@ -139,6 +163,7 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
         (["--hand-length", "0.19"], "60 to 400 mm"),
         (["--camera-angle", "0"], "camera angle"),
         (["--smoothing", "nan"], "smoothing"),
+        (["--exact", "--smoothing", "2"], "none with --exact"),
         (["--most", "0"], "--most"),
         (["--fps", "0"], "frames per second"),
         (["--proof", "proof.avi"], ".mp4"),

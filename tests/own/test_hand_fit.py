@@ -15,7 +15,7 @@ from jghand_engine.own.fit_pictures import FitPictures
 from jghand_engine.own.fit_surface import FitSurface, outline_factor
 from jghand_engine.own.fit_terms import guides
 from jghand_engine.own.fit_views import sights, view_of
-from jghand_engine.own.hand_fit import RATES, FittedHand, HandFit
+from jghand_engine.own.hand_fit import RATES, Effort, FittedHand, HandFit
 from jghand_engine.own.masks import wrist_side
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
@@ -48,7 +48,7 @@ def test_pictures_bring_joints_bones_and_outline_back():
     least, first = (outline(one, one._shown(truth.rgb_u8, truth.masks, factor)) for one in (best, fit))
     before = motion_errors(fit.result().joints_m, 1.0, truth.joints_m, 1.0)
     fit.fit_landmarks(8)
-    fit.fit_pictures(truth.rgb_u8, truth.masks, times=1, rounds=12)
+    fit.fit_pictures(truth.rgb_u8, truth.masks, Effort(times=1, rounds=12))
     found = fit.result()
     after = motion_errors(found.joints_m, 1.0, truth.joints_m, 1.0)
     # a drawn outline is softer than a mask: what is left of the truth itself is no error
@@ -132,7 +132,7 @@ def test_what_lies_beyond_the_wrist_changes_no_number():
         rgb, masks = truth.rgb_u8.copy(), truth.masks.copy()
         rgb[away], masks[away] = color, color > 0
         fit = HandFit(PRIOR, truth.start(disturbed(truth.poses)), truth.time_s, count=500)
-        fit.fit_pictures(rgb, masks, times=1, rounds=2)
+        fit.fit_pictures(rgb, masks, Effort(times=1, rounds=2))
         results.append(fit.result())
     assert away.any()
     for one in fields(FittedHand):

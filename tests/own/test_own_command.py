@@ -13,21 +13,28 @@ import pytest
 from films_of_bones import SCALE, SKIN, drawn_hands, film_of
 from tracking_samples import CAMERA, right_joints_m, seen
 
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
+from jghand_engine.export.pictures import write_png
 from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.motion.read import read_motion_file
 from jghand_engine.own import make
-from jghand_engine.own.hand_fit import FittedHand
+from jghand_engine.own.hand_fit import Effort, FittedHand
 from jghand_engine.own.make import OwnOptions, explain, work_folder
 from jghand_engine.own.start import Start
 from jghand_engine.track import mediapipe_hands
 from jghand_engine.track.detection import HandDetector, SeenHand
+from jghand_engine.track.motion_errors import motion_errors
+from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 RIGHT = Handedness.RIGHT
 JOINTS_M = right_joints_m(6)
 FPS = 15.0
+# what --minutes says in these tests
+LEAST_S = 30.0
 
 
 class Known:
@@ -67,8 +74,9 @@ def fits(monkeypatch) -> list[int]:
             begun.append(len(start.joints_m))
 
         def fit_landmarks(self) -> None: ...
-        def fit_pictures(self, rgb_u8: np.ndarray, masks: np.ndarray) -> None:
+        def fit_pictures(self, rgb_u8: np.ndarray, masks: np.ndarray, effort: Effort, *, tick: object) -> None:
             assert masks.shape == rgb_u8.shape[:3]
+            assert effort.least_s == LEAST_S
 
         def result(self) -> FittedHand:
             start = self.start
@@ -103,6 +111,8 @@ def test_a_film_without_a_hand_ends_with_2_and_words(tmp_path, capsys):
     ("words", "told"),
     [
         ([], "either --out FILE.jghand or --check"),
+        (["--check", "--minutes", "-1"], "0 to 1440"),
+        (["--out", "me.jghand", "--motion", "me.txt"], "motion file me.txt"),
         (["--check", "--out", "me.jghand"], "either --out FILE.jghand or --check"),
         (["--check", "--hand-length", "18"], "60 to 400 mm"),
         (["--check", "--camera-angle", "170"], "1 to 150 degrees"),
@@ -114,8 +124,10 @@ def test_what_cannot_be_is_refused_in_words(film, capsys, words, told):
     assert told in capsys.readouterr().err
 
 
-def explained(film: Path, work: Path, *, resume: bool, detectors=known, **options: float) -> make.Explained:
-    chosen = OwnOptions(**options)
+def explained(
+    film: Path, work: Path, *, resume: bool, detectors=known, length_m: float | None = None
+) -> make.Explained:
+    chosen = OwnOptions(hand_length_m=length_m, fit_s=LEAST_S)
     with work_folder(work, [film], chosen, resume=resume):
         return explain([film], load_builtin(handedness=RIGHT), chosen, work, detectors, lambda *_: None)
 
@@ -152,11 +164,42 @@ def test_a_work_folder_is_of_one_film_and_its_options_and_of_nothing_else(film, 
         explained(film, work, resume=True)
     explained(film, work, resume=False)
     with pytest.raises(InputError, match="this very film and these options"):
-        explained(film, work, resume=True, hand_length_m=0.2)
-    explained(film, work, resume=False, hand_length_m=0.2)
+        explained(film, work, resume=True, length_m=0.2)
+    explained(film, work, resume=False, length_m=0.2)
     assert len(fits) == 2
     other = tmp_path / "pictures"
     other.mkdir()
     (other / "mine.png").touch()
     with pytest.raises(InputError, match=r"one with mine\.png"):
         explained(film, other, resume=False)
+
+
+def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monkeypatch):
+    skins: list[bool] = []
+
+    def skin(explained: make.Explained, prior: HandAvatar, *_: object, best: bool) -> tuple[HandAvatar, list]:
+        skins.append(best)
+        return prior, []
+
+    monkeypatch.setattr(make, "hand_of", skin)
+    monkeypatch.setattr(make, "exact_poses", lambda source, track, *_: track.poses)
+    out, motion = tmp_path / "me.jghand", tmp_path / "me.npz"
+    words = ["own", str(film), "--out", str(out), "--motion", str(motion), "--minutes", "0.5"]
+    assert main([*words, "--json", str(tmp_path / "told.json")]) == 0
+    found = read_motion_file(motion).sequence
+    assert (found.fps, found.handedness, len(found)) == (FPS, RIGHT, len(JOINTS_M))
+    # as the tracker has them, up to the film's size
+    away = motion_errors(found.joints_m * MOTION_FROM_CAMERA, FPS, JOINTS_M, FPS)
+    assert away.aligned_mm < 8
+    assert json.loads((tmp_path / "told.json").read_text())["motion"] == str(motion)
+    assert main([*words, "--overwrite", "--resume", "--marks", "best"]) == 0
+    assert (skins, len(fits)) == ([False, True], 1)
+
+
+def test_photographs_have_no_motion_which_is_told_before_the_work(tmp_path, capsys):
+    for number in range(3):
+        write_png(tmp_path / f"{number}.png", np.zeros((8, 8, 3), np.uint8))
+    files = [str(path) for path in sorted(tmp_path.glob("*.png"))]
+    assert main(["own", *files, "--out", str(tmp_path / "me.jghand"), "--motion", str(tmp_path / "me.npz")]) == 2
+    assert "--motion: wanted a film, got photographs" in capsys.readouterr().err
+    assert not (tmp_path / "me.own").exists()

@@ -137,13 +137,13 @@ def test_pictures_are_read_by_number_kept_as_they_are_and_mirrored_for_a_left_ha
 
 def test_what_is_kept_is_the_part_where_the_hand_is_and_no_larger_than_it_need_be():
     points = np.array([[300.0, 400.0], [700.0, 500.0]])
-    near = Window.around(points, 200.0, 1080, 1920)
+    near = Window.around(points, 200.0, (1080, 1920))
     assert (near.left, near.top, near.width, near.height) == (200, 300, 600, 300)
     assert near.size_px == (600, 300)
-    large = Window.around(points, 800.0, 1080, 1920)
+    large = Window.around(points, 800.0, (1080, 1920))
     assert (large.left, large.top, large.width, large.height) == (0, 0, 1080, 900)
     assert large.size_px == (round(1080 * HAND_SIZE_PX / 800), round(900 * HAND_SIZE_PX / 800))
-    assert max(Window.around(points * 3, 100.0, 4000, 4000).size_px) == PICTURE_EDGE_PX
+    assert max(Window.around(points * 3, 100.0, (4000, 4000)).size_px) == PICTURE_EDGE_PX
     picture = np.zeros((1920, 1080, 3), np.uint8)
     picture[300:600, 200:800] = 200
     assert (near.cut(picture) == 200).all()
