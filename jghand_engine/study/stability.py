@@ -98,7 +98,8 @@ def _hand_table(rows: list[HandRow]) -> Table:
         f"Nudge: how far the skin moves when every joint is off by {nudge} (trained: all Gaussians, in the tier that "
         "is shown); bound "
         f"{1e3 * SKIN_MAX_M:g} mm, except where the transform itself says that the hand has no "
-        "certain frame (last column).",
+        "certain frame (last column). A forearm goes on where the palm points, like a lever: its skin is moved by that "
+        "and once more for each palm's length behind the wrist.",
         "usual: angles by acos, frames by normalized cross products, |b| + 1e-8, absolute coordinates; written for "
         "this study (study/stability_usual.py). Lengths are as on a hand of ordinary size.",
         "The JSON also has nudges of exactly that length on each axis, and the difference of a picture from float64.",

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.learned import own_flesh
 from jghand_engine.avatar.posing import Posing
@@ -50,7 +50,7 @@ NUDGES = 64
 FEW = 15
 # points of the skin that are watched, of the template's 1610
 SKIN_POINTS = 400
-# what a nudge may move any of them by, meters (METHOD 2.11)
+# what a nudge may move any of them by, meters (METHOD 2.11); of a forearm see `levers_of`
 SKIN_MAX_M = 2e-3
 # float32 against float64, meters on a hand of ordinary size (METHOD 2.11, of the joints)
 PRECISION_MAX_M = 5e-7
@@ -162,13 +162,16 @@ def measure(
     *,
     hands_beside: int = BESIDE,
     shown: Formulation | None = None,
+    levers: Tensor | None = None,
 ) -> Measured:
-    """All numbers of a formulation on a case. hands_beside: at each of the distances · shown: whose skin is nudged"""
+    """All numbers of a formulation on a case. hands_beside: at each of the distances · shown: whose skin is nudged ·
+    levers: see `moved_mm`"""
     to_mm = 1e3 * template_size_m() / case.size_m
     single, double = (
         _differentiated(formulation, beside(case, hands_beside), dtype) for dtype in (torch.float32, torch.float64)
     )
-    nudged, axes = (moved_mm(shown or formulation, case, nudge) for nudge in (random_nudges(), axis_nudges()))
+    nudges = random_nudges(), axis_nudges()
+    nudged, axes = (moved_mm(shown or formulation, case, nudge, levers) for nudge in nudges)
     exact = formulation(case.joints_m[None], torch.float64).skin
     rounded = formulation(case.joints_m[None], torch.float32).skin
     return Measured(
@@ -203,13 +206,25 @@ def axis_nudges(count: int = NUDGES) -> Tensor:
     return 2.0 * (torch.rand(count, 21, 3, generator=torch.Generator().manual_seed(2)) < 0.5).double() - 1.0
 
 
-def moved_mm(formulation: Formulation, case: HandCase, nudges: Tensor) -> float:
-    """How far nudges of 0.5 mm, on a hand of ordinary size, move any point of the skin, millimeters."""
+def levers_of(avatar: HandAvatar) -> Tensor:
+    """(N,) how many times as far as the hand's a nudge may move each of its Gaussians: 1, and behind the wrist one more
+    for each palm's length of way. A forearm goes on where the palm points, and where that is, is known from joints as
+    far apart as the palm is long: what turns the palm moves the forearm as it moves the end of a lever."""
+    wrist_m, knuckles_m = avatar.canonical_joints_m[0], avatar.canonical_joints_m[2:6].mean(0)
+    behind_m = ((avatar.position_m - wrist_m) @ FOREARM_WAY).clip(0)
+    return 1 + torch.from_numpy(behind_m) / float(np.linalg.norm(knuckles_m - wrist_m))
+
+
+def moved_mm(formulation: Formulation, case: HandCase, nudges: Tensor, levers: Tensor | None = None) -> float:
+    """How far nudges of 0.5 mm, on a hand of ordinary size, move any point of the skin, millimeters.
+
+    levers: (V,) what the way of each point is divided by; None: 1"""
     part = case.size_m / template_size_m()
     joints_m = torch.cat([case.joints_m[None], case.joints_m + part * NUDGE_M * nudges])
     # the wrist itself moves, too: its place counts
     skin = formulation(joints_m, torch.float64).skin + joints_m[:, :1]
-    return 1e3 * float((skin[1:] - skin[0]).norm(dim=-1).max()) / part
+    way_m = (skin[1:] - skin[0]).norm(dim=-1)
+    return 1e3 * float((way_m if levers is None else way_m / levers).max()) / part
 
 
 # ---- rows -----------------------------------------------------------------------------------------------------------
@@ -241,7 +256,8 @@ def correctives_row(case: HandCase) -> HandRow:
         return Skin(torch.stack([one.position_m for one in posed]), rgb)
 
     # the network is evaluated hand by hand: fewer of them
-    measured = measure(learned, case, hands_beside=FEW // len(JITTERS), shown=as_shown(shipped))
+    few, shown, levers = FEW // len(JITTERS), as_shown(shipped), levers_of(shipped)
+    measured = measure(learned, case, hands_beside=few, shown=shown, levers=levers)
     picture = hand_picture(avatar, case)
     name = f"trained hand, {case.name}"
     return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ import torch
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from jghand_engine.avatar.avatar import FOREARM_WAY
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.joints import Handedness
@@ -27,6 +28,7 @@ from jghand_engine.study.stability_measures import (
     axis_nudges,
     correctives_row,
     hand_row,
+    levers_of,
     measure,
     moved_mm,
     ours,
@@ -37,8 +39,11 @@ from jghand_engine.study.stability_measures import (
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
 RIGHT = Handedness.RIGHT
-# two of the study's seven, as each takes 4 s: the worst that are flagged, in precision, and that are not, in steadiness
+# of the study's seven, as each takes 4 s: the worst that are flagged, in precision, and that are not, in steadiness,
 FAR_TESTED = ("random points that are no hand", "middle finger sideways, +90 degrees")
+# and those that miss the bound by what was learned: the shown tier moves the little finger by 2.23 and 2.06 mm of 2
+MISSED = ("ordinary: fist", "bones +50 % and -50 % in turn")
+row_of = cache(lambda name: correctives_row(hand_cases()[name]))
 
 
 @pytest.mark.parametrize("name", hand_cases())
@@ -59,22 +64,29 @@ def test_a_hard_picture_is_finite_and_like_the_reference(name):
     assert row.missed == []
 
 
-# the hand that comes with JGHand moves farther there than the bound, by up to 4.1 and 3.1 mm of 2: README says so
-MISSED = pytest.mark.xfail(reason="the built-in hand misses the bound outside its training", strict=False)
-
-
-@pytest.mark.parametrize("name", [pytest.param(one, marks=MISSED) if "sideways" in one else one for one in FAR_TESTED])
-def test_the_trained_hand_far_outside_training_is_finite_drawn_right_and_steady(name):
-    row = correctives_row(hand_cases()[name])
+@pytest.mark.parametrize("name", [*FAR_TESTED, *MISSED])
+def test_the_trained_hand_far_outside_training_is_finite_and_drawn_right(name):
+    row = row_of(name)
     assert row.ours.finite
     assert row.picture.good
     assert row.ours.gradient <= GRADIENT_MAX
     assert row.ours.precision_mm <= 1e3 * PRECISION_MAX_M
-    if not row.flags:
-        assert max(row.ours.nudged_mm, row.ours.axes_mm) <= 1e3 * SKIN_MAX_M
+    assert row.flags or row.ours.nudged_mm <= 1e3 * SKIN_MAX_M
 
 
-@MISSED
+@pytest.mark.parametrize(
+    "name",
+    [
+        FAR_TESTED[1],
+        *(pytest.param(one, marks=pytest.mark.xfail(raises=AssertionError, strict=True)) for one in MISSED),
+    ],
+)
+def test_the_trained_hand_is_steady_where_every_coordinate_is_off(name):
+    axes_mm = row_of(name).ours.axes_mm
+    assert row_of(name).flags == []
+    assert axes_mm <= 1e3 * SKIN_MAX_M
+
+
 def test_the_trained_network_itself_keeps_to_the_bound():
     """The tier of the presets final and reference, by the form that trainings differentiate."""
     case, avatar = hand_cases()["ordinary: relaxed"], load_builtin(handedness=RIGHT).prefix(GAUSSIANS)
@@ -85,8 +97,22 @@ def test_the_trained_network_itself_keeps_to_the_bound():
             posed = [posed_avatar(avatar, transform, one).position_m for one in joints_m - joints_m[:, :1]]
         return Skin(torch.stack(posed).to(dtype), torch.zeros(()))
 
-    # observed 1.38
-    assert moved_mm(network, case, axis_nudges(8)) <= 1e3 * SKIN_MAX_M
+    # observed 1.35
+    assert moved_mm(network, case, axis_nudges(8), levers_of(avatar)) <= 1e3 * SKIN_MAX_M
+
+
+def test_a_forearm_moves_as_the_end_of_a_lever_does_and_nothing_else_may():
+    """What its skin may move grows with the way behind the wrist, and is the hand's own before it."""
+    avatar = load_builtin(handedness=RIGHT)
+    wrist_m, levers = avatar.canonical_joints_m[0], levers_of(avatar)
+    behind_m = torch.from_numpy((avatar.position_m - wrist_m) @ FOREARM_WAY)
+    assert float(levers[behind_m <= 0].max()) == 1
+    # the forearm ends 13 cm behind the wrist, and the palm is 8 cm long
+    assert 2.4 < float(levers.max()) < 2.8
+    case = hand_cases()["ordinary: relaxed"]
+    bare = replace(avatar, learned=replace(avatar.learned, correctives=None, distilled=None))
+    assert moved_mm(as_shown(bare), case, axis_nudges()) > 1e3 * SKIN_MAX_M
+    assert moved_mm(as_shown(bare), case, axis_nudges(), levers) <= 1e3 * SKIN_MAX_M
 
 
 def test_a_trained_hand_is_nudged_as_it_is_shown():
