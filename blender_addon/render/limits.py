@@ -27,8 +27,6 @@ _PANES = {"BSDF_TRANSPARENT", "BSDF_GLASS", "BSDF_REFRACTION"}
 _OPAQUE = {"Alpha": 1.0, "Transmission Weight": 0.0}
 # so far away are eyes that see in parallel, Blender units
 _FAR = 1e4
-# a thing is larger by this on each side, in its own units: one without extent that stands in a joint is met, too
-_MARGIN = 1e-5
 # what Blender gives as meshes beside itself
 _AS_MESHES = {"CURVE", "SURFACE", "FONT", "META"}
 # sentences name the first of them
@@ -205,7 +203,7 @@ def _meet(
         return False
     back = np.linalg.inv(matrix)
     corners = np.array([tuple(corner) for corner in thing.bound_box])
-    box = np.stack([corners.min(0) - _MARGIN, corners.max(0) + _MARGIN])
+    box = np.stack([corners.min(0), corners.max(0)])
     starts = np.tile(joints, (len(ways) // len(joints), 1)) @ back[:3, :3].T + back[:3, 3]
     ways = ways @ back[:3, :3].T
     ends = np.stack([starts, starts + ways])

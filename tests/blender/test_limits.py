@@ -53,6 +53,16 @@ def card(scene: bpy.types.Scene, of: bpy.types.Material, part: float = 0.5) -> b
     return thing
 
 
+def cloud_in(scene: bpy.types.Scene) -> bpy.types.Object:
+    """A volume around the origin; one without content has no extent."""
+    cloud = bpy.data.objects.new("cloud", bpy.data.volumes.new("cloud"))
+    scene.collection.objects.link(cloud)
+    bpy.ops.mesh.primitive_cube_add(size=1)
+    bpy.context.object.parent = cloud
+    cloud.modifiers.new("filled", "MESH_TO_VOLUME").object = bpy.context.object
+    return cloud
+
+
 @pytest.mark.parametrize(
     ("shader", "values", "is_pane"),
     [
@@ -114,7 +124,7 @@ def test_volumes_are_named_before_and_around_hands_and_as_worlds(scene):
     assert "Cube: a volume does not dim hands" in told()
     bpy.context.object.location.x = 5
     assert "volume" not in told()
-    scene.collection.objects.link(bpy.data.objects.new("cloud", bpy.data.volumes.new("cloud")))
+    cloud_in(scene)
     assert "cloud: a volume" in told()
     scene.world = bpy.data.worlds.new("World")
     tree = versions.ensure_tree(scene.world)
@@ -181,8 +191,7 @@ def test_a_second_look_without_an_edit_asks_no_object(scene, monkeypatch):
 
 
 def test_a_volume_that_is_moved_is_looked_at_anew(scene):
-    cloud = bpy.data.objects.new("cloud", bpy.data.volumes.new("cloud"))
-    scene.collection.objects.link(cloud)
+    cloud = cloud_in(scene)
     assert "cloud: a volume" in told()
     cloud.location.x = 5
     assert "cloud" not in told()
