@@ -11,6 +11,8 @@ FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 NAMES = ("wrist", *(f"{finger}{level}" for finger in FINGERS for level in (1, 2, 3, 4)))
 PARENTS = (-1, *(0 if place % 4 == 0 else place for place in range(20)))
 WRIST, INDEX, MIDDLE, RING, PINKY = 0, 5, 9, 13, 17
+# the first joint of each finger, where its metacarpal ends
+KNUCKLES = (1, INDEX, MIDDLE, RING, PINKY)
 # the bone that the wrist hangs on, of a hand whose avatar has a forearm
 FOREARM = "forearm"
 TIPS = tuple(place for place, name in enumerate(NAMES) if name.endswith("4"))

@@ -111,17 +111,17 @@ def forearm_rest(rest: np.ndarray, handedness: str) -> np.ndarray:
 def forearm_rotations(joints: np.ndarray, handedness: str, turns: np.ndarray) -> np.ndarray:
     """How forearms are turned about the wrist from where the palm carries them, in the space of the joints (F, 21, 3):
     (F, 4) quaternions w, x, y, z in the palm's frame, as motion files have them -> (F, 3, 3)."""
-    palm = _palm_frames(joints, handedness)
+    palm = palm_frames(joints, handedness)
     return palm @ _rotations(turns) @ np.swapaxes(palm, -1, -2)
 
 
 def forearm_turns(joints: np.ndarray, handedness: str, rotations: np.ndarray) -> np.ndarray:
     """The other way round: (F, 3, 3) -> (F, 4)."""
-    palm = _palm_frames(joints, handedness)
+    palm = palm_frames(joints, handedness)
     return _quaternions(np.swapaxes(palm, -1, -2) @ rotations @ palm)
 
 
-def _palm_frames(joints: np.ndarray, handedness: str) -> np.ndarray:
+def palm_frames(joints: np.ndarray, handedness: str) -> np.ndarray:
     """(F, 21, 3) -> (F, 3, 3) the engine's frame of the palm (METHOD 2.7): z along the metacarpals index to pinky, x
     out of the palm; of a left hand the mirror image of a right one's."""
     fan = joints[:, (INDEX, MIDDLE, RING, PINKY)] - joints[:, WRIST : WRIST + 1]
@@ -177,8 +177,17 @@ def bone_keys(
     return BoneKeys(location, quaternion)
 
 
-def posed_axes(joints: np.ndarray, rest: np.ndarray, handedness: str, *, still_wrist: bool = False) -> np.ndarray:
-    """(F, 21, 3) joints and (21, 4, 4) rest matrices -> (F, 21, 3, 3) axes of the bones in the poses."""
+def posed_axes(
+    joints: np.ndarray,
+    rest: np.ndarray,
+    handedness: str,
+    *,
+    still_wrist: bool = False,
+    metacarpals: np.ndarray | None = None,
+) -> np.ndarray:
+    """(F, 21, 3) joints and (21, 4, 4) rest matrices -> (F, 21, 3, 3) axes of the bones in the poses.
+
+    metacarpals: (F, 5, 3, 3) rotations that carry the fingers; None: the wrist's bone does."""
     axes = np.empty((len(joints), len(NAMES), 3, 3))
     axes[:, WRIST] = rest[0, :3, :3]
     if not still_wrist:
@@ -186,7 +195,10 @@ def posed_axes(joints: np.ndarray, rest: np.ndarray, handedness: str, *, still_w
         axes[:, WRIST] = palm_axes(joints, handedness) @ (at_rest.T @ rest[0, :3, :3])
     for place in range(1, len(NAMES)):
         parent = PARENTS[place]
-        carried = axes[:, parent] @ (rest[parent, :3, :3].T @ rest[place, :3, :3])
+        if metacarpals is not None and parent == WRIST:
+            carried = metacarpals[:, place // 4] @ rest[place, :3, :3]
+        else:
+            carried = axes[:, parent] @ (rest[parent, :3, :3].T @ rest[place, :3, :3])
         tail = TAILS[place]
         axes[:, place] = carried if tail < 0 else _smallest_rotation(carried, joints[:, tail] - joints[:, place])
     return axes

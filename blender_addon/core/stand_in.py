@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from . import posing
-from .joints import LEFT, RIGHT, TAILS, WRIST
+from .joints import KNUCKLES, LEFT, NAMES, RIGHT, TAILS, WRIST
 
 _NAME = "hand_right.npz"
 # where the skin is looked at for shadows: 3.5 mm from each other, like the engine's anchors
@@ -24,6 +24,11 @@ POINTS = 3000
 FINE_POINTS = 12_000
 # from where to where behind the wrist it bends, meters: the engine's
 BEND_M = (-0.015, 0.035)
+# the engine's too (METHOD 2.4, 2.7): spread of the split of the wrist's weight over the metacarpals, and how far before
+# the wrist that begins, meters; how much a plane of two metacarpals is the palm's
+_SPLIT_M, _WRIST_BLEND_M, _PALM_PART = 0.012, 0.015, 0.2
+# the step of differences by a knuckle, as a part of its distance from the wrist
+_STEP = 0.02
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
@@ -48,39 +53,89 @@ class Surface:
         total = np.zeros_like(self.vertices)
         for corner in range(3):
             np.add.at(total, self.faces[:, corner], across)
-        return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-30)
+        return _unit(total)
 
 
 def surface_at(joints: np.ndarray, handedness: str, *, forearm: bool = False) -> Surface:
-    """The template's hand carried to (21, 3) joints of any pose, any unit: each bone is turned onto its new place and
-    stretched along itself; across, all are as thick as the whole hand is large. forearm: with it.
+    """The template's hand carried to (21, 3) joints of any pose, any unit: each bone, metacarpals too, is turned onto
+    its new place and stretched along itself; across, all are as thick as the whole hand is large. forearm: with it.
     JGHandFailure: bad_joints."""
     joints = posing.checked_joints(np.asarray(joints)[None])
-    template, rest = _template(handedness, forearm)
-    axes, joints, own = posing.posed_axes(joints, rest, handedness)[0], joints[0], rest[:, :3, 3]
-    tails = [tail if tail >= 0 else place for place, tail in enumerate(TAILS)]
-    lengths, own_lengths = (np.linalg.norm(each[tails] - each, axis=-1) for each in (joints, own))
-    stretch = np.full((len(joints), 3), lengths.sum() / own_lengths.sum())
-    stretch[:, 1] = np.divide(lengths, own_lengths, out=stretch[:, 1], where=own_lengths > 0)
-    maps = np.empty((len(joints), 3, 4))
-    maps[:, :, :3] = axes * stretch[:, None] @ np.swapaxes(rest[:, :3, :3], -1, -2)
-    maps[:, :, 3] = joints - np.einsum("jab,jb->ja", maps[:, :, :3], own)
-    skin = (template.weights @ maps.reshape(len(joints), 12)).reshape(-1, 3, 4)
+    template, rest, shares = _template(handedness, forearm)
+    own = rest[:, :3, 3]
+    palm = _palm_turns(joints[0], own, handedness)
+    axes = posing.posed_axes(joints, rest, handedness, metacarpals=palm[None, 1:])[0]
+    joints, later = joints[0], range(1, len(NAMES))
+    turns = np.concatenate([palm, axes[1:] @ np.swapaxes(rest[1:, :3, :3], -1, -2)])
+    # of B_0, which has no length, the metacarpals, and the bones that begin at the other joints
+    starts = [WRIST] * len(palm) + [*later]
+    ends = [WRIST, *KNUCKLES] + [TAILS[place] if TAILS[place] >= 0 else place for place in later]
+    bones, own_bones = joints[ends] - joints[starts], own[ends] - own[starts]
+    lengths, own_lengths = np.linalg.norm(bones, axis=-1), np.linalg.norm(own_bones, axis=-1)
+    size = lengths.sum() / own_lengths.sum()
+    has_length = own_lengths > 0
+    along = own_bones / np.where(has_length, own_lengths, 1.0)[:, None]
+    longer = np.where(has_length, lengths / np.where(has_length, own_lengths, 1.0) - size, 0.0)
+    maps = np.empty((len(turns), 3, 4))
+    maps[:, :, :3] = turns @ (size * np.eye(3) + longer[:, None, None] * along[:, :, None] * along[:, None, :])
+    maps[:, :, 3] = joints[starts] - np.einsum("jab,jb->ja", maps[:, :, :3], own[starts])
+    weights = np.concatenate([template.weights[:, :1] * shares, template.weights[:, 1:]], 1)
+    skin = (weights @ maps.reshape(len(maps), 12)).reshape(-1, 3, 4)
     return replace(template, vertices=np.einsum("vab,vb->va", skin[..., :3], template.vertices) + skin[..., 3])
+
+
+def _palm_turns(joints: np.ndarray, rest: np.ndarray, handedness: str) -> np.ndarray:
+    """How the palm and the metacarpals of thumb to pinky are turned between two times (21, 3) joints, (6, 3, 3): as the
+    engine has it, so that a palm that arches turns with its knuckles."""
+    mirror = _MIRROR if handedness == LEFT else np.ones(3)
+    palm, own_palm = (mirror[:, None] * posing.palm_frames(each[None], handedness)[0] for each in (joints, rest))
+    fan, own_fan = (_unit((each[list(KNUCKLES)] - each[WRIST]) * mirror) for each in (joints, rest))
+    turn, own_normals = palm @ own_palm.T, _unit(np.cross(own_fan[:-1], own_fan[1:]))
+    normals = _unit(np.cross(fan[:-1], fan[1:]) + _PALM_PART * own_normals @ turn.T)
+    frames, own_frames = _metacarpal_frames(fan, normals), _metacarpal_frames(own_fan, own_normals)
+    turns = np.concatenate([turn[None], frames @ np.swapaxes(own_frames, -1, -2)])
+    return mirror[:, None] * turns * mirror
+
+
+def _metacarpal_frames(fan: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(5, 3) directions and (4, 3) normals of the planes between them -> (5, 3, 3)."""
+    of_finger = normals[[0, 1, 1, 2, 3]] + normals[[0, 1, 2, 3, 3]]
+    y = _unit(np.cross(fan, of_finger))
+    return np.stack([np.cross(y, fan), y, fan], -1)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def knuckle_ways(joints: np.ndarray, handedness: str, ways: np.ndarray, *, forearm: bool = False) -> np.ndarray:
+    """By how much knuckles take the palm's skin along, where the bones of an armature do not: (5, 3, V, 3) ways of
+    vertices per way of the knuckles of thumb to pinky along (5, 3, 3) directions, in rows, from (21, 3) joints at rest.
+    JGHandFailure: bad_joints."""
+    found = []
+    for knuckle, directions in zip(KNUCKLES, ways, strict=True):
+        finger = [*range(knuckle, knuckle + 4)]
+        step = _STEP * np.linalg.norm(joints[knuckle] - joints[WRIST])
+        for direction in directions:
+            moved = np.zeros_like(joints)
+            moved[finger] = step * direction
+            after, before = (surface_at(joints + sign * moved, handedness, forearm=forearm) for sign in (1, -1))
+            by_bones = after.weights[:, finger].sum(1)[:, None] * direction
+            found.append((after.vertices - before.vertices) / (2 * step) - by_bones)
+    return np.array(found).reshape(len(KNUCKLES), 3, -1, 3)
 
 
 def points_on(surface: Surface, count: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
     """(count, 3) places evenly on the surface of a hand, and the unit normals there."""
     corners, share = _points(count)
-    normal = np.einsum("pk,pka->pa", share, surface.normals[corners])
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
-    return np.einsum("pk,pka->pa", share, surface.vertices[corners]), normal
+    normals = _unit(np.einsum("pk,pka->pa", share, surface.normals[corners]))
+    return np.einsum("pk,pka->pa", share, surface.vertices[corners]), normals
 
 
 def with_forearm_bone(weights: np.ndarray, handedness: str) -> np.ndarray:
     """(V, 21) weights of the hand with a forearm -> (V, 22): what followed the wrist goes over to the bone that this
     hangs on. Where it is bent, skin bends as the engine's; all of a twist is there, too."""
-    surface, rest = _template(handedness, True)
+    surface, rest, _ = _template(handedness, True)
     wrist = rest[WRIST, :3, 3]
     way = wrist - posing.forearm_rest(rest, handedness)[:3, 3]
     behind = (wrist - surface.vertices) @ way / np.linalg.norm(way)
@@ -100,7 +155,7 @@ def points_m(count: int = POINTS) -> np.ndarray:
 def _points(count: int) -> tuple[np.ndarray, np.ndarray]:
     """(count, 3) the corners of the faces in which points lie, and their shares: faces by area, places in them by a
     sequence (Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018)."""
-    surface, _ = _template(RIGHT)
+    surface = _template(RIGHT)[0]
     corners = surface.vertices[surface.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).cumsum()
     number = np.arange(count) + 0.5
@@ -112,8 +167,9 @@ def _points(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _template(handedness: str, forearm: bool = False) -> tuple[Surface, np.ndarray]:
-    """The template's hand, meters, and its (21, 4, 4) rest matrices. JGHandFailure (not_a_hand): another handedness."""
+def _template(handedness: str, forearm: bool = False) -> tuple[Surface, np.ndarray, np.ndarray]:
+    """The template's hand, meters, its (21, 4, 4) rest matrices, and the shares (V, 6) of the palm and the metacarpals
+    in what follows the wrist. JGHandFailure (not_a_hand): another handedness."""
     package = Path(__file__).parents[1]
     built = package / "assets" / _NAME
     path = built if built.is_file() else package.parent / "jghand_engine" / "assets" / _NAME
@@ -125,7 +181,20 @@ def _template(handedness: str, forearm: bool = False) -> tuple[Surface, np.ndarr
             vertices, faces = np.concatenate([vertices, behind]), np.concatenate([faces, arrays["forearm_faces"]])
             weights = np.concatenate([weights[:skin], np.repeat(weights[skin:], len(behind), 0)])
     vertices, weights, joints = (each.astype(np.float64) for each in (vertices, weights, joints))
+    weights /= weights.sum(1, keepdims=True)
+    shares = _palm_shares(vertices, joints)
     if handedness == LEFT:
         vertices, faces, joints = vertices * _MIRROR, faces[:, ::-1], joints * _MIRROR
-    weights /= weights.sum(1, keepdims=True)
-    return Surface(vertices, faces, weights), posing.rest_matrices(joints, handedness)
+    return Surface(vertices, faces, weights), posing.rest_matrices(joints, handedness), shares
+
+
+def _palm_shares(vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """(V, 3) in the template's frame -> (V, 6); rows sum to 1."""
+    vertices, bones = vertices - joints[WRIST], joints[list(KNUCKLES)] - joints[WRIST]
+    part = (vertices @ bones.T / (bones * bones).sum(-1)).clip(0, 1)
+    squared = ((vertices[:, None] - part[..., None] * bones) ** 2).sum(-1)
+    share = np.exp((squared.min(1, keepdims=True) - squared) / (2 * _SPLIT_M**2))
+    share /= share.sum(1, keepdims=True)
+    height = (vertices[:, 1:2] / _WRIST_BLEND_M).clip(0, 1)
+    of_metacarpals = height**2 * (3 - 2 * height)
+    return np.concatenate([1 - of_metacarpals, share * of_metacarpals], 1)

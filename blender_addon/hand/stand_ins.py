@@ -25,8 +25,8 @@ from bpy.app.handlers import persistent
 
 from .. import clock, versions
 from ..core.bone_maps import BoneMap
-from ..core.joints import FOREARM, NAMES
-from ..core.stand_in import surface_at, with_forearm_bone
+from ..core.joints import FOREARM, KNUCKLES, NAMES
+from ..core.stand_in import knuckle_ways, surface_at, with_forearm_bone
 from ..errors import JGHandFailure
 from ..render import ENGINE, composite
 from . import armature, avatar_files, sources
@@ -44,14 +44,17 @@ _ROUGHNESS, _SPECULAR = 0.5, 0.25
 _INVISIBLE = (1.0, 1.0, 1.0, 0.0)
 # smallest weight that moves a vertex by more than a hundredth of a millimeter
 _WEIGHT_MIN = 1e-4
+# so far a knuckle takes the palm along, in units of the armature: as far as Blender lets a shape key go
+_KEY_MAX = 10.0
 # seconds without a change after which stand-ins are looked at: nothing while somebody drags
 _REST_S = 0.3
 # shadings in which something is traced
 _TRACED = {"MATERIAL", "RENDERED"}
 
-# a hand: its side, (21, 3) joints at rest in the armature's space and unit, and the bone that moves what hangs on each;
-# behind them that of the forearm, where it has one
-_Shape = tuple[str, np.ndarray, list[str]]
+# a hand: its side, (21, 3) joints at rest in the armature's space and unit, the bone that moves what hangs on each,
+# behind them that of the forearm, where it has one, and (5, 3, 3) the axes of the knuckles' bones, in rows, where the
+# knuckles of a palm that arches are moved by the bones' locations: on our own armatures
+_Shape = tuple[str, np.ndarray, list[str], np.ndarray | None]
 
 # the stand-ins that the last update left, as `bpy.data.objects` finds them, and their session_uid
 _there: list[tuple[tuple[str, str | None], int]] = []
@@ -76,8 +79,8 @@ def update() -> None:
         if shapes is None:
             left = {key: thing for key, thing in left.items() if key[0] != hand}
             continue
-        for side, joints, bones in shapes:
-            _renew(hand, side, left.pop((hand, side), None), joints, bones)
+        for shape in shapes:
+            _renew(hand, left.pop((hand, shape[0]), None), shape)
     for thing in left.values():
         if _is_own(thing):
             _remove(thing)
@@ -141,7 +144,9 @@ def _shapes(hand: bpy.types.Object) -> list[_Shape] | None:
     try:
         if armature.is_hand(hand):
             bones = [*NAMES, *[FOREARM] * armature.has_forearm_bone(hand)]
-            return [(armature.handedness_of(hand), armature.rest_matrices_of(hand)[:, :3, 3], bones)]
+            rest = armature.rest_matrices_of(hand)
+            ways = np.swapaxes(rest[KNUCKLES, :3, :3], -1, -2)
+            return [(armature.handedness_of(hand), rest[:, :3, 3], bones, ways)]
         return [_mapped(bone_map, hand.data.bones) for bone_map in sources.stored_maps(hand)]
     except JGHandFailure:
         return None  # a hand that cannot be read is not drawn either, and the panel says why
@@ -154,7 +159,7 @@ def _mapped(bone_map: BoneMap, of_rig: bpy.types.ArmatureBones) -> _Shape:
     ends = [
         bone.head_local if source.end == "head" else bone.tail_local for bone, source in zip(bones, found, strict=True)
     ]
-    return bone_map.handedness, np.array(ends, np.float64), [bone.name for bone in bones]
+    return bone_map.handedness, np.array(ends, np.float64), [bone.name for bone in bones], None
 
 
 def _homes(hand: bpy.types.Object) -> list[bpy.types.Collection]:
@@ -163,21 +168,22 @@ def _homes(hand: bpy.types.Object) -> list[bpy.types.Collection]:
     return [home for home in hand.users_collection if home.library is None and home not in apart]
 
 
-def _renew(
-    hand: bpy.types.Object, side: str, thing: bpy.types.Object | None, joints: np.ndarray, bones: list[str]
-) -> None:
+def _renew(hand: bpy.types.Object, thing: bpy.types.Object | None, shape: _Shape) -> None:
     """Makes a stand-in, or brings one up to date that is there."""
     if thing is not None and not _is_own(thing):
         return
     try:
         forearm = hand.jghand.forearm and avatar_files.has_forearm(avatar_of(hand))
-        mesh = _mesh(joints, side, bones, forearm)
+        made_from = _digest(shape, forearm)
+        before = thing.data if thing is not None else None
+        mesh = before if before is not None and _fits(before, hand, made_from) else _mesh(hand, shape, forearm)
     except JGHandFailure:  # joints that no hand has at rest: not to be told now
         return
-    mine: bpy.types.Object = _new(hand, side, mesh) if thing is None else thing
+    mine: bpy.types.Object = _new(hand, shape[0], mesh) if thing is None else thing
     if mine.data != mesh:  # what is written tells Blender of a change, also the same again
-        before, mine.data = mine.data, mesh
+        mine.data = mesh
         _drop(before)
+    mesh[MADE_FROM] = made_from
     name = f"{hand.name} Shadow"
     if not mine.name.startswith(name):
         mine.name = name
@@ -223,30 +229,59 @@ def _add_driver(thing: bpy.types.Object, hand: bpy.types.Object) -> None:
     target.use_fallback_value, target.fallback_value = True, 0.0
 
 
-def _mesh(joints: np.ndarray, side: str, bones: list[str], forearm: bool) -> bpy.types.Mesh:
-    """The surface for these joints, with a group for each bone; who has the same shares it. JGHandFailure:
-    bad_joints."""
-    digest = hashlib.sha256(
-        np.round(joints, 7).tobytes() + "\n".join((side, *bones)).encode() + b"forearm" * forearm
-    ).hexdigest()
-    known = next((mesh for mesh in bpy.data.meshes if mesh.get(MADE_FROM) == digest and mesh.library is None), None)
-    if known is not None:
-        return known
+def _digest(shape: _Shape, forearm: bool) -> str:
+    """Of what a stand-in's mesh is made from."""
+    side, joints, bones, ways = shape
+    numbers = np.round(joints, 7).tobytes() + (b"" if ways is None else np.round(ways, 7).tobytes())
+    return hashlib.sha256(numbers + "\n".join((side, *bones)).encode() + b"forearm" * forearm).hexdigest()
+
+
+def _fits(mesh: bpy.types.Mesh, hand: bpy.types.Object, made_from: str) -> bool:
+    """Whether a mesh is still the one for a hand, and moves with that one: duplicates begin with that of the first."""
+    keys = mesh.shape_keys
+    driven = keys.animation_data.drivers if keys is not None and keys.animation_data is not None else ()
+    return mesh.get(MADE_FROM) == made_from and all(
+        target.id == hand for curve in driven for variable in curve.driver.variables for target in variable.targets
+    )
+
+
+def _mesh(hand: bpy.types.Object, shape: _Shape, forearm: bool) -> bpy.types.Mesh:
+    """The surface of a hand, with a group for each bone. JGHandFailure: bad_joints."""
+    side, joints, bones, ways = shape
     surface = surface_at(joints, side, forearm=forearm)
     every = with_forearm_bone(surface.weights, side) if forearm and len(bones) > len(NAMES) else surface.weights
     mesh = bpy.data.meshes.new(MATERIAL)
-    mesh[MADE_FROM] = digest
     mesh.from_pydata(surface.vertices, [], surface.faces)
     mesh.shade_smooth()
     mesh.materials.append(_material())
-    carrier = bpy.data.objects.new(MATERIAL, mesh)  # groups are a mesh's, and only objects make them
+    carrier = bpy.data.objects.new(MATERIAL, mesh)  # groups and keys are a mesh's, and only objects make them
     for place, bone in enumerate(bones[: every.shape[1]]):
         group = carrier.vertex_groups.get(bone) or carrier.vertex_groups.new(name=bone)
         weights = every[:, place]
         for vertex in np.flatnonzero(weights > _WEIGHT_MIN).tolist():
             group.add([vertex], float(weights[vertex]), "ADD")
+    if ways is not None:
+        _add_palm(carrier, hand, surface.vertices, knuckle_ways(joints, side, ways, forearm=forearm))
     bpy.data.objects.remove(carrier)
     return mesh
+
+
+def _add_palm(carrier: bpy.types.Object, hand: bpy.types.Object, vertices: np.ndarray, ways: np.ndarray) -> None:
+    """Shape keys by which the palm's skin follows the knuckles as the engine's does (5, 3, V, 3): a bone that is moved
+    takes along what hangs on itself alone. Drivers without Python read the places of the bones."""
+    carrier.shape_key_add(name="Basis")
+    for knuckle, of_knuckle in zip(KNUCKLES, ways, strict=True):
+        for axis, way in zip("XYZ", of_knuckle, strict=True):
+            key = carrier.shape_key_add(name=f"{NAMES[knuckle]} {axis}", from_mix=False)
+            key.data.foreach_set("co", (vertices + way).astype(np.float32).ravel())
+            key.slider_min, key.slider_max = -_KEY_MAX, _KEY_MAX
+            driver = key.driver_add("value").driver
+            driver.type = "SUM"
+            variable = driver.variables.new()
+            variable.type = "TRANSFORMS"
+            target = variable.targets[0]
+            target.id, target.bone_target = hand, NAMES[knuckle]
+            target.transform_type, target.transform_space = f"LOC_{axis}", "LOCAL_SPACE"
 
 
 def _material() -> bpy.types.Material:
