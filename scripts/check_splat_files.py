@@ -120,7 +120,8 @@ _HALF_BYTE = 0.5 / 255 + 1e-6
 # ply, glb: float32, and the logarithm and the logit of ply.
 # splat: colors in bytes; a quaternion's components in steps of 1/128, seen 0.016.
 # spz: 2^-19 m; sizes in steps of 1/16 of a natural logarithm; colors in bytes of the harmonics times 0.15.
-# sog: what was seen, and a little; sizes and colors come from tables of 256 values, opacity is cut to bytes
+# sog: what was seen, and a little; positions are cut to 16 bits along the box, of a hand with its forearm 0.31 m: seen
+# 0.0051 mm; sizes and colors come from tables of 256 values, opacity is cut to bytes
 PRECISION = {
     "ply": Difference(1e-5, 2e-6, 3e-6, 2e-7, 2e-6),
     "glb": Difference(1e-5, 2e-6, 3e-6, 2e-7, 2e-7),

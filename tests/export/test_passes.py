@@ -106,9 +106,9 @@ def shown():
     return get
 
 
-# seen: painted 99 % below 1.17 mm, all below 1.62 mm, as far as the Gaussians of the skin are from each other; builtin
-# 1.96 and 3.23 mm, where it bends: several Gaussians behind each other show through
-@pytest.mark.parametrize(("avatar", "most_m", "all_m"), [("painted", 0.0013, 0.0018), ("builtin", 0.0025, 0.0037)])
+# seen: painted 99 % below 1.17 mm, all below 1.64 mm, as far as the Gaussians of the skin are from each other; builtin
+# 2.36 and 3.68 mm, in the fist: several Gaussians behind each other show through
+@pytest.mark.parametrize(("avatar", "most_m", "all_m"), [("painted", 0.0013, 0.0018), ("builtin", 0.0025, 0.0039)])
 @pytest.mark.parametrize("pose", POSES)
 def test_unprojected_depth_meets_the_gaussians(shown, pose, avatar, most_m, all_m):
     views = [(view, Handedness.RIGHT) for view in VIEWS]

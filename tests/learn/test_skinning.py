@@ -194,7 +194,8 @@ def test_blended_skinning_moves_the_joints_as_little_as_the_method_says(record_p
         errors.append(lbs_joint_error_m(weights, canonical_m, transform.bones(joints_m), joints_m))
     worst_mm = 1e3 * torch.stack(errors).max(0).values
     record_property("lbs_joint_error_mm", [round(float(e), 3) for e in worst_mm])
-    # worst seen: 0.98 mm at the ring MCP, 0.51 mm at the thumb's MCP, 0.38 mm at the index PIP, 0 at the tips
+    # worst seen: 1.01 mm at the middle MCP, 0.64 mm at the thumb's MCP, which fist and point flex by all that it has,
+    # 0.09 mm at the PIPs, 0 at the tips
     assert float(worst_mm[1:6].max()) < 1.03, worst_mm
     assert float(worst_mm[6:16].max()) < 0.66, worst_mm
     assert float(worst_mm[16:].max()) < 1e-3, worst_mm

@@ -38,9 +38,9 @@ def test_colors_of_a_hand_come_back_where_it_was_seen(flat):
     # at the wrist's line pictures show what lies behind it, too
     error = np.abs(shown - hand.rgb)[(many > 0.5).numpy() & (hand.position_m[:, 1] > 0.01)]
     assert (many > 0.5).float().mean() > 0.4
-    # a few lie deep, and are seen through gaps between others
-    assert np.percentile(error, 95) < 2 / 255
-    assert np.percentile(error, 99) < 3 / 255
+    # a few lie deep, and are seen through gaps between others: observed 1.4 and 2.2
+    assert np.percentile(error, 95) < 1.6 / 255
+    assert np.percentile(error, 99) < 2.5 / 255
 
 
 def test_skin_that_no_picture_shows_is_not_seen(flat):

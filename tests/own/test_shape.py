@@ -34,7 +34,9 @@ def test_a_finger_that_grows_by_a_tenth_stands_a_tenth_farther_from_its_bones(fi
     way = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
     away = PRIOR.position_m[of_finger] - start
     radial = away - (away * way).sum(1, keepdims=True) * way
-    np.testing.assert_allclose((moved[of_finger] * radial).sum(1) / (radial**2).sum(1), 0.1, atol=0.05)
+    radius_m = np.linalg.norm(radial, axis=1)
+    # they keep their depth under the skin that grows, up to a millimeter, of which a tenth is added: observed 0.13 mm
+    np.testing.assert_allclose((moved[of_finger] * radial).sum(1) / radius_m, 0.1 * radius_m, atol=1.5e-4)
     others = PRIOR.bone_weights[:, [joint for joint in range(21) if (joint - 1) % 5 != finger]].sum(1) > 0.99
     # skin between two fingers moves with both
     assert np.abs(moved[others]).max() < 2e-4

@@ -25,7 +25,7 @@ def test_every_method_of_a_perfect_detector_is_near_the_truth(truth):
     }
     assert rows["the truth itself"].in_space == (0.0, 0.0)
     assert rows["detector alone"].in_space[1] < 1e-9
-    assert rows["**jghand track**"].in_space[0] < 0.8, "seen: 0.62 degrees: fingers are hardly spread by its prior"
+    assert rows["**jghand track**"].in_space[0] < 0.7, "seen: 0.62 degrees: fingers are hardly spread by its prior"
     assert abs(rows["**jghand track**"].lag_ms) < 2.5
     assert rows["detector, one-euro filter"].lag_ms > 60, "a filter that lags is seen to lag; seen: 69 ms"
     assert all(row.seen == "40 of 40" for row in rows.values())
