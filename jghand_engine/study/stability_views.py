@@ -12,6 +12,7 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of
@@ -56,7 +57,7 @@ def view_pairs() -> list[ViewPair]:
 
 
 def _pair(title: str, joints_m: Tensor, *, crossed: bool = False) -> ViewPair:
-    avatar = load_builtin(handedness=Handedness.RIGHT)
+    avatar = in_studio(load_builtin(handedness=Handedness.RIGHT))
     canonical_m = avatar.canonical_joints_m
     way = UsualTransform(canonical_m, handedness=Handedness.RIGHT, crossed=crossed)
 
