@@ -159,7 +159,7 @@ def test_a_view_has_room_for_a_forearm_where_the_hand_shows_one(extension, monke
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_its_surface_is_the_engines_in_every_pose(extension, side):
     """Worst seen: 0.1 mm, what small weights leave out, and where the palm arches 24 % of the way of a knuckle, 2.6 mm
-    of 11: shape keys follow it to the first order. Without them it was 10.6."""
+    of 11: shape keys follow it to the first order."""
     hand = add_hand(side)
     for pose in poses.all_poses(side):
         bpy.ops.jghand.apply_pose(pose=pose.name)
