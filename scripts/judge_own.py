@@ -25,11 +25,12 @@ from PIL import Image
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.avatar.scene_light import SceneLight, World
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import load_image
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main as jghand
-from jghand_engine.color import linear_to_srgb, srgb_to_linear
+from jghand_engine.color import displayed, linear_to_srgb, srgb_to_linear
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.own.film import FilmPictures
@@ -118,13 +119,16 @@ class Truth:
 
 def held_out_scores(avatar: HandAvatar, folder: Path, gain: float) -> list[dict[str, float]]:
     """Of each held-out picture of a film's capture. gain: of the film's exposure"""
-    draw, found = AvatarPicturer(avatar, preset("final")), []
+    response = avatar.learned and avatar.learned.response
+    if response is None or response.film_light is None:
+        raise SystemExit(f"{folder}: its avatar has no light of a film")
+    draw, light, found = AvatarPicturer(avatar, preset("final")), SceneLight(World.of_cells(response.film_light)), []
     for sample in split_capture(open_capture(folder / "capture"), to_learn=False).test:
         truth, camera = load_image(sample), sample.camera
         side = wrist_side(camera.project(sample.joints_m)[0][None], camera.width, camera.height)[0]
         straight = truth.rgb / np.maximum(truth.mask, 1e-3)[..., None]
         exposed = linear_to_srgb(np.clip(gain * srgb_to_linear(straight), 0, 1)) * truth.mask[..., None]
-        found.append(side_scores(draw(sample.joints_m, sample.handedness, camera), exposed, truth.mask >= 0.5, side))
+        found.append(side_scores(displayed(draw.in_light(sample, light)), exposed, truth.mask >= 0.5, side))
     return found
 
 

@@ -104,8 +104,9 @@ def sheet(own: OwnHand, film: FilmView, held: np.ndarray) -> np.ndarray:
         x, y = _around(joints_m, film.camera)
         cells += [Cell("film", picture[y, x]), Cell("avatar", flatten(rgba, SHEET_GROUND)[y, x])]
     avatar = own.avatar.for_hand(Handedness.RIGHT)
+    light = SceneLight(own.world)
     for pose in SHEET_POSES:
-        cells += [Cell(f"{pose}, {side}", picture) for side, picture in _sides(avatar, pose, SHEET_PX).items()]
+        cells += [Cell(f"{pose}, {side}", picture) for side, picture in _sides(avatar, pose, SHEET_PX, light).items()]
     cells += [Cell(label, picture) for label, picture in seen_map(own).items()]
     return contact_sheet(cells, SheetStyle(columns=4, cell_px=SHEET_PX))
 
@@ -131,13 +132,15 @@ def write_report(folder: Path, own: OwnHand, film: FilmView, held: np.ndarray) -
     return report
 
 
-def _sides(avatar: HandAvatar, pose: str, edge_px: int) -> dict[str, np.ndarray]:
-    """The palm and the back of a right hand in a named pose, (edge_px, edge_px, 3) uint8."""
-    joints_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT)
-    renderer, pictures = SceneRenderer([avatar], preset("final")), {}
-    for side, view in (("palm", "front"), ("back", "back")):
+def _sides(avatar: HandAvatar, pose: str, edge_px: int, light: SceneLight | None = None) -> dict[str, np.ndarray]:
+    """The palm and the back of a right hand in a named pose, (edge_px, edge_px, 3) uint8: it turns, as it did in the
+    film, and camera and light stay. light: None: it shines with its own colors"""
+    palm_m = named_pose(pose, avatar.rest_joints_m, handedness=Handedness.RIGHT)
+    renderer, pictures = SceneRenderer([avatar], preset("final"), light), {}
+    for side, view, joints_m in (("palm", "front", palm_m), ("back", "back", palm_m * (-1.0, 1.0, -1.0))):
         camera = framing_camera(joints_m[None], Handedness.RIGHT, view, width=edge_px, height=edge_px)
-        pictures[side] = flatten(renderer.render([joints_m], camera).rgba, SHEET_GROUND)
+        rgba = renderer.render([joints_m], camera).rgba
+        pictures[side] = flatten(rgba if light is None else displayed(rgba), SHEET_GROUND)
     return pictures
 
 

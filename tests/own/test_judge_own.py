@@ -10,11 +10,22 @@ import pytest
 from picture_sets import recorded, write_set
 from shaped_films import FOCAL_PX, FPS, HEIGHT, PRIOR, WIDTH, film
 
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import save_avatar
+from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.own.film import FilmPictures
 from jghand_engine.own.hand_fit import FittedHand
 
 ANGLE_DEG = 2 * math.degrees(math.atan(HEIGHT / 2 / FOCAL_PX))
+
+
+def lit(avatar: HandAvatar) -> HandAvatar:
+    """As if it came from a film with light from everywhere."""
+    learned = avatar.learned
+    assert learned is not None
+    assert learned.response is not None
+    even = np.full((CELLS, 3), 4 * np.pi / CELLS, np.float32)
+    return replace(avatar, learned=replace(learned, response=replace(learned.response, film_light=even)))
 
 
 @pytest.fixture
@@ -34,7 +45,7 @@ def folder(tmp_path):
     found = FittedHand(truth.camera, truth.poses, truth.joints_m, truth.canonical_joints_m, truth.shape, np.zeros(4))
     found.save(work / "fit.npz")
     np.savez(work / "masks.npz", hand=truth.masks)
-    save_avatar(place / "own.jghand", PRIOR)
+    save_avatar(place / "own.jghand", lit(PRIOR))
     write_set(place / "capture", recorded(frames=2, cameras=1))
     (place / "capture" / "splits.json").write_text(json.dumps({"format": 1, "test_cameras": ["400262"]}))
     return place
@@ -60,7 +71,7 @@ def test_what_is_wrong_is_counted(folder):
     masks = np.load(work / "masks.npz")["hand"]
     masks[1, : HEIGHT // 2] = False
     np.savez(work / "masks.npz", hand=masks)
-    save_avatar(folder / "own.jghand", replace(PRIOR, sigma_m=np.minimum(2 * PRIOR.sigma_m, 4e-3)))
+    save_avatar(folder / "own.jghand", replace(lit(PRIOR), sigma_m=np.minimum(2 * PRIOR.sigma_m, 4e-3)))
     wrong = judge_own.judge(folder, "own")
     assert wrong.motion is not None
     assert wrong.motion.wrist_mm == pytest.approx(10 * 5 / 21, rel=0.2)
