@@ -3,7 +3,8 @@
     python scripts/build_shape_basis.py   # writes jghand_engine/assets/hand_shapes.npz
 
 Two are what the identities of captures differ in once their joints are those of the template: principal components,
-of one standard deviation each. Six more are growths of a tenth about the bones: of each finger, and of the palm.
+of one standard deviation each. Six more are growths of a tenth about the bones: of each finger, and of the palm. The
+rest are bumps along the normals: the smoothest functions on the skin (eigenvectors of its Laplacian).
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse import coo_matrix, diags
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -24,6 +27,7 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.template.builtin import load_template, load_template_with_forearm
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.reshape import pulled_back
+from jghand_engine.template.surface import vertex_normals
 
 OUT = Path(__file__).parents[1] / "jghand_engine" / "assets" / "hand_shapes.npz"
 # the identity that the built-in hand was learned from: its shape is the built-in hand's own
@@ -33,6 +37,10 @@ COMPONENTS = 2
 GROWTH = 0.1
 # a palm grows in its breadth and its height less than in its thickness (out of the palm is z)
 PALM_GROWTH = np.array([0.3, 0.3, 1.0])
+# how many functions, how high their mean spread is together, meters, and from which one on they become smaller
+BUMPS, BUMP_M, BUMP_SMOOTH = 48, 0.0008, 12
+# from the wrist to this far from it they begin, meters
+WRIST_FADE_M = 0.015
 
 
 def main() -> None:
@@ -42,9 +50,11 @@ def main() -> None:
     components, shares = principal(differences())
     print("of what identities differ in:", *(f"{100 * share:.1f} %" for share in shares))
     hand, arm = load_template(), load_template_with_forearm()
-    grown = joined(growths(hand), growths(arm))
+    grown, bumpy = joined(growths(hand), growths(arm)), bumps(arm)
+    middle_of_cap = np.zeros((BUMPS, 1, 3))
+    bumpy = joined(np.concatenate([bumpy[:, : len(hand.vertices_m) - 1], middle_of_cap], 1), bumpy)
     with writing(out) as path, open(path, "wb") as stream:
-        np.savez_compressed(stream, shapes=np.concatenate([components, grown]).astype("f2"))
+        np.savez_compressed(stream, shapes=np.concatenate([components, grown, bumpy]).astype("f2"))
     print(f"wrote {out}")
 
 
@@ -88,6 +98,29 @@ def growths(template: HandTemplate) -> np.ndarray:
             GROWTH * template.bone_weights[:, bone, None] * radial * (PALM_GROWTH if in_palm else 1.0)
         )
     return grown
+
+
+def bumps(template: HandTemplate) -> np.ndarray:
+    """(BUMPS, V, 3) meters, along the normals; the hand alone is moved, and less towards the wrist."""
+    vertices, faces = template.vertices_m, template.faces
+    count, edges = len(vertices), np.concatenate([faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    corner = vertices[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    # cotangent of the angle that faces an edge
+    cotangent = []
+    for near in (2, 0, 1):
+        one, other = (corner[:, (near + k) % 3] - corner[:, near] for k in (1, 2))
+        cotangent.append((one * other).sum(1) / np.maximum(np.linalg.norm(np.cross(one, other), axis=1), 1e-12))
+    stiff = coo_matrix((np.concatenate(cotangent).clip(0, 20) / 2, edges.T), (count, count))
+    stiff = (stiff + stiff.T).tocsr()
+    laplacian = diags(np.asarray(stiff.sum(1))[:, 0]) - stiff
+    mass = np.bincount(faces.ravel(), np.repeat(area / 3, 3), count)
+    value, function = eigh(laplacian.toarray(), np.diag(mass + 1e-9), subset_by_index=[0, BUMPS - 1])
+    function = function * np.sign(function[np.abs(function).argmax(0), np.arange(BUMPS)])
+    size = 1 / np.sqrt(1 + value / value[BUMP_SMOOTH])
+    away = np.clip(vertices[:, 1] / WRIST_FADE_M, 0, 1)[:, None] * function * size
+    away *= BUMP_M / np.sqrt((mass[:, None] * away**2).sum() / (mass * (vertices[:, 1] > 0)).sum())
+    return away.T[..., None] * vertex_normals(vertices, faces)
 
 
 def joined(of_hand: np.ndarray, with_forearm: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ class FitPictures:
     factor: float
 
     def colors(self, joints_m: Tensor, shape: Tensor) -> SkinColors:
-        """What the pictures give to the skin as joints (F, 21, 3) and shape (8,) stand."""
+        """What the pictures give to the skin as joints (F, 21, 3) and shape (SHAPE_COUNT,) stand."""
         with torch.no_grad():
             posed = self.surface.posed(joints_m, shape, self.kept)
         return skin_colors(self.surface, posed, self.kept, self.pictures, self.factor)

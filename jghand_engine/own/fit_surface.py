@@ -79,7 +79,7 @@ class FitSurface:
 
     @cached_property
     def basis(self) -> Tensor:
-        """(8, N, 3) see shape.shape_basis."""
+        """(SHAPE_COUNT, N, 3) see shape.shape_basis."""
         return torch.from_numpy(shape_basis(self._few)).to(self._dtype)
 
     @torch.no_grad()
@@ -99,7 +99,7 @@ class FitSurface:
         return Kept(offset, shade, radius)
 
     def posed(self, joints_m: Tensor, shape: Tensor | None, kept: Kept) -> PosedBatch:
-        """Of joints (F, 21, 3), whose gradients it carries, as those of the shape (8,); None is the prior's own."""
+        """Of joints (F, 21, 3), whose gradients it carries, as those of the shape (K,); None is the prior's own."""
         hand, dtype = self.hand, self._dtype
         bones = self._transform.bones(joints_m)
         flat = torch.cat([bones.linear.flatten(-2), bones.offset_m], -1)

@@ -37,7 +37,7 @@ SMOOTH_WEIGHT, SMOOTH_ANGLE, SMOOTH_PLACE, SMOOTH_TURN, SMOOTH_FPS = 0.02, 6.0, 
 # lengths of bones as logarithms, shifts of the palm's first joints, shapes in standard deviations
 LENGTH_WEIGHT, LENGTH_SIGMA = 0.02, 0.07
 SHIFT_WEIGHT, SHIFT_SIGMA_M = 0.02, 0.003
-SHAPE_WEIGHT = 0.05
+SHAPE_WEIGHT = 0.006
 # pictures of the flat hand square to the camera, which are the ruler: angles and the palm's slope there
 GUIDE_WEIGHT, GUIDE_ANGLE_SIGMA_RAD, GUIDE_SLOPE_SIGMA = 0.1, math.radians(8.0), 0.2
 # the detector's mean flexion and the palm's tilt there are below these, and at most so many count of each side
@@ -156,12 +156,12 @@ def smooth_term(time_s: Tensor | None, angle_rad: Tensor, place_m: Tensor, turn:
 
 
 def hand_term(log_length: Tensor, palm_shift_m: Tensor, shape: Tensor) -> Tensor:
-    """How likely a hand is: bones (20,), first joints (5, 3), shape (8,). The whole hand's size is no bone's length."""
+    """How likely a hand is: bones (20,), first joints (5, 3), shape (K,). The whole hand's size is no bone's length."""
     length = log_length - log_length.mean()
     return (
         LENGTH_WEIGHT * ((length / LENGTH_SIGMA) ** 2).mean()
         + SHIFT_WEIGHT * ((palm_shift_m / SHIFT_SIGMA_M) ** 2).mean()
-        + SHAPE_WEIGHT * (shape**2).mean()
+        + SHAPE_WEIGHT * (shape**2).sum()
     )
 
 

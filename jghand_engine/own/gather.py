@@ -71,6 +71,11 @@ class Shown:
     sigma_m: Tensor
     shade: Tensor
 
+    @property
+    def facing(self) -> Tensor:
+        """(N,) cosine between the normals and the way to the camera, 0 for what faces away."""
+        return (self.normal * unit(-self.position_m)).sum(-1).clamp_min(0)
+
     def draw(self, rgb: Tensor, opacity: Tensor) -> tuple[Tensor, Tensor]:
         """Color (h, w, 3), premultiplied, and alpha (h, w) of Gaussians with these colors (N, 3)."""
         gaussians = Gaussians(self.position_m, self.sigma_m, opacity, rgb)
@@ -128,9 +133,8 @@ def observe(
     color, seen = [], []
     for one, much in zip(shown, trust, strict=True):
         mean, pixels = one.given_back(black, opacity)
-        facing = (one.normal * unit(-one.position_m)).sum(-1).clamp_min(0)
         color.append(mean)
-        seen.append(torch.where(pixels > SEEN_MIN_PX, pixels * facing.square() * float(much), 0))
+        seen.append(torch.where(pixels > SEEN_MIN_PX, pixels * one.facing.square() * float(much), 0))
     return Observations(shown, torch.stack(color), torch.stack(seen))
 
 

@@ -84,7 +84,7 @@ class FittedHand:
     poses:              turn (F, 3, 3), place_m (F, 3), angle_rad (F, 20)
     joints_m:           (F, 21, 3) level order, camera axes, meters
     own_joints_m:       (21, 3) the prior's canonical hand with the bones of this one
-    shape:              (8,) see shape.in_shape
+    shape:              (SHAPE_COUNT,) see shape.in_shape
     outline_residual:   (F,) mean squared error of outlines, part of the hand's area; NaN where no picture was looked at
     """
 
@@ -117,7 +117,7 @@ class FittedHand:
 @dataclass(eq=False)
 class Unknowns:
     """angle_rad: (F, 20) · turn_rad: (F, 3) upon the tracker's · place_m: (F, 3) · log_length: (20,), against the
-    prior's · palm_shift_m: (5, 3) · shape: (8,)"""
+    prior's · palm_shift_m: (5, 3) · shape: (SHAPE_COUNT,)"""
 
     angle_rad: Tensor
     turn_rad: Tensor

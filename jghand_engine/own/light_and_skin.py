@@ -52,6 +52,12 @@ LIGHT_ROUNDS, LIGHT_STEPS, STEP_MAX = 4, 2, 1.0
 # light around the hand, as it may be: spread of its logarithm, how far it is alike (concentration of a spherical
 # Gaussian, some 60 degrees wide), and spread of its color's logarithm
 LIGHT_SPREAD, LIGHT_SHARPNESS, HUE_SPREAD = 1.0, 2.0, 0.25
+# light comes from the front or the side, as people are told to film: so much less, as a logarithm, from behind the hand
+# than from the camera's side. No skin that a film shows faces there
+LIGHT_FALL = 2.0
+# the light is found from skin that faces the camera: cosines from which on it counts, and counts wholly. Towards its
+# outline skin shows the wall too, and shines; that would be taken for light from behind
+FACING, SQUARE = 0.5, 0.8
 # what a picture says of a Gaussian's logarithm beyond this is hardly believed; each counts as so much of one that has
 # nothing to do with the others, for normals and poses that are a little off are off in all of them
 LOG_NOISE, INDEPENDENT = 0.15, 0.05
@@ -158,16 +164,23 @@ class LitFilm:
 def film_light(film: LitFilm) -> World:
     """The world that the hand stands in."""
     observed, count = film.observed, min(LIGHT_GAUSSIANS, film.observed.color.shape[1])
-    color, weight = observed.color[:, :count], _weight(observed.seen[:, :count])
+    color, cosine = observed.color[:, :count], torch.stack([one.facing[:count] for one in observed.shown])
+    weight = _weight(observed.seen[:, :count] * ((cosine - FACING) / (SQUARE - FACING)).clamp(0, 1))
     # what the cells do not say of how skin answers: the pose's shade, and all that the renderer does beyond
     beyond = torch.stack([one.shade[:count] for one in observed.shown]) * film.response.shade_gain
     own, thrown = film.reach(count)
-    precision, gloss = _precision(lamp_directions(CELLS)), torch.zeros_like(color)
-    log_light, world = torch.zeros(CELLS, 3), World.of_cells(np.ones((CELLS, 3)))
+    ways, gloss = lamp_directions(CELLS), torch.zeros_like(color)
+    precision = _precision(ways)
+    # before anything is seen: towards the camera is +z
+    likely = torch.from_numpy(LIGHT_FALL / 2 * ways[:, 2:]).float().expand(CELLS, 3)
+    log_light, world = likely, World.of_cells(likely.exp().double().numpy())
     for _ in range(LIGHT_ROUNDS):
         target = (color - gloss).clamp_min(LEAST).log() - beyond
         for _ in range(LIGHT_STEPS):
-            log_light = log_light + _step(log_light, target, weight, (own, thrown, film.response.bounce), precision)
+            held = -precision @ (log_light - likely).T.reshape(-1).double()
+            found = _normal_equations(log_light, target, weight, (own, thrown, film.response.bounce))
+            step = torch.linalg.solve(precision + found[0], held + found[1]).reshape(3, CELLS).T.float()
+            log_light = log_light + step * (STEP_MAX / step.abs().max().clamp_min(STEP_MAX))
         # a white card is white on average
         card = _taken(log_light, own, thrown, film.response.bounce)
         log_light = log_light - (weight[..., None] * card).sum((0, 1)) / weight.sum()
@@ -186,14 +199,14 @@ def _taken(log_light: Tensor, own: Tensor, thrown: Tensor, bounce: Tensor) -> Te
     return (torch.stack(each, -1) / np.pi).clamp_min(LEAST).log()
 
 
-def _step(
-    log_light: Tensor, target: Tensor, weight: Tensor, reach: tuple[Tensor, Tensor, Tensor], precision: Tensor
-) -> Tensor:
-    """(CELLS, 3) what Gauss and Newton add to the light. target: (F, S, 3) logarithm of albedo times light · weight:
-    (F, S) · precision: (3 CELLS, 3 CELLS) of the prior, channel by channel"""
+def _normal_equations(
+    log_light: Tensor, target: Tensor, weight: Tensor, reach: tuple[Tensor, Tensor, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """Of a step of Gauss and Newton, channel by channel: matrix (3 CELLS, 3 CELLS) and right side (3 CELLS,), double as
+    single precision is too little for their numbers. target: (F, S, 3) logarithm of albedo times light · weight:
+    (F, S)"""
     own, thrown, bounce = reach
-    # its numbers are too unlike for single precision
-    matrix, right = precision.clone(), -precision @ log_light.T.reshape(-1).double()
+    matrix, right = torch.zeros(3 * CELLS, 3 * CELLS).double(), torch.zeros(3 * CELLS).double()
     for channel in range(3):
         part = (own + bounce[channel] * thrown) * log_light[:, channel].exp()
         got = part.sum(-1, keepdim=True).clamp_min(1e-6)
@@ -211,8 +224,7 @@ def _step(
         much, here = INDEPENDENT / LOG_NOISE**2, slice(channel * CELLS, (channel + 1) * CELLS)
         matrix[here, here] += much * (rows.T @ rows).double()
         right[here] += much * (rows.T @ (left * believed.sqrt()).reshape(-1)).double()
-    step = torch.linalg.solve(matrix, right).reshape(3, CELLS).T.float()
-    return step * (STEP_MAX / step.abs().max().clamp_min(STEP_MAX))
+    return matrix, right
 
 
 def _precision(directions: np.ndarray) -> Tensor:

@@ -9,17 +9,17 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields, template_called
-from jghand_engine.template.reshape import reshaped
+from jghand_engine.template.reshape import places_after, reshaped
 
-# two that the identities of captures differ in, in standard deviations, and six growths of a tenth about the bones: of
-# thumb, index, middle, ring, pinky and palm (scripts/build_shape_basis.py)
-SHAPE_COUNT = 8
+# two that the identities of captures differ in, in standard deviations; six growths of a tenth about the bones: of
+# thumb, index, middle, ring, pinky and palm; smooth bumps of the skin (scripts/build_shape_basis.py)
+SHAPE_COUNT = 2 + 6 + 48
 # step of the differences by which the basis of an avatar's Gaussians is found
 _STEP = 0.1
 
 
 def in_shape(avatar: HandAvatar, shape: np.ndarray) -> HandAvatar:
-    """The avatar on the built-in template with so much (8,) of each shape; bones keep their lengths."""
+    """The avatar on the built-in template with so much (SHAPE_COUNT,) of each shape; bones keep their lengths."""
     template = template_called(avatar.info.template)
     shapes = _shapes(forearm=avatar.has_forearm)
     after_m = template.vertices_m + np.einsum("k,kvc->vc", np.asarray(shape, np.float64), shapes)
@@ -27,14 +27,16 @@ def in_shape(avatar: HandAvatar, shape: np.ndarray) -> HandAvatar:
 
 
 def shape_basis(avatar: HandAvatar) -> np.ndarray:
-    """(8, N, 3) float32 how far each shape carries the canonical Gaussians, meters."""
-    moved = [in_shape(avatar, _STEP * unit).position_m.astype(np.float64) for unit in np.eye(SHAPE_COUNT)]
-    return ((np.stack(moved) - avatar.position_m) / _STEP).astype(np.float32)
+    """(SHAPE_COUNT, N, 3) float32 how far each shape carries the canonical Gaussians, meters."""
+    template = template_called(avatar.info.template)
+    after_m = template.vertices_m + _STEP * _shapes(forearm=avatar.has_forearm)
+    moved = places_after(avatar.position_m, template.faces, template.vertices_m, after_m).astype(np.float64)
+    return ((moved - avatar.position_m) / _STEP).astype(np.float32)
 
 
 @functools.cache
 def _shapes(*, forearm: bool) -> np.ndarray:
-    """(8, V, 3) meters of the template's vertices."""
+    """(SHAPE_COUNT, V, 3) meters of the template's vertices."""
     shapes = read_arrays(ASSETS / "hand_shapes.npz", ("shapes",), "the shapes that come with JGHand")["shapes"]
     skin = len(load_fields()["base_index"])
     # stored: the hand's skin, the middle of the cap that closes its wrist, the forearm

@@ -15,7 +15,7 @@ from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.learned import CastShadow, own_flesh
 from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.skeleton import Skeleton
-from jghand_engine.template.closest import Surface
+from jghand_engine.template.closest import ClosestPoints, Surface
 from jghand_engine.template.surface import face_normals
 
 # edges of a face whose area is below this are no directions, square meters: slivers of the wrist's cap
@@ -53,6 +53,13 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
     return replace(avatar, position_m=position_m, sigma_m=sigma_m, learned=learned, detail=detail)
 
 
+def places_after(points_m: np.ndarray, faces: np.ndarray, before_m: np.ndarray, after_m: np.ndarray) -> np.ndarray:
+    """(K, N, 3) float32 where `reshaped` carries points (N, 3) by each of K changes. after_m: (K, V, 3)"""
+    changes = [_Change.of(faces, before_m, one) for one in after_m]
+    near = changes[0].surface.closest(points_m.astype(np.float64))
+    return np.stack([change.places_at(points_m, near)[0] for change in changes])
+
+
 @dataclass(frozen=True)
 class _Change:
     """surface: before · faces: (F, 3) · offset_m: (V, 3) · stretch: (V, 3, 3), less the identity"""
@@ -71,8 +78,11 @@ class _Change:
     def places(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points (N, 3) -> (N, 3) float32 where they are now, and (N, 3, 3) how what is there is stretched, less the
         identity."""
+        return self.places_at(points_m, self.surface.closest(points_m.astype(np.float64)))
+
+    def places_at(self, points_m: np.ndarray, near: ClosestPoints) -> tuple[np.ndarray, np.ndarray]:
+        """The same of points whose nearest ones of the surface are known."""
         points = points_m.astype(np.float64)
-        near = self.surface.closest(points)
         corners, shares = self.faces[near.face], near.barycentric
         offset_m = np.einsum("nk,nkc->nc", shares, self.offset_m[corners])
         stretch = np.einsum("nk,nkij->nij", shares, self.stretch[corners])

@@ -17,6 +17,7 @@ from jghand_engine.own.fit_terms import guides
 from jghand_engine.own.fit_views import sights, view_of
 from jghand_engine.own.hand_fit import RATES, Effort, FittedHand, HandFit
 from jghand_engine.own.masks import wrist_side
+from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
@@ -67,7 +68,9 @@ def exact():
     truth = film(3)
     fit = HandFit(PRIOR.prefix(250), truth.start(disturbed(truth.poses)), truth.time_s, count=0, dtype=torch.float64)
     with torch.no_grad():
-        fit.unknowns.shape += 0.3 * torch.randn(8, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+        fit.unknowns.shape += 0.3 * torch.randn(
+            SHAPE_COUNT, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+        )
     joints = fit.joints(fit.everything).detach()
     camera = truth.camera.scaled(1 / 4)
     seen = sights(truth.rgb_u8[:, 2::4, 2::4], truth.masks[:, 2::4, 2::4], joints.numpy(), camera)

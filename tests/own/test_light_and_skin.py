@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from drawn_film import film_of, marked_hand, plain_hand, window_world
+from scipy.ndimage import binary_erosion
 
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.relighting import in_studio, relightable
@@ -17,7 +18,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own import light_and_skin
 from jghand_engine.own.gather import MOTION_FROM_CAMERA, observe
-from jghand_engine.own.light_and_skin import LitFilm, Origin, seen_skin, skin_from
+from jghand_engine.own.light_and_skin import LitFilm, Origin, film_light, seen_skin, skin_from
 from jghand_engine.own.skin_prior import SkinPrior, whole_skin
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -46,6 +47,19 @@ def test_the_light_of_a_film_is_found_but_for_its_strength(seen):
     towards = normal[:, 2] > -0.3
 
     assert np.sqrt(np.mean((ratio[towards] - 1) ** 2)) < 0.1
+
+
+def test_an_outline_that_shines_is_no_light_from_behind():
+    hand = plain_hand()
+    film = film_of(marked_hand(hand), window_world(), count=12)
+    rim = film.masks & ~np.stack([binary_erosion(mask, iterations=4) for mask in film.masks])
+    shining = np.where(rim[..., None], 235, film.pictures).astype(np.uint8)
+    behind = []
+    for pictures in (film.pictures, shining):
+        observed = observe(hand, film.joints_m, film.camera, pictures, film.masks)
+        away, towards = falling(film_light(LitFilm(hand, observed)), np.array([[0.0, 0, -1], [0, 0, 1]])).mean(1)
+        behind.append(away / towards)
+    assert behind[1] < 1.25 * behind[0], "seen: 1.06; 1.41 where all that is seen counts"
 
 
 def test_the_skin_comes_back_but_for_the_strength_of_the_light(seen):

@@ -24,6 +24,7 @@ from jghand_engine.motion.read import read_motion_file
 from jghand_engine.own import make
 from jghand_engine.own.hand_fit import Effort, FittedHand
 from jghand_engine.own.make import OwnOptions, explain, work_folder
+from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.own.start import Start
 from jghand_engine.track import mediapipe_hands
 from jghand_engine.track.detection import HandDetector, SeenHand
@@ -81,7 +82,9 @@ def fits(monkeypatch) -> list[int]:
         def result(self) -> FittedHand:
             start = self.start
             nothing = np.full(len(start.joints_m), np.nan)
-            return FittedHand(start.camera, start.poses, start.joints_m, start.canonical_joints_m, np.zeros(8), nothing)
+            return FittedHand(
+                start.camera, start.poses, start.joints_m, start.canonical_joints_m, np.zeros(SHAPE_COUNT), nothing
+            )
 
     monkeypatch.setattr(make, "HandFit", Believing)
     # hands of bones are thinner than one of flesh

@@ -17,7 +17,7 @@ def test_an_avatar_in_no_other_shape_is_itself():
 
 
 def test_the_basis_is_how_shapes_move_the_gaussians():
-    shape = np.array([0.7, -0.4, 0.5, -0.5, 0.3, 0.2, -0.6, 0.4])
+    shape = 0.5 * np.random.default_rng(2).uniform(-1, 1, SHAPE_COUNT)
     moved = PRIOR.position_m + np.einsum("k,knc->nc", shape, shape_basis(PRIOR))
     off = np.linalg.norm(moved - in_shape(PRIOR, shape).position_m, axis=1)
     assert np.median(off) < 2e-5, "seen: 0.01 mm"
