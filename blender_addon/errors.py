@@ -47,7 +47,7 @@ ADVICE = {
         "The Python that JGHAND_ENGINE_PYTHON names does not exist", "Correct or unset this variable", BAD_INPUT
     ),
     "no_tools": Advice(
-        "Training and video tracking need PyTorch, which is not installed",
+        "Training, video tracking and your own hand need PyTorch, which is not installed",
         'Press "Install Training Tools" in the extension\'s preferences',
         BAD_INPUT,
     ),

@@ -5,17 +5,20 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
+from bpy_extras.io_utils import ImportHelper
 
+from . import ui
 from .core.panel_text import duration, in_blenders_words
 from .errors import JGHandFailure
 from .hand import armature, controls
 from .renderer.jobs import JOB_LOOK_S
-from .ui import redraw
 
 # one turn of work on Blender's main thread, between two of which Blender draws and hears Esc (which is to be answered
 # within 0.2 s); how often the status bar is drawn anew, which draws the whole window; the time between turns
@@ -58,7 +61,7 @@ class Reporting:
         except JGHandFailure as failure:
             self.report(ERROR, sentence_of(failure))
             return CANCELLED
-        redraw()
+        ui.redraw()
         return DONE
 
     def tell(self, *sentences: str) -> None:
@@ -136,7 +139,7 @@ class InTurns(Reporting):
             raise
         if part is None:
             self.cancel(context)
-            redraw()
+            ui.redraw()
             return DONE
         if isinstance(part, Elsewhere) != self._is_elsewhere:
             self._is_elsewhere = not self._is_elsewhere
@@ -184,6 +187,56 @@ class InTurns(Reporting):
         left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
         template = rpt_("{working}  {percent}%  ·  {left} left  ·  Esc cancels")
         return template.format(working=rpt_(self.working), percent=round(100 * part), left=duration(left_s))
+
+
+class FromFile(InTurns, ImportHelper):
+    """An operator that asks for a file, with its properties `choices` beside it and `headings` above some of them. A
+    file that is named when it is called was dropped, or is a script's, and is taken without asking."""
+
+    choices: tuple[str, ...] = ()
+    headings: Mapping[str, str] = MappingProxyType({})
+    # whether the file browser calls `execute`
+    _asked = False
+
+    filename_ext = ""
+    # not remembered: a file that is named, also by the file browser, is taken
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
+    hand_length: bpy.props.FloatProperty(
+        name="Hand Length",
+        description="From the wrist to the middle finger's tip; 0: as in the file, or of a video the avatar's",
+        min=0.0,
+        soft_max=250.0,
+        precision=0,
+        subtype="DISTANCE_CAMERA",  # Blender's word for millimeters, whatever the scene's unit is
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Asks for a file, unless one is named."""
+        if self.chosen or (self.filepath and Path(self.filepath).is_file()):
+            return super().invoke(context, event)
+        self._asked = True
+        return ImportHelper.invoke(self, context, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """All at once; after the file browser, which forgets an operator that is not done, another one in turns."""
+        if not self._asked or context.window is None:
+            return super().execute(context)
+        self._asked = False
+        values = {name: getattr(self, name) for name in ("filepath", *self.choices)}
+        # not self.bl_idname, which is JGHAND_OT_…
+        again = getattr(bpy.ops.jghand, type(self).bl_idname.partition(".")[2])
+        again("INVOKE_DEFAULT", chosen=True, **values)
+        return CANCELLED
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """The options beside the files."""
+        column = ui.settings(self.layout)
+        for name in self.choices:
+            if name in self.headings:
+                column.separator()
+                column.label(text=self.headings[name])
+            column.prop(self, name)
 
 
 def _something_is_dragged(context: bpy.types.Context) -> bool:

@@ -23,9 +23,9 @@ _pictures: list[bpy.utils.previews.ImagePreviewCollection] = []
 
 def items(_owner: object = None, _context: bpy.types.Context | None = None) -> list[tuple[str, str, str, int, int]]:
     """Of an enumeration: the built-in hand, then the others. Their numbers hold until hands are installed."""
-    found = [(BUILTIN_AVATAR, "Built-in", "The hand that comes with JGHand", _icon(_picture_of(BUILTIN_AVATAR)), 0)]
+    found = [(BUILTIN_AVATAR, "Built-in", "The hand that comes with JGHand", icon_of(_picture_of(BUILTIN_AVATAR)), 0)]
     for place, hand in enumerate(hand_packs.hands_in(hand_folders()), 1):
-        found.append((hand.name, hand.title, str(hand.file), _icon(hand.picture), place))
+        found.append((hand.name, hand.title, str(hand.file), icon_of(hand.picture), place))
     if found != _items:
         _items[:] = found
     return _items
@@ -36,7 +36,8 @@ def _picture_of(name: str) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _icon(picture: Path | None) -> int:
+def icon_of(picture: Path | None) -> int:
+    """Of a picture as its file is now; 0 for none."""
     if picture is None:
         return 0
     if not _pictures:

@@ -41,6 +41,11 @@ def is_name(text: str) -> bool:
     return _NAME.fullmatch(text) is not None
 
 
+def name_of_film(film: Path) -> str:
+    """The name of the hand in somebody's film: none of a hand that comes with JGHand."""
+    return "my_" + re.sub(r"[^a-z0-9_-]", "_", film.stem.lower())[:38]
+
+
 def hands_in(folders: Iterable[Path]) -> list[PackedHand]:
     """Those in these folders whose files can be read, in the order of their names; the first of a name counts."""
     found: dict[str, PackedHand] = {}

@@ -7,7 +7,7 @@ Does not use bpy.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ MOTION_FIELDS = {
 }
 VIDEO_FIELDS = {
     **{"--hand": "Hands", "--hand-length": "Hand Length"},
-    **{"--camera-angle": "Camera Angle", "--smoothing": "Smoothing"},
+    **{"--camera-angle": "Camera Angle", "--smoothing": "Smoothing", "--exact": "Exact"},
 }
 
 
@@ -52,10 +52,15 @@ def words(verb: str, path: Path, folder: Path, options: Mapping[str, str | bool]
 
     options: of the verb, "" or False where nothing is to be said.
     """
-    said = [
-        word for option, value in options.items() if value for word in ((option,) if value is True else (option, value))
-    ]
-    return (verb, str(path), "--out", str(folder / _MOTION), "--json", str(folder / _FIGURES), "--up", "z", *said)
+    places = ("--out", str(folder / _MOTION), "--json", str(folder / _FIGURES))
+    return (verb, str(path), *places, "--up", "z", *option_words(options))
+
+
+def option_words(options: Mapping[str, str | bool]) -> Iterator[str]:
+    """Options of a command line, but those that are "" or False."""
+    for option, value in options.items():
+        if value:
+            yield from (option,) if value is True else (option, value)
 
 
 def read_converted(folder: Path) -> MotionFile:

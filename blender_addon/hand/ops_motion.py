@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -17,15 +17,14 @@ from typing import TypeVar
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
-from bpy_extras.io_utils import ImportHelper
 
-from .. import folders, ui, versions
+from .. import folders, versions
 from .. import ops as common
 from ..core.joints import LEFT, RIGHT
 from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
-from ..ops import CANCELLED, UNDOABLE_IMPORT, Elsewhere, InTurns, missing
+from ..ops import UNDOABLE_IMPORT, Elsewhere, FromFile, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import armature, controls, framing, motion
@@ -114,32 +113,12 @@ _PLACEMENTS = (
 )
 
 
-class KeysFile(InTurns, ImportHelper):
-    """An operator that makes keys of a file. `verb`: its name among Blender's operators · `choices`: its properties
-    beside the files · `headings`: what stands above some of them · `learns`: whether
-    the engine needs PyTorch for it."""
+class KeysFile(FromFile):
+    """An operator that makes keys of a file. `learns`: whether the engine needs PyTorch for it."""
 
     bl_options = UNDOABLE_IMPORT
-    verb = ""
     learns = False
-    choices: tuple[str, ...] = ()
-    headings: Mapping[str, str] = MappingProxyType({})
-    # whether the file browser calls `execute`
-    _asked = False
 
-    filename_ext = ""
-    # not remembered: a file that is named when the operator is called was dropped, or is a script's, and is taken
-    # without asking; so is whatever was chosen in the file browser
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
-    hand_length: bpy.props.FloatProperty(
-        name="Hand Length",
-        description="From the wrist to the middle finger's tip; 0: as in the file, or of a video the avatar's",
-        min=0.0,
-        soft_max=250.0,
-        precision=0,
-        subtype="DISTANCE_CAMERA",  # Blender's word for millimeters, whatever the scene's unit is
-    )
     first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)
     use_scene_rate: bpy.props.BoolProperty(
         name="Set Frame Rate",
@@ -159,31 +138,6 @@ class KeysFile(InTurns, ImportHelper):
         active = common.active_hand(context)
         fits = active is not None and active.is_editable and armature.shown_handedness(active) == content.handedness
         return active if fits else None
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Asks for a file, unless one is named."""
-        if self.chosen or (self.filepath and Path(self.filepath).is_file()):
-            return super().invoke(context, event)
-        self._asked = True
-        return ImportHelper.invoke(self, context, event)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """All at once; after the file browser, which forgets an operator that is not done, another one in turns."""
-        if not self._asked or context.window is None:
-            return super().execute(context)
-        self._asked = False
-        values = {name: getattr(self, name) for name in ("filepath", *self.choices)}
-        getattr(bpy.ops.jghand, self.verb)("INVOKE_DEFAULT", chosen=True, **values)
-        return CANCELLED
-
-    def draw(self, _context: bpy.types.Context) -> None:
-        """The options beside the files."""
-        column = ui.settings(self.layout)
-        for name in self.choices:
-            if name in self.headings:
-                column.separator()
-                column.label(text=self.headings[name])
-            column.prop(self, name)
 
     def made_by_engine(
         self, said: Callable[[Path], Sequence[str]], read: Callable[[Path], _Result]
@@ -284,7 +238,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     )
 
     working = "Importing the motion"
-    verb = "import_motion"
     choices = ("target", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
     headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
@@ -403,10 +356,9 @@ class TrackVideo(KeysFile, bpy.types.Operator):
     )
 
     working = "Tracking the video"
-    verb = "track_video"
     learns = True
     choices = (
-        *("hand", "hand_length", "camera_angle", "smoothing", "placement"),
+        *("hand", "hand_length", "camera_angle", "exact", "smoothing", "placement"),
         *("first_frame", "use_scene_range", "use_scene_rate"),
     )
 
@@ -422,6 +374,11 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         max=math.radians(150.0),
         precision=3,
         subtype="ANGLE",
+    )
+    exact: bpy.props.BoolProperty(
+        name="Exact",
+        description="Fit a hand to outlines and colors too: minutes instead of seconds, and fingers are nearer. Of one "
+        "hand in at most 900 frames; it has a smoothing of its own",
     )
     smoothing: bpy.props.FloatProperty(
         name="Smoothing",
@@ -475,6 +432,7 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         avatar = avatar_of(active) if active is not None and self.hand in wanted else ""
         options = {
             "--hand": self.hand,
+            "--exact": self.exact,
             "--smoothing": f"{self.smoothing:g}",
             "--camera-angle": f"{math.degrees(self.camera_angle):g}",
             "--hand-length": f"{self.hand_length:g}" if self.hand_length else "",

@@ -133,7 +133,7 @@ def _tools_are_free(operator: type) -> bool:
     """Whether the training tools may be changed: a training would lose its program, and hours of work."""
     if runtime.jobs().runs(runtime.TOOLS):
         return missing(operator, "The training tools are being installed")
-    if any(map(runtime.jobs().runs, (runtime.TRAINING, runtime.CAPTURE, runtime.IMPORT))):
+    if any(map(runtime.jobs().runs, (runtime.TRAINING, runtime.CAPTURE, runtime.IMPORT, runtime.OWN))):
         return missing(operator, "The training tools are in use: wait until the job has ended, or cancel it")
     return True
 

@@ -72,7 +72,7 @@ def draw_failure(
 
 
 _STATES = {
-    "missing": "Training and video tracking need PyTorch, which is not installed",
+    "missing": "Training, video tracking and your own hand need PyTorch, which is not installed",
     "broken": "The training tools are incomplete or of another version: install them again",
     "ready": "The training tools are installed",
 }

@@ -32,7 +32,7 @@ from .link import EngineLink
 # kinds of pictures whose receipts are kept
 VIEWPORT, RENDER = "viewport", "render"
 # keys of jobs
-OUTPUT, CAPTURE, TRAINING, IMPORT, TOOLS = "output", "capture", "training", "import", "tools"
+OUTPUT, CAPTURE, TRAINING, IMPORT, OWN, TOOLS = "output", "capture", "training", "import", "own", "tools"
 TOOLS_PACKAGES = (
     *("torch", "numpy", "scipy", "trimesh", "safetensors", "pillow", "tyro", "rich", "usd-core"),
     *("mediapipe", "imageio-ffmpeg"),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -12,11 +13,19 @@ from .. import folders, ui
 from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
-from ..ops import REGISTERED, missing
+from ..hand import hand_packs
+from ..hand.motion_jobs import FETCH, VIDEO_SUFFIXES, option_words
+from ..hand.properties import HANDS as SIDES
+from ..hand.seen_hands import HANDS
+from ..ops import REGISTERED, FromFile, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from .training_folder import TrainingFolder, capture_words, folder_of, train_words
+from .training_folder import PICTURE, TrainingFolder, capture_words, folder_of, picture_words, train_words
 
+_FILMED_HANDS = (
+    ("AUTO", "Detected", "The hand that the film shows", "NONE", 0),
+    *((side, label, "Where two hands are seen, this one", "NONE", place + 1) for side, label, _, _, place in SIDES),
+)
 STARTS = (
     ("new", "New", "There is no training yet", "NONE", 0),
     ("resume", "Resume", "Continue where the training stands", "NONE", 1),
@@ -130,4 +139,71 @@ class Train(StartsJob, bpy.types.Operator):
         return rpt_("The avatar is {file}.").format(file=self._out)
 
 
-CLASSES = (RenderTrainingSet, Train)
+class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
+    """Operator: the hand of whoever films it."""
+
+    bl_idname = "jghand.hand_from_film"
+    bl_label = "My Hand from a Film"
+    bl_description = (
+        "Make a hand of your own from a film of it, in a process of its own that goes on while you work, some ten "
+        "minutes long. This needs the training tools; once, where Blender may go online, it downloads 35 MB. Nothing "
+        "of the film leaves this machine"
+    )
+    bl_options = REGISTERED
+
+    choices = ("hand", "hand_length")
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{suffix}" for suffix in VIDEO_SUFFIXES), options={"HIDDEN"}
+    )
+    hand: bpy.props.EnumProperty(name="Hand", description="Which hand is meant", items=_FILMED_HANDS)
+
+    key = runtime.OWN
+    watched = False
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        return poll_job(cls, runtime.OWN)
+
+    def overwritten(self, _context: bpy.types.Context) -> str:
+        """The hand of an earlier film of that name."""
+        out = self._out()
+        return rpt_("{file} is replaced.").format(file=out) if out.is_file() else ""
+
+    def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
+        return []
+
+    def prepare(self, _context: bpy.types.Context) -> None:
+        runtime.program(learns=True)
+
+    def job(self, _context: bpy.types.Context, _recordings: list[Recording]) -> JobSpec:
+        film, out = Path(bpy.path.abspath(self.filepath)), self._out()
+        options = {
+            "--hand": "" if self.hand == "AUTO" else self.hand,
+            "--hand-length": f"{self.hand_length:g}" if self.hand_length else "",
+            "--overwrite": self.confirmed,
+            FETCH: runtime.is_online(),
+        }
+        program, scratch = runtime.program(learns=True), folders.job_folder()
+
+        def take_picture() -> None:
+            (scratch / PICTURE).replace(out.with_suffix(hand_packs.PICTURE))
+
+        return JobSpec(
+            "Making your hand",
+            (*program, "own", str(film), "--out", str(out), *option_words(options)),
+            out.with_suffix(".own"),
+            more=((*program, *picture_words(out, scratch)),),
+            on_done=take_picture,
+            on_over=partial(folders.remove_job_folder, scratch),
+        )
+
+    def done(self, _context: bpy.types.Context) -> str:
+        return rpt_("The avatar is {file}.").format(file=self._out())
+
+    def _out(self) -> Path:
+        """Among the hands that Add Hand offers."""
+        name = hand_packs.name_of_film(Path(bpy.path.abspath(self.filepath)))
+        return folders.user_folder(HANDS) / f"{name}{hand_packs.SUFFIX}"
+
+
+CLASSES = (RenderTrainingSet, Train, HandFromFilm)

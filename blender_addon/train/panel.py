@@ -13,9 +13,12 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
+from ..hand import family, hand_packs
+from ..hand.panel import HandPanel
 from ..preferences import preferences
 from ..renderer import runtime
-from ..renderer.panel import draw_job
+from ..renderer.jobs import Phase
+from ..renderer.panel import draw_failure, draw_job, draw_tools
 from ..ui import Sidebar
 from .training_folder import TrainingFolder, folder_of
 
@@ -130,7 +133,57 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
 
-CLASSES = (TrainPanel, TrainingSetPanel)
+# how to film, as docs/OWN_HAND.md has it
+_FILMING = (
+    "Lean the telephone on something: it must not move. The hand fills half of the frame, wrist and bare forearm in it",
+    "Light from the front or the side; behind the hand a wall of another color",
+    "Hold exposure and focus by a long press. Film 12 to 20 seconds, slowly",
+    "Flat hand, fingers apart, palm to the camera, 2 s. A fist, and open",
+    "Turn it over the thumb's side in 3 s; flat back, 2 s. A fist, and open. Tips to the camera and away. Turn back",
+)
+
+
+class FilmPanel(Sidebar, bpy.types.Panel):
+    """A hand of one's own: how to film it, how far the work is, what came of it."""
+
+    bl_idname = "VIEW3D_PT_jghand_film"
+    bl_label = "My Hand from a Film"
+    bl_parent_id = HandPanel.bl_idname
+    bl_options = ui.CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, job = self.layout, runtime.jobs().get(runtime.OWN)
+        if job is None or job.is_over:
+            for number, line in enumerate(_FILMING, 1):
+                ui.paragraph(layout, context, f"{number}. {iface_(line)}.")
+        try:
+            runtime.program(learns=True)
+        except JGHandFailure as failure:
+            draw_failure(layout, context, failure)
+            draw_tools(layout, context)
+            return
+        if not runtime.is_online():
+            text = "Blender may not go online: the networks that find a hand must be on this computer already"
+            ui.paragraph(layout, context, text, icon="INFO")
+        layout.operator("jghand.hand_from_film", text="Choose a Film…", icon="FILE_MOVIE")
+        draw_job(layout, context, runtime.OWN)
+        if job is not None and job.state.phase is Phase.DONE:
+            _draw_own(layout, job.spec.folder)
+
+
+def _draw_own(layout: bpy.types.UILayout, work: Path) -> None:
+    """The proof of a hand that was made, and what can be done with it. work: its folder of work"""
+    proof, avatar = work / "sheet.png", work.with_suffix(hand_packs.SUFFIX)
+    if proof.is_file():
+        layout.template_icon(icon_value=family.icon_of(proof), scale=_PICTURE_UNITS)
+        layout.operator("wm.path_open", text="Film and Hand Side by Side", icon="IMAGE_DATA").filepath = str(proof)
+    if any(item[0] == avatar.stem for item in family.items()):
+        row = layout.row()
+        row.operator_menu_enum("jghand.add_hand", "handedness", text="Add My Hand", icon="ADD").avatar = avatar.stem
+        row.operator("jghand.load_avatar", text="On Selected Hands").filepath = str(avatar)
+
+
+CLASSES = (TrainPanel, TrainingSetPanel, FilmPanel)
 
 
 def unregister() -> None:

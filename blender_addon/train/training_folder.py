@@ -16,6 +16,8 @@ from typing import Any
 from ..core.panel_text import Translate
 
 _SUFFIX = ".training"
+# what `jghand render` calls its first picture
+PICTURE = "frame_00000.png"
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,12 @@ def capture_words(out: Path, settings: Any, motion: Path | None = None) -> tuple
         *("--size", f"{width}x{height}", "--samples", str(settings.samples), "--seed", str(settings.seed)),
         *(("--motion", str(motion)) if motion is not None else ()),
     )
+
+
+def picture_words(avatar: Path, folder: Path) -> tuple[str, ...]:
+    """`jghand render`: the picture that a hand is chosen by, `folder`/PICTURE."""
+    places = ("--avatar", str(avatar), "--out", str(folder))
+    return ("render", "--poses", "open", "--frames", "0", "--size", "256x256", *places)
 
 
 def train_words(pictures: Path, out: Path, settings: Any, start: str = "", *, overwrite: bool) -> tuple[str, ...]:

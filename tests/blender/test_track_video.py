@@ -101,7 +101,7 @@ def hands_of(scene):
 
 def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, capfd):
     joints = {side: leave(engine, side, seed) for seed, side in enumerate(("left", "right"))}
-    assert bpy.ops.jghand.track_video(filepath=str(video), hand_length=190.0) == {"FINISHED"}
+    assert bpy.ops.jghand.track_video(filepath=str(video), hand_length=190.0, exact=True) == {"FINISHED"}
     hands = hands_of(extension.scene)
     assert {hand.name for hand in hands.values()} == {"waving left", "waving right"}
     first = {side: joints[side][0, 0] for side in joints}
@@ -120,6 +120,7 @@ def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, cap
     for option, value in (("--up", "z"), ("--hand-length", "190"), ("--hand", "auto")):
         assert asked[asked.index(option) + 1] == value
     assert "--progress-json" in asked
+    assert "--exact" in asked
     assert not (tmp_path / "job").exists(), "what the job needed is taken away"
 
 
@@ -314,7 +315,14 @@ def working(video):
             pass
 
     operator = Tracking.__new__(Tracking)
-    chosen = {"filepath": str(video), "hand": "auto", "hand_length": 0.0, "smoothing": 1.0, "camera_angle": 1.0}
+    chosen = {
+        "filepath": str(video),
+        "hand": "auto",
+        "hand_length": 0.0,
+        "exact": False,
+        "camera_angle": 1.0,
+        "smoothing": 1.0,
+    }
     placed = {"placement": "IN_PLACE", "first_frame": 1, "use_scene_range": False, "use_scene_rate": False}
     for name, value in {**chosen, **placed}.items():
         setattr(operator, name, value)
@@ -361,7 +369,7 @@ def test_figures_that_are_none_are_refused(extension, engine, video):
 def test_the_real_engine_takes_these_words(engine_python, tmp_path):
     """It gets as far as the video, which is none."""
     (tmp_path / "odd.mp4").write_bytes(b"no film")
-    options = {"--hand": "right", "--hand-length": "190", "--avatar": "painted", "--smoothing": "1"}
+    options = {"--hand": "right", "--hand-length": "190", "--avatar": "painted", "--smoothing": "1", "--exact": True}
     asked = words("track", tmp_path / "odd.mp4", tmp_path, {**options, "--camera-angle": "60"})
     done = subprocess.run(
         [engine_python, "-I", "-m", "jghand_engine", *asked], check=False, capture_output=True, text=True
