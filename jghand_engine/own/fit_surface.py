@@ -27,8 +27,8 @@ from jghand_engine.own.shape import shape_basis
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 
-# Gaussians that are drawn: a pass forwards and back takes 15 to 20 ms
-FIT_GAUSSIANS = 4000
+# Gaussians that are drawn: a pass forwards and back takes some 30 ms
+FIT_GAUSSIANS = 8000
 # the factor of the radii is sought between these, as exactly as this: a thousandth is 0.03 % of the area
 RADIUS_FACTORS, RADIUS_FACTOR_STEP = (0.1, 1.6), 1e-3
 # the whole hand is measured in a picture with so many times the film's pixels along each side
