@@ -168,12 +168,10 @@ class HandFit:
             "shape": np.zeros(SHAPE_COUNT),
         }
         if hand is not None:
-            whole, known = (
-                JointChain.of(prior.canonical_joints_m),
-                chain_of(prior.canonical_joints_m, hand.own_joints_m),
-            )
-            begin |= {"palm_shift_m": (known.palm_m - whole.palm_m)[1:], "shape": hand.shape}
-            begin["log_length"] = np.r_[np.zeros(5), np.log(known.bone_lengths_m / whole.bone_lengths_m)[5:]]
+            first = JointChain.of(prior.canonical_joints_m)
+            known = chain_of(prior.canonical_joints_m, hand.own_joints_m)
+            begin |= {"palm_shift_m": (known.palm_m - first.palm_m)[1:], "shape": hand.shape}
+            begin["log_length"] = np.r_[np.zeros(5), np.log(known.bone_lengths_m / first.bone_lengths_m)[5:]]
         sought = RATES if hand is None else POSE_NUMBERS
         tensors = {
             name: torch.tensor(array, dtype=dtype, requires_grad=name in sought) for name, array in begin.items()
