@@ -123,12 +123,15 @@ class Own:
         from jghand_engine.files import check_place
         from jghand_engine.hand.joints import Handedness
         from jghand_engine.motion.files import check_written_suffix, write_motion
+        from jghand_engine.own.film import open_source
         from jghand_engine.own.make import check_has_motion, explain, hand_of, motion_of, work_folder
         from jghand_engine.track.mediapipe_hands import video_detector
 
         if out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(out))
         check_place(out, overwrite=self.overwrite)
+        # what is no film is refused before a folder of work is made
+        open_source(self.pictures)
         if self.motion is not None:
             check_written_suffix(self.motion)
             check_place(self.motion, overwrite=self.overwrite, option="--motion")

@@ -199,6 +199,24 @@ def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monke
     assert (skins, len(fits)) == ([False, True], 1)
 
 
+def test_the_motion_of_a_left_hand_is_a_left_hands(film, tmp_path, fits, monkeypatch):
+    whole = explained(film, tmp_path / "me.own", resume=False)
+    monkeypatch.setattr(make, "exact_poses", lambda source, track, *_: track.poses)
+    prior = load_builtin(handedness=RIGHT)
+    right = make.motion_of([film], whole, prior, lambda *_: None)
+    track = replace(whole.begun.track, handedness=Handedness.LEFT)
+    left = make.motion_of([film], replace(whole, begun=replace(whole.begun, track=track)), prior, lambda *_: None)
+    assert left.handedness is Handedness.LEFT
+    np.testing.assert_array_equal(left.joints_m, right.joints_m * (-1, 1, 1))
+
+
+def test_what_is_no_film_leaves_no_folder(tmp_path, capsys):
+    (tmp_path / "hand.mp4").write_bytes(b"no film")
+    assert main(["own", str(tmp_path / "hand.mp4"), "--out", str(tmp_path / "me.jghand")]) == 2
+    assert "wanted a film that ffmpeg can read" in capsys.readouterr().err
+    assert not (tmp_path / "me.own").exists()
+
+
 def test_photographs_have_no_motion_which_is_told_before_the_work(tmp_path, capsys):
     for number in range(3):
         write_png(tmp_path / f"{number}.png", np.zeros((8, 8, 3), np.uint8))
