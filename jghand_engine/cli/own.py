@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -57,9 +57,6 @@ class Own:
     minutes: Annotated[float, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = 0.0
     """Let the fit by pictures go on for so long: colors are found anew, and poses by them, again and again. Left out,
     or where it is too short: five times."""
-    marks: Literal["mean", "best"] = "mean"
-    """Where pictures disagree on a spot of skin: the mean of those that agree, or the best picture alone, which is
-    sharper and may be wrong. Of less than eight photographs always the best."""
     motion: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Also write the motion of the hand in the film, as exact as `jghand track --exact`: .npz, .json or .csv."""
     resume: bool = False
@@ -140,7 +137,7 @@ class Own:
         with work_folder(work, self.pictures, options, resume=self.resume), stages() as told:
             explained = explain(self.pictures, prior, options, work, video_detector, told)
             self._tell(explained.begun.findings)
-            avatar, judged = hand_of(explained, prior, work, told, best=self.marks == "best")
+            avatar, judged = hand_of(explained, prior, work, told)
             save_avatar(out, avatar)
             if self.motion is not None:
                 write_motion(self.motion, motion_of(self.pictures, explained, prior, told))

@@ -253,14 +253,13 @@ class OwnHand:
     world: World
 
 
-def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin, *, best: bool = False) -> OwnHand:
+def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin) -> OwnHand:
     """The avatar with the skin of the hand in the film, lit by any scene, and the film's light, its own.
 
-    avatar: in the shape of the hand, of known light · best: marks are sharper, each from its best picture
-    alone, instead of a mean over those that agree
+    avatar: in the shape of the hand, of known light
     """
     lit = LitFilm(avatar, observed)
-    found = seen_skin(lit, torch.tensor(avatar.opacity), best=best)
+    found = seen_skin(lit, torch.tensor(avatar.opacity))
     learned = avatar.learned
     assert learned is not None
     assert learned.response is not None
@@ -298,11 +297,11 @@ def _pixel_m(observed: Observations) -> float:
 
 
 @torch.no_grad()
-def seen_skin(film: LitFilm, opacity: Tensor, *, best: bool = False) -> SeenSkin:
-    """Light and albedo. opacity: (N,) of the Gaussians · best: where pictures disagree, the best one is taken instead
-    of a mean; always of few photographs"""
+def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
+    """Light and albedo; where few photographs disagree, by the best of them instead of a mean. opacity: (N,) of the
+    Gaussians"""
     observed = film.observed
-    best = best or len(observed) < FEW_PICTURES
+    best = len(observed) < FEW_PICTURES
     world = film_light(film)
     answers, weight = film.answers(world), _weight(observed.seen)
     color = list(observed.color)

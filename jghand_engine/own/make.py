@@ -276,11 +276,9 @@ def motion_of(paths: Sequence[Path], explained: Explained, prior: HandAvatar, to
     return sequence_of(joints_m, hand, begun.track.seen, source.fps)
 
 
-def hand_of(
-    explained: Explained, prior: HandAvatar, work: Path, told: Told, *, best: bool = False
-) -> tuple[HandAvatar, list[Finding]]:
+def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> tuple[HandAvatar, list[Finding]]:
     """The avatar: skin and light of the pictures whose outlines the fit explains, but for those that are held out to
-    judge it by; and what is to be said of it. Writes sheet.png and report.json into `work`. best: as of `skin_from`"""
+    judge it by; and what is to be said of it. Writes sheet.png and report.json into `work`."""
     pictures, fitted = explained.begun.pictures, explained.fitted
     told("Finding skin and light", 0, 2)
     fits = np.nan_to_num(fitted.outline_residual) <= PICTURE_RESIDUAL_MAX
@@ -290,7 +288,7 @@ def hand_of(
     seen, shaped = film.part(~held), fitted.avatar_shape(prior)
     observed = observe(shaped, seen.joints_m, seen.camera, seen.pictures, seen.masks)
     origin = Origin(pictures.source, pictures.digest, explained.begun.start.handedness)
-    own = skin_from(observed, shaped, origin, best=best)
+    own = skin_from(observed, shaped, origin)
     told("Finding skin and light", 1, 2)
     report = write_report(work, own, film, held)
     told("Finding skin and light", 2, 2)
