@@ -51,11 +51,9 @@ class Reporting:
     as_keywords: Callable[[], dict[str, Any]]
 
     def run(self, context: bpy.types.Context) -> None:
-        """What the operator does."""
         raise NotImplementedError
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Blender's entry."""
         try:
             self.run(context)
         except JGHandFailure as failure:
@@ -95,11 +93,9 @@ class InTurns(Reporting):
     _started = _told = 0.0
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
-        """The work; see the class."""
         raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> None:
-        """All of it."""
         for part in self.steps(context):
             if isinstance(part, Elsewhere):
                 time.sleep(ASIDE_LOOK_S)

@@ -39,8 +39,6 @@ def _look_again(_preferences: bpy.types.AddonPreferences, _context: bpy.types.Co
 
 
 class JGHandPreferences(bpy.types.AddonPreferences):
-    """Preferences of the extension."""
-
     bl_idname = __package__
 
     engine_python: bpy.props.StringProperty(
@@ -106,10 +104,8 @@ CLASSES = (JGHandPreferences,)
 
 
 def register() -> None:
-    """Tells Blender of the page."""
     bpy.utils.register_manual_map(manual_map)
 
 
 def unregister() -> None:
-    """Takes it away."""
     bpy.utils.unregister_manual_map(manual_map)

@@ -28,8 +28,6 @@ _FILES = {"usd": "{name}.usda", "motion": "{name}.npz", "ply": "{name}.*.ply"}
 
 
 class Export(StartsJob, bpy.types.Operator):
-    """Operator: USD, PLY or motion files."""
-
     bl_idname = "jghand.export"
     bl_label = "Export"
     bl_description = "Write what the hands do over the range of frames into the folder. Esc cancels"
@@ -107,8 +105,6 @@ def _check(recordings: Sequence[Recording], scratch: Path) -> None:
 
 
 class ExportSceneUsd(Reporting, bpy.types.Operator):
-    """Operator: Blender's own USD export, with the baked splats in it."""
-
     bl_idname = "jghand.export_scene_usd"
     bl_label = "Export Scene as USD"
     bl_description = "Write the whole scene with Blender's own USD export; hands that are baked are in it as splats"
@@ -163,8 +159,6 @@ class _NewBake:
 
 
 class Bake(StartsJob, bpy.types.Operator):
-    """Operator: every frame to disk, so that it plays without the engine."""
-
     bl_idname = "jghand.bake"
     bl_label = "Bake"
     bl_description = (
@@ -279,8 +273,6 @@ def _poll_baked(operator: type, context: bpy.types.Context) -> bool:
 
 
 class PlayBake(Reporting, bpy.types.Operator):
-    """Operator: the bake of the active hand as an object."""
-
     bl_idname = "jghand.play_bake"
     bl_label = "Play Bake"
     bl_description = (
@@ -307,8 +299,6 @@ class PlayBake(Reporting, bpy.types.Operator):
 
 
 class ClearBake(Reporting, bpy.types.Operator):
-    """Operator: the hand is live again."""
-
     bl_idname = "jghand.clear_bake"
     bl_label = "Clear Bake"
     bl_description = (

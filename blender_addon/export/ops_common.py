@@ -62,7 +62,6 @@ class StartsJob(InTurns):
         return hands_to_write(context)
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec | None:
-        """The job."""
         raise NotImplementedError
 
     def done(self, _context: bpy.types.Context) -> str:
@@ -97,7 +96,6 @@ class StartsJob(InTurns):
         return super().execute(context)
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
-        """A step per frame."""
         runtime.jobs().refuse_second(self.key)  # before minutes of recording
         self.prepare(context)
         self._recordings: list[Recording] = []

@@ -20,8 +20,6 @@ from .recording import export_bytes, free_bytes, size_sentence
 
 
 class BakePanel(ui.HandSidebar, bpy.types.Panel):
-    """Bakes."""
-
     bl_idname = "VIEW3D_PT_jghand_bake"
     bl_label = "Bake"
     bl_order = ui.BAKE
@@ -46,8 +44,6 @@ class BakePanel(ui.HandSidebar, bpy.types.Panel):
 
 
 class ExportPanel(ui.HandSidebar, bpy.types.Panel):
-    """Exports."""
-
     bl_idname = "VIEW3D_PT_jghand_export"
     bl_label = "Export"
     bl_order = ui.EXPORT

@@ -207,13 +207,11 @@ def can_hook() -> bool:
 
 
 def register() -> None:
-    """Adds the hook where it can work."""
     if can_hook():
         bpy.utils.register_class(JGHandUsdHook)
 
 
 def unregister() -> None:
-    """Takes it away."""
     if getattr(JGHandUsdHook, "is_registered", False):  # a Blender without USD gives its classes no such name
         bpy.utils.unregister_class(JGHandUsdHook)
     forget()

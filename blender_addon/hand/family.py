@@ -54,8 +54,6 @@ class JGHandChoice(bpy.types.PropertyGroup):
 
 
 class InstallHands(Reporting, bpy.types.Operator):
-    """Operator: the hands of a zip, for all files of this user."""
-
     bl_idname = "jghand.install_hands"
     bl_label = "Install Hands"
     bl_description = "Choose a zip of hands: they are offered by Add Hand from then on, in every file"
@@ -65,7 +63,6 @@ class InstallHands(Reporting, bpy.types.Operator):
     filter_glob: bpy.props.StringProperty(default="*.zip", options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Asks for the file."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -87,6 +84,5 @@ SETTINGS = ((bpy.types.WindowManager, JGHandChoice),)
 
 
 def unregister() -> None:
-    """Gives the pictures back."""
     while _pictures:
         bpy.utils.previews.remove(_pictures.pop())

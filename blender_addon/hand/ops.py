@@ -58,8 +58,6 @@ def _left_choices(_operator: UseArmature, context: bpy.types.Context | None) -> 
 
 
 class AddHand(Reporting, bpy.types.Operator):
-    """Operator: a hand of ours at the 3D cursor."""
-
     bl_idname = "jghand.add_hand"
     bl_label = "Add Hand"
     bl_description = "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor"
@@ -128,8 +126,6 @@ class AddHand(Reporting, bpy.types.Operator):
 
 
 class AddForearmBone(Reporting, bpy.types.Operator):
-    """Operator: the wrist of a hand of ours hangs on a bone from now on."""
-
     bl_idname = "jghand.add_forearm_bone"
     bl_label = "Add Forearm Bone"
     bl_description = "Add a bone from the elbow to the wrist, which then bends and twists when one of them is turned"
@@ -154,8 +150,6 @@ class AddForearmBone(Reporting, bpy.types.Operator):
 
 
 class UseArmature(Reporting, bpy.types.Operator):
-    """Operator: somebody else's rig becomes a hand, or two."""
-
     bl_idname = "jghand.use_armature"
     bl_label = "Use Existing Armature"
     bl_description = (
@@ -231,8 +225,6 @@ class UseArmature(Reporting, bpy.types.Operator):
 
 
 class UseObjects(Reporting, bpy.types.Operator):
-    """Operator: 21 objects become a hand."""
-
     bl_idname = "jghand.use_objects"
     bl_label = "Use Selected Objects"
     bl_description = (
@@ -296,8 +288,6 @@ def _poll_rig(operator: type, context: bpy.types.Context) -> bool:
 
 
 class FillBoneMap(Reporting, bpy.types.Operator):
-    """Operator: the names of the bones are looked at again."""
-
     bl_idname = "jghand.fill_bone_map"
     bl_label = "Find Bones Again"
     bl_description = "Look for this hand's bones by their names again"
@@ -334,8 +324,6 @@ class FillBoneMap(Reporting, bpy.types.Operator):
 
 
 class Forget(Reporting, bpy.types.Operator):
-    """Operator: a foreign rig, or an empty for 21 objects, is no hand any more."""
-
     bl_idname = "jghand.forget"
     bl_label = "Remove Hand Binding"
     bl_description = "Draw no hand on this object. Bones, objects and keys stay; the bone map is deleted"
@@ -366,8 +354,6 @@ class Forget(Reporting, bpy.types.Operator):
 
 
 class SelectHand(Reporting, bpy.types.Operator):
-    """Operator: a hand of the scene becomes the active object."""
-
     bl_idname = "jghand.select_hand"
     bl_label = "Select Hand"
     bl_description = "Make this hand the active object"
@@ -389,8 +375,6 @@ class SelectHand(Reporting, bpy.types.Operator):
 
 
 class LoadAvatar(Reporting, bpy.types.Operator):
-    """Operator: an avatar file on the selected hands."""
-
     bl_idname = "jghand.load_avatar"
     bl_label = "Load Avatar"
     bl_description = "Choose the avatar file that is drawn on the selected hands"

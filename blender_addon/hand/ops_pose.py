@@ -57,8 +57,6 @@ class _Posing(Reporting):
 
 
 class ApplyPose(_Posing, bpy.types.Operator):
-    """Operator: the selected hands take a pose."""
-
     bl_idname = "jghand.apply_pose"
     bl_label = "Apply Pose"
     bl_description = (
@@ -84,8 +82,6 @@ class ApplyPose(_Posing, bpy.types.Operator):
 
 
 class FlipPose(_Posing, bpy.types.Operator):
-    """Operator: another hand takes the mirrored pose of the active one."""
-
     bl_idname = "jghand.flip_pose"
     bl_label = "Mirror to Other Hand"
     bl_description = (
@@ -112,8 +108,6 @@ class FlipPose(_Posing, bpy.types.Operator):
 
 
 class ResetPose(_Posing, bpy.types.Operator):
-    """Operator: fingers and controls back to rest."""
-
     bl_idname = "jghand.reset_pose"
     bl_label = "Reset Pose"
     bl_description = (
@@ -127,8 +121,6 @@ class ResetPose(_Posing, bpy.types.Operator):
 
 
 class InstallPoseLibrary(Reporting, bpy.types.Operator):
-    """Operator: the shipped poses become one of this user's asset libraries."""
-
     bl_idname = "jghand.make_pose_assets"
     bl_label = "Install Pose Library"
     bl_description = "Add JGHand's hand poses to your asset libraries, so that Blender's asset shelf shows them"
@@ -141,8 +133,6 @@ class InstallPoseLibrary(Reporting, bpy.types.Operator):
 
 
 class ShowPoseShelf(Reporting, bpy.types.Operator):
-    """Operator: pose mode with Blender's shelf of pose assets."""
-
     bl_idname = "jghand.show_pose_shelf"
     bl_label = "Show Pose Library"
     bl_description = (
@@ -178,8 +168,6 @@ def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 class AddControls(Reporting, bpy.types.Operator):
-    """Operator: the control layer."""
-
     bl_idname = "jghand.add_controls"
     bl_label = "Add Finger Controls"
     bl_description = (
@@ -199,8 +187,6 @@ class AddControls(Reporting, bpy.types.Operator):
 
 
 class RemoveControls(Reporting, bpy.types.Operator):
-    """Operator: the control layer goes, the keys stay."""
-
     bl_idname = "jghand.remove_controls"
     bl_label = "Remove Finger Controls"
     bl_description = "Remove the controls. The hand falls back to the keys of its bones; bake instead to keep the pose"
@@ -219,8 +205,6 @@ class RemoveControls(Reporting, bpy.types.Operator):
 
 
 class BakeControls(InTurns, bpy.types.Operator):
-    """Operator: what is seen becomes keys of the bones."""
-
     bl_idname = "jghand.bake_controls"
     bl_label = "Bake Finger Controls"
     bl_description = (
@@ -236,7 +220,6 @@ class BakeControls(InTurns, bpy.types.Operator):
         return poll_bones(cls, context) and poll_controls(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
-        """A step per frame."""
         yield from controls.bake_steps(context, _controlled(context), common.seen_frames(context.scene))
 
     def finished(self, context: bpy.types.Context) -> None:
@@ -262,8 +245,6 @@ class _Toggle(Reporting):
 
 
 class MuteControls(_Toggle, bpy.types.Operator):
-    """Operator: the effect of the whole layer off and on."""
-
     bl_idname = "jghand.mute_controls"
     bl_label = "Mute Finger Controls"
     bl_description = "Switch all finger controls off or on. Off, the hand shows its keys alone"
@@ -273,8 +254,6 @@ class MuteControls(_Toggle, bpy.types.Operator):
 
 
 class JointLimits(_Toggle, bpy.types.Operator):
-    """Operator: the anatomical limits off and on."""
-
     bl_idname = "jghand.joint_limits"
     bl_label = "Joint Limits"
     bl_description = "Keep all joints within the range of a real hand. Pinned tips keep their limits"
@@ -284,8 +263,6 @@ class JointLimits(_Toggle, bpy.types.Operator):
 
 
 class HoldTip(Reporting, bpy.types.Operator):
-    """Operator: a fingertip stays where it is."""
-
     bl_idname = "jghand.hold_tip"
     bl_label = "Pin Fingertip"
     bl_description = (

@@ -212,14 +212,12 @@ def _render_camera(current: bpy.types.Scene, eye: str, folder: Path, report: dic
 
 
 def register() -> None:
-    """Adds the command."""
     global _handle
     if _handle is None:
         _handle = bpy.utils.register_cli_command("jghand", command)
 
 
 def unregister() -> None:
-    """Takes it away."""
     global _handle
     if _handle is not None:
         bpy.utils.unregister_cli_command(_handle)

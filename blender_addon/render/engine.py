@@ -248,6 +248,5 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """As it was before."""
     for engines in _panels():
         engines.discard(JGHandRenderEngine.bl_idname)

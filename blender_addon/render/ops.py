@@ -16,8 +16,6 @@ from . import ENGINE, composite, scene_light
 
 
 class UseEngine(Reporting, bpy.types.Operator):
-    """Operator: the scene is rendered by JGHand."""
-
     bl_idname = "jghand.use_engine"
     bl_label = "Use JGHand Engine"
     bl_description = (
@@ -57,8 +55,6 @@ def use_standard(view: bpy.types.ColorManagedViewSettings) -> None:
 
 
 class UseStandard(Reporting, bpy.types.Operator):
-    """Operator: colors as the avatar was captured."""
-
     bl_idname = "jghand.use_standard"
     bl_label = "Set Standard View Transform"
     bl_description = (
@@ -78,8 +74,6 @@ class UseStandard(Reporting, bpy.types.Operator):
 
 
 class AddCamera(Reporting, bpy.types.Operator):
-    """Operator: a camera that shows the hand."""
-
     bl_idname = "jghand.add_camera"
     bl_label = "Add Hand Camera"
     bl_description = "Add a camera that shows the active hand as it is now, and make it the scene's camera"
@@ -97,8 +91,6 @@ class AddCamera(Reporting, bpy.types.Operator):
 
 
 class OpenPreferences(Reporting, bpy.types.Operator):
-    """Operator: the extension's page in the preferences."""
-
     bl_idname = "jghand.open_preferences"
     bl_label = "JGHand Preferences"
     bl_description = "Open the preferences of JGHand"
@@ -109,8 +101,6 @@ class OpenPreferences(Reporting, bpy.types.Operator):
 
 
 class Explain(bpy.types.Operator):
-    """Operator: a line of a panel that has small print, as its tooltip and, when it is clicked, as a report."""
-
     bl_idname = "jghand.explain"
     bl_label = "Explain"
     bl_description = "Say why"
@@ -128,8 +118,6 @@ class Explain(bpy.types.Operator):
 
 
 class CombineWithScene(Reporting, bpy.types.Operator):
-    """Operator: the hands, rendered by JGHand, go into the picture of this scene's own engine, by depth."""
-
     bl_idname = "jghand.combine_with_scene"
     bl_label = "Set Up Compositing"
     bl_description = (
@@ -158,8 +146,6 @@ class CombineWithScene(Reporting, bpy.types.Operator):
 
 
 class RemoveCombination(Reporting, bpy.types.Operator):
-    """Operator: takes away what Set Up Compositing made."""
-
     bl_idname = "jghand.remove_combination"
     bl_label = "Remove Compositing"
     bl_description = "Take away the hands' own scene and the nodes that combine it; nodes of yours stay"
@@ -177,8 +163,6 @@ class RemoveCombination(Reporting, bpy.types.Operator):
 
 
 class SaveLight(Reporting, bpy.types.Operator):
-    """Operator: writes the light of the scene for `jghand render --light`."""
-
     bl_idname = "jghand.save_light"
     bl_label = "Save Light"
     bl_description = "Write the lamps and the world of this scene, as they light hands, for renders outside Blender"

@@ -37,8 +37,6 @@ class RENDER_PT_jghand_presets(PresetPanel, bpy.types.Panel):  # noqa: N801 - Bl
 
 
 class AddPicturePreset(AddPresetBase, bpy.types.Operator):
-    """Operator: the settings of now under a name, or one of them removed."""
-
     bl_idname = "jghand.add_picture_preset"
     bl_label = "Add JGHand Preset"
     bl_description = "Keep quality and speed of hands in the viewport and in renders under a name"
@@ -79,7 +77,6 @@ class QualityPage(_Page, bpy.types.Panel):
         return context.scene.render.engine == ENGINE or ui.any_hand(context)
 
     def draw_header_preset(self, _context: bpy.types.Context) -> None:
-        """The presets."""
         RENDER_PT_jghand_presets.draw_panel_header(self.layout)
 
     def draw(self, _context: bpy.types.Context) -> None:
@@ -87,8 +84,6 @@ class QualityPage(_Page, bpy.types.Panel):
 
 
 class ViewportPage(_Page, bpy.types.Panel):
-    """The viewport."""
-
     bl_idname = "RENDER_PT_jghand_viewport"
     bl_label = "Viewport"
     bl_parent_id = QualityPage.bl_idname
@@ -110,8 +105,6 @@ class ViewportPage(_Page, bpy.types.Panel):
 
 
 class RenderPage(_Page, bpy.types.Panel):
-    """Renders."""
-
     bl_idname = "RENDER_PT_jghand_render"
     bl_label = "Render"
     bl_parent_id = QualityPage.bl_idname
@@ -144,8 +137,6 @@ class StatisticsPage(_Page, bpy.types.Panel):
 
 
 class FilmPage(_OwnPage, bpy.types.Panel):
-    """Film."""
-
     bl_idname = "RENDER_PT_jghand_film"
     bl_label = "Film"
 
@@ -154,14 +145,11 @@ class FilmPage(_OwnPage, bpy.types.Panel):
 
 
 class MotionBlurPage(_OwnPage, bpy.types.Panel):
-    """Motion blur."""
-
     bl_idname = "RENDER_PT_jghand_motion_blur"
     bl_label = "Motion Blur"
     bl_options = ui.CLOSED
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        """On and off."""
         self.layout.prop(context.scene.render, "use_motion_blur", text="")
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -173,8 +161,6 @@ class MotionBlurPage(_OwnPage, bpy.types.Panel):
 
 
 class PassesPage(_OwnPage, bpy.types.Panel):
-    """Passes."""
-
     bl_idname = "VIEWLAYER_PT_jghand_passes"
     bl_label = "Passes"
     bl_context = "view_layer"

@@ -15,8 +15,6 @@ from . import ENGINE, composite, limits, scene_light
 
 
 class RenderPanel(ui.HandSidebar, bpy.types.Panel):
-    """Render."""
-
     bl_idname = "VIEW3D_PT_jghand_render"
     bl_label = "Render"
     bl_order = ui.RENDER

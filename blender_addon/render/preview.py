@@ -52,8 +52,6 @@ _now: _Movie | None = None
 
 
 class PreviewMovie(Reporting, bpy.types.Operator):
-    """Operator: the frame range as a movie, quickly."""
-
     bl_idname = "jghand.preview_movie"
     bl_label = "Preview Movie"
     bl_description = (

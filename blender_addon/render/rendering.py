@@ -146,7 +146,6 @@ APP_HANDLERS = (("render_init", on_render),)
 
 
 def unregister() -> None:
-    """Forgets what was said."""
     global _failed
     _said.clear()
     _failed = ""

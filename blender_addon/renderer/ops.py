@@ -25,8 +25,6 @@ LOG_NAME = "JGHand Renderer Log"
 
 
 class RestartEngine(bpy.types.Operator):
-    """Operator: ends the renderer, whatever it does, and starts another; also one that failed too often."""
-
     bl_idname = "jghand.restart_engine"
     bl_label = "Restart Renderer"
     bl_description = "End the renderer, whatever it is doing, and start it again. It also starts with the first image"
@@ -46,8 +44,6 @@ class RestartEngine(bpy.types.Operator):
 
 
 class ShowLog(bpy.types.Operator):
-    """Operator: what the renderer printed, as a text; in a text editor where there is one, else in a new window."""
-
     bl_idname = "jghand.show_log"
     bl_label = "Show Log"
     bl_description = "Open what the renderer printed in the Text Editor"
@@ -82,8 +78,6 @@ def _show_text(context: bpy.types.Context, name: str, content: str) -> None:
 
 
 class InstallTools(Reporting, bpy.types.Operator):
-    """Operator: installs or mends the training tools, as a job."""
-
     bl_idname = "jghand.install_tools"
     bl_label = "Install Training Tools"
     bl_description = "Download PyTorch and what else training and video tracking need, about 1 GB or more"
@@ -106,8 +100,6 @@ class InstallTools(Reporting, bpy.types.Operator):
 
 
 class RemoveTools(Reporting, bpy.types.Operator):
-    """Operator: deletes the training tools."""
-
     bl_idname = "jghand.remove_tools"
     bl_label = "Remove Training Tools"
     bl_description = "Delete the training tools from this computer. Avatars and trainings stay"
@@ -139,8 +131,6 @@ def _tools_are_free(operator: type) -> bool:
 
 
 class CancelJob(Reporting, bpy.types.Operator):
-    """Operator: the button beside a job's progress."""
-
     bl_idname = "jghand.cancel_job"
     bl_label = "Cancel"
     bl_description = (
@@ -159,8 +149,6 @@ class CancelJob(Reporting, bpy.types.Operator):
 
 
 class ShowJobLog(Reporting, bpy.types.Operator):
-    """Operator: what a job printed."""
-
     bl_idname = "jghand.show_job_log"
     bl_label = "Show Log"
     bl_description = "Open what this job printed last in the Text Editor"

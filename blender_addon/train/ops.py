@@ -34,8 +34,6 @@ STARTS = (
 
 
 class RenderTrainingSet(StartsJob, bpy.types.Operator):
-    """Operator: pictures of a rigged hand, path traced."""
-
     bl_idname = "jghand.render_training_set"
     bl_label = "Render Training Set"
     bl_description = (
@@ -77,8 +75,6 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
 
 
 class Train(StartsJob, bpy.types.Operator):
-    """Operator: an avatar from pictures."""
-
     bl_idname = "jghand.train"
     bl_label = "Train Avatar"
     bl_description = (

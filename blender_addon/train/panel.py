@@ -187,7 +187,6 @@ CLASSES = (TrainPanel, TrainingSetPanel, FilmPanel)
 
 
 def unregister() -> None:
-    """Frees the icons."""
     global _icons, _shown
     if _icons is not None:
         bpy.utils.previews.remove(_icons)

@@ -265,7 +265,6 @@ def install() -> None:
 
 
 def remove() -> None:
-    """Takes them away, those that are there."""
     global _status
     remove_drawing()
     clock.stop()
