@@ -83,7 +83,8 @@ class InTurns(Reporting):
     at a time: the status bar says how far it is, and Esc ends it; else it works through. Meanwhile Blender takes no
     other input, but for times in which the work is `Elsewhere`.
 
-    `finished(context)` is called at the end. What `steps` holds open it must put back when it is closed half-way.
+    `finished(context)` is called at the end. What `steps` holds open it must put back when it is closed half-way; Esc
+    raises JGHandFailure (canceled) in it.
     """
 
     working = ""
@@ -116,13 +117,12 @@ class InTurns(Reporting):
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """One turn; everything else waits, so that nothing changes under it, unless the work is elsewhere."""
         goes_on = {"PASS_THROUGH"} if self._is_elsewhere else {"RUNNING_MODAL"}
-        if event.type == "ESC" and self._is_ended_by(context, event):
-            self.cancel(context)
-            self.report(INFO, rpt_("Canceled: nothing was changed"))
-            return CANCELLED
-        if event.type != "TIMER" or (self._is_elsewhere and _something_is_dragged(context)):
+        is_ended = event.type == "ESC" and self._is_ended_by(context, event)
+        if not is_ended and (event.type != "TIMER" or (self._is_elsewhere and _something_is_dragged(context))):
             return goes_on
         try:
+            if is_ended and self._steps is not None:
+                self._steps.throw(JGHandFailure("canceled"))
             part = self._turn()
             if part is None:
                 self.finished(context)

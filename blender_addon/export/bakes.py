@@ -30,7 +30,7 @@ from ..errors import JGHandFailure
 from ..hand import sources
 from ..hand.motion_files import MotionFile, read_motion
 from ..hand.seen_hands import avatar_of
-from .recording import NO_FOREARM, Recording, avatar_digest, check_made
+from .recording import NO_FOREARM, Recording, avatar_digest
 
 STAMP = "bake.json"
 _FORMAT, _VERSION = "jghand bake", 1
@@ -57,13 +57,10 @@ class BakedHand:
     handedness: str
     # what `avatar_digest` said
     avatar: str
-    # of what was baked
-    joints_sha256: str
     # of the scene
     first_frame: int
     frames: int
     fps: float
-    gaussians: int
 
     @property
     def last_frame(self) -> int:
@@ -88,23 +85,19 @@ def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> N
 
     The stamp goes first and comes last: who is killed half-way leaves no bake instead of a mixture. Where a file cannot
     be moved, as on Windows one that another program reads, all others go back.
-    JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than it was given.
+    JGHandFailure: cannot_write, disk_full.
     """
-    hands = []
-    for recording in recordings:
-        figures = check_made(made / f"{recording.name}.json", recording)
-        hands.append(
-            BakedHand(
-                name=recording.name,
-                handedness=recording.handedness,
-                avatar=avatar_digest(recording.avatar, forearm=recording.forearm),
-                joints_sha256=recording.digest,
-                first_frame=recording.first_frame,
-                frames=len(recording.joints_m),
-                fps=recording.fps,
-                gaussians=int(figures.get("gaussians", 0)),
-            )
+    hands = [
+        BakedHand(
+            name=recording.name,
+            handedness=recording.handedness,
+            avatar=avatar_digest(recording.avatar, forearm=recording.forearm),
+            first_frame=recording.first_frame,
+            frames=len(recording.joints_m),
+            fps=recording.fps,
         )
+        for recording in recordings
+    ]
     content = {"format": _FORMAT, "version": _VERSION, "hands": [asdict(hand) for hand in hands]}
     write_whole(made / STAMP, json.dumps(content, indent=1).encode())
     aside = folder.with_name(f".{folder.name}.before")

@@ -19,9 +19,9 @@ from ..ops import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
 from ..render import scene_light
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from . import bakes, ops_common, usd_hook
+from . import bakes, ops_common
 from .ops_common import StartsJob, place, poll_hands_to_write
-from .recording import Recording, check_made, file_names, usd_options
+from .recording import Recording, file_names, usd_options
 
 # what an export of a format and name is known by
 _FILES = {"usd": "{name}.usda", "motion": "{name}.npz", "ply": "{name}.*.ply"}
@@ -88,7 +88,6 @@ class Export(StartsJob, bpy.types.Operator):
             title,
             commands[0],
             folder,
-            on_done=partial(_check, recordings, scratch),
             more=tuple(commands[1:]),
             on_over=partial(folders.remove_job_folder, scratch),
         )
@@ -96,50 +95,6 @@ class Export(StartsJob, bpy.types.Operator):
     def done(self, context: bpy.types.Context) -> str:
         folder = place(context, context.scene.jghand.output.folder)
         return rpt_("Exported {names} to {folder}.").format(names=", ".join(self._names), folder=folder)
-
-
-def _check(recordings: Sequence[Recording], scratch: Path) -> None:
-    """The engine has succeeded: it did what it was asked for."""
-    for recording in recordings:
-        check_made(scratch / f"{recording.name}.json", recording)
-
-
-class ExportSceneUsd(Reporting, bpy.types.Operator):
-    bl_idname = "jghand.export_scene_usd"
-    bl_label = "Export Scene as USD"
-    bl_description = "Write the whole scene with Blender's own USD export; hands that are baked are in it as splats"
-    bl_options = REGISTERED
-
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    # Blender's file browser asks before it overwrites
-    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
-    filter_glob: bpy.props.StringProperty(default="*.usd;*.usda;*.usdc;*.usdz", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, _context: bpy.types.Context) -> bool:
-        if not versions.has_usd():
-            return missing(cls, "This Blender was built without USD")
-        if not getattr(usd_hook.JGHandUsdHook, "is_registered", False):
-            return missing(cls, "This Blender's USD cannot be reached from Python, so splats cannot be added")
-        return True
-
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        self.filepath = self.filepath or str(Path(context.blend_data.filepath or "scene").with_suffix(".usdc"))
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def run(self, context: bpy.types.Context) -> None:
-        path = Path(bpy.path.abspath(self.filepath))
-        try:
-            with wait_cursor(context):  # Blender's own export cannot be cut into turns, nor ended
-                bpy.ops.wm.usd_export(filepath=str(path), export_animation=True)
-        except RuntimeError as error:
-            raise JGHandFailure("cannot_write", f"{path}: {error}") from error
-        ui.show_later("")  # it is told here
-        if usd_hook.left_out():
-            self.warn(*usd_hook.notes)
-        else:
-            self.tell(rpt_("Wrote {path}.").format(path=path), *usd_hook.notes)
 
 
 # ---- bakes -----------------------------------------------------------------------------------------------------------
@@ -316,4 +271,4 @@ class ClearBake(Reporting, bpy.types.Operator):
         thing.jghand.show_in_viewport = True
 
 
-CLASSES = (Export, ExportSceneUsd, Bake, PlayBake, ClearBake)
+CLASSES = (Export, Bake, PlayBake, ClearBake)

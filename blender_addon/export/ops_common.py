@@ -2,12 +2,13 @@
 """What exports, bakes and trainings share: first the hands are recorded in turns, then a job works beside Blender.
 
 While the job works Blender stays free; Esc in the window where it was started cancels it, as with Blender's own jobs,
-and so does the panel's button. Without a window, or from a script that asks for it, the operator waits for the job.
+and so does the panel's button. Without a window, or from a script, the operator waits for the job.
 """
 
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 
@@ -19,28 +20,17 @@ from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 from ..hand import armature, sources
 from ..hand.seen_hands import avatar_of
-from ..ops import CANCELLED, DONE, ERROR, INFO, InTurns, missing, seen_frames, sentence_of
+from ..ops import DONE, Elsewhere, InTurns, missing, seen_frames
 from ..render import samples
 from ..renderer import runtime
-from ..renderer.jobs import JOB_LOOK_S, Job, JobSpec, Phase
-from ..ui import redraw
+from ..renderer.jobs import JobSpec, Phase
 from .recording import Recording, check_place, file_names, with_file_name
-
-# without a window, or for a script, a job is waited for a day
-_WAIT_S = 86400.0
 
 
 class StartsJob(InTurns):
     """An operator that records hands and then starts a job. `job(context, recordings)` says which, None for none;
     `done(context)` is called after it succeeded, and returns a sentence; `overwritten(context)` says what a click is
     asked about first."""
-
-    wait: bpy.props.BoolProperty(
-        name="Wait",
-        description="Return when the job has ended, not when it has started; always so without a window",
-        default=False,
-        options={"SKIP_SAVE", "HIDDEN"},
-    )
 
     confirmed: bpy.props.BoolProperty(
         name="Confirmed",
@@ -55,7 +45,7 @@ class StartsJob(InTurns):
     key = runtime.OUTPUT
     # whether the operator stays until the job has ended, so that Esc ends it: not for hours
     watched = True
-    _job: Job | None = None
+    _is_done = False
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         """The objects whose hands are recorded; none where a job needs no motion."""
@@ -96,63 +86,37 @@ class StartsJob(InTurns):
         return super().execute(context)
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
+        """A step per frame; then the job is looked at, unless it takes hours."""
         runtime.jobs().refuse_second(self.key)  # before minutes of recording
         self.prepare(context)
-        self._recordings: list[Recording] = []
+        recordings: list[Recording] = []
         things = self.recorded_hands(context)
         if things:
-            yield from record_steps(context, things, frames_to_write(context), self._recordings)
+            yield from record_steps(context, things, frames_to_write(context), recordings)
+        spec = self.job(context, recordings)
+        self._is_done = spec is None
+        if spec is None:
+            return
+        job = runtime.start_job(self.key, spec)
+        if not self.watched and runtime.timers_fire():
+            return
+        self.working, self._started = spec.title, time.monotonic()
+        try:
+            while not job.is_over:
+                yield Elsewhere(job.state.fraction or 0.0)
+                job.tick()
+        except JGHandFailure:  # Esc; when the window is closed, or another file is opened, it goes on
+            job.cancel()
+            raise
+        if job.state.failure is not None:
+            raise job.state.failure
+        if job.state.phase is not Phase.DONE:
+            raise JGHandFailure("canceled")
+        self._is_done = True
 
     def finished(self, context: bpy.types.Context) -> None:
-        spec = self.job(context, self._recordings)
-        if spec is None:
+        if self._is_done:
             self.tell(self.done(context))
-            return
-        self._job = runtime.start_job(self.key, spec)
-
-    def run(self, context: bpy.types.Context) -> None:
-        super().run(context)
-        if self._job is not None and (self.wait or not runtime.timers_fire()):
-            self._job.wait(_WAIT_S)
-            self._end(context, self._job)
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """First the turns, which nothing may disturb; then a look at the job now and then."""
-        if self._job is None:
-            result = super().modal(context, event)
-            if self._job is None or result != DONE or not self.watched:
-                return result
-            self._timer = context.window_manager.event_timer_add(JOB_LOOK_S, window=context.window)
-            return {"RUNNING_MODAL"}
-        # the Esc that ends playback is playback's
-        if event.type == "ESC" and event.value == "PRESS" and not context.screen.is_animation_playing:
-            self._job.cancel()
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        runtime.jobs().tick()
-        context.workspace.status_text_set(
-            rpt_("{title}: {sentence}  ·  Esc cancels").format(
-                title=rpt_(self._job.spec.title), sentence=self._job.state.sentence(rpt_)
-            )
-        )
-        redraw()
-        if not self._job.is_over:
-            return {"PASS_THROUGH"}
-        self.cancel(context)
-        try:
-            self._end(context, self._job)
-        except JGHandFailure as failure:
-            self.report(ERROR, sentence_of(failure))
-            return CANCELLED
-        return DONE
-
-    def _end(self, context: bpy.types.Context, job: Job) -> None:
-        if job.state.phase is Phase.DONE:
-            self.tell(self.done(context))
-        elif job.state.phase is Phase.FAILED and job.state.failure is not None:
-            raise job.state.failure
-        else:
-            self.report(INFO, rpt_("Canceled"))
 
 
 # ---- what is recorded ------------------------------------------------------------------------------------------------

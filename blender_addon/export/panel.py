@@ -10,13 +10,10 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui, versions
 from ..errors import JGHandFailure
-from ..hand import avatar_files
-from ..hand.seen_hands import avatar_of
 from ..render import scene_light
 from ..renderer import runtime
 from ..renderer.panel import draw_job
-from . import bakes, ops_common, usd_hook
-from .recording import export_bytes, free_bytes, size_sentence
+from . import bakes
 
 
 class BakePanel(ui.HandSidebar, bpy.types.Panel):
@@ -32,7 +29,6 @@ class BakePanel(ui.HandSidebar, bpy.types.Panel):
         if not versions.has_native_splats():
             column.prop(settings, "bake_width_factor")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
-        _draw_size(layout, context, settings.bake_folder)
         hand = ui.active(context)
         if hand is None or not hand.jghand.bake:
             return
@@ -64,11 +60,6 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
             if scene_light.is_chosen(context.scene):
                 ui.paragraph(layout, context, "Colors show the light of the scene in the current frame", icon="INFO")
         layout.operator("jghand.export", icon="EXPORT")
-        if settings.format != "motion":
-            _draw_size(layout, context, settings.folder, ply=settings.format == "ply")
-        layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
-        for note in usd_hook.left_out():
-            ui.paragraph(layout, context, note, icon="ERROR")
 
 
 def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
@@ -127,30 +118,6 @@ def _look_at_bake(context: bpy.types.Context, uid: int) -> _SeenBake | None:
         return _SeenBake(failure.advice.sentence)
     plays = bool(bakes.playing(context.scene, folder))
     return _SeenBake("", baked[0].first_frame, baked[0].last_frame, tuple(reasons), plays)
-
-
-def _draw_size(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, *, ply: bool = False) -> None:
-    """What the chosen hands and frames take at most, before the click."""
-    seen = ui.kept(context, _look_at_size, folder, ply)
-    if seen is not None:
-        size, free = seen
-        icon = "NONE" if free is None or size < free else "ERROR"
-        layout.label(text=size_sentence(size, free, iface_), icon=icon, translate=False)
-
-
-def _look_at_size(context: bpy.types.Context, folder: str, ply: bool) -> tuple[int, int | None] | None:
-    """Bytes of the files, and those that are free on the disk."""
-    things = ops_common.hands_to_write(context)
-    if not things:
-        return None
-    try:
-        free = free_bytes(ops_common.place(context, folder))
-    except JGHandFailure:
-        free = None  # said after the click, with what to do
-    frames = len(ops_common.frames_to_write(context))
-    hands = [avatar_files.gaussians_of(avatar_of(thing)) for thing in things]
-    size = sum(export_bytes(count, frames, learned=learned, ply=ply) for count, learned in hands)
-    return size, free
 
 
 CLASSES = (BakePanel, ExportPanel)

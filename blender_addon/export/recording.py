@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import json
 import re
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..core.panel_text import Translate
 from ..core.view import SHIPPED_AVATARS
 from ..errors import JGHandFailure
 from ..hand import avatar_files
@@ -26,11 +22,6 @@ from ..hand.motion_files import MotionFile, write_motion
 
 # names that Windows keeps for devices, whatever follows after a dot
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
-# bytes of one Gaussian and frame; as the engine's exporters write them
-_PLY_BYTES = 68
-_POSITION_BYTES, _COLOR_BYTES = 12, 24
-# what a USD stage holds beside its samples: skeleton and mesh, and of every Gaussian what does not move (measured)
-_STATIC_BYTES, _STATIC_GAUSSIAN_BYTES = 300_000, 98
 # how the digest of an avatar ends whose forearm is left out
 NO_FOREARM = " no forearm"
 
@@ -65,11 +56,6 @@ class Recording:
     # (F, 4) how it is turned, see `posing.forearm_rotations`; None: as the palm carries it
     forearm_turns: np.ndarray | None = None
 
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the joints as the engine stamps its exports with: float32, little-endian, standard order."""
-        return hashlib.sha256(self.joints_m.astype("<f4").tobytes()).hexdigest()
-
     def save(self, path: Path) -> None:
         """Writes a motion file. JGHandFailure: cannot_write, disk_full."""
         write_motion(path, MotionFile(self.joints_m, self.fps, self.handedness, forearm=self.forearm_turns))
@@ -77,8 +63,8 @@ class Recording:
     def export_words(self, kind: str, scratch: Path, out: Path, *options: str) -> tuple[str, ...]:
         """Writes the motion into `scratch`; the words of the engine's command line that export it to `out`.
 
-        kind: "usd" for NAME.usda and its layers, "ply" for NAME.0001.ply and so on. What it did is then in
-        scratch/NAME.json (`check_made`). JGHandFailure: cannot_write, disk_full.
+        kind: "usd" for NAME.usda and its layers, "ply" for NAME.0001.ply and so on. JGHandFailure: cannot_write,
+        disk_full.
         """
         motion = scratch / f"{self.name}.npz"
         self.save(motion)
@@ -87,7 +73,7 @@ class Recording:
             *("--name", self.name, "--first-frame", str(self.first_frame), "--up", "z"),
             # the hand that is seen: nothing is repaired on the way
             *("--keep-bone-lengths", "--on-missing", "stop", "--any-proportions"),
-            *("--json", str(scratch / f"{self.name}.json"), "--overwrite", *options),
+            *("--overwrite", *options),
             *([] if self.forearm else ["--no-forearm"]),
         )
 
@@ -95,21 +81,6 @@ class Recording:
 def usd_options(variant: str, width_factor: float, radiance: str = "srgb") -> list[str]:
     """Options of `export_words`. variant: what a program shows that cannot choose."""
     return ["--default-variant", variant, "--width-factor", f"{width_factor:g}", "--radiance", radiance]
-
-
-def check_made(path: Path, recording: Recording) -> dict[str, Any]:
-    """What the engine said of an export or bake that it made of a recording, from its JSON file.
-
-    JGHandFailure (internal) where it was made of another motion.
-    """
-    try:
-        figures = json.loads(path.read_text(encoding="utf-8"))
-        joints = figures["made_from"]["joints_sha256"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise JGHandFailure("internal", f"{path}: {error}") from error
-    if joints != recording.digest:
-        raise JGHandFailure("internal", f"{recording.name}: the renderer wrote other joints than it was given")
-    return figures
 
 
 def file_names(names: Sequence[str]) -> list[str]:
@@ -149,46 +120,6 @@ def avatar_digest(avatar: str, *, forearm: bool = True) -> str:
 def _file_digest(path: Path, _changed_ns: int, _size: int) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def export_bytes(gaussians: int, frames: int, *, learned: bool, ply: bool = False) -> int:
-    """Size of the files of one hand at most: frames that are alike are stored once. learned: whether its colors change
-    with the pose, as a trained avatar's do; ply: PLY files instead of USD, where a hand that changes its size takes a
-    little more."""
-    if ply:
-        return gaussians * frames * _PLY_BYTES
-    sample = _POSITION_BYTES + _COLOR_BYTES * learned
-    return (
-        gaussians * (frames + 1) * sample
-        + gaussians * (_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned))
-        + _STATIC_BYTES
-    )
-
-
-def free_bytes(folder: Path) -> int | None:
-    """What is free where a folder is, or will be; None where that is not known."""
-    there = next((path for path in (folder, *folder.parents) if path.exists()), None)
-    try:
-        return shutil.disk_usage(there).free if there is not None else None
-    except OSError:
-        return None
-
-
-def size_sentence(size: int, free: int | None, translate: Translate = str) -> str:
-    """How large an export is at most, and whether there is too little room for it."""
-    if free is None or size < free:
-        return translate("Up to {size}").format(size=readable(size))
-    template = translate("Up to {size}, and only {free} are free")
-    return template.format(size=readable(size), free=readable(free))
-
-
-def readable(size: float) -> str:
-    """`720 kB`, `46 MB`, `1.3 GB`."""
-    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
-        if size >= factor:
-            value = size / factor
-            return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
-    return f"{size / 1e3:.0f} kB"
 
 
 def with_file_name(folder: str, blend: str) -> str:

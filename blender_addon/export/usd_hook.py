@@ -27,10 +27,6 @@ from ..hand import armature, stand_ins
 from . import bakes
 
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
-# what the last export did and did not, in sentences, for the panel and the operator
-notes: list[str] = []
-_LEFT_OUT = "left out"
-
 
 _Hook: Any = getattr(bpy.types, "USDHook", object)  # a Blender may be built without USD
 
@@ -45,17 +41,16 @@ class JGHandUsdHook(_Hook):
     @staticmethod
     def on_export(export_context: Any) -> bool:
         """Blender's entry, at the end of an export."""
-        notes.clear()
         try:
             stage, depsgraph = export_context.get_stage(), export_context.get_depsgraph()
             drop_stand_ins(stage, depsgraph.scene)
-            notes.extend(add_splats(stage, depsgraph))
+            left_out = add_splats(stage, depsgraph)
         except Exception as error:
             # anything else that left here would take Blender and the artist's scene with it
             traceback.print_exc()
-            notes.append(f"The splats were {_LEFT_OUT}: {error}")
-        if left_out():  # Blender's export runs on a thread of its own
-            ui.show_later(f"{iface_('Not all hands are in the USD file.')} {' '.join(left_out())}", icon="ERROR")
+            left_out = [f"The splats were left out: {error}"]
+        if left_out:  # Blender's export runs on a thread of its own
+            ui.show_later(f"{iface_('Not all hands are in the USD file.')} {' '.join(left_out)}", icon="ERROR")
         return True
 
     @staticmethod
@@ -78,17 +73,6 @@ def color_points(things: Iterable[bpy.types.ID]) -> None:
             cloud.materials.append(bakes.points_material(lit="roughness" in cloud.attributes))
 
 
-def left_out() -> list[str]:
-    """What the last export left out, in sentences."""
-    return [note for note in notes if _LEFT_OUT in note]
-
-
-def forget() -> None:
-    """Another file was opened."""
-    ui.show_later("")
-    notes.clear()
-
-
 def drop_stand_ins(stage: Any, scene: bpy.types.Scene) -> None:
     """Takes what throws the hands' shadows in Blender out of a stage."""
     from pxr import Tf
@@ -100,10 +84,10 @@ def drop_stand_ins(stage: Any, scene: bpy.types.Scene) -> None:
 
 
 def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
-    """Puts the baked hands of a scene on Blender's stage; returns what was done and what was not, in sentences."""
+    """Puts the baked hands of a scene on Blender's stage; returns which were left out, in sentences."""
     whole = Path(stage.GetRootLayer().realPath)
     target = whole.with_name(f"{whole.stem}_jghand")
-    said = []
+    left_out = []
     for thing in depsgraph.scene.objects:
         if not armature.is_any_hand(thing) or not _is_exported(stage, thing):
             continue
@@ -111,10 +95,9 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
             for hand, folder in usable_bakes(thing, depsgraph):
                 _bring_layers(hand, folder, target)
                 _reference(stage, hand, depsgraph.scene, target.name)
-                said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {hand.last_frame}.")
         except JGHandFailure as failure:
-            said.append(f"{thing.name}: {_LEFT_OUT}. {failure}")
-    return said
+            left_out.append(f"{thing.name}: left out. {failure}")
+    return left_out
 
 
 def _is_exported(stage: Any, thing: bpy.types.Object) -> bool:
@@ -214,4 +197,3 @@ def register() -> None:
 def unregister() -> None:
     if getattr(JGHandUsdHook, "is_registered", False):  # a Blender without USD gives its classes no such name
         bpy.utils.unregister_class(JGHandUsdHook)
-    forget()

@@ -135,16 +135,6 @@ def card_of(avatar: str) -> Card:
     return found
 
 
-def gaussians_of(avatar: str) -> tuple[int, bool]:
-    """How many Gaussians an avatar has and whether it is learned, for estimates: of one that cannot be read, those of
-    the avatar that comes with JGHand."""
-    try:
-        card = card_of(avatar)
-    except JGHandFailure:
-        card = SHIPPED_CARDS[BUILTIN_AVATAR]
-    return card.gaussians, card.learned
-
-
 def has_forearm(avatar: str) -> bool:
     """Whether an avatar has one; no for one that cannot be read."""
     try:

@@ -17,7 +17,6 @@ from bpy.app.handlers import persistent
 
 from .. import clock, ui
 from ..core import pacing
-from ..export import usd_hook
 from ..hand import seen_hands, stand_ins
 from ..render import exact_light, handover, lamps, probe, rendering, scene_light, scene_shadows, worlds
 from ..renderer import runtime
@@ -221,7 +220,7 @@ def on_load(*_: Any) -> None:
     """Another file: its views begin anew. The engine goes on."""
     rendering.end()
     views.clear()
-    usd_hook.forget()
+    ui.show_later("")
 
 
 @persistent

@@ -10,7 +10,7 @@ import pytest
 
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import avatar_files
-from blender_addon.hand.avatar_files import SHIPPED_CARDS, card_of, gaussians_of, read_card, stamp
+from blender_addon.hand.avatar_files import SHIPPED_CARDS, card_of, read_card, stamp
 
 ASSETS = Path(__file__).resolve().parents[2] / "jghand_engine" / "assets"
 
@@ -85,11 +85,6 @@ def test_a_card_follows_its_file(tmp_path):
     for name in ("Ana", "Bettina"):
         write_avatar(path, name=name, gaussians=7)
         assert card_of(str(path)).name == name
-
-
-def test_an_estimate_for_an_avatar_that_cannot_be_read_takes_the_built_in_one(tmp_path):
-    assert gaussians_of(str(tmp_path / "gone.jghand")) == (40_000, True)
-    assert gaussians_of(str(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7))) == (7, False)
 
 
 def test_the_disk_is_asked_once_a_second(tmp_path, monkeypatch):

@@ -1,8 +1,7 @@
-"""What is exported and baked: names, sizes, stamps, and the words that the engine's command line understands."""
+"""What is exported and baked: names, and the words that the engine's command line understands."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,11 +15,7 @@ from blender_addon.export.recording import (
     Recording,
     avatar_digest,
     check_place,
-    export_bytes,
     file_names,
-    free_bytes,
-    readable,
-    size_sentence,
     usd_options,
     with_file_name,
 )
@@ -96,62 +91,6 @@ def test_the_engine_reads_it_back_too(tmp_path):
     back = engine.read_motion_file(tmp_path / "motion.npz").sequence
     assert (from_level(back.joints_m, JointOrder.STANDARD) == recording.joints_m).all()
     assert (back.fps, str(back.handedness)) == (24.0, "right")
-
-
-def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
-    pytest.importorskip("safetensors", reason="needs the engine's packages")
-    from jghand_engine.avatar.builtin import load_painted
-    from jghand_engine.export import made_from
-    from jghand_engine.hand.joints import Handedness
-    from jghand_engine.motion.read import read_motion_file
-
-    recording = a_recording()
-    recording.save(tmp_path / "motion.npz")
-    stamp = made_from.made_from(
-        load_painted(handedness=Handedness.RIGHT), read_motion_file(tmp_path / "motion.npz").sequence
-    )
-    assert stamp["joints_sha256"] == recording.digest
-
-
-# ---- sizes -----------------------------------------------------------------------------------------------------------
-
-
-def test_sizes_are_said_in_few_digits():
-    assert [readable(size) for size in (720e3, 4.08e6, 45.9e6, 1.34e9)] == ["720 kB", "4.1 MB", "46 MB", "1.3 GB"]
-
-
-def test_a_disk_that_is_too_small_is_told():
-    assert "only 1 kB are free" in size_sentence(10_000_000, 1000)
-
-
-def test_estimates_are_translated_before_figures_are_put_in():
-    words = {"Up to {size}": "Bis {size}", "Up to {size}, and only {free} are free": "Bis {size}, frei sind {free}"}
-    assert size_sentence(10_000_000, None, words.__getitem__) == "Bis 10 MB"
-    assert size_sentence(10_000_000, 1000, words.__getitem__) == "Bis 10 MB, frei sind 1 kB"
-
-
-def test_the_estimate_of_an_export_is_its_size(tmp_path):
-    """Of a motion without two frames alike. Worst observed: 5 % too much of a USD stage, which packs colors a bit."""
-    pytest.importorskip("torch", reason="needs the engine's packages")
-    from jghand_engine.avatar.builtin import load_builtin, load_painted
-    from jghand_engine.export.splats.files import export_splats
-    from jghand_engine.export.usd.package import export_usd
-    from jghand_engine.hand.joints import Handedness
-    from jghand_engine.motion.read import read_motion_file
-
-    avatar = load_builtin(handedness=Handedness.RIGHT)
-    still = a_recording(12)
-    moving_m = still.joints_m + np.random.default_rng(0).normal(0, 2e-3, still.joints_m.shape)
-    replace(still, joints_m=moving_m).save(tmp_path / "motion.npz")
-    motion = read_motion_file(tmp_path / "motion.npz").sequence
-    painted = load_painted(handedness=Handedness.RIGHT)
-    for written, hand, ply, learned in (
-        (export_splats(tmp_path / "ply", avatar, motion).bytes, avatar, True, True),
-        (sum(export_usd(tmp_path / "usd", avatar, motion).bytes.values()), avatar, False, True),
-        (sum(export_usd(tmp_path / "painted", painted, motion).bytes.values()), painted, False, False),
-    ):
-        assert export_bytes(len(hand), len(motion), learned=learned, ply=ply) == pytest.approx(written, rel=0.1)
-    assert free_bytes(tmp_path / "not" / "there")
 
 
 # ---- avatars ---------------------------------------------------------------------------------------------------------

@@ -47,7 +47,6 @@ NOT_UNDONE = {
     "cancel_job": "a job is none of the file",
     **dict.fromkeys(("install_tools", "remove_tools"), "the training tools are none of the file"),
     "make_pose_assets": "writes files and a preference",
-    "export_scene_usd": "writes a file",
     "add_picture_preset": "writes a file",
     "install_hands": "writes files of the user",
 }
@@ -58,7 +57,7 @@ ANYWHERE = {
     **dict.fromkeys(
         ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
     ),
-    **dict.fromkeys(("open_preferences", "train", "export_scene_usd", "install_hands"), _NEEDS_NOTHING),
+    **dict.fromkeys(("open_preferences", "train", "install_hands"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
     **dict.fromkeys(("add_picture_preset",), _ROW),
