@@ -84,7 +84,7 @@ ADVICE = {
     "canceled": Advice("Canceled", "Start it again when it is wanted", INTERRUPTED),
     "no_graphics": Advice(
         "The graphics driver does not draw the hand",
-        'Make the view smaller, switch "Show Hands" off and on in Render Properties, or update the driver',
+        "Make the view smaller, or update the driver",
         TRY_AGAIN,
     ),
     "token": Advice("Unexpected server", 'Press "Restart Renderer"', TRY_AGAIN),

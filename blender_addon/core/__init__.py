@@ -14,7 +14,6 @@ facets          triangles on which light is baked, and what they say of it at po
 film            that picture as Blender's passes (numpy)
 files           files that appear under their name only when they are whole
 wire            what extension and engine share: the protocol, and how other people name the bones of a hand
-pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show; what failed is
-                tried again, and left alone after a few times
+pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show
 panel_text      what panels say: the renderer's state, a picture's receipt, a bone map
 """

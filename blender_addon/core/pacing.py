@@ -38,9 +38,6 @@ STALE_S = 2.0
 MOVING_PIXELS_MAX, STILL_PIXELS_MAX, SHARP_PIXELS_MAX = 200_000, 1_000_000, 2_100_000
 # requests and failures that a view remembers
 ASKS_KEPT, FAILURES_KEPT = 8, 32
-# how often in a row a view tries to draw what the graphics driver refuses, and its rest between, seconds: after
-# a lost context a driver needs a moment; one that cannot draw at all would fail, and say so, at every redraw
-DRAW_TRIES, DRAW_REST_S = 3, 2.0
 
 
 class Grade(IntEnum):
@@ -386,23 +383,3 @@ def _tag(want: Want, quality: Quality) -> str:
     pixels = min(want.pixels, quality.pixels_max)
     budget = "" if quality.budget_ms is None else f"{quality.budget_ms:g}ms"
     return f"{_content(want)}{pixels}.{quality.preset}{budget}"
-
-
-@dataclass(frozen=True)
-class Attempts:
-    """failed: times in a row · again_s: not before then, on any clock that only goes forward"""
-
-    failed: int = 0
-    again_s: float = 0.0
-
-    def allowed(self, now_s: float) -> bool:
-        """Whether it may be tried now."""
-        return self.failed < DRAW_TRIES and now_s >= self.again_s
-
-    def after_failure(self, now_s: float) -> Attempts:
-        """It failed once more."""
-        return Attempts(self.failed + 1, now_s + DRAW_REST_S)
-
-    def due_s(self) -> float | None:
-        """When it is tried again; None where that is not to come."""
-        return self.again_s if 0 < self.failed < DRAW_TRIES else None

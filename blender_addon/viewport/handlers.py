@@ -46,7 +46,6 @@ def tick() -> float:
     ui.show_what_waits()
     _follow_status()
     _follow_problems()
-    _redraw(views.try_again())
     if not handover.is_blender_busy():
         stand_ins.tend()
         if scene_light.tend():
@@ -144,8 +143,6 @@ def draw_overlay() -> None:
     context = bpy.context
     if views.draws(context.space_data, context.scene, views.SOLID):
         views.draw(context, context.evaluated_depsgraph_get, views.SOLID)
-    else:
-        views.may_draw_again(context.region.as_pointer(), views.SOLID)
 
 
 def add_drawing() -> None:

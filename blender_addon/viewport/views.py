@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -21,7 +20,7 @@ import numpy as np
 
 from .. import clock
 from ..core import pacing
-from ..core.pacing import Activity, Attempts, DrawMoment, Pace, ViewSettings, Want
+from ..core.pacing import Activity, DrawMoment, Pace, ViewSettings, Want
 from ..core.panel_text import HANDS
 from ..core.view import HandInSpace, Part, SceneLight, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
@@ -57,8 +56,8 @@ class Place:
 class View:
     """One region (its address) and one kind of drawing. part: that can show the hands, None when they are out of sight
     · places: of the pictures that were asked for, by tag · came: the newest picture, not yet textures · taken: the
-    newest answer that was looked at · unreadable: hands by name, and why · drawn: whether the last draw showed one ·
-    has_depth: whether Blender left the depth of the scene"""
+    newest answer that was looked at · unreadable: hands by name, and why · undrawn: why the last draw failed · drawn:
+    whether it showed one · has_depth: whether Blender left the depth of the scene"""
 
     region: int
     kind: str
@@ -75,6 +74,7 @@ class View:
     taken: Answer | None = None
     failure: JGHandFailure | None = None
     unreadable: list[tuple[str, JGHandFailure]] = field(default_factory=list)
+    undrawn: JGHandFailure | None = None
     round_trip_s: float = 0.0
     drawn: bool = False
     has_depth: bool = True
@@ -86,8 +86,6 @@ class View:
 
 
 _views: dict[tuple[int, str], View] = {}
-# region and kind of views whose drawing failed: how often, and why
-_drawing: dict[tuple[int, str], tuple[Attempts, JGHandFailure]] = {}
 # when Blender came to the present frame, on the clock of time.monotonic()
 _step_s = 0.0
 _turn = pacing.Turn()
@@ -146,45 +144,22 @@ def draw(context: bpy.types.Context, depsgraph: Callable[[], bpy.types.Depsgraph
     """Draws the hands into the view that Blender draws now, while a render has the engine those that it has.
 
     What Blender calls to draw must not raise: it would be said at every redraw, and what comes after it may be lost. A
-    view that fails begins anew after a rest, a few times; the panel says why.
+    view that fails begins anew with the next redraw; the panel says why.
     """
     key = (context.region.as_pointer(), kind)
-    attempts, _ = _drawing.get(key, (Attempts(), None))
-    if not attempts.allowed(now_s()):
-        return
     try:
         if rendering.now():
             show_again(context, kind)
         else:
             show(context, depsgraph(), kind)
     except Exception as error:
-        if not attempts.failed:  # said once, and kept for the panel
-            traceback.print_exc()
+        clock.tell_once(error)
         known = isinstance(error, JGHandFailure)
         failure = error if known else JGHandFailure("internal", f"{type(error).__name__}: {error}")
-        _drawing[key] = (attempts.after_failure(now_s()), failure)
         if key in _views:
             remove(_views[key])
+        _views[key] = View(*key, undrawn=failure)
         gpu_picture.renew()
-        return
-    view = _views.get(key)
-    if view is not None and view.drawn:
-        _drawing.pop(key, None)
-
-
-def may_draw_again(region: int, kind: str) -> None:
-    """Somebody switched this kind of view off: a failure does not count any more once it is on again."""
-    _drawing.pop((region, kind), None)
-
-
-def try_again() -> set[int]:
-    """Regions whose rest after a failure is over: they are to be drawn."""
-    now = now_s()
-    return {
-        region
-        for (region, _), (attempts, _) in _drawing.items()
-        if (due_s := attempts.due_s()) is not None and due_s <= now
-    }
 
 
 def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) -> None:
@@ -216,6 +191,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
             if kind == SOLID:
                 shown_bones.keep_visible(things, context)
             _draw(view)
+        view.undrawn = None
 
 
 def show_again(context: bpy.types.Context, kind: str) -> None:
@@ -420,7 +396,6 @@ def clear() -> None:
     """Forgets every view, as when another file was opened: the next draw begins anew."""
     for view in all_views():
         remove(view)
-    _drawing.clear()
     seen_hands.forget()
     scene_light.forget()
 
@@ -452,9 +427,9 @@ def late_frames() -> int:
 def problems() -> list[tuple[str, JGHandFailure]]:
     """Why hands, by the name of their object, or whole views ("") do not show: each only once."""
     found: dict[tuple[str, str], tuple[str, JGHandFailure]] = {}
-    for _, failure in _drawing.values():
-        found["", failure.kind] = ("", failure)
     for view in _views.values():
+        if view.undrawn is not None:
+            found["", view.undrawn.kind] = ("", view.undrawn)
         for name, failure in view.unreadable:
             found[name, failure.kind] = (name, failure)
         if view.failure is not None and view.pace.failure() is not None:

@@ -1,4 +1,4 @@
-"""A graphics driver that refuses to draw costs neither view nor console: it is said once and tried a few times."""
+"""A graphics driver that refuses to draw costs neither view nor console: it is said once, and tried again."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import pytest
 from recording_layout import RecordingLayout
 
-from blender_addon import ui
-from blender_addon.core import pacing
+from blender_addon import clock, ui
 from blender_addon.render import rendering
-from blender_addon.viewport import drawing, handlers, views
+from blender_addon.viewport import drawing, views
 
 REGION = 0x1234
 
@@ -34,21 +33,19 @@ def driver(extension, monkeypatch):
     """A view with a picture, drawn as Blender would."""
     driver = Driver()
     context = SimpleNamespace(region=SimpleNamespace(as_pointer=lambda: REGION), scene=extension.scene, space_data=None)
-    now = [100.0]
 
     def show(_context: object, _depsgraph: object, kind: str) -> None:
         view = views._views.setdefault((REGION, kind), views.View(REGION, kind))
         view.drawn = True
         with views._by_the_driver():
             driver.draw(view)
+        view.undrawn = None
 
     monkeypatch.setattr(views, "show", show)
-    monkeypatch.setattr(views, "now_s", lambda: now[0])
     monkeypatch.setattr(views, "remove", lambda view: views._views.pop((view.region, view.kind)))
-    driver.now, driver.context = now, context
+    driver.context = context
     yield driver
     views._views.clear()
-    views._drawing.clear()
 
 
 def redraw(driver: Driver, times: int = 1, kind: str = views.SOLID) -> None:
@@ -56,11 +53,10 @@ def redraw(driver: Driver, times: int = 1, kind: str = views.SOLID) -> None:
         views.draw(driver.context, lambda: None, kind)
 
 
-def test_it_is_said_once_and_tried_a_few_times_with_a_rest_between(driver, capfd):
-    for _ in range(20):
-        redraw(driver, 50)
-        driver.now[0] += pacing.DRAW_REST_S
-    assert driver.calls == pacing.DRAW_TRIES
+def test_it_is_said_once_and_tried_at_each_redraw(driver, capfd):
+    clock._told.clear()
+    redraw(driver, 50)
+    assert driver.calls == 50
     assert capfd.readouterr().err.count("Traceback") == 2  # the driver's, and what became of it
     (problem,) = views.problems()
     assert problem[1].kind == "no_graphics"
@@ -69,27 +65,10 @@ def test_it_is_said_once_and_tried_a_few_times_with_a_rest_between(driver, capfd
 
 def test_a_driver_that_recovers_shows_the_hand_and_the_sentence_goes(driver):
     redraw(driver, 10)
-    assert driver.calls == 1
-    assert not views.try_again()
-    driver.now[0] += pacing.DRAW_REST_S
-    assert views.try_again() == {REGION}
     driver.refuses = None
     redraw(driver)
     assert views.problems() == []
     assert views._views[REGION, views.SOLID].drawn
-    assert not views.try_again()
-
-
-def test_switching_the_view_off_and_on_tries_again(driver, monkeypatch):
-    for _ in range(20):
-        redraw(driver)
-        driver.now[0] += pacing.DRAW_REST_S
-    monkeypatch.setattr(handlers, "bpy", SimpleNamespace(context=driver.context))
-    monkeypatch.setattr(views, "draws", lambda *_: False)
-    handlers.draw_overlay()
-    assert views.problems() == []
-    redraw(driver)
-    assert driver.calls == pacing.DRAW_TRIES + 1
 
 
 def test_one_view_that_fails_does_not_stop_another(driver):
@@ -114,9 +93,8 @@ def test_rendered_mode_and_solid_are_drawn_alike(driver, monkeypatch):
     monkeypatch.setattr(drawing, "free_unwanted", lambda: None)
     depsgraph = SimpleNamespace(scene_eval=SimpleNamespace(render=SimpleNamespace(film_transparent=True)))
     views.ViewportEngine().view_draw(driver.context, depsgraph)
-    assert [key[1] for key in views._drawing] == [views.RENDERED]
+    assert [key[1] for key in views._views] == [views.RENDERED]
     monkeypatch.setattr(rendering, "now", lambda: True)
-    driver.now[0] += pacing.DRAW_REST_S
     views.ViewportEngine().view_draw(driver.context, depsgraph)
 
 

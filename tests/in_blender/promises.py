@@ -75,6 +75,7 @@ def step_a_driver_that_refuses_is_a_sentence_and_recovers(window):
         window.picture("driver_refuses")
     finally:
         gpu_picture.GpuPicture.__init__ = made
+    window.redraw()
     yield lambda: not views.problems()
     yield from window.settle()
     assert skin(window.crop(window.picture("driver_recovered"))).sum() > 0.8 * there
