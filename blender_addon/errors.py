@@ -130,7 +130,6 @@ ADVICE = {
         "If you trust the file, allow its scripts",
         BAD_INPUT,
     ),
-    "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),
     "mirrored": Advice(
         "This hand is mirrored on some of the frames only",
         "Export the frames before the flip and those after it separately",

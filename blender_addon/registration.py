@@ -24,7 +24,7 @@ from .hand import family, ops_motion, ops_pose, stand_ins
 from .hand import ops as hand_ops
 from .hand import panel as hand_panel
 from .hand import properties as hand_properties
-from .render import command, pages, preview, rendering
+from .render import command, preview, rendering
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
@@ -40,7 +40,7 @@ WITH_CLASSES = (
     *(preferences, hand_properties, scene_properties, render_engine, renderer_ops),
     *(family, hand_ops, ops_pose, ops_motion),
     *(render_ops, preview, export_ops, train_ops),
-    *(hand_panel, render_panel, export_panel, train_panel, pages),
+    *(hand_panel, render_panel, export_panel, train_panel),
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (

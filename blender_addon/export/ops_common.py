@@ -21,7 +21,6 @@ from ..errors import JGHandFailure
 from ..hand import armature, sources
 from ..hand.seen_hands import avatar_of
 from ..ops import DONE, Elsewhere, InTurns, missing, seen_frames
-from ..render import samples
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec, Phase
 from .recording import Recording, check_place, file_names, with_file_name
@@ -145,7 +144,7 @@ def record_steps(
     """Goes through the frames and yields the part that is done; at the end one recording per hand is in `into`.
 
     things: objects that are hands, a foreign rig counts up to two. The scene's frame is put back at the end, also when
-    this is closed half-way. JGHandFailure: no_hand, and what `sources.read_hands` and `samples.evaluated_at` raise;
+    this is closed half-way. JGHandFailure: no_hand, what `sources.read_hands` raises, and
     mirrored where a hand becomes the other one on the way.
     """
     if not things or not len(frames):
@@ -156,7 +155,7 @@ def record_steps(
     named: list[tuple[bpy.types.Object, str, str]] = []
     try:
         for place, frame in enumerate(frames):
-            depsgraph = samples.evaluated_at(now, frame, things)
+            depsgraph = armature.at_frame(now, frame)
             hands = [hand for thing in things for hand in sources.read_hands(thing, depsgraph)]
             named = named or named_hands(context, things)
             turned = [name for hand, (_, side, name) in zip(hands, named, strict=True) if hand.handedness != side]

@@ -29,7 +29,7 @@ from ..core.files import write_whole
 from ..errors import BAD_INPUT, JGHandFailure
 from ..hand import instances
 from ..renderer import runtime
-from . import ENGINE, composite, samples
+from . import ENGINE, composite
 from .properties import PRESETS
 
 _FRAMES = re.compile(r"(-?\d+)(?:-(-?\d+))?(?:,([1-9]\d*))?")
@@ -104,7 +104,8 @@ def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
         bpy.ops.wm.open_mainfile(filepath=str(options.file.resolve()), load_ui=False, use_scripts=options.allow_scripts)
     except RuntimeError as error:
         raise JGHandFailure("bad_file", f"{options.file}: {error}") from error
-    samples.check_scripts()
+    if bpy.app.autoexec_fail:  # nobody is there to see that Blender says so
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
     current = bpy.context.scene
     if not instances.sources_at_any_frame(bpy.context.view_layer):
         raise JGHandFailure("no_hand", str(options.file))

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The moments of a rendered picture: the hands and the camera at one frame, or at sub-frames while the shutter is open;
-and whether Blender evaluated them truly.
+"""The moments of a rendered picture: the hands and the camera at one frame, or at sub-frames while the shutter is open.
 
 Blender evaluates no sub-frames for an engine that is not its own; the engine asks for each. Source: BLENDER 5 and 8.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import bpy
@@ -38,18 +37,13 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     """Everything that a picture shows, in the order of time.
 
     frame_set: moves the scene, and evaluates `depsgraph`, to a frame and a part of the way to the next. The scene is
-    where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand,
-    scripts_blocked, broken_driver, hidden.
+    where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand, hidden.
     """
     there = instances.evaluated_sources(depsgraph)
     if not (there or _hands_elsewhere(depsgraph)):
         raise JGHandFailure("no_hand")
-    things = [thing for thing in there if not thing.hide_render]
-    known: instances.Known = {}
-    hands = [hand for thing in things for hand, _ in instances.hands_shown(thing, known, for_render=True)]
-    check_drivers((*things, *hands, frame.eye()), depsgraph)
     times = shutter_times(depsgraph.scene_eval)
-    names = [armature.name_in_files(thing) for thing in things]
+    names = [armature.name_in_files(thing) for thing in there if not thing.hide_render]
     if len(times) == 1:
         return [_moment(names, frame, depsgraph)]
     whole, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
@@ -167,58 +161,3 @@ def _background_node(world: bpy.types.World) -> bpy.types.Node | None:
         return None
     node = output.inputs["Surface"].links[0].from_node
     return node if node.type == "BACKGROUND" else None
-
-
-# ---- whether Blender evaluated it truly ------------------------------------------------------------------------------
-
-
-def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:
-    """What Blender evaluated at a frame, when it evaluated `things` truly.
-
-    A driver that Blender may not or cannot run leaves its channel as it was, with no more than a line in the log.
-    Raises JGHandFailure: scripts_blocked, broken_driver.
-    """
-    depsgraph = armature.at_frame(scene, frame)
-    check_scripts()
-    parts = [part for thing in things for part in armature.parts_of(thing)]
-    broken = [description for part in parts for description in _broken_drivers(part)]
-    if broken:
-        raise JGHandFailure("broken_driver", f"frame {frame:g}: {'; '.join(broken)}")
-    return depsgraph
-
-
-def check_drivers(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
-    """Whether the drivers of hands and cameras work where they were evaluated. Raises JGHandFailure: scripts_blocked,
-    broken_driver.
-
-    Of a file whose scripts are blocked, only the drivers that are needed matter, and those of them that are Python.
-    """
-    parts = [part.evaluated_get(depsgraph) for thing in things for part in armature.parts_of(thing)]
-    if bpy.app.autoexec_fail and any(_has_scripts(part) for part in parts):
-        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
-    broken = [description for part in parts for description in _broken_drivers(part)]
-    if broken:
-        raise JGHandFailure("broken_driver", "; ".join(broken))
-
-
-def _has_scripts(thing: bpy.types.Object) -> bool:
-    """Whether an object or its data has drivers that only Python can compute."""
-    return any(
-        curve.driver.type == "SCRIPTED" and not curve.driver.is_simple_expression and not curve.mute
-        for owner in ((thing, thing.data) if thing.data else (thing,))
-        for curve in (owner.animation_data.drivers if owner.animation_data else ())
-    )
-
-
-def check_scripts() -> None:
-    """JGHandFailure (scripts_blocked) when Blender met Python in the file that it may not run."""
-    if bpy.app.autoexec_fail:
-        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
-
-
-def _broken_drivers(thing: bpy.types.Object) -> Iterator[str]:
-    """The drivers of an object and of its data that are switched on and do not work."""
-    for owner in (thing, thing.data) if thing.data else (thing,):
-        for curve in owner.animation_data.drivers if owner.animation_data else ():
-            if not (curve.mute or curve.driver.is_valid):
-                yield f"{thing.name}: {curve.data_path} = {curve.driver.expression}"

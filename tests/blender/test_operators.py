@@ -25,7 +25,7 @@ from blender_addon.hand import armature, controls, motion, motion_files, sources
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import properties as hand_properties
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE, sentence_of
-from blender_addon.render import ENGINE, pages
+from blender_addon.render import ENGINE
 from blender_addon.render import ops as picture
 from blender_addon.render import properties as scene_properties
 
@@ -47,7 +47,6 @@ NOT_UNDONE = {
     "cancel_job": "a job is none of the file",
     **dict.fromkeys(("install_tools", "remove_tools"), "the training tools are none of the file"),
     "make_pose_assets": "writes files and a preference",
-    "add_picture_preset": "writes a file",
     "install_hands": "writes files of the user",
 }
 _NEEDS_NOTHING = "makes what it needs, or needs nothing"
@@ -60,7 +59,6 @@ ANYWHERE = {
     **dict.fromkeys(("open_preferences", "train", "install_hands"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
-    **dict.fromkeys(("add_picture_preset",), _ROW),
 }
 _OF_FILE_BROWSERS = ("filepath", "directory", "files")
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
@@ -808,20 +806,6 @@ def test_names_and_tooltips_follow_blenders_habits(extension):
                 assert item.name, (owner.identifier, one.identifier, item.identifier)
                 assert item.description, (owner.identifier, one.identifier, item.identifier)
                 assert not item.description.endswith("."), (owner.identifier, one.identifier, item.identifier)
-
-
-def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
-    settings = extension.scene.jghand
-    settings.render_preset, settings.motion_samples, settings.viewport_budget_ms = "draft", 4, 9.0
-    assert bpy.ops.jghand.add_picture_preset(name="Quick Look") == {"FINISHED"}
-    (path,) = [Path(folder, name) for folder in bpy.utils.preset_paths(pages.FOLDER) for name in os.listdir(folder)]
-    for name in pages.PRESET_VALUES:
-        settings.property_unset(name)
-    assert settings.render_preset == "final"
-    bpy.ops.script.execute_preset(filepath=str(path), menu_idname="RENDER_PT_jghand_presets")
-    assert (settings.render_preset, settings.motion_samples, settings.viewport_budget_ms) == ("draft", 4, 9.0)
-    bpy.ops.jghand.add_picture_preset(name="Quick Look", remove_name=True)
-    assert not path.exists()
 
 
 @pytest.mark.parametrize("path", ["/shots/hand--final.jghand", "/shots/hand--size/x"])

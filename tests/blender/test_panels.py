@@ -16,7 +16,6 @@ from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, controls, seen_hands
 from blender_addon.hand import panel as hand_panel
 from blender_addon.hand import poses as pose_library
-from blender_addon.render import pages
 from blender_addon.render import panel as picture
 from blender_addon.renderer import runtime
 from blender_addon.renderer.link import Status
@@ -84,7 +83,7 @@ def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
         hand_panel.BonesPanel,
         hand_panel.MotionPanel,
         picture.RenderPanel,
-        pages.QualityPage,
+        picture.QualityPage,
     ):
         assert draw(panel, extension) is None
 
@@ -257,9 +256,9 @@ def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatc
 
 def test_dropped_frames_are_counted(extension, engine, monkeypatch):
     add()
-    assert "Dropped" not in text_of(draw(pages.StatisticsPage, extension))
+    assert "Dropped" not in text_of(draw(picture.StatisticsPage, extension))
     monkeypatch.setattr(views, "late_frames", lambda: 7)
-    assert "Dropped frames: 7" in draw(pages.StatisticsPage, extension).texts
+    assert "Dropped frames: 7" in draw(picture.StatisticsPage, extension).texts
 
 
 def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
@@ -267,7 +266,7 @@ def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
     runtime.set_report(runtime.VIEWPORT, RECEIPT)
     extension.scene.jghand.use_viewport_budget = True
     extension.scene.jghand.viewport_budget_ms = 5.0
-    seen = draw(pages.StatisticsPage, extension)
+    seen = draw(picture.StatisticsPage, extension)
     assert "index1: flexion 12° outside trained range" in seen.texts
     assert "Over Budget" in seen.texts
     bars = [one.arguments for one in seen.drawn if one.function == "progress"]
