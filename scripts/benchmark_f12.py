@@ -60,8 +60,8 @@ def _measured(width: int, height: int, frames: int, engine_python: str | None) -
     from blender_addon.hand import armature, framing
     from blender_addon.render import camera
     from blender_addon.renderer import runtime
-    from blender_addon.renderer.engine_command import engine_command
     from blender_addon.renderer.link import EngineLink
+    from blender_addon.renderer.process import engine_command
 
     registration.register()
     words = engine_command(engine_python, checkout=ROOT)

@@ -2,7 +2,7 @@
 
 `engine/common` holds the package and the pure Python packages that it wants, `engine/PLATFORM` what is compiled for a
 platform but for the kernels, which lie in the package; Blender's own Python runs it as a process of its own
-(blender_addon/renderer/engine_command.py). The kernels are built by zig for every platform from this one; zig and the
+(blender_addon/renderer/process.py). The kernels are built by zig for every platform from this one; zig and the
 packages come from PyPI once and are kept in `.envs`.
 """
 

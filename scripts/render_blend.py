@@ -24,7 +24,7 @@ def main() -> int:
     sys.path.insert(0, str(ROOT))
     from blender_addon import registration
     from blender_addon.render import command
-    from blender_addon.renderer.engine_command import VARIABLE
+    from blender_addon.renderer.process import VARIABLE
 
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--engine-python", default=os.environ.get(VARIABLE, ""))

@@ -13,7 +13,7 @@ from .. import folders
 from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
 from ..ops import REGISTERED, Reporting
-from . import hand_packs
+from . import avatar_files
 from .seen_hands import HANDS, hand_folders
 
 # Blender keeps no texts of dynamic items, nor their pictures
@@ -24,7 +24,7 @@ _pictures: list[bpy.utils.previews.ImagePreviewCollection] = []
 def items(_owner: object = None, _context: bpy.types.Context | None = None) -> list[tuple[str, str, str, int, int]]:
     """Of an enumeration: the built-in hand, then the others. Their numbers hold until hands are installed."""
     found = [(BUILTIN_AVATAR, "Built-in", "The hand that comes with JGHand", icon_of(_picture_of(BUILTIN_AVATAR)), 0)]
-    for place, hand in enumerate(hand_packs.hands_in(hand_folders()), 1):
+    for place, hand in enumerate(avatar_files.hands_in(hand_folders()), 1):
         found.append((hand.name, hand.title, str(hand.file), icon_of(hand.picture), place))
     if found != _items:
         _items[:] = found
@@ -32,7 +32,7 @@ def items(_owner: object = None, _context: bpy.types.Context | None = None) -> l
 
 
 def _picture_of(name: str) -> Path | None:
-    paths = (folder / f"{name}{hand_packs.PICTURE}" for folder in hand_folders())
+    paths = (folder / f"{name}{avatar_files.PICTURE}" for folder in hand_folders())
     return next((path for path in paths if path.is_file()), None)
 
 
@@ -70,7 +70,7 @@ class InstallHands(Reporting, bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath))
         if not path.is_file():
             raise JGHandFailure("bad_pack", str(path))
-        names, broken = hand_packs.unpack(path, folders.user_folder(HANDS))
+        names, broken = avatar_files.unpack(path, folders.user_folder(HANDS))
         told = rpt_("Installed hands: {names}.").format(names=", ".join(names) or "0")
         if broken:
             text = rpt_("Damaged, and left out: {names}. Get the zip again.")

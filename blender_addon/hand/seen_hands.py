@@ -18,7 +18,7 @@ import numpy as np
 from .. import clock, folders
 from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, HandInSpace
 from ..errors import JGHandFailure
-from . import avatar_files, hand_packs, instances, sources
+from . import avatar_files, instances, sources
 
 # the folder of this user's hands, and where hands lie that came with JGHand: in the engine that the extension carries,
 # or in the one that it lies beside in a checkout
@@ -96,14 +96,14 @@ def avatar_of(thing: bpy.types.Object) -> str:
     """The avatar of a hand's object: an absolute path, also of a hand that it has by its name, or the name of one that
     comes with the renderer."""
     text = thing.jghand.avatar
-    return named(text) if hand_packs.is_name(text) else folders.absolute(thing, "avatar") or BUILTIN_AVATAR
+    return named(text) if avatar_files.is_name(text) else folders.absolute(thing, "avatar") or BUILTIN_AVATAR
 
 
 def named(name: str) -> str:
     """The avatar of a name, as `avatar_of`: its file lies where a pack would put it when there is none."""
     if name in SHIPPED_AVATARS:
         return name
-    files = [folder / f"{name}{hand_packs.SUFFIX}" for folder in hand_folders()]
+    files = [folder / f"{name}{avatar_files.SUFFIX}" for folder in hand_folders()]
     return str(next((file for file in files if file.is_file()), files[-1]))
 
 

@@ -25,9 +25,9 @@ from ..errors import JGHandFailure
 from ..preferences import preferences
 from ..ui import PANELS, redraw
 from . import install_tools
-from .engine_command import CARRIED, engine_command, engine_program
 from .jobs import JOB_LOOK_S, Job, JobSpec, JobTable
 from .link import EngineLink
+from .process import CARRIED, engine_command, engine_program
 
 # kinds of pictures whose receipts are kept
 VIEWPORT, RENDER = "viewport", "render"

@@ -13,7 +13,7 @@ from .. import folders, ui
 from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
-from ..hand import hand_packs
+from ..hand import avatar_files
 from ..hand.motion_jobs import FETCH, VIDEO_SUFFIXES, option_words
 from ..hand.properties import HANDS as SIDES
 from ..hand.seen_hands import HANDS
@@ -182,7 +182,7 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
         program, scratch = runtime.program(learns=True), folders.job_folder()
 
         def take_picture() -> None:
-            (scratch / PICTURE).replace(out.with_suffix(hand_packs.PICTURE))
+            (scratch / PICTURE).replace(out.with_suffix(avatar_files.PICTURE))
 
         return JobSpec(
             "Making your hand",
@@ -198,8 +198,8 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
 
     def _out(self) -> Path:
         """Among the hands that Add Hand offers."""
-        name = hand_packs.name_of_film(Path(bpy.path.abspath(self.filepath)))
-        return folders.user_folder(HANDS) / f"{name}{hand_packs.SUFFIX}"
+        name = avatar_files.name_of_film(Path(bpy.path.abspath(self.filepath)))
+        return folders.user_folder(HANDS) / f"{name}{avatar_files.SUFFIX}"
 
 
 CLASSES = (RenderTrainingSet, Train, HandFromFilm)

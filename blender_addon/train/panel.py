@@ -13,7 +13,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
-from ..hand import family, hand_packs
+from ..hand import avatar_files, family
 from ..hand.panel import HandPanel
 from ..preferences import preferences
 from ..renderer import runtime
@@ -173,7 +173,7 @@ class FilmPanel(Sidebar, bpy.types.Panel):
 
 def _draw_own(layout: bpy.types.UILayout, work: Path) -> None:
     """The proof of a hand that was made, and what can be done with it. work: its folder of work"""
-    proof, avatar = work / "sheet.png", work.with_suffix(hand_packs.SUFFIX)
+    proof, avatar = work / "sheet.png", work.with_suffix(avatar_files.SUFFIX)
     if proof.is_file():
         layout.template_icon(icon_value=family.icon_of(proof), scale=_PICTURE_UNITS)
         layout.operator("wm.path_open", text="Film and Hand Side by Side", icon="IMAGE_DATA").filepath = str(proof)

@@ -26,12 +26,11 @@ from ..core.view import HandInSpace, Part, SceneLight, part_with, picture_of, pi
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
 from ..render import ENGINE, rendering, scene_light
+from ..render.camera import ViewCamera, view_camera
 from ..render.samples import background
 from ..renderer import runtime
 from ..renderer.link import Answer
 from . import drawing as gpu_picture
-from . import shown_bones
-from .view_camera import ViewCamera, view_camera
 
 # how often the timer looks while a request is open, and at the least while its answer is due
 OPEN_TICK_S, SHORTEST_TICK_S = 0.05, 0.005
@@ -189,7 +188,7 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     if view.drawn:
         with _by_the_driver():
             if kind == SOLID:
-                shown_bones.keep_visible(things, context)
+                gpu_picture.keep_bones_visible(things, context)
             _draw(view)
         view.undrawn = None
 

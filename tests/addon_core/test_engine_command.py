@@ -11,9 +11,8 @@ import pytest
 from stand_ins import ROOT
 
 from blender_addon.errors import ADVICE, JGHandFailure
-from blender_addon.renderer import engine_command as engine_commands
-from blender_addon.renderer.engine_command import VARIABLE, engine_command, engine_program
-from blender_addon.renderer.process import cleaned_environment
+from blender_addon.renderer import process as engine_commands
+from blender_addon.renderer.process import VARIABLE, cleaned_environment, engine_command, engine_program
 
 
 def test_blenders_own_variables_do_not_reach_the_engine():

@@ -9,7 +9,7 @@ import pytest
 from test_avatar_cards import write_avatar
 
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand.hand_packs import hands_in, is_name, unpack
+from blender_addon.hand.avatar_files import hands_in, is_name, unpack
 
 
 def write_pack(path: Path, files: dict[str, bytes]) -> Path:

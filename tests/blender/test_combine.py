@@ -13,8 +13,8 @@ from blender_addon.core.view import picture_request
 from blender_addon.hand import armature
 from blender_addon.render import camera, composite, lamps
 from blender_addon.renderer import runtime
-from blender_addon.renderer.engine_command import engine_command
 from blender_addon.renderer.link import EngineLink
+from blender_addon.renderer.process import engine_command
 
 SIZE = (216, 144)  # the stand-in's discs are several pixels wide
 

@@ -14,8 +14,8 @@ from blender_addon import preferences
 from blender_addon.errors import JGHandFailure
 from blender_addon.renderer import install_tools, runtime
 from blender_addon.renderer import ops as engine
-from blender_addon.renderer.engine_command import VARIABLE
 from blender_addon.renderer.link import EngineLink
+from blender_addon.renderer.process import VARIABLE
 
 
 @pytest.fixture

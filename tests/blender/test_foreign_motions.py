@@ -20,7 +20,7 @@ from blender_addon.core.joints import NAMES, TIPS
 from blender_addon.hand import armature
 from blender_addon.hand import ops_motion as motion_operator
 from blender_addon.hand.motion_files import read_motion
-from blender_addon.renderer.engine_command import VARIABLE
+from blender_addon.renderer.process import VARIABLE
 
 TESTS = Path(__file__).resolve().parents[1]
 FRAMES = 12

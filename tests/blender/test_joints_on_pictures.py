@@ -19,8 +19,8 @@ from blender_addon.core.joints import HANDEDNESSES
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
 from blender_addon.hand import armature
 from blender_addon.render import camera
-from blender_addon.renderer.engine_command import engine_command
 from blender_addon.renderer.link import EngineLink
+from blender_addon.renderer.process import engine_command
 
 # worst observed 0.020 px (a Gaussian's middle is not quite its centroid in perspective); the promise is 0.5
 AGREES_PX = 0.03

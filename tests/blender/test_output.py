@@ -28,7 +28,7 @@ from blender_addon.hand import armature, sources
 from blender_addon.hand.motion_files import read_motion
 from blender_addon.render import scene_light
 from blender_addon.renderer import runtime
-from blender_addon.renderer.engine_command import VARIABLE
+from blender_addon.renderer.process import VARIABLE
 from blender_addon.viewport import handlers
 
 FRAMES = 4

@@ -581,7 +581,7 @@ def test_registering_again_and_again_leaves_blenders_panels_as_they_were():
 
 @pytest.fixture(scope="module")
 def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
-    from blender_addon.renderer.engine_command import engine_command
+    from blender_addon.renderer.process import engine_command
 
     link = EngineLink(lambda: engine_command(engine_python))
     yield link

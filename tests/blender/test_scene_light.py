@@ -44,7 +44,7 @@ def matt() -> bpy.types.Material:
 @pytest.fixture(scope="module")
 def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
     from blender_addon.renderer import runtime
-    from blender_addon.renderer.engine_command import engine_command
+    from blender_addon.renderer.process import engine_command
 
     link = EngineLink(lambda: engine_command(engine_python))
     before = with_link(link)

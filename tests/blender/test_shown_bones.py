@@ -10,7 +10,7 @@ from mathutils import Euler
 from blender_addon.core import posing
 from blender_addon.core.joints import NAMES
 from blender_addon.hand import armature, controls
-from blender_addon.viewport import shown_bones
+from blender_addon.viewport import drawing
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def hand(context):
 
 
 def lines_of(context: bpy.types.Context, hand: bpy.types.Object) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    found = list(shown_bones._lines(hand.evaluated_get(context.evaluated_depsgraph_get())))
+    found = list(drawing._lines(hand.evaluated_get(context.evaluated_depsgraph_get())))
     return [lines for lines, shape in found if not shape], [lines for lines, shape in found if shape]
 
 

@@ -20,10 +20,10 @@ from blender_addon.core.view import part_with
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, seen_hands
 from blender_addon.render import ENGINE, camera, composite, handover, rendering
+from blender_addon.render.camera import ORTHO_ROOM_M, view_camera
 from blender_addon.renderer import runtime, state
 from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers, views
-from blender_addon.viewport.view_camera import ORTHO_ROOM_M, view_camera
 
 SIZE = (320, 200)
 
@@ -610,7 +610,7 @@ def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_
         view_layer=context.view_layer,
         space_data=SimpleNamespace(shading=SimpleNamespace(type="SOLID")),
     )
-    monkeypatch.setattr(views.shown_bones, "keep_visible", lambda *_: None)
+    monkeypatch.setattr(views.gpu_picture, "keep_bones_visible", lambda *_: None)
     hand.location.x = 50.0
     context.view_layer.update()
     views.show(drawing, context.evaluated_depsgraph_get(), views.SOLID)
