@@ -25,7 +25,6 @@ from __future__ import annotations
 
 
 def register() -> None:
-    """Called by Blender when the extension is enabled."""
     # here, so that `core` can be imported where there is no Blender
     global glTF2ExportUserExtension  # Blender's glTF exporter looks for it
     from . import registration
@@ -35,7 +34,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Called by Blender when the extension is disabled."""
     from . import registration
 
     registration.unregister()

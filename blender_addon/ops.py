@@ -106,7 +106,6 @@ class InTurns(Reporting):
         """What is left to do, or to tell, at the end."""
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Begins to work in turns where there is a window."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
         self._steps, self._started = self.steps(context), time.monotonic()
@@ -321,12 +320,10 @@ def seen_frames(scene: bpy.types.Scene) -> range:
 
 
 def keys_itself(context: bpy.types.Context) -> bool:
-    """Whether Blender keys whatever is posed."""
     return context.scene.tool_settings.use_keyframe_insert_auto
 
 
 def make_active(context: bpy.types.Context, thing: bpy.types.Object) -> None:
-    """The one selected object."""
     for other in list(context.view_layer.objects.selected):
         other.select_set(False)
     thing.select_set(True)
@@ -334,7 +331,6 @@ def make_active(context: bpy.types.Context, thing: bpy.types.Object) -> None:
 
 
 def object_mode(context: bpy.types.Context) -> None:
-    """Leaves whatever mode the active object is in."""
     if context.mode != "OBJECT" and context.view_layer.objects.active is not None:
         bpy.ops.object.mode_set(mode="OBJECT")
 

@@ -63,7 +63,6 @@ class JGHandPreferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The page in Blender's preferences."""
         column = self.layout.column()
         column.use_property_split = True
         column.prop(self, "engine_python")

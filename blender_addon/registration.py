@@ -53,12 +53,10 @@ _add_classes, _remove_classes = bpy.utils.register_classes_factory(
 
 
 def is_registered() -> bool:
-    """Whether everything is there."""
     return render_engine.JGHandRenderEngine.is_registered
 
 
 def register() -> None:
-    """Adds everything, once."""
     if is_registered():
         return
     _add_classes()

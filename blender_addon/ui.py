@@ -42,8 +42,6 @@ _LOOK_S = 0.5
 
 
 class Sidebar:
-    """A panel of the tab."""
-
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "JGHand"
@@ -82,7 +80,6 @@ def settings(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE") -> None:
-    """Text that is longer than the sidebar is wide."""
     column = layout.column(align=True)
     column.scale_y = 0.8
     scale = context.preferences.system.ui_scale
@@ -95,7 +92,6 @@ def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str,
 
 
 def explained(layout: bpy.types.UILayout, line: Line, *, icon: str = "NONE") -> None:
-    """A line with its small print as tooltip."""
     row = layout.row()
     row.alignment = "LEFT"
     if not line.tip:

@@ -56,7 +56,6 @@ def new_fcurve(owner: bpy.types.ID, data_path: str, index: int, group: str) -> b
 
 
 def fcurves(owner: bpy.types.ID) -> list[Any]:
-    """All curves of the owner's active action."""
     animation = owner.animation_data
     if animation is None or animation.action is None:
         return []
@@ -97,7 +96,6 @@ def has_usd() -> bool:
 
 
 def has_native_splats() -> bool:
-    """Whether this Blender draws Gaussian splats itself."""
     kind = bpy.types.PointCloud.bl_rna.properties.get("type")
     return kind is not None and "GAUSSIAN_SPLAT" in getattr(kind, "enum_items", ())
 
@@ -153,7 +151,6 @@ def own_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
 
 
 def remove_compositor_tree(scene: bpy.types.Scene) -> None:
-    """Leaves a scene without compositor's nodes."""
     if not hasattr(scene, "compositing_node_group"):
         scene.use_nodes = False
         return
@@ -215,14 +212,12 @@ def light_tree(light: bpy.types.Light) -> bpy.types.NodeTree | None:
 
 
 def ensure_tree(owner: bpy.types.World | bpy.types.Material) -> bpy.types.NodeTree:
-    """The nodes of a new world or material."""
     if owner.node_tree is None:  # 4.5
         owner.use_nodes = True
     return owner.node_tree
 
 
 def make_straight(convert: bpy.types.Node) -> None:
-    """Makes an Alpha Convert node divide alpha out."""
     if hasattr(convert, "mapping"):  # 4.5
         convert.mapping = "PREMUL_TO_STRAIGHT"
     else:

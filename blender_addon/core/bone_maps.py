@@ -2,8 +2,8 @@
 """Which bones of somebody else's rig are the 21 joints, found from their names alone.
 
 A joint is the head of a bone; a finger's tip is the head of a tip bone or, where the rig has none, the tail of the last
-bone. Nothing is guessed silently: what is missing is listed, and where two answers are possible there is none until
-somebody chooses. Order of the bones, and bones that are no part of a hand, play no role. Source: BLENDER 6; the names
+bone. Nothing is guessed silently: what is missing is listed, and where several answers are possible they are told.
+Order of the bones, and bones that are no part of a hand, play no role. Source: BLENDER 6; the names
 and where they come from are in `conventions`.
 """
 
@@ -204,5 +204,5 @@ def _doubt(maps: tuple[BoneMap, ...], handedness: str) -> str:
     differing = [name for place, name in enumerate(NAMES) if len({bone_map.sources[place] for bone_map in maps}) > 1]
     return (
         f"Several sets of bones may be the {handedness} hand: {'; '.join(shown)}. "
-        f"They differ in {', '.join(differing)}. Choose one."
+        f"They differ in {', '.join(differing)}."
     )

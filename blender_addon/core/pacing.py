@@ -41,8 +41,6 @@ ASKS_KEPT, FAILURES_KEPT = 8, 32
 
 
 class Grade(IntEnum):
-    """How good a picture is wanted."""
-
     MOVING = 0
     STILL = 1
     SHARP = 2
@@ -87,8 +85,6 @@ class Want:
 
 @dataclass(frozen=True)
 class Ask:
-    """A picture that was asked for."""
-
     want: Want
     quality: Quality
     grade: Grade
@@ -342,7 +338,6 @@ def _is_new(pace: Pace, ask: Ask) -> bool:
 
 
 def _is_better(pace: Pace, ask: Ask) -> bool:
-    """Whether an answered picture replaces the one that is shown."""
     if pace.want is None or ask.want.camera != pace.want.camera:
         return False
     shown = pace.shown

@@ -93,8 +93,6 @@ class Line:
 
 @dataclass(frozen=True)
 class Button:
-    """An operator and what stands on its button."""
-
     operator: str
     label: str
 

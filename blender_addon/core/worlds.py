@@ -49,7 +49,6 @@ class WorldLight:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What a request says of it."""
         turn = self.env_from_blender @ _JOINTS_FROM_BLENDER.T
         return {"key": self.key, "env_from_world": turn.tolist()}
 
@@ -60,7 +59,6 @@ def in_joints(turn: np.ndarray) -> np.ndarray:
 
 
 def even(rgb: np.ndarray) -> WorldLight:
-    """A world of one color."""
     radiance = np.broadcast_to(rgb.astype(np.float32), (PROBE_ROWS, 2 * PROBE_ROWS, 3))
     return WorldLight(np.ascontiguousarray(radiance), key=digest(["even", repr(rgb.tolist())]))
 

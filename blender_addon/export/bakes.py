@@ -50,8 +50,6 @@ _SOLID_RGBA = (0.55, 0.30, 0.20, 1.0)
 
 @dataclass(frozen=True)
 class BakedHand:
-    """One hand of a bake."""
-
     # stem of its files
     name: str
     handedness: str
@@ -68,7 +66,6 @@ class BakedHand:
         return self.first_frame + self.frames - 1
 
     def stage(self, folder: Path) -> Path:
-        """The layer that plays."""
         return folder / f"{self.name}.usda"
 
 
@@ -76,7 +73,6 @@ class BakedHand:
 
 
 def folder_of(thing: bpy.types.Object) -> Path:
-    """The folder of a hand's bake."""
     return Path(folders.absolute(thing, "bake")).absolute()
 
 
@@ -282,7 +278,6 @@ def release(context: bpy.types.Context, folder: Path) -> list[tuple[str, bpy.typ
 
 
 def stop(context: bpy.types.Context, folder: Path) -> None:
-    """Takes the objects that play a bake out of the scene."""
     _remove([thing for _, thing in release(context, folder)])
 
 
@@ -304,7 +299,6 @@ def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:
 
 
 def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
-    """The objects of a scene that play a bake."""
     wanted = folder.resolve()
     return [
         thing

@@ -37,7 +37,6 @@ class Export(StartsJob, bpy.types.Operator):
 
     @classmethod
     def description(cls, context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:
-        """The tooltip names the format."""
         texts = {
             "usd": "Write an animated OpenUSD stage per hand into the folder. Esc cancels",
             "ply": "Write a splat file per hand and frame into the folder. Esc cancels",
@@ -102,8 +101,6 @@ class Export(StartsJob, bpy.types.Operator):
 
 @dataclass(frozen=True)
 class _NewBake:
-    """A bake that is being made."""
-
     # session_uid of its object, which may be gone when it is finished
     uid: int
     # where the engine writes it, and where it goes when it is finished

@@ -65,7 +65,6 @@ class StartsJob(InTurns):
         return ""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Asks before anything is overwritten."""
         lost = ""
         if not self.confirmed and not bpy.app.background:
             with contextlib.suppress(JGHandFailure):
@@ -200,7 +199,6 @@ def named_hands(
 
 
 def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
-    """Whether there is something to write."""
     if not hands_to_write(context):
         if context.scene.jghand.output.hands == "all":
             return missing(operator, "There is no hand in this view layer that is rendered")
@@ -211,7 +209,6 @@ def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
 
 
 def poll_job(operator: type, key: str) -> bool:
-    """Whether no job of a kind runs."""
     if runtime.jobs().runs(key):
         return missing(operator, "This is running already: wait until it has ended, or cancel it")
     return True

@@ -38,8 +38,6 @@ USD_PRESETS: dict[str, tuple[str, float]] = {
 
 @dataclass(frozen=True)
 class Recording:
-    """One hand over a range of frames."""
-
     # stem of files, unique among those of one export
     name: str
     handedness: str

@@ -32,15 +32,12 @@ _Hook: Any = getattr(bpy.types, "USDHook", object)  # a Blender may be built wit
 
 
 class JGHandUsdHook(_Hook):
-    """The hook; see the module."""
-
     bl_idname = "jghand_usd_hook"
     bl_label = "JGHand Splats"
     bl_description = "Add the baked splats of JGHand hands to Blender's USD exports, and colors to its imports of them"
 
     @staticmethod
     def on_export(export_context: Any) -> bool:
-        """Blender's entry, at the end of an export."""
         try:
             stage, depsgraph = export_context.get_stage(), export_context.get_depsgraph()
             drop_stand_ins(stage, depsgraph.scene)
@@ -55,7 +52,6 @@ class JGHandUsdHook(_Hook):
 
     @staticmethod
     def on_import(import_context: Any) -> bool:
-        """Blender's entry, at the end of an import."""
         try:
             layers = import_context.get_stage().GetUsedLayers()
             if any("jghand" in layer.customLayerData for layer in layers):

@@ -66,7 +66,6 @@ class Card:
         return "Learned in known light" if self.known_light else "Estimated: learned in an unknown light"
 
     def lines(self) -> list[tuple[str, str]]:
-        """For a panel: what, and its value."""
         rows = [
             ("Name", self.name),
             ("Learned From", self.learned_from or "nothing: it is painted"),
@@ -219,7 +218,6 @@ class PackedHand:
 
     @property
     def title(self) -> str:
-        """For people."""
         return self.name.replace("_", " ").capitalize()
 
 

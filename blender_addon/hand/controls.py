@@ -56,7 +56,6 @@ Touched = tuple[bpy.types.bpy_struct, str]
 
 
 def has_controls(hand: bpy.types.Object) -> bool:
-    """Whether an armature has the control layer."""
     return hand.type == "ARMATURE" and all(name in hand.data.bones for name in CONTROLS)
 
 
@@ -136,7 +135,6 @@ def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
 
 
 def controls_are_muted(hand: bpy.types.Object) -> bool:
-    """Whether every rule of the layer is off."""
     return all(rule.mute for rule in rules_of(hand))
 
 
@@ -241,7 +239,6 @@ def own_bones(hand: bpy.types.Object) -> None:
 
 
 def rules_of(hand: bpy.types.Object) -> Iterator[bpy.types.Constraint]:
-    """The constraints of the layer on the 21 bones."""
     for name in NAMES:
         if name in hand.pose.bones:
             yield from (rule for rule in hand.pose.bones[name].constraints if rule.name in RULES)
@@ -315,7 +312,6 @@ def _keep_in_range(bone: bpy.types.PoseBone) -> None:
 
 
 def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> None:
-    """The constraints in the order in which they act."""
     ranges = {span.bone: span for span in controls.joint_ranges(rest, handedness)}
     for finger, control in enumerate(FINGER_CONTROLS):
         fist = controls.hand_moves(rest, finger, handedness)
@@ -404,7 +400,6 @@ def _wires(kind: str) -> tuple[list[tuple[float, float, float]], list[tuple[int,
 
 
 def _rings(planes: list, radius: float) -> tuple[list[tuple[float, float, float]], list[tuple[int, int]]]:
-    """Circles with these pairs of axes."""
     angle = np.linspace(0, 2 * np.pi, _CORNERS, endpoint=False)
     points, edges = [], []
     for first, second in planes:

@@ -32,29 +32,6 @@ FLAT_DETERMINANT = 1e-12
 HOLDER_SHAPE_M = 0.02
 
 _EITHER = (("BOTH", "Both", "Every hand that is found", "NONE", -1), *HANDS)
-# Blender keeps no texts of dynamic items
-_choices: dict[str, list[tuple[str, str, str]]] = {side: [] for side in HANDEDNESSES}
-
-
-def _choice_items(context: bpy.types.Context | None, side: str) -> list[tuple[str, str, str]]:
-    rig = context.object if context is not None else None
-    candidates = sources.recognize(rig, side).candidates if rig is not None and rig.type == "ARMATURE" else ()
-    items = [("NONE", "Choose", "Several sets of bones may be this hand")]
-    for place, bone_map in enumerate(candidates):
-        first = next(source.bone for source in bone_map.sources if source is not None)
-        items.append((str(place), f"{bone_map.convention} ({first})", f"Bones as {bone_map.convention} names them"))
-    if _choices[side] != items:
-        _choices[side] = items
-    return _choices[side]
-
-
-# items' functions have names of their own: a lambda in an annotation would not see this module
-def _right_choices(_operator: UseArmature, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    return _choice_items(context, "right")
-
-
-def _left_choices(_operator: UseArmature, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    return _choice_items(context, "left")
 
 
 class AddHand(Reporting, bpy.types.Operator):
@@ -161,15 +138,13 @@ class UseArmature(Reporting, bpy.types.Operator):
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
     )
-    right: bpy.props.EnumProperty(
-        name="Right Hand",
-        description="Which of several sets of bones is the right hand",
-        items=_right_choices,
-    )
-    left: bpy.props.EnumProperty(
-        name="Left Hand",
-        description="Which of several sets of bones is the left hand",
-        items=_left_choices,
+    answer: bpy.props.IntProperty(
+        name="Set of Bones",
+        description="Which, where several sets of bones may be a hand",
+        default=1,
+        min=1,
+        soft_max=4,
+        options={"SKIP_SAVE"},
     )
 
     @classmethod
@@ -185,28 +160,13 @@ class UseArmature(Reporting, bpy.types.Operator):
             return missing(cls, "This armature is linked from another file: make it local, or an override, first")
         return True
 
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Asks where two answers are possible."""
-        if any(len(found.candidates) > 1 for found in _recognized(context.object, self.handedness)):
-            return context.window_manager.invoke_props_dialog(self)
-        return self.execute(context)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """The question, and the properties to change afterwards."""
-        self.layout.use_property_split = True
-        self.layout.prop(self, "handedness")
-        for found in _recognized(context.object, self.handedness):
-            if len(found.candidates) > 1:
-                self.layout.prop(self, found.handedness)
-
     def run(self, context: bpy.types.Context) -> None:
         rig = context.object
         found = _recognized(rig, self.handedness)
-        chosen = {one.handedness: _chosen_map(one, getattr(self, one.handedness)) for one in found}
-        maps = [bone_map for bone_map in chosen.values() if bone_map is not None]
-        doubts = [one.sentences[0] for one in found if len(one.candidates) > 1 and chosen[one.handedness] is None]
-        if not maps and doubts:
-            raise JGHandFailure("bad_bone_map", " ".join(doubts))
+        maps = [one.candidates[: self.answer][-1] for one in found if one.candidates]
+        doubts = [one.sentences[0] for one in found if len(one.candidates) > 1]
+        if doubts:
+            doubts.append(rpt_("Number {count} is used: the redo panel has the others.").format(count=self.answer))
         nothing = not maps
         if nothing:
             side = RIGHT if self.handedness == "BOTH" else self.handedness
@@ -221,7 +181,7 @@ class UseArmature(Reporting, bpy.types.Operator):
         elif doubts or not all(bone_map.complete for bone_map in maps):
             self.warn(*doubts, *(text for bone_map in maps for text in bone_map.missing))
         else:
-            self.tell(*(text for one in found if chosen[one.handedness] is not None for text in _told(one)))
+            self.tell(*(text for one in found if one.candidates for text in _told(one)))
 
 
 class UseObjects(Reporting, bpy.types.Operator):
@@ -421,8 +381,6 @@ class LoadAvatar(Reporting, bpy.types.Operator):
 
 
 class DropAvatar(bpy.types.FileHandler):
-    """Avatar files that are dropped into the viewport."""
-
     bl_idname = "JGHAND_FH_avatar"
     bl_label = "JGHand Avatar"
     bl_import_operator = LoadAvatar.bl_idname
@@ -456,13 +414,6 @@ def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.
 def _recognized(rig: bpy.types.Object, handedness: str) -> list[Recognition]:
     sides = HANDEDNESSES if handedness == "BOTH" else (handedness,)
     return [sources.recognize(rig, side) for side in sides]
-
-
-def _chosen_map(found: Recognition, choice: str) -> BoneMap | None:
-    """The map where there is one answer, or the one that was chosen."""
-    if found.bone_map is not None or choice in ("", "NONE"):
-        return found.bone_map
-    return found.candidates[int(choice)] if int(choice) < len(found.candidates) else None
 
 
 def _told(found: Recognition) -> list[str]:
@@ -500,7 +451,6 @@ CLASSES = (AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget
 
 
 def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
-    """In Blender's own Add > Armature."""
     for side, label, *_ in HANDS:
         self.layout.operator("jghand.add_hand", text=f"JGHand {label} Hand", icon="VIEW_PAN").handedness = side
 

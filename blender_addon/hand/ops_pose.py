@@ -236,7 +236,6 @@ class _Toggle(Reporting):
     poll = classmethod(poll_controls)
 
     def toggle(self, hand: bpy.types.Object) -> None:
-        """Switches it."""
         raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> None:
@@ -292,7 +291,6 @@ class HoldTip(Reporting, bpy.types.Operator):
 
 
 def _controlled(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The selected hands that have controls."""
     return [hand for hand in common.chosen_hands(context) if controls.has_controls(hand)]
 
 

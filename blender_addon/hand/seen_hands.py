@@ -35,7 +35,6 @@ _collections: instances.Known = {}
 
 
 def forget() -> None:
-    """Makes the next look a fresh one."""
     _found.clear()
     _collections.clear()
 

@@ -71,7 +71,6 @@ def forget(thing: bpy.types.Object) -> None:
 
 
 def forget_map(rig: bpy.types.Object, handedness: str) -> None:
-    """Takes one hand of a foreign armature away."""
     rig.pop(armature.MAP_PROPERTIES[handedness], None)
     rig.update_tag()
 

@@ -169,7 +169,6 @@ def _homes(hand: bpy.types.Object) -> list[bpy.types.Collection]:
 
 
 def _renew(hand: bpy.types.Object, thing: bpy.types.Object | None, shape: _Shape) -> None:
-    """Makes a stand-in, or brings one up to date that is there."""
     if thing is not None and not _is_own(thing):
         return
     try:
@@ -285,7 +284,6 @@ def _add_palm(carrier: bpy.types.Object, hand: bpy.types.Object, vertices: np.nd
 
 
 def _material() -> bpy.types.Material:
-    """Plain skin; the artist may change it."""
     known = bpy.data.materials.get(MATERIAL)
     if known is not None and known.library is None:
         return known
@@ -313,7 +311,6 @@ class GltfHook:
     """What Blender's glTF exporter asks: it writes hidden objects, too."""
 
     def gather_tree_filter_tag_hook(self, tree: Any, _settings: Any) -> None:
-        """Leaves stand-ins out of an export."""
         for node in tree.nodes.values():
             if node.blender_object is not None and MARK in node.blender_object:
                 node.keep_tag = False

@@ -158,7 +158,6 @@ class ViewCamera:
 
     @property
     def parts(self) -> tuple[bytes | str, ...]:
-        """What decides the picture, for a digest."""
         size = f"{self.whole.width}x{self.whole.height}, {self.unit_m!r}"
         return (size, self.whole.camera_from_world.tobytes(), self.window.tobytes())
 

@@ -80,7 +80,6 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
 
 
 def is_hands_scene(scene: bpy.types.Scene) -> bool:
-    """Whether a scene is there for the hands of another."""
     return MARK in scene
 
 
@@ -152,7 +151,6 @@ def _forget_marks(scene: bpy.types.Scene) -> None:
 
 
 def _combined_layer(scene: bpy.types.Scene) -> bpy.types.ViewLayer | None:
-    """The view layer that hands are combined with."""
     return next((layer for layer in scene.view_layers if HAD_DEPTH in layer), None)
 
 
@@ -253,7 +251,6 @@ def _copy_curve(source: bpy.types.CurveMapping, target: bpy.types.CurveMapping) 
 
 
 def _nodes(tree: bpy.types.NodeTree) -> list[bpy.types.Node]:
-    """Those that are ours."""
     return [node for node in tree.nodes if node.get(MARK)]
 
 
@@ -298,7 +295,6 @@ def _take_out(tree: bpy.types.NodeTree) -> None:
 
 
 def _layer_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Node | None:
-    """A node that is there already and shows this view layer."""
     return next(
         (
             node

@@ -52,8 +52,6 @@ _PANELS_OF_OTHERS = (
 
 
 class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
-    """Draws hands with the JGHand engine."""
-
     bl_idname = ENGINE
     bl_label = "JGHand"
     bl_use_postprocess = True
@@ -61,7 +59,6 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
     bl_use_gpu_context = False
 
     def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer: Any = None) -> None:
-        """Which passes the compositor may have of a view layer."""
         self.register_pass(scene, renderlayer, COMBINED, 4, "RGBA", "COLOR")
         if renderlayer is not None and renderlayer.use_pass_z:
             self.register_pass(scene, renderlayer, DEPTH, 1, "Z", "VALUE")

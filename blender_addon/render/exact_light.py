@@ -109,19 +109,16 @@ def with_baked(
 
 
 def tend() -> None:
-    """For the timer."""
     if handover.tend():
         _stages.clear()
 
 
 def expect() -> None:
-    """After an undo."""
     _stages.clear()
     handover.expect()
 
 
 def clear() -> None:
-    """Takes away what bakes made."""
     _stages.clear()
     handover.clear()
 

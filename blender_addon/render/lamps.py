@@ -36,7 +36,6 @@ class SceneLamps:
 
     @cached_property
     def key(self) -> str:
-        """Changes with the lamps."""
         return pacing.digest([repr(self.lamps)])
 
 
@@ -63,7 +62,6 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def forget() -> None:
-    """Has lamps read anew."""
     _kept.clear()
 
 
@@ -126,7 +124,6 @@ def _placed(
 def _read(
     thing: bpy.types.Object, matrix: np.ndarray, hands: Sequence[bpy.types.Object], *, eevee: bool
 ) -> lamps.BlenderLight:
-    """A light as numbers."""
     light: Any = thing.data
     color = np.array(light.color)
     if getattr(light, "use_temperature", False):
@@ -169,7 +166,6 @@ def rec709(color: np.ndarray) -> np.ndarray:
 
 
 def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eevee: bool) -> Iterator[str]:
-    """Sentences about what of a light is not honored."""
     light: Any = thing.data
     name = thing.name
     if light.energy < 0:

@@ -76,7 +76,6 @@ def _draw_kinds(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What the scene's view transform does to the hand."""
     view = context.scene.view_settings
     if scene_light.is_chosen(context.scene):
         return
@@ -97,16 +96,12 @@ def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 
 class _Page:
-    """A panel of Render Properties."""
-
     bl_space_type = "PROPERTIES"
     bl_region_type = "WINDOW"
     bl_context = "render"
 
 
 class _OwnPage(_Page):
-    """One that shows while the scene is rendered by JGHand."""
-
     COMPAT_ENGINES = {ENGINE}  # noqa: RUF012 - Blender's own name and type
 
     @classmethod
@@ -115,8 +110,6 @@ class _OwnPage(_Page):
 
 
 class QualityPage(_Page, bpy.types.Panel):
-    """How hands are drawn, in every scene with hands."""
-
     bl_idname = "RENDER_PT_jghand_quality"
     bl_label = "Hands"
 
@@ -161,8 +154,6 @@ class RenderPage(_Page, bpy.types.Panel):
 
 
 class StatisticsPage(_Page, bpy.types.Panel):
-    """What the last pictures took, and why."""
-
     bl_idname = "RENDER_PT_jghand_statistics"
     bl_label = "Statistics"
     bl_parent_id = QualityPage.bl_idname

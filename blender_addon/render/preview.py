@@ -256,7 +256,6 @@ def _scene(uid: int) -> bpy.types.Scene | None:
 
 @persistent
 def on_complete(scene: bpy.types.Scene, *_: Any) -> None:
-    """A render came to its end."""
     if _now is not None and scene.session_uid == _now.scene_uid:
         _now.ended = "complete"
 

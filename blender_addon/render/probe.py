@@ -31,7 +31,6 @@ _SHADERS = ("ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfDiffuse")
 
 
 def is_possible() -> bool:
-    """Whether Cycles is there."""
     return "cycles" in bpy.types.Scene.bl_rna.properties
 
 

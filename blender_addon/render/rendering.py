@@ -46,13 +46,11 @@ def needs_engine(scene: bpy.types.Scene) -> bool:
 
 
 def begin() -> None:
-    """A render of hands begins."""
     global _began_s
     _began_s = time.monotonic()
 
 
 def end() -> None:
-    """A render is over, or was given up."""
     global _began_s
     _began_s = math.inf
 
@@ -89,7 +87,6 @@ def hands_left_out(scene: bpy.types.Scene) -> list[str]:
 
 @persistent
 def on_render(scene: bpy.types.Scene, *_: Any) -> None:
-    """A render begins."""
     global _failed
     if scene is None or composite.is_hands_scene(scene):
         return
@@ -131,7 +128,6 @@ def sentence_of(scene: bpy.types.Scene) -> str:
 
 
 def sentence(engine: str) -> str:
-    """What is to be said about a picture of this engine."""
     name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
     name = {"Eevee": "EEVEE"}.get(name, name)
     return iface_("This image has no hands: {engine} does not draw them.").format(engine=name)

@@ -24,8 +24,6 @@ _FRAME_AT = {"START": 0.0, "CENTER": 0.5, "END": 1.0}
 
 @dataclass(frozen=True)
 class Frame:
-    """What of a view is drawn."""
-
     # gives the evaluated camera
     eye: Callable[[], bpy.types.Object]
     # of the whole picture, pixels, and the part of it that is drawn
@@ -128,7 +126,6 @@ def _sides(moment: Moment) -> list[tuple[str, str, bool]]:
 
 
 def _moves(moments: list[Moment]) -> bool:
-    """Whether anything is not the same at all moments."""
     first = moments[0]
     return any(_numbers(moment) != _numbers(first) for moment in moments[1:])
 

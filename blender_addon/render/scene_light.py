@@ -167,7 +167,6 @@ def _rested() -> bool:
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
-    """Whether a scene lights its hands."""
     return scene.jghand.light == "SCENE"
 
 

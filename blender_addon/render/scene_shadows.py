@@ -148,7 +148,6 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def expect() -> None:
-    """Everything may be another."""
     global _edits
     _edits += 1
 
@@ -219,7 +218,6 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
 
 
 def _read(meshes: set[tuple[int, int]], standing: _Standing, depsgraph: bpy.types.Depsgraph) -> None:
-    """Has the shapes of these meshes at hand."""
     missing = {mesh for mesh in meshes if standing.shapes.get(mesh) not in _shapes}
     for thing, _ in _solids(depsgraph) if missing else ():
         mesh = _mesh_of(thing)
@@ -281,7 +279,6 @@ def _between(points: np.ndarray, lamp: Mapping[str, Any], standing: _Standing) -
 
 
 def _radius(lamp: Mapping[str, Any]) -> float:
-    """Of a ball around a lamp."""
     return float(np.hypot(*lamp["size_m"])) / 2 if lamp["kind"] == "area" else lamp.get("radius_m", 0.0)
 
 

@@ -78,7 +78,6 @@ def shine_of(world: bpy.types.World) -> Shine:
 
 
 def shows_cameras_more(world: bpy.types.World) -> bool:
-    """Whether a world asks for camera rays."""
     tree = versions.world_tree(world)
     return tree is not None and any(link.from_socket.name == "Is Camera Ray" for link in tree.links)
 

@@ -150,7 +150,6 @@ def _count(what: int) -> None:
 
 
 def forget() -> None:
-    """Another file."""
     for kept in (_pictures, _products, _measured, _changes, _stood):
         kept.clear()
 

@@ -49,8 +49,6 @@ _LINE_MAX, _TEXT_MAX = 65536, 300
 
 
 class Phase(Enum):
-    """Where a job stands."""
-
     RUNNING = "running"
     CANCELLING = "cancelling"
     DONE = "done"
@@ -59,14 +57,11 @@ class Phase(Enum):
 
     @property
     def is_over(self) -> bool:
-        """Whether its process has ended."""
         return self in (Phase.DONE, Phase.CANCELLED, Phase.FAILED)
 
 
 @dataclass(frozen=True)
 class JobState:
-    """What is shown of a job."""
-
     phase: Phase = Phase.RUNNING
     # what it does now
     text: str = "Starting"
@@ -110,7 +105,6 @@ class JobState:
         )
 
     def failed(self, failure: JGHandFailure) -> JobState:
-        """After something failed."""
         return replace(self, phase=Phase.FAILED, eta_s=None, failure=failure)
 
 
@@ -148,8 +142,6 @@ def _number(value: Any) -> float | None:
 
 @dataclass(frozen=True)
 class JobSpec:
-    """What is to be done."""
-
     # for people
     title: str
     # program and arguments
@@ -165,8 +157,6 @@ class JobSpec:
 
 
 class Job:
-    """One running or finished job."""
-
     def __init__(self, spec: JobSpec) -> None:
         """Starts it. A program that is not there makes a failed job, not an exception."""
         self.spec = spec
@@ -186,7 +176,6 @@ class Job:
 
     @property
     def silent_s(self) -> float:
-        """Seconds since it last said anything."""
         return time.monotonic() - self._heard_s
 
     def tick(self) -> bool:
@@ -362,11 +351,9 @@ class JobTable:
         return self._jobs[key]
 
     def get(self, key: str) -> Job | None:
-        """The newest job of a key."""
         return self._jobs.get(key)
 
     def runs(self, key: str) -> bool:
-        """Whether a job of a key is not over."""
         return key in self._jobs and not self._jobs[key].is_over
 
     def refuse_second(self, key: str) -> None:

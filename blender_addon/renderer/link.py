@@ -31,8 +31,6 @@ __all__ = ["Answer", "EngineLink", "Status"]
 
 @dataclass(frozen=True)
 class Status:
-    """How the engine is."""
-
     # "stopped", "starting", "ready", "slow", "stopping" or "failed"
     state: str
     # for how many seconds; 0 for one that was never started
@@ -74,7 +72,6 @@ class EngineLink:
 
     @property
     def status(self) -> Status:
-        """How the engine is now."""
         with self._news:
             state = self._state
             name = "slow" if _is_slow(state) else type(state).__name__.lower()
@@ -156,7 +153,6 @@ class EngineLink:
                 self._news.wait(min(left_s, machine.POLL_S))
 
     def drop(self, slot: str) -> None:
-        """Forgets a slot and what it waits for."""
         with self._news:
             self._waiting.drop(slot, time.monotonic())
             self._wake()

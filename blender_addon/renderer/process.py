@@ -241,7 +241,6 @@ class EngineProcess:
         return LostError(kind_of_exit(code), f"exit code {code}")
 
     def close_stdin(self) -> None:
-        """Asks it to end."""
         if self.popen.stdin:
             with contextlib.suppress(OSError):
                 self.popen.stdin.close()

@@ -42,8 +42,6 @@ _CHECKOUT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class RenderNote:
-    """How the newest rendered frame went."""
-
     # None when the frame is there
     failure: JGHandFailure | None
     reports: Sequence[Mapping[str, Any]] = ()
@@ -199,7 +197,6 @@ def tools_state() -> str:
 
 
 def is_online() -> bool:
-    """Whether Blender may go online."""
     return bpy.app.online_access
 
 
@@ -219,7 +216,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Ends the engine and the jobs."""
     atexit.unregister(_end)
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)

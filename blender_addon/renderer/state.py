@@ -154,8 +154,6 @@ class Broke(OfRun):
 
 @dataclass(frozen=True)
 class Exited(OfRun):
-    """The process is gone."""
-
     kind: str = "crashed"
     detail: str = ""
 

@@ -42,8 +42,6 @@ def failure_told(error: Any) -> JGHandFailure:
 
 @dataclass(eq=False)
 class Call:
-    """One request."""
-
     id: int
     pieces: list[bytes | memoryview]
     # None for an exact one
@@ -82,8 +80,6 @@ class _Slot:
 
 
 class Waiting:
-    """All requests of one link."""
-
     def __init__(self) -> None:
         # what the engine works on, and what of it takes long, if it says so
         self.flying: Call | None = None
@@ -136,7 +132,6 @@ class Waiting:
         return call
 
     def give_up(self, call: Call, now_s: float) -> None:
-        """Nobody wants this answer any more."""
         if call in self.exact:
             self.exact.remove(call)
         elif call is self.flying and call.given_up_s is None:
@@ -144,13 +139,11 @@ class Waiting:
             self.cancels.append(call.id)
 
     def drop(self, slot: str, now_s: float) -> None:
-        """Forgets a slot and what it waits for."""
         place = self._slots.pop(slot, None)
         if place is not None and place.flying is not None:
             self.give_up(place.flying, now_s)
 
     def forget_refused(self) -> None:
-        """What failed may be tried again."""
         self._refused.clear()
 
     # ---- looking -----------------------------------------------------------------------------------------------------

@@ -146,7 +146,6 @@ class GpuPicture:
 
 
 def discard(picture: GpuPicture | None) -> None:
-    """Frees a picture when Blender draws the next time."""
     if picture is not None:
         _unwanted.append(picture)
 
@@ -165,7 +164,6 @@ def renew() -> None:
 
 
 def forget() -> None:
-    """Lets go of shader and textures, with the extension."""
     global _tools, _floats
     _tools = None
     _floats = np.empty(0, np.float32)
@@ -264,7 +262,6 @@ def _is_visible(bone: bpy.types.PoseBone) -> bool:
 
 
 def _shape_matrix(bone: bpy.types.PoseBone) -> Matrix:
-    """Where a bone's custom shape lies, in the armature."""
     base = bone.custom_shape_transform or bone
     size = bone.bone.length if bone.use_custom_shape_bone_size else 1.0
     scale = Matrix.Diagonal((*(size * each for each in bone.custom_shape_scale_xyz), 1.0))
@@ -281,7 +278,6 @@ def _wires(mesh: bpy.types.Mesh, matrix: np.ndarray) -> np.ndarray:
 
 
 def _cut(lines: np.ndarray, width_px: float) -> None:
-    """Sets the depth along lines to the nearest there is."""
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
     batch = batch_for_shader(shader, "LINES", {"pos": lines.reshape(-1, 3)})
     projection = gpu.matrix.get_projection_matrix()

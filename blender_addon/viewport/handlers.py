@@ -86,7 +86,6 @@ def _drop_stale() -> None:
 
 
 def _redraw(wanted: set[int]) -> None:
-    """Draws regions anew, by their addresses."""
     if wanted:
         for _, _, region in views.open_regions():
             if region.as_pointer() in wanted:
@@ -153,7 +152,6 @@ def add_drawing() -> None:
 
 
 def remove_drawing() -> None:
-    """Ends it."""
     global _handle
     if _handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")

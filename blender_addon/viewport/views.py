@@ -380,7 +380,6 @@ def next_look_s(view: View) -> float:
 
 
 def all_views() -> list[View]:
-    """Every view that shows hands."""
     return list(_views.values())
 
 
@@ -406,7 +405,6 @@ def forget_failures() -> None:
 
 
 def open_regions() -> Iterator[tuple[bpy.types.Window, bpy.types.Area, bpy.types.Region]]:
-    """The regions of all windows that draw 3D views."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

@@ -174,14 +174,18 @@ def test_a_character_becomes_two_hands_and_is_forgotten_one_by_one(extension):
     assert not armature.is_foreign(rig)
 
 
-def test_where_two_answers_are_possible_nothing_is_taken_until_one_is_chosen(extension):
+def test_where_two_answers_are_possible_the_first_is_taken_and_told_and_the_other_can_be_had(extension, capfd):
     rig = hands.named_bones(extension, _doubtful_names())
-    assert len(sources.recognize(rig, "right").candidates) == 2
-    assert "Choose one" in refuses(bpy.ops.jghand.use_armature)
-    assert not armature.is_foreign(rig)
-    assert bpy.ops.jghand.use_armature(handedness="right", right="1") == {"FINISHED"}
-    (stored,) = sources.stored_maps(rig)
-    assert stored.sources == sources.recognize(rig, "right").candidates[1].sources
+    candidates = sources.recognize(rig, "right").candidates
+    assert len(candidates) == 2
+    for answer, wanted in enumerate(candidates, 1):
+        assert bpy.ops.jghand.use_armature(answer=answer) == {"FINISHED"}
+        said = capfd.readouterr().out
+        assert "Several sets of bones may be the right hand" in said
+        assert f"Number {answer} is used" in said
+        (stored,) = sources.stored_maps(rig)
+        assert stored.sources == wanted.sources
+        bpy.ops.jghand.forget()
 
 
 def _doubtful_names() -> list[str]:

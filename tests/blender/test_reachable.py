@@ -25,8 +25,6 @@ CLASSES = [each for module in registration.WITH_CLASSES for each in module.CLASS
 PANELS = [each for each in CLASSES if issubclass(each, bpy.types.Panel) and hasattr(each, "bl_idname")]
 OPERATORS = [each for each in CLASSES if issubclass(each, bpy.types.Operator)]
 SETTINGS = [each for each in CLASSES if issubclass(each, bpy.types.PropertyGroup | bpy.types.AddonPreferences)]
-# bones of a hand, as Mixamo names them
-FINGERS = ("", *(f"{finger}{bone}" for finger in ("Thumb", "Index", "Middle", "Ring", "Pinky") for bone in (1, 2, 3)))
 # what the file browser draws itself
 FILE_BROWSERS = {"filepath", "filter_glob", "check_existing"}
 # calls whose texts an artist reads
@@ -137,8 +135,6 @@ def drawn_by(operator: type) -> list[str]:
     table = operator_type(operator.bl_idname)
     values = {name: getattr(one, "default", None) for name, one in table.properties.items()}
     rest = {name: getattr(operator, name) for name in ("choices", "headings") if hasattr(operator, name)}
-    sets = [f"rig{number}:{side}Hand{finger}" for number in (1, 2) for side in ("Left", "Right") for finger in FINGERS]
-    hands.named_bones(bpy.context, sets)  # which of them is a hand has to be asked
     operator.draw(SimpleNamespace(layout=layout, bl_rna=table, **values, **rest), bpy.context)
     return [one.arguments["property"] for one in layout.drawn if one.function == "prop"]
 
