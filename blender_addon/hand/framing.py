@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras and views that show a hand whole: wrist and fingertips inside the picture, with some air."""
+"""Cameras that show a hand whole: wrist and fingertips inside the picture, with some air."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
 from ..core import posing
 from ..core.joints import LEFT, WRIST
@@ -24,10 +24,6 @@ MARGIN = 0.06
 LENS_MM = 85.0
 # how large a new camera is drawn in views, meters: less than the hand that it looks at, across which Blender's 1 m goes
 CAMERA_SIZE_M = 0.05
-# Blender's 3D views have a sensor of this width, mm; and what is kept of a view at the least for what it shows, where
-# its bars leave nothing
-VIEW_SENSOR_MM, VIEW_PART_MIN = 72.0, 0.2
-
 # name -> direction from the hand to the camera: to the index side, to the fingers, out of the palm
 SIDES = {"CamPalm": (0.0, 0.15, 1.0), "CamSide": (0.85, 0.2, 0.5)}
 
@@ -94,28 +90,6 @@ def look_through_camera(area: bpy.types.Area | None) -> None:
     """Shows what the scene's camera sees in a 3D view; any other area stays as it is."""
     if area is not None and area.type == "VIEW_3D":
         area.spaces.active.region_3d.view_perspective = "CAMERA"
-
-
-def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> None:
-    """Shows (21, 3) world joints, meters, in a 3D view, beside the bars that lie over it. The direction stays."""
-    space, region = area.spaces.active, next(region for region in area.regions if region.type == "WINDOW")
-    bars = {region.type: region.width for region in area.regions if region.type in ("UI", "TOOLS") and region.width > 1}
-    left, right = bars.get("TOOLS", 0), bars.get("UI", 0)
-    if not bpy.context.preferences.system.use_region_overlap:
-        left = right = 0
-    points = np.asarray(joints_m, dtype=np.float64) / unit_m
-    center = (points.min(0) + points.max(0)) / 2
-    radius = (np.linalg.norm(points - center, axis=-1).max() + WRIST_SKIN_M / unit_m) * (1.0 + MARGIN)
-    largest = max(region.width, region.height)
-    seen = max(min(region.width - left - right, region.height), largest * VIEW_PART_MIN)
-    # a view shows its sensor over the larger side, at the distance of what it turns about
-    distance = radius * space.lens / VIEW_SENSOR_MM * 2.0 * largest / seen
-    pixel = distance * VIEW_SENSOR_MM / space.lens / largest
-    view = space.region_3d
-    if view.view_perspective == "CAMERA":
-        view.view_perspective = "PERSP"
-    aside = view.view_rotation @ Vector((1.0, 0.0, 0.0)) * (right - left) / 2.0 * pixel
-    view.view_location, view.view_distance = Vector(center) + aside, distance
 
 
 def _skin_points(joints: np.ndarray) -> np.ndarray:

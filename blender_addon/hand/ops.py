@@ -47,17 +47,6 @@ class AddHand(Reporting, bpy.types.Operator):
         description="Add controls for curl and spread of each finger, for pinned tips, and joint limits",
         default=True,
     )
-    use_camera: bpy.props.BoolProperty(
-        name="Camera",
-        description="Add a camera that shows the hand, where the scene has none",
-        default=False,
-    )
-    use_view: bpy.props.BoolProperty(
-        name="Frame in View",
-        description="Turn the view to the new hand",
-        default=False,
-        options={"SKIP_SAVE"},
-    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -86,12 +75,7 @@ class AddHand(Reporting, bpy.types.Operator):
         scene_light.follow(context.scene, [hand])
         stand_ins.update()
         context.view_layer.update()
-        camera = add_camera(context, hand) if self.use_camera and context.scene.camera is None else None
         told = rpt_("Added {name}.").format(name=hand.name)
-        if camera is not None:
-            told += " " + rpt_("The scene had no camera: {name} shows the hand.").format(name=camera.name)
-        if self.use_view:
-            _look_at(context, hand)
         around = next(_meshes_around(context, hand.location), None)
         if around is not None:
             text = rpt_("It is inside {name}, which hides it in the viewport.")
@@ -437,14 +421,6 @@ def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.ty
         corners = np.array(thing.bound_box)
         if (corners.min(0) < local).all() and (local < corners.max(0)).all():
             yield thing
-
-
-def _look_at(context: bpy.types.Context, hand: bpy.types.Object) -> None:
-    """Turns the view that the button was pressed in to a hand; elsewhere nothing happens."""
-    if bpy.app.background or context.area is None or context.area.type != "VIEW_3D":
-        return
-    joints_m = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_world_m
-    framing.turn_view_to(context.area, joints_m, context.scene.unit_settings.scale_length)
 
 
 CLASSES = (AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand, LoadAvatar, DropAvatar)

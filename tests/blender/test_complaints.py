@@ -67,7 +67,7 @@ def _use(link: EngineLink) -> Iterator[EngineLink]:
 @pytest.fixture
 def scene(context, tmp_path) -> bpy.types.Scene:
     """What an artist has after Add Hand in an empty scene, keyed over three frames; the hand in its own light."""
-    assert bpy.ops.jghand.add_hand(handedness="right", use_camera=True) == {"FINISHED"}
+    assert bpy.ops.jghand.add_hand(handedness="right") == bpy.ops.jghand.add_camera() == {"FINISHED"}
     scene, thing = context.scene, context.object
     scene.jghand.light = "CAPTURE"
     scene.frame_start, scene.frame_end = 1, 3
@@ -257,7 +257,8 @@ def prepare(content: str) -> None:
         hands.mixamo_rig(bpy.context)
         bpy.ops.jghand.use_armature()
         return
-    bpy.ops.jghand.add_hand(use_camera=True)
+    bpy.ops.jghand.add_hand()
+    bpy.ops.jghand.add_camera()
     if content.startswith("two hands"):
         bpy.ops.jghand.add_hand(handedness="left")
         bpy.ops.object.mode_set(mode="POSE")
@@ -377,7 +378,8 @@ def test_nothing_that_is_used_is_announced_to_go(stand_in, tmp_path):
         "from blender_addon import registration\n"
         "registration.register()\n"
         "bpy.ops.wm.read_factory_settings(use_empty=True)\n"
-        "bpy.ops.jghand.add_hand(handedness='right', use_camera=True)\n"
+        "bpy.ops.jghand.add_hand(handedness='right')\n"
+        "bpy.ops.jghand.add_camera()\n"
         "bpy.ops.jghand.combine_with_scene()\n"
         "bpy.ops.jghand.remove_combination()\n"
         "bpy.ops.jghand.use_engine()\n"

@@ -90,7 +90,9 @@ def refuses(operator: object, **options: object) -> str:
 @pytest.mark.parametrize("side", HANDEDNESSES)
 def test_add_hand_makes_a_hand_at_the_cursor_with_all_it_needs(extension, side):
     extension.scene.cursor.location = (1, 2, 3)
-    thing = add(side, use_camera=True)
+    thing = add(side)
+    assert extension.scene.camera is None
+    bpy.ops.jghand.add_camera()
     assert armature.handedness_of(thing) == side
     assert tuple(thing.location) == (1, 2, 3)
     assert extension.view_layer.objects.active == thing
@@ -108,18 +110,11 @@ def test_add_hand_makes_a_hand_at_the_cursor_with_all_it_needs(extension, side):
     assert np.ptp(pixels[:, 1]) > 300
 
 
-def test_add_hand_adds_no_camera_unless_asked(extension):
-    add()
-    assert extension.scene.camera is None
-
-
-def test_add_hand_leaves_a_camera_that_is_there_and_adds_as_many_hands_as_wanted(extension):
-    first = add("right", use_controls=False, use_camera=True)
+def test_add_hand_adds_as_many_hands_as_wanted(extension):
+    first = add("right", use_controls=False)
     assert not controls.has_controls(first)
-    camera = extension.scene.camera
-    second = add("right", use_camera=True)
+    second = add("right")
     assert second.name != first.name
-    assert extension.scene.camera is camera
     assert not first.select_get()
     assert len(armature.hands_at_any_frame(extension.view_layer)) == 2
 

@@ -91,7 +91,7 @@ def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
 def test_a_scene_whose_hands_are_instanced_alone_shows_its_problems_and_the_other_panels(
     extension, engine, monkeypatch
 ):
-    thing = add(use_camera=False)
+    thing = add()
     collection = bpy.data.collections.new("asset")
     collection.objects.link(thing)
     for owner in thing.users_collection:
@@ -311,7 +311,8 @@ def test_the_light_panel_says_how_each_hand_answers_the_light_of_the_scene(exten
 
 
 def test_a_camera_that_cannot_be_used_is_told(extension, engine):
-    add(use_camera=True)
+    add()
+    bpy.ops.jghand.add_camera()
     extension.scene.camera.data.type = "PANO"
     assert "Panoramic" in text_of(draw(picture.RenderPanel, extension))
 

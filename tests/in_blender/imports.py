@@ -24,7 +24,7 @@ def step_a_hand_and_a_motion_in_centimeters(window):
     joints_cm[..., 0] += 5 * np.sin(np.arange(FRAMES) / 20)[:, None]
     np.savez(window.out / "wave.npz", joints=joints_cm, order="standard", unit="cm", fps=24.0, handedness="right")
     yield from window.open_sidebar()
-    window.call("jghand.add_hand", handedness="right", use_camera=True, use_view=True)
+    window.add_hand()
     yield from window.settle()
 
 

@@ -41,7 +41,7 @@ def step_an_animated_hand(window):
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = 1, FRAMES
     yield from window.open_sidebar("JGHand")
-    window.call("jghand.add_hand", handedness="right", use_camera=True, use_view=True)
+    window.add_hand()
     yield 1.0
     hand = bpy.context.view_layer.objects.active
     hand.jghand.avatar = "painted"

@@ -32,8 +32,7 @@ def step_an_empty_scene_shows_one_button(window):
 
 
 def step_a_hand_is_added_looked_at_and_listed(window):
-    with window.override():
-        bpy.ops.jghand.add_hand("INVOKE_DEFAULT", True, handedness="right", use_camera=True, use_view=True)
+    window.add_hand()
     yield 1.0
     hand = bpy.context.view_layer.objects.active
     assert hand.name == "Right Hand"

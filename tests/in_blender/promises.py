@@ -15,7 +15,7 @@ def step_a_hand_is_there(window):
     for thing in list(bpy.data.objects):
         bpy.data.objects.remove(thing)
     yield from window.open_sidebar()
-    window.call("jghand.add_hand", handedness="right", use_camera=True, use_view=True)
+    window.add_hand()
     yield from window.settle()
     window.picture("hand")
 

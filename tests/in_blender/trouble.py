@@ -21,7 +21,7 @@ def kill_engine(window):
 def step_a_hand_is_there(window):
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     yield from window.open_sidebar()
-    window.call("jghand.add_hand", handedness="left", use_camera=True, use_view=True)
+    window.add_hand("left")
     yield from window.settle()
     assert skin(window.crop(window.picture("left_hand"))).mean() > 0.03
 

@@ -170,6 +170,12 @@ class Window:
                 "INVOKE_DEFAULT", True, **properties
             )  # True: can be undone
 
+    def add_hand(self, side: str = "right") -> None:
+        """A hand with a camera, framed in the view."""
+        self.call("jghand.add_hand", handedness=side)
+        self.call("jghand.add_camera")
+        self.call("view3d.view_selected")
+
     def modal(self, name: str) -> bpy.types.Operator | None:
         """The operator of this name (`JGHAND_OT_import_motion`) that works in turns now; None where none does."""
         return next((one for one in self.window.modal_operators if one.bl_idname == name), None)
