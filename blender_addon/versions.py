@@ -65,13 +65,13 @@ def fcurves(owner: bpy.types.ID) -> list[Any]:
 
 def selected_bones(thing: bpy.types.Object) -> set[str]:
     """Names of the selected bones of an armature's object that can be seen."""
-    return {bone.name for bone in _visible_bones(thing) if _selectable(bone).select}
+    return {bone.name for bone in visible_bones(thing) if _selectable(bone).select}
 
 
 def select_bones(thing: bpy.types.Object) -> None:
     """Selects all bones that can be seen, where none is: Blender's timeline shows the keys of selected bones only."""
     if not selected_bones(thing):
-        for bone in _visible_bones(thing):
+        for bone in visible_bones(thing):
             _selectable(bone).select = True
 
 
@@ -80,7 +80,7 @@ def _selectable(bone: bpy.types.PoseBone) -> Any:
     return bone if hasattr(bone, "select") else bone.bone
 
 
-def _visible_bones(thing: bpy.types.Object) -> list[bpy.types.PoseBone]:
+def visible_bones(thing: bpy.types.Object) -> list[bpy.types.PoseBone]:
     """The bones of an armature's object that are not hidden, nor all collections that they are in."""
     return [
         bone

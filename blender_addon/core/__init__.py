@@ -9,8 +9,7 @@ stand_in        the surface of a hand at rest for any joints: what throws its sh
 poses           hand poses with names, for both hands (numpy); the pose library is a shipped .blend
 view            pinhole cameras, hands in their own space, the part of a view that shows them, the request for a picture
 lamps           Blender's lights as the engine's lamps (numpy)
-worlds          pictures of a world: averaged, or from what a light probe measured (numpy)
-facets          triangles on which light is baked, and what they say of it at points of the skin (numpy)
+worlds          pictures of a world: averaged, or from what a light probe measured; facets for baked light (numpy)
 film            that picture as Blender's passes (numpy)
 files           files that appear under their name only when they are whole
 wire            what extension and engine share: the protocol, and how other people name the bones of a hand

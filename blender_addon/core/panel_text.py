@@ -18,7 +18,7 @@ from .joints import NAMES
 
 Translate = Callable[[str], str]
 
-# the engine's words for stages and effects -> what an artist reads
+# the engine's words for stages -> what an artist reads
 STAGES = {
     "transform": "Bones",
     "plan": "Plan",
@@ -29,21 +29,6 @@ STAGES = {
     "detail": "Skin Texture",
     "shadow + compose": "Shadow",
     "compose": "Compose",
-}
-EFFECTS = {
-    "skin": "Skin",
-    "correctives": "Learned Skin Detail",
-    "cast-shadow": "Shadows in the Light",
-    "detail": "Skin Texture",
-    "filter": "Small Hand Filter",
-    "self-shadow": "Self-Shadow",
-    "motion-blur": "Motion Blur",
-    "depth-of-field": "Depth of Field",
-    "whole-picture": "Whole Image",
-    "lamps": "Lamps",
-    "lamp-shadow": "Shadows of Lamps",
-    "world-shadow": "Shadows in the World",
-    "gloss": "Gloss",
 }
 # which of several hands a note of the engine is about
 _HAND = re.compile(r"hand (\d+): (.*)", re.DOTALL)
@@ -117,7 +102,6 @@ class ReceiptText:
 
     total: Line
     stages: tuple[Line, ...]
-    effects: tuple[Line, ...]
     warnings: tuple[Line, ...]
 
 
@@ -198,7 +182,6 @@ def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, tran
     return ReceiptText(
         _total(report, total_ms, budget_ms, translate),
         tuple(_stage(stage, total_ms, translate) for stage in _mappings(report.get("stages"))),
-        tuple(_effect(effect, translate) for effect in _mappings(report.get("effects"))),
         warnings(report, translate),
     )
 
@@ -265,20 +248,6 @@ def _stage(stage: Mapping[str, Any], total_ms: float, translate: Translate) -> L
     label, spent_ms = translate(STAGES.get(name, name.capitalize())), _number(stage.get("milliseconds"))
     part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
     return Line(label, milliseconds(spent_ms), part, str(stage.get("reason") or ""))
-
-
-def _effect(effect: Mapping[str, Any], translate: Translate) -> Line:
-    name, ran = str(effect.get("effect", "?")), bool(effect.get("runs"))
-    label = translate(EFFECTS.get(name, name.replace("-", " ").title()))
-    cost_ms = _number(effect.get("estimated_ms"))
-    value = translate("about {time}").format(time=milliseconds(cost_ms)) if ran and cost_ms > 0 else ""
-    reason, bound = str(effect.get("reason") or ""), str(effect.get("bound") or "")
-    tip = translate("Ran") if ran else translate("Not run")
-    tip += f": {reason}" if reason else ""
-    if bound:
-        template = translate("Without it: {bound}") if ran else translate("Off by: {bound}")
-        tip = f"{tip.rstrip('.')}. {template.format(bound=bound)}"
-    return Line(label, value, tip=tip.rstrip("."), good=ran)
 
 
 def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Line, ...]:

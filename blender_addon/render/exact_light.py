@@ -22,9 +22,9 @@ import bpy
 import numpy as np
 
 from .. import clock
-from ..core import facets
 from ..core.stand_in import FINE_POINTS, Surface, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
+from ..core.worlds import LOOKS, above_skin, fields
 from ..errors import JGHandFailure
 from ..hand import armature, stand_ins
 from . import handover, lamps, probe, samples, scene_light, worlds
@@ -154,11 +154,11 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
     own.world = worlds.world_in(scene, layer)
     own.frame_current, own.frame_subframe = scene.frame_current, scene.frame_subframe
     to_scene = turn / scene.unit_settings.scale_length
-    shapes = [surface.vertices for surface in surfaces] + [facets.above_skin(points, normals).reshape(-1, 3)]
+    shapes = [surface.vertices for surface in surfaces] + [above_skin(points, normals).reshape(-1, 3)]
     for thing, vertices in zip([*stage.hands, stage.facets], shapes, strict=True):
         thing.data.vertices.foreach_set("co", (vertices @ to_scene).ravel())
         thing.data.update()
-    found = facets.fields(probe.bake(own, stage.facets) @ worlds.rec709_from_scene().T, normals)
+    found = fields(probe.bake(own, stage.facets) @ worlds.rec709_from_scene().T, normals)
     return found.reshape(len(hands), FINE_POINTS, 4, 3).astype("<f4")
 
 
@@ -175,7 +175,7 @@ def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequenc
     own = probe.new_scene(scene, None, made, SAMPLES)
     white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
     skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
-    above = probe.new_facets(np.zeros((facets.LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
+    above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
     above.data.materials.append(white)
     for name in _SEEN_BY:
         setattr(above, f"visible_{name}", False)

@@ -218,17 +218,13 @@ def receipt_of(context: bpy.types.Context, kind: str) -> ReceiptText | None:
 
 
 def _draw_receipt(layout: bpy.types.UILayout, receipt: ReceiptText) -> None:
-    """Warnings, the whole and its stages, and the effects: those that ran first; why is in the tooltips."""
+    """Warnings, the whole and its stages; why is in the tooltips."""
     for line in receipt.warnings:
         ui.explained(layout, line, icon="ERROR")
     column = layout.column(align=True)
     ui.figure(column, receipt.total)
     for line in receipt.stages:
         ui.figure(column, line)
-    for line in sorted(receipt.effects, key=lambda line: not line.good):
-        row = column.row()
-        row.active = line.good
-        ui.explained(row, line, icon="CHECKMARK" if line.good else "BLANK1")
 
 
 CLASSES = (

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from .. import versions
-from ..core import facets, worlds
+from ..core import worlds
 from ..errors import JGHandFailure
 from . import handover
 
@@ -136,7 +136,7 @@ def new_scene(
 
 def _ball(looks: worlds.Probe, radius: float, made: list[Any]) -> bpy.types.Object:
     """Triangles that look in all directions, each flat: between smooth ones light would be lost below their edges."""
-    ball = new_facets(radius * facets.triangles(looks.place, looks.normal, looks.size), made)
+    ball = new_facets(radius * worlds.triangles(looks.place, looks.normal, looks.size), made)
     ball.data.polygons.foreach_set("material_index", looks.is_white.astype(np.int32))
     for name in _SHADERS:
         ball.data.materials.append(new_material(name, (1.0, 1.0, 1.0, 1.0), made))

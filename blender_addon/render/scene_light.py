@@ -29,7 +29,7 @@ from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
 from ..hand import avatar_files, instances, seen_hands
-from . import handover, lamps, probe, scene_shadows, studio, worlds
+from . import handover, lamps, probe, scene_shadows, worlds
 from .lamps import SceneLamps
 from .properties import LIGHT_OF_HANDS
 from .worlds import Reading
@@ -85,7 +85,7 @@ def in_view(
     if space.shading.type == "SOLID":
         return None
     if space.shading.type == "MATERIAL" and not space.shading.use_scene_world:
-        around = studio.light_of(space)
+        around = worlds.hdri_light(space)
         if around is None:
             return None
         world = Reading(around)
@@ -206,7 +206,7 @@ def warnings() -> tuple[str, ...]:
 
 def tend() -> bool:
     """For the timer: measures the world of the views, where that is due; says whether views are to be drawn."""
-    if _rested() or studio.tend():
+    if _rested() or worlds.read_hdri():
         return True
     if _stale is None or time.monotonic() - _stale.since_s < _REST_S:
         return False

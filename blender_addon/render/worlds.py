@@ -14,6 +14,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -305,3 +306,56 @@ def _rec709(values: np.ndarray) -> np.ndarray:
     """Scene-linear colors of any shape, as Rec.709 without negative parts."""
     turned = values if _is_rec709() else values @ rec709_from_scene().T
     return np.maximum(turned, 0).astype(np.float32)
+
+
+# ---- the HDRI of Material Preview, in a 3D view that does not show the world of the scene ----------------------------
+# How it lies was found in a window (run, 5.2.2): at rotation 0 as an environment texture, a positive rotation turns its
+# light clockwise as seen from above, and without World Space Lighting it turns with the view, forward for +y.
+
+# pictures of HDRIs by their paths, None for one that Blender cannot read; some MB each
+_hdris: dict[str, np.ndarray | None] = {}
+# the one that a view waits for
+_wanted = ""
+
+
+def hdri_light(space: bpy.types.SpaceView3D) -> WorldLight | None:
+    """The light of a view's HDRI; None where it has none that can be read, and until `read_hdri` has read it."""
+    global _wanted
+    shading = space.shading
+    path = shading.selected_studio_light.path if shading.selected_studio_light is not None else ""
+    if path not in _hdris:
+        _wanted = path
+        return None
+    if _hdris[path] is None:
+        return None
+    cosine, sine = np.cos(shading.studiolight_rotate_z), np.sin(shading.studiolight_rotate_z)
+    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    if not shading.use_studiolight_view_rotation:
+        right, up, back = np.array(space.region_3d.view_matrix)[:3, :3]
+        turn = turn @ np.stack([right, -back, up])
+    return replace(_light(path, shading.studiolight_intensity), env_from_blender=turn)
+
+
+@lru_cache(maxsize=4)
+def _light(path: str, intensity: float) -> WorldLight:
+    picture = _hdris[path]
+    assert picture is not None  # `hdri_light` has checked it
+    return WorldLight(picture * np.float32(intensity), key=digest([path, repr(intensity)]))
+
+
+def read_hdri() -> bool:
+    """For the timer: reads the HDRI that a view waits for; says whether there was one."""
+    global _wanted
+    path, _wanted = _wanted, ""
+    if not path:
+        return False
+    image = None
+    try:
+        image = bpy.data.images.load(path)
+        _hdris[path] = picture_of(image)
+    except (RuntimeError, JGHandFailure, Unread):  # no such file, or none that can be read
+        _hdris[path] = None
+    finally:
+        if image is not None:
+            bpy.data.images.remove(image)
+    return True

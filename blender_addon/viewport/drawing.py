@@ -17,6 +17,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Euler, Matrix
 
+from .. import versions
 from ..core.view import Part
 
 _VERTEX = """
@@ -243,22 +244,12 @@ def _lines(evaluated: bpy.types.Object) -> Iterator[tuple[np.ndarray, bool]]:
     """(N, 2, 3) ends of lines in the world for every visible bone, and whether they are its custom shape."""
     world = evaluated.matrix_world
     shaped = evaluated.data.show_bone_custom_shapes
-    for bone in evaluated.pose.bones:
-        if not _is_visible(bone):
-            continue
+    for bone in versions.visible_bones(evaluated):
         shape = bone.custom_shape if shaped else None
         if shape is None:
             yield np.array([[world @ bone.head, world @ bone.tail]], np.float32), False
         elif shape.type == "MESH" and 0 < len(shape.data.edges) <= SHAPE_EDGES_MAX:
             yield _wires(shape.data, np.array(world @ _shape_matrix(bone), np.float32)), True
-
-
-def _is_visible(bone: bpy.types.PoseBone) -> bool:
-    # where a bone's hiding is kept differs between versions; a line too many would be a hole in the hand
-    if bone.bone.hide or getattr(bone, "hide", False):
-        return False
-    collections = bone.bone.collections
-    return not collections or any(collection.is_visible_effectively for collection in collections)
 
 
 def _shape_matrix(bone: bpy.types.PoseBone) -> Matrix:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blender_addon.core import facets
+from blender_addon.core import worlds as facets
 
 
 def unit_vectors(count: int) -> np.ndarray:

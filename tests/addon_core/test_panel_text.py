@@ -72,24 +72,6 @@ RECEIPT = {
         {"name": "skin", "ran": True, "milliseconds": 1.81, "reason": "correctives exact"},
         {"name": "raster", "ran": True, "milliseconds": 3.62, "reason": ""},
     ],
-    "effects": [
-        {
-            "effect": "self-shadow",
-            "runs": False,
-            "reason": "no finger is near another",
-            "bound": "at most 0.2 %",
-            "worst": 0.002,
-            "estimated_ms": 0.4,
-        },
-        {
-            "effect": "correctives",
-            "runs": True,
-            "reason": "joints turned",
-            "bound": "up to 4 mm along an axis",
-            "worst": None,
-            "estimated_ms": 1.2,
-        },
-    ],
 }
 
 
@@ -100,14 +82,6 @@ def test_a_receipt_becomes_bars_of_the_stages_that_ran():
     skin, raster = said.stages
     assert (skin.text, skin.value, skin.part, skin.tip) == ("Skin", "1.8 ms", 0.25, "correctives exact")
     assert (raster.text, raster.part, raster.tip) == ("Drawing", 0.5, "")
-
-
-def test_effects_say_whether_they_ran_and_why_in_a_tooltip_without_a_final_full_stop():
-    not_run, ran = panel_text.receipt_text(RECEIPT).effects
-    assert (not_run.text, not_run.good) == ("Self-Shadow", False)
-    assert not_run.tip == "Not run: no finger is near another. Off by: at most 0.2 %"
-    assert (ran.text, ran.good, ran.value) == ("Learned Skin Detail", True, "about 1.2 ms")
-    assert ran.tip == "Ran: joints turned. Without it: up to 4 mm along an axis"
 
 
 def test_a_picture_over_its_budget_is_told():
@@ -142,11 +116,6 @@ def test_the_engines_own_sentence_about_a_joint_is_understood():
         assert said.text.startswith("thumb2: abduction ")
 
 
-def test_every_stage_and_effect_of_the_engine_has_a_name_for_people():
-    plan = pytest.importorskip("jghand_engine.render.effect_plan", reason="the engine is not installed")
-    assert set(panel_text.EFFECTS) == {str(effect) for effect in plan.Effect}
-
-
 def test_many_warnings_are_a_few_lines_and_one_for_the_others():
     lines = panel_text.warnings({"notes": [f"Note {number}." for number in range(9)]})
     first, second, others = panel_text.folded(lines, 2)
@@ -164,8 +133,8 @@ def test_damaged_splats_are_told():
     "report",
     [
         {},
-        {"total_ms": None, "stages": None, "effects": "x", "notes": None},
-        {"stages": [{}, 3], "effects": [{}], "notes": [7], "total_ms": True},
+        {"total_ms": None, "stages": None, "notes": None},
+        {"stages": [{}, 3], "notes": [7], "total_ms": True},
         {"total_ms": math.inf, "stages": [{"name": "skin", "ran": True, "milliseconds": 1.0}]},
     ],
 )

@@ -40,10 +40,6 @@ RECEIPT = {
     "visible_gaussians": 51000,
     "notes": ["index1 flexion 105°: 12° outside the 0° to 93° that was trained"],
     "stages": [{"name": "skin", "ran": True, "milliseconds": 3.6}],
-    "effects": [
-        {"effect": "depth", "runs": True, "reason": "requested", "estimated_ms": 0.5},
-        {"effect": "self-shadow", "runs": False, "reason": "no finger is near another", "estimated_ms": 0.4},
-    ],
 }
 
 
@@ -271,9 +267,6 @@ def test_statistics_show_what_the_last_picture_did_and_why(extension, engine):
     assert "Over Budget" in seen.texts
     bars = [one.arguments for one in seen.drawn if one.function == "progress"]
     assert [(bar["text"], bar["factor"]) for bar in bars] == [("7.2 ms", 1.0), ("3.6 ms", 0.5)]
-    tips = {one.text: one.settings["text"] for one in seen.drawn if one.function == "operator"}
-    assert tips["Self-Shadow"] == "Not run: no finger is near another"
-    assert tips["Depth"] == "Ran: requested"
 
 
 def test_a_pose_beyond_training_is_told_below_the_hands(extension, engine):
