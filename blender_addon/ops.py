@@ -260,13 +260,11 @@ def missing(operator: type, sentence: str) -> bool:
 
 
 def active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The active object where it is an armature of ours."""
     thing = context.object
     return thing if thing is not None and armature.is_hand(thing) else None
 
 
 def chosen_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The active armature of ours, then the others that are selected."""
     hands = [thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None]
     return list(dict.fromkeys(hand for hand in hands if armature.is_hand(hand)))
 
@@ -284,7 +282,6 @@ def poll_hand(operator: type, context: bpy.types.Context) -> bool:
 
 
 def poll_hands(operator: type, context: bpy.types.Context) -> bool:
-    """The same for all that are selected."""
     if not poll_hand(operator, context):
         return False
     linked = next((hand for hand in chosen_hands(context) if not hand.is_editable), None)
@@ -306,7 +303,6 @@ def poll_bones(operator: type, context: bpy.types.Context) -> bool:
 
 
 def poll_controls(operator: type, context: bpy.types.Context) -> bool:
-    """The same, with finger controls."""
     return poll_hand(operator, context) and (
         controls.has_controls(active_hand(context)) or missing(operator, 'Press "Add Finger Controls" first')
     )
@@ -336,7 +332,6 @@ def object_mode(context: bpy.types.Context) -> None:
 
 
 def link_to_active_collection(context: bpy.types.Context, thing: bpy.types.Object) -> None:
-    """Puts a new object where Blender's own operators put theirs; where that is hidden it stays in the scene's."""
     layer = context.view_layer.active_layer_collection
     if not layer.is_visible or layer.collection in thing.users_collection:
         return

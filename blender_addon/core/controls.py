@@ -81,7 +81,6 @@ def channel(control: str) -> str:
 
 
 def moving_bones(finger: int) -> tuple[str, str, str]:
-    """The three bones of a finger that turn, from the palm outwards."""
     first = 1 + 4 * finger
     return NAMES[first], NAMES[first + 1], NAMES[first + 2]
 

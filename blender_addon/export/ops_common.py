@@ -54,7 +54,6 @@ class StartsJob(InTurns):
         raise NotImplementedError
 
     def done(self, _context: bpy.types.Context) -> str:
-        """What is told, and done, when the job has succeeded."""
         return ""
 
     def prepare(self, _context: bpy.types.Context) -> None:
@@ -121,7 +120,6 @@ class StartsJob(InTurns):
 
 
 def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The hands that the scene's settings choose, by name."""
     layer = context.view_layer
     if context.scene.jghand.output.hands == "all":
         return armature.hands_at_any_frame(layer)
@@ -130,7 +128,6 @@ def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def frames_to_write(context: bpy.types.Context) -> range:
-    """The frames that the scene's settings choose."""
     settings = context.scene.jghand.output
     if settings.use_scene_range:
         return seen_frames(context.scene)

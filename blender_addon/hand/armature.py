@@ -119,7 +119,6 @@ def rendered_at_any_frame(
 
 
 def is_hand(thing: bpy.types.Object) -> bool:
-    """Whether an object is an armature that says which hand it is."""
     return thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing
 
 
@@ -132,7 +131,6 @@ def is_foreign(thing: bpy.types.Object) -> bool:
 
 
 def is_any_hand(thing: bpy.types.Object) -> bool:
-    """Whether hands are drawn on an object, ours or not."""
     return is_hand(thing) or is_foreign(thing)
 
 

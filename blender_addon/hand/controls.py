@@ -49,8 +49,6 @@ COLLECTION = "JGHand Controls"
 TIP_COLLECTION = "JGHand Tips"
 # the constraint that keeps a control itself in its range
 RANGE = "JGHand Range"
-# custom property of a hand whose layer is switched off: the rules that were off before it, a path per line
-OFF_BEFORE = "jghand_rules_off"
 # what was changed and may be keyed: a bone or a constraint, and its property
 Touched = tuple[bpy.types.bpy_struct, str]
 
@@ -122,16 +120,9 @@ def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], fr
 
 
 def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
-    """Switches the effect of the whole layer off or on; a motion can be keyed while it is off.
-
-    What was off before stays off when the layer is on again: joint limits, and rules that somebody muted.
-    """
-    off = _rules_off(hand)
+    """Switches the effect of the whole layer off or on; a motion can be keyed while it is off."""
     for rule in rules_of(hand):
-        rule.mute = muted or rule.path_from_id() in off
-    hand.pop(OFF_BEFORE, None)
-    if muted:
-        hand[OFF_BEFORE] = "\n".join(sorted(off))
+        rule.mute = muted
 
 
 def controls_are_muted(hand: bpy.types.Object) -> bool:
@@ -139,28 +130,18 @@ def controls_are_muted(hand: bpy.types.Object) -> bool:
 
 
 def joint_limits_are_used(hand: bpy.types.Object) -> bool:
-    """Whether any joint has its limits; while the layer is muted, whether any will have them when it is on again."""
-    off = _rules_off(hand)
-    return any(rule.name == LIMIT and rule.path_from_id() not in off for rule in rules_of(hand))
+    """Whether any joint has its limits, or will have them when a muted layer is on again."""
+    muted = controls_are_muted(hand)
+    return any(rule.name == LIMIT and rule.influence > 0 and (muted or not rule.mute) for rule in rules_of(hand))
 
 
 def use_joint_limits(hand: bpy.types.Object, used: bool) -> None:
-    """Switches the anatomical limits of the 15 moving bones on or off; tips keep them in any case. While the layer is
-    muted, that is how they will be when it is on again."""
-    ranges = [rule for rule in rules_of(hand) if rule.name == LIMIT]
-    if controls_are_muted(hand):
-        paths = {rule.path_from_id() for rule in ranges}
-        hand[OFF_BEFORE] = "\n".join(sorted(_rules_off(hand) - paths if used else _rules_off(hand) | paths))
-        return
-    for rule in ranges:
-        rule.mute = not used
-
-
-def _rules_off(hand: bpy.types.Object) -> set[str]:
-    """Paths of the rules that are off, of a muted layer those that were off before."""
-    if controls_are_muted(hand):
-        return set(str(hand.get(OFF_BEFORE, "")).splitlines())
-    return {rule.path_from_id() for rule in rules_of(hand) if rule.mute}
+    """Switches the anatomical limits of the 15 moving bones on or off, by their influence: to mute is the whole
+    layer's; tips keep them in any case."""
+    muted = controls_are_muted(hand)
+    for rule in rules_of(hand):
+        if rule.name == LIMIT:
+            rule.influence, rule.mute = float(used), muted
 
 
 def hold_tip(hand: bpy.types.Object, finger: str, part: float = 1.0) -> list[Touched]:
@@ -245,7 +226,6 @@ def rules_of(hand: bpy.types.Object) -> Iterator[bpy.types.Constraint]:
 
 
 def _remove_rules(hand: bpy.types.Object) -> None:
-    hand.pop(OFF_BEFORE, None)
     for bone in hand.pose.bones:
         ours = [rule for rule in bone.constraints if rule.name in RULES and bone.name in NAMES]
         for rule in ours:

@@ -212,7 +212,6 @@ def use_library() -> str:
 
 
 def is_used() -> bool:
-    """Whether the folder is one of the user's asset libraries."""
     return _library() is not None
 
 

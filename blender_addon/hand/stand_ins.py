@@ -318,7 +318,6 @@ class GltfHook:
 
 @persistent
 def on_load(*_: Any) -> None:
-    """A file was opened: hands of older ones have no stand-in."""
     update()
     show(traced=False)
 

@@ -281,7 +281,6 @@ def _insert(
 
 
 def _take_out(tree: bpy.types.NodeTree) -> None:
-    """Removes our nodes; what they combined with the hands goes into the output again."""
     for node in _nodes(tree):
         if node.bl_idname == "CompositorNodeZcombine" and node.inputs[0].links:
             source = node.inputs[0].links[0].from_socket

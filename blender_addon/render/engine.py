@@ -239,7 +239,6 @@ APP_HANDLERS = (("render_pre", on_frame), ("blend_import_post", scene_light.on_i
 
 
 def register() -> None:
-    """Has Blender's own panels of cameras and output shown for the engine."""
     for engines in _panels():
         engines.add(JGHandRenderEngine.bl_idname)
 

@@ -65,7 +65,6 @@ _ready: dict[tuple[int, str], _Baked] = {}
 
 
 def is_chosen(scene: bpy.types.Scene) -> bool:
-    """Whether renders of a scene bake the light of its hands."""
     return scene_light.is_chosen(scene) and scene.jghand.use_exact_light
 
 

@@ -83,7 +83,6 @@ def uses_scene_lights(space: bpy.types.SpaceView3D | None) -> bool:
 def lamps_of(
     depsgraph: bpy.types.Depsgraph, hands: Sequence[bpy.types.Object], space: bpy.types.SpaceView3D | None = None
 ) -> SceneLamps:
-    """What lights hands in a render, or in a 3D view."""
     found: list[dict[str, Any]] = []
     warnings: dict[str, None] = {}  # each once, in their order
     if uses_scene_lights(space):

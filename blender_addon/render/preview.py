@@ -67,7 +67,7 @@ class PreviewMovie(Reporting, bpy.types.Operator):
             return missing(cls, "Blender is rendering already")
         if not instances.sources_at_any_frame(context.view_layer):
             return missing(cls, "There is no hand in this scene that is rendered")
-        if context.scene.camera is None and _view_of(context) is None and _local_camera(context) is None:
+        if context.scene.camera is None and _view_of(context) is None:
             return missing(cls, "The scene has no camera")
         return True
 
@@ -136,11 +136,9 @@ def _begin(context: bpy.types.Context) -> _Movie:
     try:
         composite.forget(copy)
         copy[stand_ins.WITHOUT] = True  # Workbench would show them
-        view, own = _view_of(context), _local_camera(context)
+        view = _view_of(context)
         if view is not None:
             movie.camera = _add_camera(copy, view).name
-        elif own is not None:
-            _see_through(copy, own)
         _set_up(copy, scene, context)
         for each in copy.view_layers:
             each.use = each.name == layer.name
@@ -193,20 +191,6 @@ def _view_of(context: bpy.types.Context) -> bpy.types.SpaceView3D | None:
     return None if space.region_3d.view_perspective == "CAMERA" else space
 
 
-def _local_camera(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The camera that a 3D view has for itself, where it is seen through."""
-    space = context.space_data
-    if not isinstance(space, bpy.types.SpaceView3D) or _view_of(context) is not None or not space.use_local_camera:
-        return None
-    return space.camera
-
-
-def _see_through(copy: bpy.types.Scene, seen_from: bpy.types.Object) -> None:
-    """Has the copy seen from a camera; markers choose no other."""
-    copy.timeline_markers.clear()
-    copy.camera = seen_from
-
-
 def _add_camera(copy: bpy.types.Scene, space: bpy.types.SpaceView3D) -> bpy.types.Object:
     """A camera of the copy that sees as a 3D view does."""
     view = space.region_3d
@@ -219,7 +203,8 @@ def _add_camera(copy: bpy.types.Scene, space: bpy.types.SpaceView3D) -> bpy.type
         data.type, data.ortho_scale = "ORTHO", view.view_distance * _VIEW_SENSOR_MM / space.lens
         made.matrix_world.translation += made.matrix_world.col[2].to_3d() * space.clip_end / 2
     copy.collection.objects.link(made)
-    _see_through(copy, made)
+    copy.timeline_markers.clear()  # which choose cameras
+    copy.camera = made
     return made
 
 

@@ -56,7 +56,6 @@ def end() -> None:
 
 
 def now() -> bool:
-    """Whether a picture or an animation with hands is rendered now."""
     return _began_s < math.inf
 
 
@@ -101,7 +100,6 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
 
 
 def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
-    """The hands of a combined picture could not be drawn: its frame is magenta."""
     global _failed
     if _failed:
         return

@@ -32,7 +32,6 @@ class InstallError(Exception):
 
 
 def interpreter(folder: Path) -> Path:
-    """The environment's Python, which need not be there."""
     return folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 

@@ -43,19 +43,26 @@ class RestartEngine(bpy.types.Operator):
         return DONE
 
 
-class ShowLog(bpy.types.Operator):
+class ShowLog(Reporting, bpy.types.Operator):
     bl_idname = "jghand.show_log"
     bl_label = "Show Log"
-    bl_description = "Open what the renderer printed in the Text Editor"
+    bl_description = "Open what the renderer, or a job, printed last in the Text Editor"
     bl_options = REGISTERED
 
-    @classmethod
-    def poll(cls, _context: bpy.types.Context) -> bool:
-        return bool(runtime.link().log) or missing(cls, "The renderer has printed nothing yet")
+    # of a job; "" for the renderer
+    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        _show_text(context, LOG_NAME, runtime.link().log)
-        return DONE
+    def run(self, context: bpy.types.Context) -> None:
+        if not self.key:
+            _show_text(context, LOG_NAME, runtime.link().log or rpt_("The renderer has printed nothing yet"))
+            return
+        job = runtime.jobs().get(self.key)
+        if job is None:
+            raise JGHandFailure("bad_input", "no such job was started")
+        lines = [" ".join(job.spec.command), "", job.log]
+        if job.state.failure is not None:
+            lines[1:1] = ["", str(job.state.failure)]
+        _show_text(context, f"JGHand {self.key}.log", "\n".join(lines))
 
 
 def _show_text(context: bpy.types.Context, name: str, content: str) -> None:
@@ -148,22 +155,4 @@ class CancelJob(Reporting, bpy.types.Operator):
             runtime.watch_jobs()
 
 
-class ShowJobLog(Reporting, bpy.types.Operator):
-    bl_idname = "jghand.show_job_log"
-    bl_label = "Show Log"
-    bl_description = "Open what this job printed last in the Text Editor"
-    bl_options = REGISTERED
-
-    key: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
-
-    def run(self, context: bpy.types.Context) -> None:
-        job = runtime.jobs().get(self.key)
-        if job is None:
-            raise JGHandFailure("bad_input", "no such job was started")
-        lines = [" ".join(job.spec.command), "", job.log]
-        if job.state.failure is not None:
-            lines[1:1] = ["", str(job.state.failure)]
-        _show_text(context, f"JGHand {self.key}.log", "\n".join(lines))
-
-
-CLASSES = (RestartEngine, ShowLog, InstallTools, RemoveTools, CancelJob, ShowJobLog)
+CLASSES = (RestartEngine, ShowLog, InstallTools, RemoveTools, CancelJob)

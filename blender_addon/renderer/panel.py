@@ -53,7 +53,7 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -
             layout.label(text=text, icon="TIME", translate=False)
     elif state.phase is Phase.FAILED and state.failure is not None:
         draw_failure(layout, context, state.failure)
-        layout.operator("jghand.show_job_log", icon="TEXT").key = key
+        layout.operator("jghand.show_log", icon="TEXT").key = key
 
 
 def draw_failure(

@@ -246,7 +246,6 @@ class EngineProcess:
                 self.popen.stdin.close()
 
     def kill(self) -> None:
-        """Ends what is left of process and socket."""
         self._disconnect()
         with contextlib.suppress(OSError):
             self.popen.kill()

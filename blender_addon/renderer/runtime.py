@@ -63,7 +63,6 @@ _jobs = JobTable()
 
 
 def link() -> EngineLink:
-    """The link to the engine, not started yet when it is new."""
     global _link
     with _lock:
         if _link is None:
@@ -145,7 +144,6 @@ def last_render() -> RenderNote | None:
 
 
 def jobs() -> JobTable:
-    """The jobs of this Blender: exports, captures, trainings."""
     return _jobs
 
 

@@ -201,7 +201,6 @@ def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = N
 
 @persistent
 def on_undo(*_: Any) -> None:
-    """Undo or redo: every object may be another now."""
     if _on_main_thread():
         seen_hands.forget()
         stand_ins.expect()
@@ -277,7 +276,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Stops following them and frees their pictures."""
     remove()
     views.clear()
     drawing.forget()

@@ -114,7 +114,6 @@ def draws(space: bpy.types.SpaceView3D, scene: bpy.types.Scene, kind: str) -> bo
 
 
 def moment_of(scene: bpy.types.Scene) -> DrawMoment:
-    """What the user does, and whether the engine answers."""
     activity = Activity.POSING
     for window in bpy.context.window_manager.windows:
         if window.screen.is_scrubbing:
@@ -127,7 +126,6 @@ def moment_of(scene: bpy.types.Scene) -> DrawMoment:
 
 
 def settings_of(scene: bpy.types.Scene) -> ViewSettings:
-    """What the scene says about its viewport pictures."""
     chosen = scene.jghand
     return ViewSettings(
         preset=chosen.viewport_preset,

@@ -45,7 +45,8 @@ def test_the_engine_is_started_and_started_again(stand_in):
 
 
 def test_a_start_that_fails_is_told_and_the_log_can_be_read(stand_in):
-    assert "nothing yet" in refuses(bpy.ops.jghand.show_log)
+    assert bpy.ops.jghand.show_log() == {"FINISHED"}
+    assert "nothing yet" in bpy.data.texts[engine.LOG_NAME].as_string()
     stand_in.append("die_at_start")
     said = refuses(bpy.ops.jghand.restart_engine)
     assert "stopped unexpectedly" in said

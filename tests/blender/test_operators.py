@@ -40,7 +40,7 @@ _ENGINE = "the engine is none of the file"
 # what is not undone, and why
 NOT_UNDONE = {
     "save_light": "writes files",
-    **dict.fromkeys(("explain", "open_preferences", "show_log", "show_job_log"), _SHOWS),
+    **dict.fromkeys(("explain", "open_preferences", "show_log"), _SHOWS),
     "restart_engine": _ENGINE,
     "preview_movie": "writes pictures, and leaves the scene as it is",
     **dict.fromkeys(("bake", "export", "render_training_set", "train"), _JOB),
@@ -58,7 +58,7 @@ ANYWHERE = {
     ),
     **dict.fromkeys(("open_preferences", "train", "install_hands"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
-    **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
+    **dict.fromkeys(("explain", "select_hand", "cancel_job"), _ROW),
 }
 _OF_FILE_BROWSERS = ("filepath", "directory", "files")
 # float32 of bone chains through constraints; worst observed 3.4e-7 m

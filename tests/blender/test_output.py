@@ -219,7 +219,7 @@ def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, t
     job = runtime.jobs().get(runtime.OUTPUT)
     assert job is not None
     assert job.state.failure is not None
-    assert bpy.ops.jghand.show_job_log(key=runtime.OUTPUT) == {"FINISHED"}
+    assert bpy.ops.jghand.show_log(key=runtime.OUTPUT) == {"FINISHED"}
 
 
 def a_copy(made: Path, make: Callable[[Path], None], tmp_path: Path) -> bpy.types.Object:

@@ -154,19 +154,6 @@ def begun_in(area: bpy.types.Area) -> Iterator[bpy.types.Scene]:
     preview._remove(movie)
 
 
-def test_a_view_with_a_camera_of_its_own_is_seen_through_that(scene, context):
-    scene.timeline_markers.new("cut", frame=1).camera = scene.camera
-    own, scene.camera = scene.camera.copy(), None
-    scene.collection.objects.link(own)
-    space = view_of(context).spaces.active
-    space.region_3d.view_perspective, space.use_local_camera, space.camera = "CAMERA", True, own
-    with begun_in(view_of(context)) as copy:
-        assert copy.camera == own
-        assert not copy.timeline_markers
-    assert len(scene.timeline_markers) == 1
-    space.use_local_camera = False
-
-
 def test_a_preview_of_a_view_looks_as_the_view_and_is_no_larger(scene, context):
     area = view_of(context)
     shading, region = area.spaces.active.shading, next(each for each in area.regions if each.type == "WINDOW")

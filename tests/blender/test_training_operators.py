@@ -135,7 +135,7 @@ def test_a_failed_job_says_why_until_the_next_one(place, monkeypatch):
     text = text_of(training.TrainPanel)
     assert "The disk is full" in text
     assert "cannot write x" in text
-    assert "jghand.show_job_log" in operators_of(training.TrainPanel)
+    assert "jghand.show_log" in operators_of(training.TrainPanel)
 
 
 def a_training(place: Path, name: str = "my_hand") -> Path:
