@@ -162,7 +162,6 @@ ADVICE = {
     "no_camera": Advice(
         "The scene has no camera", 'Press "Add Hand Camera", or choose one in Scene Properties', BAD_INPUT
     ),
-    "pixel_aspect": Advice("Cameras are made with square pixels only", "Choose a camera that has them", BAD_INPUT),
     "panoramic": Advice(
         "Panoramic cameras are not supported", "Choose a perspective or orthographic camera", BAD_INPUT
     ),

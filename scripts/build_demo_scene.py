@@ -21,11 +21,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import bpy  # pyright: ignore[reportMissingImports]
+
+    from blender_addon.core.view import Pinhole
     from blender_addon.hand.motion_files import MotionFile
 
 ROOT = Path(__file__).resolve().parents[1]
 BAD_INPUT = 2
 FIRST_FRAME = 1
+# part by which fx and fy of a camera may differ and still mean square pixels
+SQUARE_PIXEL_MAX = 1e-6
 
 
 class FileError(Exception):
@@ -101,8 +106,34 @@ def camera_of(entry: dict) -> dict:
     for name in ("width", "height", "fx", "fy"):
         if camera[name] <= 0:
             raise ValueError(f"{name} is {camera[name]:g}")
+    if abs(camera["fx"] / camera["fy"] - 1) > SQUARE_PIXEL_MAX:
+        raise ValueError("pixels that are not square")
     camera |= {name: round(camera[name]) for name in ("width", "height")}
     return {**camera, "camera_from_world": matrix}
+
+
+def add_camera(context: bpy.types.Context, name: str, pinhole: Pinhole) -> bpy.types.Object:
+    """A new camera that sees as `pinhole` does: the inverse of `camera.pinhole` in a scene of the pinhole's size."""
+    import bpy  # pyright: ignore[reportMissingImports]
+    import numpy as np
+    from mathutils import Matrix  # pyright: ignore[reportMissingImports]
+
+    from blender_addon.core.view import CLIP_START_M, OPENCV_FROM_BLENDER
+
+    unit_m = context.scene.unit_settings.scale_length
+    data = bpy.data.cameras.new(name)
+    data.sensor_fit = "HORIZONTAL"
+    data.lens = pinhole.fx * data.sensor_width / pinhole.width
+    data.shift_x = 0.5 - pinhole.cx / pinhole.width
+    # in widths as well: Blender's unit is the fitted side
+    data.shift_y = (pinhole.cy - 0.5 * pinhole.height) / pinhole.width
+    data.clip_start = CLIP_START_M / unit_m
+    camera = bpy.data.objects.new(name, data)
+    world_from_camera = np.linalg.inv(pinhole.camera_from_world) @ OPENCV_FROM_BLENDER
+    world_from_camera[:3, 3] /= unit_m
+    camera.matrix_world = Matrix(world_from_camera)
+    context.scene.collection.objects.link(camera)
+    return camera
 
 
 def _build_registered(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namespace) -> None:
@@ -155,7 +186,7 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
         }
         first = next(iter(pinholes.values()))
         camera.set_picture_size(scene.render, first.width, first.height)
-        eyes = [camera.add_camera(context, name, pinhole) for name, pinhole in pinholes.items()]
+        eyes = [add_camera(context, name, pinhole) for name, pinhole in pinholes.items()]
     else:
         turned_m = joints_m @ world_from_motion[:3, :3].T
         eyes = [framing.add_framing_camera(context, name, turned_m, motion.handedness) for name in framing.SIDES]

@@ -245,13 +245,9 @@ def palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
     good &= _sine(middle, normal) > PALM_SINE_MIN
     if not good.any():
         raise JGHandFailure("bad_joints", "wrist and knuckles lie on a line in every frame")
-    last_good = last_good_frames(good)
+    # before the first good frame that one
+    last_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
     return _axes_along(middle[last_good], normal[last_good])
-
-
-def last_good_frames(good: np.ndarray) -> np.ndarray:
-    """(F,) whether a frame is good, as one is at least -> (F,) the last good frame, before the first good one that."""
-    return np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
 
 
 def _sine(a: np.ndarray, b: np.ndarray) -> np.ndarray:

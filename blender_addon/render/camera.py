@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
-from mathutils import Matrix
 
-from ..core.view import CLIP_START_M, OPENCV_FROM_BLENDER, HandInSpace, Part, Pinhole, pinhole_from
+from ..core.view import HandInSpace, Part, Pinhole, pinhole_from
 from ..errors import JGHandFailure
 from ..hand.armature import evaluated_object
 
 # a camera whose normalized axes leave orthogonality by more than this is sheared by its parents
 _SHEAR_MAX = 1e-4
-# part by which fx and fy of a camera may differ and still mean square pixels
-_SQUARE_PIXEL_MAX = 1e-6
 
 
 def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
@@ -63,28 +60,6 @@ def region(render: bpy.types.RenderSettings, size: tuple[int, int] | None = None
     if right <= left or top <= bottom:
         raise JGHandFailure("empty_region")
     return Part(left, height - top, right, height - bottom)
-
-
-def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.types.Object:
-    """A new camera that sees as `view` does: the inverse of `pinhole` in a scene of the view's size.
-
-    Raises JGHandFailure (pixel_aspect) for pixels that are not square.
-    """
-    if abs(view.fx / view.fy - 1) > _SQUARE_PIXEL_MAX:
-        raise JGHandFailure("pixel_aspect", f"{name}: {view.fx:g} pixels across, {view.fy:g} upwards")
-    unit_m = context.scene.unit_settings.scale_length
-    data = bpy.data.cameras.new(name)
-    data.sensor_fit = "HORIZONTAL"
-    data.lens = view.fx * data.sensor_width / view.width
-    data.shift_x = 0.5 - view.cx / view.width
-    data.shift_y = (view.cy - 0.5 * view.height) / view.width  # in widths as well: Blender's unit is the fitted side
-    data.clip_start = CLIP_START_M / unit_m
-    camera = bpy.data.objects.new(name, data)
-    world_from_camera = np.linalg.inv(view.camera_from_world) @ OPENCV_FROM_BLENDER
-    world_from_camera[:3, 3] /= unit_m
-    camera.matrix_world = Matrix(world_from_camera)
-    context.scene.collection.objects.link(camera)
-    return camera
 
 
 def set_picture_size(render: bpy.types.RenderSettings, width: int, height: int) -> None:
