@@ -43,7 +43,7 @@ NOT_UNDONE = {
     **dict.fromkeys(("explain", "open_preferences", "show_log"), _SHOWS),
     "restart_engine": _ENGINE,
     "preview_movie": "writes pictures, and leaves the scene as it is",
-    **dict.fromkeys(("bake", "export", "render_training_set", "train"), _JOB),
+    **dict.fromkeys(("bake", "export", "hand_from_film", "render_training_set", "train"), _JOB),
     "cancel_job": "a job is none of the file",
     **dict.fromkeys(("install_tools", "remove_tools"), "the training tools are none of the file"),
     "make_pose_assets": "writes files and a preference",
@@ -56,9 +56,9 @@ ANYWHERE = {
     **dict.fromkeys(
         ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
     ),
-    **dict.fromkeys(("open_preferences", "train", "install_hands"), _NEEDS_NOTHING),
+    **dict.fromkeys(("open_preferences", "train", "install_hands", "hand_from_film"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
-    **dict.fromkeys(("explain", "select_hand", "cancel_job"), _ROW),
+    **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_log"), _ROW),
 }
 _OF_FILE_BROWSERS = ("filepath", "directory", "files")
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
