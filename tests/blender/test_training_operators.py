@@ -16,7 +16,6 @@ import pytest
 from recording_layout import draw
 
 from blender_addon.export import bakes
-from blender_addon.export import panel as output
 from blender_addon.export.properties import IDENTITIES
 from blender_addon.hand import avatar_files, seen_hands
 from blender_addon.hand import panel as hand_panel
@@ -286,14 +285,6 @@ def test_the_card_is_shown_and_an_avatar_without_one_says_so(place, monkeypatch)
     assert "12345" in text
     file.write_bytes(b"another")
     assert "no JGHand avatar" in text_of(hand_panel.CardPanel)
-
-
-def test_the_size_of_an_export_is_said_before_the_click(place):
-    bpy.ops.jghand.add_hand(handedness="right")
-    bpy.context.scene.frame_end = 100
-    assert "Up to " in text_of(output.ExportPanel)
-    bpy.context.scene.jghand.output.format = "ply"
-    assert "Up to 272 MB" in text_of(output.ExportPanel)
 
 
 # ---- the end of Blender ----------------------------------------------------------------------------------------------
