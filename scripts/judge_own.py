@@ -71,7 +71,7 @@ class Judged:
     masks:        mean and worst overlap with the true ones; None where they are given
     fitted_db:    of pictures of the film that no skin was made of, whole and cut, in poses that were fitted to them:
                   what papers on hands from films print (UHM, HARP); None of photographs
-    seconds:      wall and processor time of making it; None: made earlier
+    seconds:      wall and processor time of making it; None: not known
     """
 
     whole: tuple[float, float]
@@ -220,9 +220,11 @@ def main(options: Options) -> None:
         if not (folder / "capture").is_dir():
             continue
         for kind in kinds:
-            seconds = made(folder, AVATAR[kind])
-            rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
             kept = folder / f"{AVATAR[kind]}.judged.json"
+            seconds = made(folder, AVATAR[kind])
+            if seconds is None and kept.exists():
+                seconds = json.loads(kept.read_text(encoding="utf-8"))["seconds"]
+            rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
             kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
     text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
     print(text)

@@ -43,11 +43,13 @@ BURNT_U8 = 250
 CROP_MARGIN = 0.25
 # a Gaussian that colors less of a picture than this many pixels is not seen in it
 SEEN_MIN_PX = 0.15
-# few photographs: how bent the fingers are at which a picture counts half, degrees of knuckle and middle joint. The fit
-# of a fist is a little open, and paints its fingers on the palm
-FEW_PICTURES, BENT_DEG, BENT_POWER = 8, 60.0, 4
-# bones of index to pinky, by the joint at their end: of the palm, the first and the second of the finger
-PALM_BONES, FIRST_BONES, MIDDLE_BONES = slice(2, 6), slice(7, 11), slice(12, 16)
+# of fewer pictures none is held out, and marks are those of the best one
+FEW_PICTURES = 8
+# how bent a finger is at which what a picture shows of it counts half, degrees of knuckle and middle joint. The fit of
+# a fist is a little open: it paints its fingers on the palm, and what is behind them on their backs
+BENT_DEG, BENT_POWER = 60.0, 4
+# bones of index to pinky, by the joint at their end: of the palm, and the three of the finger
+PALM_BONES, FIRST_BONES, MIDDLE_BONES, LAST_BONES = (slice(start, start + 4) for start in (2, 7, 12, 17))
 
 
 @dataclass(frozen=True)
@@ -110,13 +112,14 @@ class Observations:
 
     shown:  the pictures
     color:  (F, N, 3) mean linear color of the pixels that a Gaussian has
-    seen:   (F, N) how many pixels, times how squarely it faces the camera, squared, times how much the picture is
-            trusted; 0: not seen
+    seen:   (F, N) how many pixels, times how squarely it faces the camera, squared; 0: not seen
+    trust:  (F, N) 0..1, less for what is bent
     """
 
     shown: tuple[Shown, ...]
     color: Tensor
     seen: Tensor
+    trust: Tensor
 
     def __len__(self) -> int:
         return len(self.shown)
@@ -128,26 +131,30 @@ def observe(
     """joints_m: (F, 21, 3) level order, in the camera's axes · camera: of one picture · pictures: (F, H, W, 3) uint8 ·
     masks: (F, H, W) where the hand is"""
     shown = tuple(_shown(avatar, joints_m, camera, pictures, masks))
-    trust = trusted(joints_m) if len(shown) < FEW_PICTURES else np.ones(len(shown))
+    trust = torch.from_numpy(trusted(joints_m) @ avatar.bone_weights.T.astype(np.float64)).float()
     opacity, black = torch.tensor(avatar.opacity), torch.zeros(len(avatar), 3)
     color, seen = [], []
-    for one, much in zip(shown, trust, strict=True):
+    for one in shown:
         mean, pixels = one.given_back(black, opacity)
         color.append(mean)
-        seen.append(torch.where(pixels > SEEN_MIN_PX, pixels * one.facing.square() * float(much), 0))
-    return Observations(shown, torch.stack(color), torch.stack(seen))
+        seen.append(torch.where(pixels > SEEN_MIN_PX, pixels * one.facing.square(), 0))
+    return Observations(shown, torch.stack(color), torch.stack(seen), trust)
 
 
 def trusted(joints_m: np.ndarray) -> np.ndarray:
-    """(F,) 0..1: pictures of bent hands count less. joints_m: (F, 21, 3)"""
+    """(F, 21) 0..1 by bones: of a bent finger its own, of the palm and the thumb the mean's of all four.
+    joints_m: (F, 21, 3)"""
     bone = np.diff(joints_m[:, [list(PARENTS), list(range(21))]], axis=1)[:, 0]
     bone = bone / np.maximum(np.linalg.norm(bone, axis=-1, keepdims=True), 1e-9)
 
     def bend_deg(first: slice, second: slice) -> np.ndarray:
-        return np.degrees(np.arccos(np.clip((bone[:, first] * bone[:, second]).sum(-1), -1, 1))).mean(1)
+        return np.degrees(np.arccos(np.clip((bone[:, first] * bone[:, second]).sum(-1), -1, 1)))
 
     bend = bend_deg(PALM_BONES, FIRST_BONES) + bend_deg(FIRST_BONES, MIDDLE_BONES)
-    return 1 / (1 + (bend / BENT_DEG) ** BENT_POWER)
+    every = np.repeat(bend.mean(1, keepdims=True), 21, 1)
+    for bones in (FIRST_BONES, MIDDLE_BONES, LAST_BONES):
+        every[:, bones] = bend
+    return 1 / (1 + (every / BENT_DEG) ** BENT_POWER)
 
 
 def _shown(

@@ -165,7 +165,8 @@ def film_light(film: LitFilm) -> World:
     """The world that the hand stands in."""
     observed, count = film.observed, min(LIGHT_GAUSSIANS, film.observed.color.shape[1])
     color, cosine = observed.color[:, :count], torch.stack([one.facing[:count] for one in observed.shown])
-    weight = _weight(observed.seen[:, :count] * ((cosine - FACING) / (SQUARE - FACING)).clamp(0, 1))
+    squarely = ((cosine - FACING) / (SQUARE - FACING)).clamp(0, 1)
+    weight = _weight(observed.seen[:, :count] * squarely) * observed.trust[:, :count]
     # what the cells do not say of how skin answers: the pose's shade, and all that the renderer does beyond
     beyond = torch.stack([one.shade[:count] for one in observed.shown]) * film.response.shade_gain
     own, thrown = film.reach(count)
@@ -303,9 +304,9 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
     observed = film.observed
     best = len(observed) < FEW_PICTURES
     world = film_light(film)
-    answers, weight = film.answers(world), _weight(observed.seen)
+    answers, weight = film.answers(world), _weight(observed.seen) * observed.trust
     color = list(observed.color)
-    albedo = _albedo(color, answers, observed.seen, best=best)
+    albedo = _albedo(color, answers, weight, best=best)
     known = (weight.sum(0) > 0)[:, None]
     for _ in range(SHARPENED):
         # what no picture shows has the color of the rest: it shines through gaps
@@ -316,24 +317,25 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
             with torch.enable_grad():
                 missing, _ = one.given_back(drawn, opacity)
             color.append(drawn + missing)
-        albedo = _albedo(color, answers, observed.seen, best=best)
+        albedo = _albedo(color, answers, weight, best=best)
     return SeenSkin(albedo, weight.sum(0), world)
 
 
-def _albedo(color: list[Tensor], answers: list[Answer], seen: Tensor, *, best: bool) -> Tensor:
-    """(N, 3) from colors (N, 3) in F pictures, seen (F, N): their mean, what disagrees with the others left out."""
+def _albedo(color: list[Tensor], answers: list[Answer], counts: Tensor, *, best: bool) -> Tensor:
+    """(N, 3) from colors (N, 3) in F pictures, each of which counts so much (F, N): their mean, what disagrees with the
+    others left out."""
     each = torch.stack([
         ((mean - answer.gloss) / answer.matt.clamp_min(LEAST)).clamp(LEAST, MOST).log()
         for mean, answer in zip(color, answers, strict=True)
     ])  # fmt: skip
-    weight = _weight(seen)[..., None]
+    weight = counts[..., None]
     believed = weight.expand_as(each)
     middle = each[0]
     for _ in range(ALBEDO_ROUNDS):
         middle = (believed * each).sum(0) / believed.sum(0).clamp_min(1e-6)
         believed = weight / (1 + ((each - middle) / ALBEDO_NOISE).square())
     if best:
-        one = each[seen.argmax(0), torch.arange(seen.shape[1])]
+        one = each[counts.argmax(0), torch.arange(counts.shape[1])]
         apart = (weight * (each - middle).square()).sum(0) / weight.sum(0).clamp_min(1e-6)
         middle = torch.where(apart.amax(1, keepdim=True) > DISAGREE**2, one, middle)
     return middle.exp()

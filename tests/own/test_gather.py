@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from drawn_film import film_of, plain_hand
 
 from jghand_engine.avatar.learned import no_light
@@ -64,10 +65,17 @@ def test_a_forearm_of_any_color_changes_no_number(flat):
     assert (found.seen == other.seen).all()
 
 
-def test_a_bent_hand_counts_less_than_an_open_one_in_few_photographs(flat):
-    _, film = flat
-    trust = trusted(film.joints_m)
-    assert trust[3] < 0.5 < trust[0]
+def test_a_bent_finger_counts_less_than_a_straight_one(flat):
+    hand, film = flat
+    # the third picture points: the index finger is straight, the others are bent
+    trust = trusted(film.joints_m)[3]
+    assert trust[7] > 0.9
+    assert trust[[8, 13, 18, 9, 10]].max() < 0.2
+    assert trust[[0, 1, 2]].max() < 0.5
+    assert trusted(film.joints_m)[0].min() > 0.9
+    found = seen_by(hand, film).trust[3]
+    index, middle = (torch.from_numpy(hand.bone_weights[:, bone] > 0.99) for bone in (12, 13))
+    assert found[index].min() > 0.8 > 0.2 > found[middle].max()
 
 
 def test_pictures_without_as_many_masks_are_refused_in_words(flat):

@@ -100,9 +100,10 @@ def test_a_shown_part_of_a_film_is_judged_by_that_part_of_its_truth(folder):
 
 
 def test_the_tables_have_a_line_for_each_hand(folder, capsys):
+    (folder / "own.judged.json").write_text(json.dumps({"seconds": [90.0, 80.0]}))
     judge_own.main(judge_own.Options(folder.parent))
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| man | film |")]
     assert len(said) == 2
     assert "| 30.0 / 25.0 |" in said[0]
-    assert "| 1.000 / 1.000 |" in said[1]
+    assert "| 1.000 / 1.000 | 90 / 80 |" in said[1]
     assert json.loads((folder / "own.judged.json").read_text())["fitted_db"] == [30, 25]
