@@ -9,13 +9,13 @@ import pytest
 import torch
 from small_avatars import small_tensors
 
-from jghand_engine.avatar.skin_task import SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
+from jghand_engine.avatar.skin_task import SIGMA_STRETCH_MAX
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.pose_net import Correction
 from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
-from jghand_engine.learn.skinning import apply, blend, pose_gaussians, pose_skin, turning
+from jghand_engine.learn.skinning import apply, blend, pose_gaussians, pose_skin, turning, volume_scale
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.weight_field import WeightField
@@ -99,13 +99,21 @@ def test_posing_does_not_change_under_autocast():
     assert torch.equal(plain.sigma_m, cast.sigma_m)
 
 
-def test_radii_follow_the_hand_within_the_clamp():
+def test_radii_follow_the_hands_size_and_bent_skin_is_not_thinned():
     avatar = small_tensors(2000)
     bones = bones_of(avatar, 1.2 * joints_of(avatar, "fist"))
-    stretch = pose_gaussians(avatar, bones).sigma_m / avatar.sigma_m / 1.2
-    assert float(stretch.min()) >= SIGMA_STRETCH_MIN * (1 - 1e-12)
-    assert float(stretch.max()) <= SIGMA_STRETCH_MAX * (1 + 1e-12)
-    assert float(stretch.min()) < 0.95  # a fist does shrink blended skin: the clamp is not all there is
+    assert float(volume_scale(blend(avatar.bone_weights, bones)[0], bones.scale).min()) < 0.95 * 1.2
+    stretch = pose_gaussians(avatar, bones).sigma_m / avatar.sigma_m
+    assert torch.allclose(stretch, torch.full_like(stretch, 1.2), rtol=1e-6)
+
+
+def test_radii_grow_with_a_bone_that_is_longer_up_to_a_bound():
+    avatar = small_tensors(2000)
+    bones = bones_of(avatar, avatar.canonical_joints_m)
+    for longer, wanted in ((1.5, 1.5 ** (1 / 3)), (9.0, SIGMA_STRETCH_MAX)):
+        along = replace(bones, linear=bones.linear * bones.linear.new_tensor([longer, 1.0, 1.0]))
+        radius = pose_gaussians(avatar, along).sigma_m / avatar.sigma_m
+        assert torch.allclose(radius, torch.full_like(radius, wanted), rtol=1e-6)
 
 
 def collapsed(avatar: HandTensors) -> tuple[HandTensors, BoneTransforms]:
