@@ -1,9 +1,9 @@
 """Shows a hand beside the pictures that Cycles makes of the same person, pose and light, as large as a film shows it.
 
     python scripts/show_truth.py --work truth --out docs/close_up.jpg
-    jghand evaluate builtin truth --crops            # the same in figures
 
-The views are those of scripts/show_skin.py; none of them was learned from. Minutes of one core for the maps of the
+The views are those of scripts/show_skin.py; none of them was learned from. Below each stands its PSNR on the pixels of
+the hand. Minutes of one core for the maps of the
 skin, and as many for each picture of 960x1080; what is there already is kept.
 """
 
@@ -33,6 +33,7 @@ from jghand_engine.color import linear_to_srgb, to_bytes
 from jghand_engine.export.light_file import ENV_FROM_WORLD
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet
 from jghand_engine.learn.evaluate import AvatarPicturer
+from jghand_engine.learn.metrics import compare
 from jghand_engine.native.threads import processors
 from jghand_engine.render.settings import preset
 
@@ -58,10 +59,10 @@ class Options:
     avatar: str = "builtin"
     identity: str = "adult_woman"
     person: Person = field(default_factory=Person)
-    views: tuple[str, ...] = ("palm", "back", "fist", "pinch")
+    views: tuple[str, ...] = ("palm", "back", "knuckles", "fist", "pinch")
     size: str = "960x1080"
-    samples: int = 32
-    cell_px: int = 480
+    samples: int = 24
+    cell_px: int = 384
 
 
 def main(options: Options) -> None:
@@ -75,11 +76,17 @@ def main(options: Options) -> None:
     for view, name in zip(options.views, sorted(samples), strict=True):
         picture = mix(load_groups(samples[name]), np.repeat(np.array(WEIGHTS)[:, None], 3, 1))
         rgba = draw.in_light(samples[name], picture.light)
-        for cells, rgb, alpha in ((truth, picture.rgb, picture.alpha), (ours, rgba[..., :3], rgba[..., 3])):
-            shown = to_bytes(linear_to_srgb(np.clip(picture.exposure * rgb + (1 - alpha[..., None]) * BACKDROP, 0, 1)))
-            label = "Cycles" if cells is truth else "JGHand"
-            Image.fromarray(shown).save(options.work / f"{view}_{label}.png")
-            cells.append(Cell(f"{view}, {label}", shown))
+        both = [
+            to_bytes(linear_to_srgb(np.clip(picture.exposure * rgb + (1 - alpha[..., None]) * BACKDROP, 0, 1)))
+            for rgb, alpha in ((picture.rgb, picture.alpha), (rgba[..., :3], rgba[..., 3]))
+        ]
+        psnr_db = compare(both[1] / 255, both[0] / 255, picture.alpha)["psnr_mask"]
+        for cells, who, note, shown in (
+            (truth, "Cycles", "", both[0]),
+            (ours, "JGHand", f", {psnr_db:.1f} dB", both[1]),
+        ):
+            Image.fromarray(shown).save(options.work / f"{view}_{who}.png")
+            cells.append(Cell(f"{view}, {who}{note}", shown))
     style = SheetStyle(len(truth), options.cell_px, gap_px=4, background=(1, 1, 1), ink=(0.1, 0.1, 0.1))
     Image.fromarray(contact_sheet([*truth, *ours], style)).save(options.out, quality=88)
 
