@@ -71,9 +71,9 @@ IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light", "albe
 # what Omniverse, usdview and Blender draw points as is a ball without a soft edge: two standard deviations close the
 # skin (as the extension has it)
 BALL_WIDTH_FACTOR = 2.0
-# by how much constant radii may be off, as a part, in the mean of a frame: those of the built-in fist are by 0.044,
-# of a hand that grows, or whose bones do, by more. And how many frames are looked at for it
-SIZE_ERROR_MAX, SIZED_FRAMES = 0.05, 16
+# by how much constant radii may be off, as a part, in the mean of a frame: no pose changes those of a hand of one size,
+# growing or longer bones do. And how many frames are looked at for it
+SIZE_ERROR_MAX, SIZED_FRAMES = 0.01, 16
 # bytes beside the samples of Gaussians, generous: of each Gaussian once (static arrays, skin), of each frame (bones,
 # bounds, times), and of the layers
 GAUSSIAN_BYTES, FRAME_BYTES, LAYER_BYTES = 180, 3_500, 2_000_000
