@@ -22,8 +22,8 @@ from jghand_engine.native.contract import SHADOW_GAIN, SHADOW_TINT
 CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
-# flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on: skin behind a knuckle
-# lies 1.5 radii from the bone before it, which in a fist would stand in its light
+# flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on: skin behind a
+# knuckle lies 1.5 radii from the bone before it, which in a fist would stand in its light
 OWN_FLESH_RADII = (1.4, 2.0)
 # a shadow that never changes a pixel by more, as it was measured, is not drawn: two 8-bit steps, on the darkest pixel
 SHADOW_UNSEEN = 2 / 255

@@ -13,7 +13,7 @@ from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES, SkinTask
 
 # posed radius relative to the whole hand's scale. Blending rotations shrinks the determinant at a bent joint, but the
-# skin on its back is stretched, up to twice its area: with smaller radii one looks through it, at the other side's lines
+# skin on its back is stretched, up to twice its area: with smaller radii one looks through it, at the palm's lines
 SIGMA_STRETCH_MIN = 1.0
 SIGMA_STRETCH_MAX = 1.4
 # length of a quaternion at or below which it is no rotation, and counts as none
