@@ -6,7 +6,7 @@ Blender evaluates no sub-frames for an engine that is not its own; the engine as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import bpy
@@ -35,13 +35,19 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     """Everything that a picture shows, in the order of time.
 
     frame_set: moves the scene, and evaluates `depsgraph`, to a frame and a part of the way to the next. The scene is
-    where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand, hidden.
+    where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand, hidden;
+    scripts_blocked: of a file whose scripts are blocked only the drivers that are needed matter.
     """
     there = instances.evaluated_sources(depsgraph)
     if not (there or _hands_elsewhere(depsgraph)):
         raise JGHandFailure("no_hand")
+    things = [thing for thing in there if not thing.hide_render]
+    known: instances.Known = {}
+    hands = [hand for thing in things for hand, _ in instances.hands_shown(thing, known, for_render=True)]
+    if bpy.app.autoexec_fail and any(map(_has_scripts, _parts(*things, *hands, frame.eye()))):
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
     times = shutter_times(depsgraph.scene_eval)
-    names = [armature.name_in_files(thing) for thing in there if not thing.hide_render]
+    names = [armature.name_in_files(thing) for thing in things]
     if len(times) == 1:
         return [_moment(names, frame, depsgraph)]
     whole, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
@@ -57,6 +63,20 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     middle = _sides(moments[len(moments) // 2])
     moments = [moment for moment in moments if _sides(moment) == middle]
     return moments if _moves(moments) else moments[:1]
+
+
+def _parts(*things: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    for thing in things:
+        yield from armature.parts_of(thing)
+
+
+def _has_scripts(thing: bpy.types.Object) -> bool:
+    """Whether an object or its data has drivers that only Python can compute."""
+    return any(
+        curve.driver.type == "SCRIPTED" and not curve.driver.is_simple_expression and not curve.mute
+        for owner in ((thing, thing.data) if thing.data else (thing,))
+        for curve in (owner.animation_data.drivers if owner.animation_data else ())
+    )
 
 
 def shutter_times(current: bpy.types.Scene) -> list[tuple[float, float]]:

@@ -493,6 +493,11 @@ def test_a_hand_without_size_is_said(scene):
     refused(scene, "A scale of zero is not supported")
 
 
+def test_a_driver_of_the_hand_that_blender_may_not_run_is_said(scene):
+    bpy.data.objects["right"].driver_add("location", 0).driver.expression = "nonsense(3)"
+    refused(scene, "they are blocked")
+
+
 def test_a_mistake_of_our_own_fails_the_render_instead_of_writing_an_empty_picture(scene, monkeypatch, capsys):
     def mistake(*_):
         raise ZeroDivisionError("ours")
