@@ -180,7 +180,7 @@ def test_everything_that_is_said_goes_through_the_translation():
     panel_text.status_text(Status("failed", 1.0, JGHandFailure("crashed")), None, translate)
     panel_text.receipt_text(RECEIPT, 5.0, translate)
     panel_text.map_lines(whole_map(), [], translate)
-    assert {"The renderer stopped unexpectedly", "Self-Shadow", "Over Budget"} <= set(heard)
+    assert {"The renderer stopped unexpectedly", "Skin", "Over Budget"} <= set(heard)
 
 
 def test_sentences_of_the_engine_name_controls_and_no_options():
