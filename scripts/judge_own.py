@@ -169,7 +169,7 @@ def shrunk_by(work: Path, camera: Camera) -> float:
 
 
 def made(folder: Path, name: str) -> tuple[float, float] | None:
-    """Makes what is not there of a film; seconds that it took. SystemExit where `jghand own` refuses the film."""
+    """Makes what is not there of a film, unless `jghand own` refuses it; seconds that it took."""
     out = folder / f"{name}.jghand"
     if out.exists():
         return None
@@ -178,8 +178,7 @@ def made(folder: Path, name: str) -> tuple[float, float] | None:
         make_exact(folder, out)
     else:
         given = [folder / "film.mp4"] if name == AVATAR["film"] else photographs(folder)
-        if jghand(["own", *map(str, given), "--out", str(out)]):
-            raise SystemExit(f"{folder}: no avatar")
+        jghand(["own", *map(str, given), "--out", str(out)])
     return time.perf_counter() - began[0], time.process_time() - began[1]
 
 
@@ -215,6 +214,7 @@ def make_exact(folder: Path, out: Path) -> None:
 def main(options: Options) -> None:
     kinds = ["film", *(kind for kind in ("photographs", "exact") if getattr(options, kind))]
     rows: dict[tuple[str, str], Judged] = {}
+    refused: list[str] = []
     for truth in sorted(options.films.glob("*/truth.npz")):
         folder = truth.parent
         if not (folder / "capture").is_dir():
@@ -222,11 +222,16 @@ def main(options: Options) -> None:
         for kind in kinds:
             kept = folder / f"{AVATAR[kind]}.judged.json"
             seconds = made(folder, AVATAR[kind])
+            if not (folder / f"{AVATAR[kind]}.jghand").exists():
+                refused.append(f"{folder.name}, {kind}")
+                continue
             if seconds is None and kept.exists():
                 seconds = json.loads(kept.read_text(encoding="utf-8"))["seconds"]
             rows[folder.name, kind] = judge(folder, AVATAR[kind], seconds)
             kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
     text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
+    if refused:
+        text += f"\n\nRefused: {'; '.join(refused)}."
     print(text)
     if options.page is not None:
         put_into_page(options.page, Path(__file__).name, text)
