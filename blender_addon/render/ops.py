@@ -122,9 +122,8 @@ class CombineWithScene(Reporting, bpy.types.Operator):
     bl_label = "Set Up Compositing"
     bl_description = (
         "Give the hands a scene of their own that JGHand renders, and combine it with this one by depth in the "
-        "compositor. Once more brings it up to date with this scene's hands, camera, size and frames. No hand is seen "
-        "through glass, and volumes do not dim it. Locks the interface while rendering, because Blender can crash when "
-        "a scene is edited meanwhile"
+        "compositor. Once more brings it up to date with this scene's hands, camera, size and frames. "
+        "Locks the interface while rendering, because Blender can crash when a scene is edited meanwhile"
     )
     bl_options = UNDOABLE
 

@@ -13,7 +13,7 @@ from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
 from ..renderer import runtime
 from ..viewport import views
-from . import ENGINE, composite, scene_light
+from . import ENGINE, composite, limits, scene_light
 
 
 class RenderPanel(ui.HandSidebar, bpy.types.Panel):
@@ -26,6 +26,8 @@ class RenderPanel(ui.HandSidebar, bpy.types.Panel):
         camera = scene.camera
         if camera is not None and camera.type == "CAMERA" and camera.data.type == "PANO":
             ui.paragraph(layout, context, "Panoramic cameras are not supported", icon="ERROR")
+        for sentence in ui.kept(context, limits.sentences) or ():
+            ui.paragraph(layout, context, sentence, icon="INFO")
         combined = composite.has_combination(scene)
         if scene.render.engine == ENGINE or combined:
             _draw_colors(layout, context)

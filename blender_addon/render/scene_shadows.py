@@ -154,9 +154,10 @@ def expect() -> None:
 
 def _may_shade(thing: bpy.types.ID) -> bool:
     if not isinstance(thing, bpy.types.Object):
-        kinds = bpy.types.Mesh | bpy.types.Curve | bpy.types.MetaBall | bpy.types.GeometryNodeTree
+        kinds = bpy.types.Mesh | bpy.types.Curve | bpy.types.MetaBall | bpy.types.Volume | bpy.types.GeometryNodeTree
         return isinstance(thing, kinds | bpy.types.Scene | bpy.types.Collection)
-    return (thing.type in SOLID and armature.STAND_IN not in thing) or thing.is_instancer
+    # volumes throw none, but who looks for what is before hands goes by these edits too
+    return (thing.type in SOLID | {"VOLUME"} and armature.STAND_IN not in thing) or thing.is_instancer
 
 
 def forget() -> None:
@@ -390,7 +391,7 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
         rows = np.flatnonzero(~hit)
         origins = starts[rows] @ back[:3, :3].T + back[:3, 3]
         along = ways[rows] @ back[:3, :3].T
-        near = np.flatnonzero(_meet_box(origins, along, thing.shape.box))
+        near = np.flatnonzero(meet_box(origins, along, thing.shape.box))
         rows, origins, along = rows[near], origins[near], along[near]
         lengths = np.linalg.norm(along, axis=-1)
         cast = thing.shape.tree.ray_cast
@@ -401,7 +402,7 @@ def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> 
     return hit
 
 
-def _meet_box(origins: np.ndarray, ways: np.ndarray, box: np.ndarray) -> np.ndarray:
+def meet_box(origins: np.ndarray, ways: np.ndarray, box: np.ndarray) -> np.ndarray:
     """(N,) whether the way from each point comes through a box, with a margin for numbers of 32 bits."""
     margin = 1e-5 * np.abs(box).max() + 1e-9
     one_over = 1 / np.where(np.abs(ways) < 1e-30, 1e-30, ways)

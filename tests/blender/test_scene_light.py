@@ -17,9 +17,10 @@ import pytest
 from mathutils import Vector
 from test_avatar_cards import write_avatar
 from test_combine import f12
+from test_limits import material
 from test_render_engine import layers, with_link
 
-from blender_addon import clock, versions
+from blender_addon import clock
 from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD, SceneLight
 from blender_addon.errors import JGHandFailure
@@ -29,16 +30,6 @@ from blender_addon.renderer.link import EngineLink
 from blender_addon.viewport import handlers
 
 pytestmark = pytest.mark.usefixtures("linked_extension")
-
-
-def matt() -> bpy.types.Material:
-    made = bpy.data.materials.new("matt")
-    tree = versions.ensure_tree(made)
-    tree.nodes.clear()
-    node, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
-    node.inputs["Color"].default_value = (ALBEDO, ALBEDO, ALBEDO, 1.0)
-    tree.links.new(node.outputs[0], output.inputs["Surface"])
-    return made
 
 
 @pytest.fixture(scope="module")
@@ -482,7 +473,7 @@ def ball_of_cycles(place: tuple[float, float, float]) -> bpy.types.Object:
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=RADIUS_M, location=place)
     ball = bpy.context.object
     ball.data.shade_smooth()
-    ball.data.materials.append(matt())
+    ball.data.materials.append(material("ShaderNodeBsdfDiffuse", Color=(ALBEDO, ALBEDO, ALBEDO, 1.0)))
     return ball
 
 
