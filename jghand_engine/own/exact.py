@@ -18,7 +18,6 @@ from jghand_engine.avatar.forearm import ended
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own.film import Source, Window, read_pictures
-from jghand_engine.own.fit_views import FIT_HAND_PX
 from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
 from jghand_engine.own.masks import film_colors, hand_masks, hand_size_px, outlines_of, zones_of
 from jghand_engine.own.start import Start
@@ -26,10 +25,11 @@ from jghand_engine.track.poses import Poses
 
 # all of them are held in memory, with what a fit knows of each: 238 pictures took 2 GB with all else
 PICTURES_MAX = 900
-# masks are cut in pictures with twice the pixels along each side that a fit draws
-HAND_PX = 2.0 * FIT_HAND_PX
-# colors are found twice: poses that begin near their place need fewer rounds than those of the best pictures
-EFFORT = Effort(times=2)
+# all pictures are coarser than the best ones, with fewer Gaussians: the hand, which asks for more, is known
+HAND_PX, GAUSSIANS = 150.0, 4000
+# how often colors are found: with the best pictures, whose bones were 8.3 and 6.2 degrees off after four and ten times
+# (`scripts/check_tracking.py`'s film of a palm), and with all, whose poses begin near their place
+BEST_EFFORT, EFFORT = Effort(times=10), Effort(times=2)
 
 
 def exact_poses(
@@ -55,7 +55,7 @@ def exact_poses(
     told("Reading all pictures", 0, 1)
     pictures = read_pictures(source, seen, window, mirrored=start.handedness is Handedness.LEFT)
     start = start.within(window)
-    fit = HandFit(prior, start, pictures.time_s, fitted)
+    fit = HandFit(prior, start, pictures.time_s, fitted, count=GAUSSIANS)
     now = fit.result()
     told("Cutting the hand out of all pictures", 0, 1)
     outlines = outlines_of(ended(fitted.avatar_shape(prior), forearm=False), now.joints_m, start.camera)

@@ -44,7 +44,7 @@ from jghand_engine.own.checks import (
     seen_findings,
     wanted_hand,
 )
-from jghand_engine.own.exact import check_length, exact_poses
+from jghand_engine.own.exact import BEST_EFFORT, check_length, exact_poses
 from jghand_engine.own.film import (
     PHOTOGRAPHS_MIN,
     FilmPictures,
@@ -183,7 +183,7 @@ def explain(
     if (work / FIT).exists():
         fitted = FittedHand.load(work / FIT)
     else:
-        fitted = fit_hand(begun, prior, told, options.fit_s)
+        fitted = fit_hand(begun, prior, told, Effort(least_s=options.fit_s))
         fitted.save(work / FIT)
     zones = _zones(begun.start, fitted.avatar_shape(prior), fitted.joints_m)
     if (work / MASKS).exists():
@@ -215,9 +215,8 @@ def _begun(
     return begun
 
 
-def fit_hand(begun: Begun, prior: HandAvatar, told: Told, fit_s: float = 0.0) -> FittedHand:
-    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave. fit_s: as of
-    `OwnOptions`"""
+def fit_hand(begun: Begun, prior: HandAvatar, told: Told, effort: Effort) -> FittedHand:
+    """By landmarks, then by masks and pictures; the masks by the outline that the landmarks gave."""
     pictures, start = begun.pictures, begun.start
     fit = HandFit(prior, start, pictures.time_s if pictures.is_film else None)
     told("Fitting the hand by landmarks", 0, 1)
@@ -229,7 +228,7 @@ def fit_hand(begun: Begun, prior: HandAvatar, told: Told, fit_s: float = 0.0) ->
     def tick(done: int, total: int) -> None:
         told("Fitting the hand by pictures", done, total)
 
-    fit.fit_pictures(pictures.rgb_u8, masks, Effort(least_s=fit_s), tick=tick)
+    fit.fit_pictures(pictures.rgb_u8, masks, effort, tick=tick)
     return fit.result()
 
 
@@ -249,7 +248,7 @@ def exact_track(
     length_m, prior = hand_length(canonical_joints_m), load_builtin(handedness=Handedness.RIGHT)
     wanted_m = options.hand_length_m or length_m
     begun = best_pictures(source, prior, OwnOptions(None, wanted_m, options.camera_angle_deg), looked, hand)
-    fitted = fit_hand(begun, prior, told)
+    fitted = fit_hand(begun, prior, told, BEST_EFFORT)
     poses = exact_poses(source, begun.track, begun.pictures.index, fitted, prior, told)
     own = chain_of(prior.canonical_joints_m, fitted.own_joints_m)
     chain = own if options.own_bones else JointChain.of(canonical_joints_m * (wanted_m / length_m))
