@@ -13,6 +13,7 @@ import re
 import struct
 import time
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -255,7 +256,7 @@ def unpack(path: Path, folder: Path) -> tuple[list[str], list[str]]:
             if not files:
                 raise JGHandFailure("bad_pack", str(path))
             broken = [name for name in files if not _unpacked(archive, entries, Path(name), folder)]
-    except (zipfile.BadZipFile, NotImplementedError, EOFError) as error:
+    except (zipfile.BadZipFile, RuntimeError, EOFError) as error:  # RuntimeError: encrypted, or compressed unknown
         raise JGHandFailure("bad_pack", f"{path}\n{str(error)[:200]}") from error
     except OSError as error:
         raise JGHandFailure("cannot_write", f"{folder}: {error.strerror or error}") from error
@@ -269,18 +270,19 @@ def _is_wanted(info: zipfile.ZipInfo) -> bool:
 
 def _unpacked(archive: zipfile.ZipFile, entries: dict[str, zipfile.ZipInfo], name: Path, folder: Path) -> bool:
     """Whether a hand is one, and now lies in the folder with its picture: whole or not at all."""
-    for file in (name, name.with_suffix(PICTURE)):
-        if file.name not in entries:
-            continue
-        draft = folder / f"{file.name}.new"
-        try:
-            draft.write_bytes(archive.read(entries[file.name]))
-            if file.suffix == SUFFIX and not _is_read(partial(read_card, draft)):
-                return False
-            draft.replace(folder / file.name)
-        except zipfile.BadZipFile:  # its checksum is another
+    files = [file.name for file in (name, name.with_suffix(PICTURE)) if file.name in entries]
+    drafts = [folder / f"{file}.new" for file in files]
+    try:
+        for file, draft in zip(files, drafts, strict=True):
+            draft.write_bytes(archive.read(entries[file]))
+        if not _is_read(partial(read_card, drafts[0])):
             return False
-        finally:
+        for file, draft in zip(files, drafts, strict=True):
+            draft.replace(folder / file)
+    except (zipfile.BadZipFile, zlib.error):  # its checksum is another, or it cannot be decompressed
+        return False
+    finally:
+        for draft in drafts:
             draft.unlink(missing_ok=True)
     return True
 

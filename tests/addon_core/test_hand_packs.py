@@ -38,6 +38,41 @@ def test_a_pack_with_a_broken_file_says_so_and_the_rest_appear(tmp_path, folder)
     assert sorted(path.name for path in folder.iterdir()) == ["child.jghand", "child.png", "man.jghand"]
 
 
+@pytest.mark.parametrize("damaged", ["child.jghand", "child.png"])
+@pytest.mark.parametrize("compression", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_hand_of_which_a_file_is_damaged_is_left_out_and_the_one_of_its_name_stays(
+    tmp_path, folder, damaged, compression
+):
+    pack = tmp_path / "pack.zip"
+    whole = hand(tmp_path)
+    with zipfile.ZipFile(pack, "w", compression) as archive:
+        for name, content in {"child.jghand": whole, "child.png": b"new", "man.jghand": whole}.items():
+            archive.writestr(name, content)
+        start = archive.getinfo(damaged).header_offset
+    content = bytearray(pack.read_bytes())
+    content[start + 30 + len(damaged)] ^= 0xFF  # the first byte behind the local header
+    pack.write_bytes(content)
+    for name in ("child.jghand", "child.png"):
+        (folder / name).write_bytes(b"old")
+    assert unpack(pack, folder) == (["man"], ["child.jghand"])
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {
+        "child.jghand": b"old",
+        "child.png": b"old",
+        "man.jghand": whole,
+    }
+
+
+def test_an_encrypted_zip_is_refused(tmp_path, folder):
+    pack = write_pack(tmp_path / "pack.zip", {"child.jghand": hand(tmp_path)})
+    content = bytearray(pack.read_bytes())
+    content[6] |= 1  # the flag in the local header, and the one in the directory
+    content[content.index(b"PK\x01\x02") + 8] |= 1
+    pack.write_bytes(content)
+    with pytest.raises(JGHandFailure) as refused:
+        unpack(pack, folder)
+    assert refused.value.kind == "bad_pack"
+
+
 def test_a_file_whose_end_is_missing_is_no_hand(tmp_path, folder):
     import json
     import struct
