@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT))
 from blender_addon.core import poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT
-from blender_addon.core.poses import HandPose
+from blender_addon.core.poses import NamedPose
 from blender_addon.hand import poses as pose_library
 from blender_addon.hand.motion_files import MotionFile, write_motion
 
@@ -65,7 +65,7 @@ def _pixels(path: Path) -> np.ndarray:
     return pixels
 
 
-def asset_of(pose: HandPose, picture: np.ndarray) -> bpy.types.Action:
+def asset_of(pose: NamedPose, picture: np.ndarray) -> bpy.types.Action:
     """An action of one frame with what the pose says, marked as an asset."""
     action = bpy.data.actions.new(pose.title)
     slot = action.slots.new("OBJECT", "Hand")

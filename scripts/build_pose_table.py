@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 
 from blender_addon.core import posing
 from blender_addon.core.joints import NAMES, PARENTS, RIGHT, TIPS, WRIST
-from blender_addon.core.poses import HandPose
+from blender_addon.core.poses import NamedPose
 from jghand_engine.files import writing
 from jghand_engine.hand.kinematics import ArchingHand
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
@@ -90,7 +90,7 @@ def as_text(table: dict) -> str:
     return f'{{"format": "{table["format"]}", "version": {table["version"]}, "poses": [\n{listed}\n]}}\n'
 
 
-def joints_of(pose: HandPose) -> np.ndarray:
+def joints_of(pose: NamedPose) -> np.ndarray:
     """(21, 3) meters: a hand in a pose of the table, as Blender poses the bones."""
     rest_m = posing.rest_joints_m(pose.handedness)
     rest = posing.rest_matrices(rest_m, pose.handedness)

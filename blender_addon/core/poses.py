@@ -26,7 +26,7 @@ _TURN_MIRROR, _WAY_MIRROR = np.array([1.0, 1.0, -1.0, -1.0]), np.array([-1.0, 1.
 
 
 @dataclass(frozen=True)
-class HandPose:
+class NamedPose:
     """A pose of the bones, each in its own axes, relative to the rest pose.
 
     kind:     pose or letter
@@ -48,12 +48,12 @@ class HandPose:
         return f"{name} ({self.handedness})"
 
 
-def all_poses(handedness: str) -> tuple[HandPose, ...]:
+def all_poses(handedness: str) -> tuple[NamedPose, ...]:
     """Every pose of the table for one hand. Raises JGHandFailure: not_a_hand, bad_file (a broken installation)."""
     check_handedness(handedness)
     turn_mirror, way_mirror = (_TURN_MIRROR, _WAY_MIRROR) if handedness == LEFT else (np.ones(4), np.ones(3))
     return tuple(
-        HandPose(
+        NamedPose(
             entry["name"],
             entry["kind"],
             entry["description"],
@@ -69,7 +69,7 @@ def _numbers(array: np.ndarray) -> tuple[float, ...]:
     return tuple(map(float, array))
 
 
-def pose_named(name: str, handedness: str) -> HandPose:
+def pose_named(name: str, handedness: str) -> NamedPose:
     """One pose; JGHandFailure (no_pose) lists the names."""
     poses = {pose.name: pose for pose in all_poses(handedness)}
     if name not in poses:

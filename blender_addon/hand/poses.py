@@ -19,7 +19,7 @@ from .. import clock, versions
 from ..core import controls as control_numbers
 from ..core.controls import CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS, NAMES, WRIST
-from ..core.poses import HandPose
+from ..core.poses import NamedPose
 from ..errors import JGHandFailure
 from . import armature, controls
 from .controls import Touched
@@ -69,7 +69,9 @@ def chosen_part(hand: bpy.types.Object) -> PosedPart:
     return WHOLE_HAND if bones == WHOLE_HAND.bones else PosedPart(frozenset(bones), frozenset(neutral))
 
 
-def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0, only: PosedPart = WHOLE_HAND) -> list[Touched]:
+def take_pose(
+    hand: bpy.types.Object, pose: NamedPose, part: float = 1.0, only: PosedPart = WHOLE_HAND
+) -> list[Touched]:
     """Turns finger bones and moves knuckles as the pose says, and puts controls back to neutral; the wrist stays.
 
     part: 0 to 1, how far from the bones' present turns and places towards the pose. Returns what it changed, for `key`.

@@ -11,11 +11,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from blender_addon.core import bone_maps, lamps, posing
+from blender_addon.core import bone_maps, lamps, posing, stand_in
 from blender_addon.core import controls as control_numbers
 from blender_addon.core import joints as extension
 from blender_addon.errors import ADVICE
 from blender_addon.hand import motion_files, motion_jobs
+from jghand_engine.avatar.avatar import FOREARM_WAY
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX
 from jghand_engine.avatar.light_records import RECORDS_MAX
 from jghand_engine.avatar.world_suns import SUNS_MAX
@@ -24,11 +25,14 @@ from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Hand
 from jghand_engine.hand.kinematics import RANGES_DEG
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
+from jghand_engine.hand.skeleton import PALM_PRIOR
+from jghand_engine.hand.wrist import BEND_M
 from jghand_engine.motion import bone_names, conventions
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.service.commands import error_header
 from jghand_engine.template.builtin import load_template
+from jghand_engine.template.weights import PALM_SPLIT_SIGMA_M, WRIST_BLEND_M
 from scripts import build_pose_table
 
 
@@ -51,6 +55,21 @@ def test_the_rest_hand_is_the_built_in_hand():
     # the extension's numbers are rounded to a micrometer
     wanted = from_level(np.asarray(load_template().joints_m), JointOrder.STANDARD)
     np.testing.assert_allclose(posing.rest_joints_m("right"), wanted, atol=6e-7)
+
+
+def test_the_wrist_bends_in_the_same_place():
+    assert stand_in.BEND_M == BEND_M
+
+
+def test_the_elbow_lies_where_the_forearm_goes():
+    # both are rounded to a tenth of a millimeter, or of a thousandth
+    elbow_m = np.array(extension.ELBOW_RIGHT_M)
+    np.testing.assert_allclose(elbow_m / np.linalg.norm(elbow_m), FOREARM_WAY, atol=3e-4)
+
+
+def test_the_palm_arches_alike():
+    assert (stand_in._SPLIT_M, stand_in._WRIST_BLEND_M) == (PALM_SPLIT_SIGMA_M, WRIST_BLEND_M)
+    assert stand_in._PALM_PART == PALM_PRIOR
 
 
 def test_every_kind_of_error_of_the_engine_has_a_sentence_and_the_engines_own_exit_code():
@@ -97,10 +116,11 @@ def test_the_extension_and_the_engine_find_the_same_bones(convention, side):
     names = ["Root", *(prefix + name for name in reversed(chosen))]
     (hand,), _ = bone_names.hands_among(names)
     assert hand.handedness is side
-    assert [names[bone] for bone in hand.bones] == [prefix + name for name in chosen]
+    assert [names[bone] for bone in hand.bones if bone is not None] == [prefix + name for name in chosen]
     if convention.title in {one.title for one in conventions.CONVENTIONS}:
-        sources = bone_maps.recognize(names, side.value).bone_map.sources
-        assert [source.bone for source in sources] == [prefix + name for name in chosen]
+        found = bone_maps.recognize(names, side.value).bone_map
+        assert found is not None
+        assert [source.bone for source in found.sources if source is not None] == [prefix + name for name in chosen]
 
 
 def test_the_pose_table_is_what_the_engine_poses():
