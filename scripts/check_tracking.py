@@ -3,6 +3,7 @@
     python scripts/check_tracking.py                            videos rendered here, about five minutes
     python scripts/check_tracking.py --capture FOLDER           also single pictures whose joints are exact
     python scripts/check_tracking.py --exact                    the table of `jghand track --exact` alone, half an hour
+    python scripts/check_tracking.py --films palm               only videos of these names
     python scripts/check_tracking.py --page docs/TRACKING.md    puts the tables into the page
 
 Wants the extra `track` and the networks (`jghand track --fetch-model`). The rendered videos show the built-in avatar
@@ -364,6 +365,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--exact", action="store_true", help="only the table of `jghand track --exact`")
+    parser.add_argument("--films", nargs="+", metavar="NAME", help="only these videos, and no table of small hands")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--page", type=Path, help="write the tables into this page, between its marks")
     options = parser.parse_args()
@@ -371,11 +373,15 @@ def main() -> None:
     rows_of, marks = (
         (exact_rows, "check_tracking.py --exact") if options.exact else (rows_of_video, "check_tracking.py")
     )
+    # the exact motion is no other at the border
+    shown = [truth for truth in truths(canonical) if not (options.exact and truth.angle_deg == WIDE_DEG)]
+    names = [truth.name for truth in shown]
+    if unknown := set(options.films or ()) - set(names):
+        parser.error(f"--films: wanted names among {'; '.join(names)}; got {'; '.join(sorted(unknown))}")
     sources: list[Callable[[], Iterator[Row]]] = [
         lambda truth=truth: rows_of(truth, canonical, options.model)
-        for truth in truths(canonical)
-        # the exact motion is no other at the border
-        if not (options.exact and truth.angle_deg == WIDE_DEG)
+        for truth in shown
+        if truth.name in (options.films or names)
     ]
     if options.capture:
         sources.append(lambda: rows_of_capture(options.capture, canonical, options.model))
@@ -385,7 +391,7 @@ def main() -> None:
             rows.append(row.cells())
             print(" | ".join(rows[-1]), flush=True)
     tables = [table(HEADER, rows, words=2)]
-    if not options.exact:
+    if not (options.exact or options.films):
         small = list(small_hands(canonical, options.model))
         heads = ["hand's length, of the picture's height", "found by one look", "with the second look"]
         tables.append(table(heads, small))

@@ -6,6 +6,7 @@ Nothing heavy is imported here: `jghand --help` must answer at once.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -14,6 +15,7 @@ import tyro
 
 from jghand_engine.avatar import BUILTIN
 from jghand_engine.errors import InputError
+from jghand_engine.files import check_place
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
 from jghand_engine.native import contract
 
@@ -208,6 +210,19 @@ class EffectOptions:
             raise InputError("--aperture", wanted=f"0 to {APERTURE_MAX_MM:g} mm", came=f"{self.aperture:g}")
         if self.focus is not None and not self.focus > contract.Z_NEAR_M:
             raise InputError("--focus", wanted=f"meters beyond {contract.Z_NEAR_M:g}", came=f"{self.focus:g}")
+
+
+def check_places(written: Sequence[tuple[str, Path]], read: Sequence[Path], *, overwrite: bool) -> None:
+    """Before the work, of files with the options that name them: InputError where one is a file that is `read`, or that
+    of another option; and as `files.check_place`. A report of --json is replaced, as every command does."""
+    taken: dict[Path, str] = {}
+    for option, path in written:
+        if path.exists() and any(one.exists() and path.samefile(one) for one in read):
+            raise InputError(f"{option} {path}", wanted="a file of its own", came="one that is read")
+        other = taken.setdefault(path.resolve(), option)
+        if other != option:
+            raise InputError(f"{option} {path}", wanted="a file of its own", came=f"that of {other}")
+        check_place(path, overwrite=overwrite or option == "--json", option=option)
 
 
 def color(text: str) -> tuple[float, float, float]:

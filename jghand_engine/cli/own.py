@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jghand_engine.cli.console import say, stages, write_figures
-from jghand_engine.cli.options import FiguresFile, HandName
+from jghand_engine.cli.options import FiguresFile, HandName, check_places
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,8 +80,10 @@ class Own:
             None if self.hand_length is None else 1e-3 * self.hand_length,
             self.camera_angle,
             60 * self.minutes,
+            self.motion is not None,
         )
         options.check()
+        self._check_words()
         if self.fetch_model:
             check_package()
             say(f"The networks that find a hand: {fetch_model()}")
@@ -89,6 +91,23 @@ class Own:
             self._look(options)
         else:
             self._make(self.out, options)
+
+    def _check_words(self) -> None:
+        """InputError for options that mean nothing, and files that cannot be written."""
+        from jghand_engine.motion.files import check_written_suffix
+
+        meant = {"--motion": self.motion, "--minutes": self.minutes, "--resume": self.resume,
+                 "--overwrite": self.overwrite}  # fmt: skip
+        idle = [name for name, value in meant.items() if value]
+        if self.check and idle:
+            raise InputError("--check", wanted=f"no {idle[0]}", came="both", remedy="It looks, and makes nothing.")
+        if self.out is not None and self.out.suffix != ".jghand":
+            raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
+        if self.motion is not None:
+            check_written_suffix(self.motion)
+        named = (("--out", self.out), ("--motion", self.motion), ("--json", self.json))
+        written = [(name, path) for name, path in named if path is not None]
+        check_places(written, self.pictures, overwrite=self.overwrite)
 
     def _look(self, options: OwnOptions) -> None:
         """What is wrong with the film, in words."""
@@ -117,21 +136,15 @@ class Own:
     def _make(self, out: Path, options: OwnOptions) -> None:
         from jghand_engine.avatar.builtin import load_builtin
         from jghand_engine.avatar.file import save_avatar
-        from jghand_engine.files import check_place
         from jghand_engine.hand.joints import Handedness
-        from jghand_engine.motion.files import check_written_suffix, write_motion
+        from jghand_engine.motion.files import write_motion
         from jghand_engine.own.film import open_source
         from jghand_engine.own.make import check_has_motion, explain, hand_of, motion_of, work_folder
         from jghand_engine.track.mediapipe_hands import video_detector
 
-        if out.suffix != ".jghand":
-            raise InputError("--out", wanted="a file that ends with .jghand", came=str(out))
-        check_place(out, overwrite=self.overwrite)
         # what is no film is refused before a folder of work is made
         open_source(self.pictures)
         if self.motion is not None:
-            check_written_suffix(self.motion)
-            check_place(self.motion, overwrite=self.overwrite, option="--motion")
             check_has_motion(self.pictures)
         work, prior, started = out.with_suffix(".own"), load_builtin(handedness=Handedness.RIGHT), time.perf_counter()
         with work_folder(work, self.pictures, options, resume=self.resume), stages() as told:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, stages, write_figures, write_json
-from jghand_engine.cli.options import AvatarOptions, FiguresFile, File
+from jghand_engine.cli.options import AvatarOptions, FiguresFile, File, check_places
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.track import CAMERA_ANGLE_DEG
@@ -104,6 +105,8 @@ class Track:
         options = self._checked()
         video = open_video(self.video, self.fps, most=self.most)
         avatar = load_avatar_called(self.avatar.avatar)
+        if self.fit.exact:
+            self._warn_of_length(video)
         notes: list[str] = []
         if video.uneven:
             notes.append(
@@ -119,7 +122,7 @@ class Track:
         if self.fit.exact:
             hands = self._exactly(video, looked, wanted, avatar, options)
         else:
-            hands = track(sightings, avatar.canonical_joints_m, options, wanted)
+            hands = track(sightings, avatar.rest_joints_m, options, wanted)
         notes += [
             f"{_doubt(side, hand)}, and taken for a mistake."
             for side, hand in found.doubted.items()
@@ -170,6 +173,8 @@ class Track:
             fit.gaps == "fill",
         )
         options.check()
+        if fit.exact and self.hand == "both":
+            raise _exact_of_both()
         if fit.exact and fit.smoothing != 1:
             raise InputError("--smoothing", wanted="none with --exact, which has its own", came=f"{fit.smoothing:g}")
         self._check_places()
@@ -177,8 +182,6 @@ class Track:
 
     def _check_places(self) -> None:
         """InputError where a motion, a proof or a camera is there, or the film itself would be written over."""
-        from jghand_engine.files import check_place
-
         sides = {"right": 1, "left": 1, "both": 2}
         counts = (sides[self.hand],) if self.hand in sides else (1, 2)
         motions = dict.fromkeys(self._file(side, count) for count in counts for side in Handedness)
@@ -186,11 +189,16 @@ class Track:
         written += [("--proof", self.proof)] if self.proof is not None else []
         written += [("--film-camera", self.film_camera)] if self.film_camera is not None else []
         written += [("--json", self.json)] if self.json is not None else []
-        for name, path in written:
-            if path.exists() and self.video.exists() and path.samefile(self.video):
-                raise InputError(f"{name} {path}", wanted="a file of its own", came="that of the video")
-            # a report is replaced, as every command does
-            check_place(path, overwrite=self.overwrite or name == "--json", option=name)
+        check_places(written, (self.video,), overwrite=self.overwrite)
+
+    def _warn_of_length(self, video: Video) -> None:
+        """Says before the work where it may come to nothing: pictures without the hand do not count."""
+        from jghand_engine.own.exact import PICTURES_MAX
+
+        count = min(self.most or sys.maxsize, video.frames or 0)
+        if count > PICTURES_MAX:
+            say(f"--exact takes {PICTURES_MAX} pictures of the hand at most, and the film has {count}: where it shows "
+                "more of them, that is refused once all were looked at. --most or --fps take fewer.")  # fmt: skip
 
     def _look(self, video: Video, notes: list[str]) -> Looked:
         from jghand_engine.own.film import look, source_of
@@ -223,10 +231,10 @@ class Track:
         from jghand_engine.own.make import exact_track
 
         if len(wanted) > 1:
-            raise InputError("--exact", wanted="one hand", came="both", remedy="Say --hand right or --hand left.")
+            raise _exact_of_both()
         ((side, hand),) = wanted.items()
         with stages() as told:
-            return {side: exact_track(source_of(video), looked, hand, avatar.canonical_joints_m, options, told)}
+            return {side: exact_track(source_of(video), looked, hand, avatar.rest_joints_m, options, told)}
 
     def _wanted(self, found: FoundHands) -> dict[Handedness, HandOverTime]:
         """The hands of the film that are asked for; InputError says what there is instead."""
@@ -294,6 +302,10 @@ class Track:
                     bar.advance(bar.task_ids[0])
 
             write_video(self.proof, told(), video.fps)
+
+
+def _exact_of_both() -> InputError:
+    return InputError("--exact", wanted="one hand", came="both", remedy="Say --hand right or --hand left.")
 
 
 def _doubt(side: Handedness, hand: HandOverTime) -> str:

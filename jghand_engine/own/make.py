@@ -15,7 +15,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,12 +86,14 @@ Detectors = Callable[[], AbstractContextManager[HandDetector]]
 class OwnOptions:
     """hand: which one is filmed; None: the one that is seen · hand_length_m: wrist to middle tip along the bones; None:
     the prior's · camera_angle_deg: across the longer edge; None: what the file says, else a telephone's · fit_s: the
-    fit by pictures goes on for so many seconds, if it does not take longer anyway"""
+    fit by pictures goes on for so many seconds, if it does not take longer anyway · motion: that of all pictures is
+    wanted, too, so that the hand is fitted as well as by `exact_track`"""
 
     hand: Handedness | None = None
     hand_length_m: float | None = None
     camera_angle_deg: float | None = None
     fit_s: float = 0.0
+    motion: bool = False
 
     def check(self) -> None:
         """InputError for what cannot be."""
@@ -176,14 +178,18 @@ def explain(
 ) -> Explained:
     """From the film to the hand's shape, its poses and its masks. What lies in `work` already is taken from there.
 
-    InputError for a film of which no avatar can be made; `detectors` gives the detector when one is needed.
+    InputError for a film of which no avatar can be made, or not the motion that is wanted; `detectors` gives the
+    detector when one is needed.
     """
     begun = _begun(paths, prior, options, work, detectors, told)
     refuse(begun.findings)
+    if options.motion:
+        check_length(int(begun.track.seen.sum()))
     if (work / FIT).exists():
         fitted = FittedHand.load(work / FIT)
     else:
-        fitted = fit_hand(begun, prior, told, Effort(least_s=options.fit_s))
+        effort = BEST_EFFORT if options.motion else Effort()
+        fitted = fit_hand(begun, prior, told, replace(effort, least_s=options.fit_s))
         fitted.save(work / FIT)
     zones = _zones(begun.start, fitted.avatar_shape(prior), fitted.joints_m)
     if (work / MASKS).exists():
@@ -256,16 +262,16 @@ def exact_track(
 
 
 def check_has_motion(paths: Sequence[Path]) -> Source:
-    """The film; InputError for photographs, and for one that is too long."""
+    """The film; InputError for photographs."""
     source = open_source(paths)
     if not source.is_film:
         raise InputError("--motion", wanted="a film", came="photographs")
-    check_length(source.count or 0)
     return source
 
 
 def motion_of(paths: Sequence[Path], explained: Explained, prior: HandAvatar, told: Told) -> PoseSequence:
-    """Of the hand in all pictures that were looked at, with its own bones. InputError as of `check_has_motion`."""
+    """Of the hand in all pictures that were looked at, with its own bones. InputError for photographs, and where
+    the hand is seen in too many pictures."""
     begun, fitted, source = explained.begun, explained.fitted, check_has_motion(paths)
     poses = exact_poses(source, begun.track, begun.pictures.index, fitted, prior, told)
     joints_m = poses.joints_m(chain_of(prior.canonical_joints_m, fitted.own_joints_m))

@@ -3,18 +3,23 @@
 import itertools
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_avatars import small_avatar
 from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, seen, sight
 
+from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
 from jghand_engine.export.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
 from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ArticulatedHand
+from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.motion.read import read_motion_file
+from jghand_engine.own import exact as exact_module
 from jghand_engine.own import make
 from jghand_engine.track import hands_over_time, mediapipe_hands
 from jghand_engine.track import track as module
@@ -116,6 +121,10 @@ def test_the_exact_motion_is_of_one_hand_and_takes_the_place_of_the_quick_one(
     sees([a + b for a, b in zip(right, left, strict=True)])
     assert track(film, tmp_path / "motion.npz", "--exact") == 2
     assert "--exact: wanted one hand, got both. Say --hand right or --hand left." in capsys.readouterr().err
+    # before any picture is looked at
+    sees([])
+    assert track(film, tmp_path / "motion.npz", "--exact", "--hand", "both") == 2
+    assert "--exact: wanted one hand, got both" in capsys.readouterr().err
     asked = []
 
     def exact_track(source, looked, hand, canonical_joints_m, options, told):
@@ -131,6 +140,39 @@ def test_the_exact_motion_is_of_one_hand_and_takes_the_place_of_the_quick_one(
     assert track(film, tmp_path / "motion.npz", *words) == 0
     assert asked == [(FPS, COUNT, Handedness.LEFT, True)]
     assert (read_motion(tmp_path / "motion.npz").joints_m[..., 2] < -1).all()
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_motion_has_the_bones_and_the_size_of_an_avatar_that_has_its_own(
+    film, sees, right, tmp_path, monkeypatch, exact
+):
+    avatar = small_avatar()
+    own_m = avatar.canonical_joints_m * (0.7, 0.8, 0.75)
+    save_avatar(tmp_path / "child.jghand", replace(avatar, own_joints_m=own_m))
+
+    def exact_track(source, looked, hand, canonical_joints_m, options, told):
+        return module.track_hand(
+            hand, module.camera_of(looked.sightings, 66.0), source.fps, canonical_joints_m, options
+        )
+
+    monkeypatch.setattr(make, "exact_track", exact_track)
+    sees(right)
+    words = ["--avatar", str(tmp_path / "child.jghand"), *(["--exact"] if exact else [])]
+    assert track(film, tmp_path / "motion.npz", *words) == 0
+    found = [bone_lengths(one) for one in read_motion(tmp_path / "motion.npz").joints_m]
+    np.testing.assert_allclose(found, np.tile(bone_lengths(own_m), (COUNT, 1)), rtol=1e-6)
+
+
+def test_a_film_that_may_be_too_long_for_the_exact_motion_is_told_of_before_the_work(
+    film, sees, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(exact_module, "PICTURES_MAX", COUNT - 1)
+    sees([[]] * COUNT)
+    assert track(film, tmp_path / "motion.npz", "--exact") == 2
+    assert "--exact takes 11 pictures of the hand at most, and the film has 12" in capsys.readouterr().out
+    sees([[]] * COUNT)
+    assert track(film, tmp_path / "motion.npz", "--exact", "--most", "11") == 2
+    assert "at most" not in capsys.readouterr().out
 
 
 def test_one_side_can_be_chosen(film, sees, right, left, tmp_path):
@@ -167,8 +209,8 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
         (["--most", "0"], "--most"),
         (["--fps", "0"], "frames per second"),
         (["--proof", "proof.avi"], ".mp4"),
-        (["--proof", "{film}"], "that of the video"),
-        (["--json", "{film}"], "that of the video"),
+        (["--proof", "{film}"], "one that is read"),
+        (["--json", "{film}"], "one that is read"),
     ],
 )
 def test_what_cannot_be_is_told_and_nothing_is_written(film, sees, right, tmp_path, capsys, options, told):
@@ -185,7 +227,7 @@ def test_the_film_is_not_written_over_by_another_name_of_it_either(film, sees, r
     sees(right)
     getattr(tmp_path / "other.mp4", link)(film)
     assert track(film, tmp_path / "motion.npz", "--proof", str(tmp_path / "other.mp4")) == 2
-    assert "that of the video" in capsys.readouterr().err
+    assert "one that is read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

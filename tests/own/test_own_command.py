@@ -20,7 +20,8 @@ from jghand_engine.export.pictures import write_png
 from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion.read import read_motion_file
-from jghand_engine.own import make
+from jghand_engine.own import exact, make
+from jghand_engine.own.exact import BEST_EFFORT
 from jghand_engine.own.hand_fit import Effort, FittedHand
 from jghand_engine.own.make import OwnOptions, explain, work_folder
 from jghand_engine.own.shape import SHAPE_COUNT
@@ -64,7 +65,13 @@ def detector(monkeypatch):
 
 
 @pytest.fixture
-def fits(monkeypatch) -> list[int]:
+def efforts() -> list[int]:
+    """How often each fit finds the skin's colors anew."""
+    return []
+
+
+@pytest.fixture
+def fits(monkeypatch, efforts) -> list[int]:
     """Fits that take the tracker's word; how many there were."""
     begun: list[int] = []
 
@@ -77,6 +84,7 @@ def fits(monkeypatch) -> list[int]:
         def fit_pictures(self, rgb_u8: np.ndarray, masks: np.ndarray, effort: Effort, *, tick: object) -> None:
             assert masks.shape == rgb_u8.shape[:3]
             assert effort.least_s == LEAST_S
+            efforts.append(effort.times)
 
         def result(self) -> FittedHand:
             start = self.start
@@ -115,21 +123,33 @@ def test_a_film_without_a_hand_ends_with_2_and_words(tmp_path, capsys):
         ([], "either --out FILE.jghand or --check"),
         (["--check", "--minutes", "-1"], "0 to 1440"),
         (["--out", "me.jghand", "--motion", "me.txt"], "motion file me.txt"),
+        (["--check", "--motion", "me.npz"], "--check: wanted no --motion"),
+        (["--check", "--minutes", "5"], "--check: wanted no --minutes"),
+        (["--check", "--resume"], "--check: wanted no --resume"),
+        (["--check", "--overwrite"], "--check: wanted no --overwrite"),
+        (["--check", "--json", "{film}"], "one that is read"),
+        (["--out", "{new}", "--motion", "{film}", "--overwrite"], "motion file"),
+        (["--out", "{new}", "--motion", "{new}.npz", "--json", "{new}.npz"], "that of --motion"),
+        (["--out", "{new}", "--json", "{film}"], "one that is read"),
         (["--check", "--out", "me.jghand"], "either --out FILE.jghand or --check"),
         (["--check", "--hand-length", "18"], "60 to 400 mm"),
         (["--check", "--camera-angle", "170"], "1 to 150 degrees"),
         (["--check", "--hand", "left"], "the right one alone"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(film, capsys, words, told):
-    assert main(["own", str(film), *words]) == 2
+def test_what_cannot_be_is_refused_in_words(film, tmp_path, capsys, words, told):
+    before = film.read_bytes()
+    places = {"film": film, "new": tmp_path / "me.jghand"}
+    assert main(["own", str(film), *(word.format(**places) for word in words)]) == 2
     assert told in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert film.read_bytes() == before
 
 
 def explained(
-    film: Path, work: Path, *, resume: bool, detectors=known, length_m: float | None = None
+    film: Path, work: Path, *, resume: bool, detectors=known, length_m: float | None = None, motion: bool = False
 ) -> make.Explained:
-    chosen = OwnOptions(hand_length_m=length_m, fit_s=LEAST_S)
+    chosen = OwnOptions(hand_length_m=length_m, fit_s=LEAST_S, motion=motion)
     with work_folder(work, [film], chosen, resume=resume):
         return explain([film], load_builtin(handedness=RIGHT), chosen, work, detectors, lambda *_: None)
 
@@ -190,6 +210,20 @@ def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monke
     assert json.loads((tmp_path / "told.json").read_text())["motion"] == str(motion)
     assert main([*words, "--overwrite", "--resume"]) == 0
     assert len(fits) == 1
+
+
+def test_a_hand_whose_motion_is_wanted_is_fitted_as_long_as_that_of_the_exact_motion(film, tmp_path, fits, efforts):
+    for motion in (False, True):
+        explained(film, tmp_path / f"{motion}.own", resume=False, motion=motion)
+    assert efforts == [Effort().times, BEST_EFFORT.times]
+
+
+def test_a_hand_that_is_seen_too_often_for_a_motion_is_refused_before_the_fit(film, tmp_path, fits, monkeypatch):
+    monkeypatch.setattr(exact, "PICTURES_MAX", len(JOINTS_M) - 1)
+    with pytest.raises(InputError, match="at most 5 pictures of the hand, got 6"):
+        explained(film, tmp_path / "me.own", resume=False, motion=True)
+    assert fits == []
+    explained(film, tmp_path / "other.own", resume=False)
 
 
 def test_the_motion_of_a_left_hand_is_a_left_hands(film, tmp_path, fits, monkeypatch):
