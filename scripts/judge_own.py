@@ -2,6 +2,7 @@
 
     python scripts/judge_own.py --films films                           every film in the folder that has its truth
     python scripts/judge_own.py --films films --photographs --exact     also five photographs, and joints that are known
+    python scripts/judge_own.py --films films --faults                  also what is told of films with a fault
     python scripts/judge_own.py --films films --page docs/OWN_HAND.md   puts the tables into the page
 
 Wants the extra `track` and its networks. Beside each film lies what was made of it, as own.jghand and so on; what is
@@ -29,19 +30,20 @@ from jghand_engine.avatar.scene_light import SceneLight, World
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import load_image
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.cli import main as jghand
+from jghand_engine.cli.own import Own
 from jghand_engine.color import displayed, linear_to_srgb, srgb_to_linear
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.evaluate import AvatarPicturer
-from jghand_engine.own.film import FilmPictures
+from jghand_engine.own.film import FilmPictures, open_source
 from jghand_engine.own.hand_fit import FittedHand
-from jghand_engine.own.make import FIT, MASKS, PICTURES, START, Begun, Explained, hand_of
+from jghand_engine.own.make import FIT, MASKS, PICTURES, START, Begun, Explained, OwnOptions, begin, hand_of
 from jghand_engine.own.masks import wrist_side
 from jghand_engine.own.report import side_scores
 from jghand_engine.own.start import Start
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import preset
-from jghand_engine.track import CAMERA_ANGLE_DEG
+from jghand_engine.track import CAMERA_ANGLE_DEG, mediapipe_hands
 from jghand_engine.track.motion_errors import MotionErrors, motion_errors
 from jghand_engine.track.video import open_video, read_frames
 
@@ -53,11 +55,13 @@ AVATAR = {"film": "own", "photographs": "photographs", "exact": "exact"}
 @dataclass(frozen=True)
 class Options:
     """films: folder of folders with film.mp4, truth.npz and capture/ · photographs: also five pictures of each film ·
-    exact: also with joints and masks that are known, of the shape that the film gave · page: gets the tables"""
+    exact: also with joints and masks that are known, of the shape that the film gave · faults: also what a look at the
+    films without capture/ tells, before any fit · page: gets the tables"""
 
     films: Path
     photographs: bool = False
     exact: bool = False
+    faults: bool = False
     page: Path | None = None
 
 
@@ -69,8 +73,9 @@ class Judged:
     iou:          of outlines, held out
     motion:       the fit's errors, see MotionErrors; None where it was given the truth
     masks:        mean and worst overlap with the true ones; None where they are given
-    fitted_db:    of pictures of the film that no skin was made of, whole and cut, in poses that were fitted to them:
-                  what papers on hands from films print (UHM, HARP); None of photographs
+    fitted_db:    of pictures of the film that no skin was made of, whole, cut and within the mask, in poses that were
+                  fitted to them: what papers on hands from films print (UHM, HARP); None of photographs, and where the
+                  poses are the true ones
     seconds:      wall and processor time of making it; None: not known
     """
 
@@ -80,7 +85,7 @@ class Judged:
     iou: float
     motion: MotionErrors | None
     masks: tuple[float, float] | None
-    fitted_db: tuple[float, float] | None
+    fitted_db: tuple[float, float, float] | None
     seconds: tuple[float, float] | None
 
 
@@ -140,8 +145,10 @@ def judge(folder: Path, name: str, seconds: tuple[float, float] | None = None) -
     each = held_out_scores(load_avatar(folder / f"{name}.jghand"), folder, gain)
     mean = {figure: float(np.mean([one[figure] for one in each])) for figure in each[0]}
     report = json.loads((work / "report.json").read_text(encoding="utf-8"))["mean"]
-    motion = masks = None
+    motion = masks = fitted_db = None
     if not known:
+        if report:
+            fitted_db = report["psnr_full"], report["psnr_box"], report["psnr_mask"]
         fitted, pictures = FittedHand.load(work / FIT), FilmPictures.load(work / PICTURES)
         whole = Truth.of(folder, pictures)
         shrunk = shrunk_by(work, whole.camera)
@@ -153,7 +160,7 @@ def judge(folder: Path, name: str, seconds: tuple[float, float] | None = None) -
         masks = float(overlap.mean()), float(overlap.min())
     return Judged(
         (mean["psnr_full"], mean["ssim_full"]), (mean["psnr_box"], mean["ssim_box"]), mean["psnr_mask"], mean["iou"],
-        motion, masks, (report["psnr_full"], report["psnr_box"]) if report else None, seconds,
+        motion, masks, fitted_db, seconds,
     )  # fmt: skip
 
 
@@ -169,7 +176,7 @@ def shrunk_by(work: Path, camera: Camera) -> float:
 
 
 def made(folder: Path, name: str) -> tuple[float, float] | None:
-    """Makes what is not there of a film, unless `jghand own` refuses it; seconds that it took."""
+    """Makes what is not there of a film; seconds that it took. InputError where `jghand own` refuses the film."""
     out = folder / f"{name}.jghand"
     if out.exists():
         return None
@@ -178,7 +185,7 @@ def made(folder: Path, name: str) -> tuple[float, float] | None:
         make_exact(folder, out)
     else:
         given = [folder / "film.mp4"] if name == AVATAR["film"] else photographs(folder)
-        jghand(["own", *map(str, given), "--out", str(out)])
+        Own(tuple(given), out=out).run()
     return time.perf_counter() - began[0], time.process_time() - began[1]
 
 
@@ -211,19 +218,40 @@ def make_exact(folder: Path, out: Path) -> None:
     save_avatar(out, avatar)
 
 
+def told_of(film: Path) -> tuple[str, str]:
+    """What becomes of a film, and what a look at it tells."""
+    prior = load_builtin(handedness=Handedness.RIGHT)
+    try:
+        with mediapipe_hands.video_detector() as detector:
+            findings = begin(open_source([film]), prior, OwnOptions(), detector, lambda *_: None).findings
+    except InputError as error:
+        return "is refused", str(error)
+    verdict = "is refused" if any(finding.refuses for finding in findings) else "is used"
+    return verdict, ", ".join(dict.fromkeys(finding.check for finding in findings))
+
+
 def main(options: Options) -> None:
     kinds = ["film", *(kind for kind in ("photographs", "exact") if getattr(options, kind))]
     rows: dict[tuple[str, str], Judged] = {}
+    faults: list[tuple[str, str, str]] = []
     refused: list[str] = []
+    # without them every film would be refused
+    mediapipe_hands.check_package()
+    mediapipe_hands.model_file()
     for truth in sorted(options.films.glob("*/truth.npz")):
         folder = truth.parent
         if not (folder / "capture").is_dir():
+            if options.faults:
+                faults.append((folder.name, *told_of(folder / "film.mp4")))
             continue
         for kind in kinds:
             kept = folder / f"{AVATAR[kind]}.judged.json"
-            seconds = made(folder, AVATAR[kind])
-            if not (folder / f"{AVATAR[kind]}.jghand").exists():
-                refused.append(f"{folder.name}, {kind}")
+            if kind == "exact" and (folder.name, "film") not in rows:
+                continue
+            try:
+                seconds = made(folder, AVATAR[kind])
+            except InputError as error:
+                refused.append(f"{folder.name}, {kind} ({error})")
                 continue
             if seconds is None and kept.exists():
                 seconds = json.loads(kept.read_text(encoding="utf-8"))["seconds"]
@@ -231,7 +259,9 @@ def main(options: Options) -> None:
             kept.write_text(json.dumps(asdict(rows[folder.name, kind]), indent=1) + "\n", encoding="utf-8")
     text = f"{held_out_table(rows)}\n\n{fit_table(rows)}"
     if refused:
-        text += f"\n\nRefused: {'; '.join(refused)}."
+        text += f"\n\nRefused: {'; '.join(refused)}"
+    if faults:
+        text += f"\n\n{table(('film with a fault', 'it', 'what is told before the fit'), faults, words=3)}"
     print(text)
     if options.page is not None:
         put_into_page(options.page, Path(__file__).name, text)
@@ -240,12 +270,12 @@ def main(options: Options) -> None:
 def held_out_table(rows: dict[tuple[str, str], Judged]) -> str:
     """Of pictures that were held out."""
     header = ("film", "made from", "whole, dB / SSIM", "cut to the hand", "within the mask, dB", "outline IoU",
-              "pose fitted, whole / cut, dB")  # fmt: skip
+              "pose fitted, whole / cut / within, dB")  # fmt: skip
     cells = [
         (
             name, kind, f"{one.whole[0]:.1f} / {one.whole[1]:.3f}", f"{one.cut[0]:.1f} / {one.cut[1]:.3f}",
             f"{one.within_db:.1f}", f"{one.iou:.3f}",
-            f"{one.fitted_db[0]:.1f} / {one.fitted_db[1]:.1f}" if one.fitted_db else "",
+            " / ".join(f"{figure:.1f}" for figure in one.fitted_db or ()),
         )
         for (name, kind), one in rows.items()
     ]  # fmt: skip

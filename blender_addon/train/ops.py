@@ -141,7 +141,7 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
     bl_idname = "jghand.hand_from_film"
     bl_label = "My Hand from a Film"
     bl_description = (
-        "Make a hand of your own from a film of it, in a process of its own that goes on while you work, some ten "
+        "Make a hand of your own from a film of it, in a process of its own that goes on while you work, some "
         "minutes long. This needs the training tools; once, where Blender may go online, it downloads 35 MB. Nothing "
         "of the film leaves this machine"
     )

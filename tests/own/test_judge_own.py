@@ -2,6 +2,7 @@
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import judge_own
@@ -11,10 +12,14 @@ from picture_sets import recorded, write_set
 from shaped_films import FOCAL_PX, FPS, HEIGHT, PRIOR, WIDTH, film
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.file import save_avatar
+from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.scene_light import CELLS
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.own.checks import Finding
 from jghand_engine.own.film import FilmPictures
 from jghand_engine.own.hand_fit import FittedHand
+from jghand_engine.own.make import Begun
+from jghand_engine.track import mediapipe_hands
 
 ANGLE_DEG = 2 * math.degrees(math.atan(HEIGHT / 2 / FOCAL_PX))
 
@@ -29,7 +34,7 @@ def lit(avatar: HandAvatar) -> HandAvatar:
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, monkeypatch):
     """A film's truth, an avatar and a work folder that are right, and a capture to draw it in."""
     truth, place = film(4), tmp_path / "man"
     work = place / "own.own"
@@ -39,13 +44,16 @@ def folder(tmp_path):
         size_px=(WIDTH, HEIGHT), gain=np.ones(4),
     )  # fmt: skip
     (work / "own.json").write_text(json.dumps({"options": {"camera_angle_deg": ANGLE_DEG}}))
-    (work / "report.json").write_text(json.dumps({"mean": {"psnr_full": 30.0, "psnr_box": 25.0}}))
+    (work / "report.json").write_text(json.dumps({"mean": {"psnr_full": 30.0, "psnr_box": 25.0, "psnr_mask": 24.0}}))
     FilmPictures(truth.rgb_u8, np.arange(4) / FPS, np.arange(4), "film.mp4", "ab", True).save(work / "pictures.npz")
     truth.start().save(work / "start.npz")
     found = FittedHand(truth.camera, truth.poses, truth.joints_m, truth.canonical_joints_m, truth.shape, np.zeros(4))
     found.save(work / "fit.npz")
     np.savez(work / "masks.npz", hand=truth.masks)
     save_avatar(place / "own.jghand", lit(PRIOR))
+    # no network is needed
+    monkeypatch.setattr(mediapipe_hands, "check_package", lambda: None)
+    monkeypatch.setattr(mediapipe_hands, "model_file", lambda: None)
     write_set(place / "capture", recorded(frames=2, cameras=1))
     (place / "capture" / "splits.json").write_text(json.dumps({"format": 1, "test_cameras": ["400262"]}))
     return place
@@ -57,7 +65,7 @@ def test_a_right_hand_has_no_errors_and_covers_what_is_held_out(folder):
     assert found.motion.wrist_mm == pytest.approx(0, abs=1e-6)
     assert found.motion.px == pytest.approx((0, 0), abs=1e-6)
     assert found.masks == (1, 1)
-    assert found.fitted_db == (30, 25)
+    assert found.fitted_db == (30, 25, 24)
     assert found.iou > 0.85
     assert found.whole[0] > found.cut[0] > 8
 
@@ -104,6 +112,65 @@ def test_the_tables_have_a_line_for_each_hand(folder, capsys):
     judge_own.main(judge_own.Options(folder.parent))
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| man | film |")]
     assert len(said) == 2
-    assert "| 30.0 / 25.0 |" in said[0]
+    assert "| 30.0 / 25.0 / 24.0 |" in said[0]
     assert "| 1.000 / 1.000 | 90 / 80 |" in said[1]
-    assert json.loads((folder / "own.judged.json").read_text())["fitted_db"] == [30, 25]
+    assert json.loads((folder / "own.judged.json").read_text())["fitted_db"] == [30, 25, 24]
+
+
+def test_a_hand_that_is_known_exactly_depends_on_no_fit_and_says_nothing_of_fitted_poses(folder):
+    made = []
+    for turned in (0, 1):
+        fitted = FittedHand.load(folder / "own.own" / "fit.npz")
+        replace(fitted, joints_m=fitted.joints_m + 0.02 * turned).save(folder / "own.own" / "fit.npz")
+        out = folder / "exact.jghand"
+        out.unlink(missing_ok=True)
+        judge_own.make_exact(folder, out)
+        made.append(load_avatar(out))
+    assert np.array_equal(made[0].rgb, made[1].rgb)
+    assert not np.array_equal(made[0].rgb, PRIOR.rgb)
+    assert judge_own.judge(folder, "exact").fitted_db is None
+
+
+def refusing(monkeypatch, error: Exception) -> None:
+    def run(_: judge_own.Own) -> None:
+        raise error
+
+    monkeypatch.setattr(judge_own.Own, "run", run)
+
+
+def test_a_film_that_is_refused_is_named_with_its_reason_and_has_no_exact_row(folder, capsys, monkeypatch):
+    (folder / "own.jghand").unlink()
+    refusing(monkeypatch, InputError("Two hands are seen"))
+    judge_own.main(judge_own.Options(folder.parent, exact=True))
+    said = capsys.readouterr().out
+    assert "Refused: man, film (Two hands are seen.)" in said
+    assert "| man |" not in said
+    assert "exact" not in said
+
+
+def test_what_is_no_refusal_ends_the_run(folder, monkeypatch):
+    (folder / "own.jghand").unlink()
+    for error in (RetryError("the disk is full"), ValueError("a fault")):
+        refusing(monkeypatch, error)
+        with pytest.raises(type(error)):
+            judge_own.main(judge_own.Options(folder.parent))
+    monkeypatch.undo()
+    monkeypatch.setenv(mediapipe_hands.VARIABLE, str(folder / "none.task"))
+    monkeypatch.setattr(mediapipe_hands, "check_package", lambda: None)
+    with pytest.raises(InputError, match="hand model"):
+        judge_own.main(judge_own.Options(folder.parent))
+
+
+@pytest.mark.parametrize("refuses", [False, True])
+def test_of_a_film_with_a_fault_it_is_said_what_is_told(folder, capsys, monkeypatch, refuses):
+    bad = folder.parent / "man_bad"
+    bad.mkdir()
+    (bad / "truth.npz").touch()
+    (bad / "film.mp4").touch()
+    findings = [Finding("light", "Too dark.", refuses), Finding("views", "The palm."), Finding("views", "The back.")]
+    monkeypatch.setattr(mediapipe_hands, "video_detector", nullcontext)
+    monkeypatch.setattr(judge_own, "open_source", lambda paths: paths)
+    monkeypatch.setattr(judge_own, "begin", lambda *_: Begun(*[None] * 3, findings))  # pyright: ignore
+    judge_own.main(judge_own.Options(folder.parent, faults=True))
+    verdict = "is refused" if refuses else "is used"
+    assert f"| man_bad | {verdict} | light, views |" in capsys.readouterr().out
