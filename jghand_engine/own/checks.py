@@ -1,4 +1,4 @@
-"""What is wrong with a film, in sentences for whoever films: what it is, when, and what to do. Source: OWN_HAND 8."""
+"""What is wrong with a film, in sentences for whoever films: what it is, when, and what to do."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
-from jghand_engine.own.film import FilmPictures, Looked, blurred
+from jghand_engine.own.film import BURNT_U8, FilmPictures, Looked, blurred
 from jghand_engine.own.masks import FilmColors, Zones, hand_size_px, opencv
 from jghand_engine.own.start import Start
 from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
@@ -23,8 +23,8 @@ HAND_SIZE_MIN_PX = 250.0
 CAMERA_STEP_PART_MAX, FEATURES_MIN = 0.01, 8
 # how square palm or back must be seen once; the flat hand that bone lengths come from: how bent, and how square
 VIEW_ANGLE_DEG, FLAT_BEND_DEG, FLAT_ANGLE_DEG = 45.0, 25.0, 25.0
-# of the skin, by its brightest channel and by its mean, of 255
-BURNT_U8, BURNT_PART_MAX, DARK_U8 = 250, 0.02, 45.0
+# of the skin: the part that is burnt out, and its mean, of 255
+BURNT_PART_MAX, DARK_U8 = 0.02, 45.0
 # more than this is too much to make an avatar of; less are highlights (5 % of a film of dark skin between two lamps)
 BURNT_PART_REFUSED = 0.15
 # how much the mean of the background changes, of itself

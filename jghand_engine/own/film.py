@@ -9,6 +9,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from jghand_engine.files import writing
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.track.detection import HandDetector, SeenHand
 from jghand_engine.track.poses import Poses
-from jghand_engine.track.track import Sightings, detect
+from jghand_engine.track.track import CAMERA_ANGLES_DEG, Sightings, detect
 from jghand_engine.track.video import TRACK_EDGE_PX, Video, open_video, read_frames
 
 PHOTOGRAPH_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
@@ -38,6 +39,8 @@ TURN_STEP_DEG = 30.0
 BEND_STEP_DEG = 40.0
 # pictures that are less sharp about the hand than this part of the film's median are blurred
 BLURRED_PART = 1 / 3
+# a channel from here on is burnt out: what it shows is less than was there
+BURNT_U8 = 250
 # edge to which the hand is made smaller before its sharpness is measured, pixels: noise is no detail
 SHARPNESS_EDGE_PX = 160
 # half of the diagonal of a film of 36 x 24 mm, which "focal length in 35 mm" means, millimeters
@@ -83,11 +86,13 @@ def open_source(paths: Sequence[Path]) -> Source:
     if not photographs and len(paths) == 1:
         return _film(paths[0])
     if len(photographs) < len(paths) or not PHOTOGRAPHS_MIN <= len(paths) <= PHOTOGRAPHS_MAX:
-        came = f"{len(photographs)} photographs" + (" and other files" if len(photographs) < len(paths) else "")
-        raise InputError(
-            "hand", wanted=f"one film, or {PHOTOGRAPHS_MIN} to {PHOTOGRAPHS_MAX} photographs", came=came,
-            remedy="Photograph the flat palm, the flat back, the thumb's side and a fist from both sides.",
-        )  # fmt: skip
+        came = f"{len(photographs)} photographs"
+        remedy = "Photograph the flat palm, the flat back, the thumb's side and a fist from both sides."
+        if others := sorted({path.suffix or path.name for path in paths if path not in photographs}):
+            came += f" and other files ({', '.join(others)})"
+            remedy = "Save photographs as JPEG, and name a film alone."
+        raise InputError("hand", wanted=f"one film, or {PHOTOGRAPHS_MIN} to {PHOTOGRAPHS_MAX} photographs", came=came,
+                         remedy=remedy)  # fmt: skip
     pictures = [_photograph(path) for path in photographs]
     sizes = {picture.shape[:2] for picture, _ in pictures}
     if len(sizes) > 1:
@@ -109,7 +114,7 @@ def _film(path: Path) -> Source:
 
 def source_of(video: Video) -> Source:
     """A film, all of whose pictures are looked at."""
-    angle = None if video.focal_35mm is None else view_angle_deg(video.focal_35mm, video.width, video.height)
+    angle = told_angle_deg(video.focal_35mm, video.width, video.height)
     return Source(video.path.name, (video.height, video.width), video.fps, video.frames, True, angle, video)
 
 
@@ -122,8 +127,16 @@ def _photograph(path: Path) -> tuple[np.ndarray, float | None]:
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"photograph {path}", wanted="a picture", came=str(error)[:200],
                          remedy="Save it as JPEG.") from error  # fmt: skip
-    angle = view_angle_deg(float(focal), *upright.size) if focal else None
+    angle = told_angle_deg(focal, *upright.size)
     return smaller(np.asarray(upright), TRACK_EDGE_PX), angle
+
+
+def told_angle_deg(focal_35mm: object, width: int, height: int) -> float | None:
+    """As `view_angle_deg`; None where a file does not say a lens, or one that cannot be."""
+    if not isinstance(focal_35mm, Real) or not float(focal_35mm) > 0:
+        return None
+    angle = view_angle_deg(float(focal_35mm), width, height)
+    return angle if CAMERA_ANGLES_DEG[0] <= angle <= CAMERA_ANGLES_DEG[1] else None
 
 
 def view_angle_deg(focal_35mm: float, width: int, height: int) -> float:
@@ -225,6 +238,8 @@ def spread_pictures(poses: Poses, usable: np.ndarray, most: int = PICTURES_MAX) 
         turn = np.arccos(np.clip((turned - 1) / 2, -1, 1)) / math.radians(TURN_STEP_DEG)
         bend = np.linalg.norm(bends - bends[last], axis=1) / math.radians(BEND_STEP_DEG)
         apart = np.minimum(apart, np.hypot(turn, bend))
+        # never again, not even where all others are the same
+        apart[last] = -1
         chosen.append(int(apart.argmax()))
     return left[np.sort(chosen)]
 

@@ -29,16 +29,14 @@ from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import pose_skin, skin_maps
 from jghand_engine.learn.tensors import HandTensors
+from jghand_engine.own.film import BURNT_U8
 from jghand_engine.own.masks import wrist_side
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
+from jghand_engine.track.track import MOTION_FROM_CAMERA
 
-# from camera axes (x right, y down, z forward) to those of motions
-MOTION_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
 # pixels of the outline that are mixed with what is behind it
 EDGE_PX = 2
-# a channel from here on is burnt out: what it shows is less than was there
-BURNT_U8 = 250
 # what is shown around the joints, of the hand's length in the picture
 CROP_MARGIN = 0.25
 # a Gaussian that colors less of a picture than this many pixels is not seen in it

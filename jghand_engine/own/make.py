@@ -289,7 +289,7 @@ def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> 
     fits = np.nan_to_num(fitted.outline_residual) <= PICTURE_RESIDUAL_MAX
     used = fits if fits.sum() >= PHOTOGRAPHS_MIN else ~np.zeros(len(pictures), bool)
     film = FilmView(fitted.joints_m, fitted.camera, pictures.rgb_u8, explained.masks).part(used)
-    held = held_out(len(film.joints_m))
+    held = held_out(len(film.joints_m), is_film=pictures.is_film)
     seen, shaped = film.part(~held), fitted.avatar_shape(prior)
     observed = observe(shaped, seen.joints_m, seen.camera, seen.pictures, seen.masks)
     origin = Origin(pictures.source, pictures.digest, explained.begun.start.handedness)

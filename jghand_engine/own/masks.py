@@ -3,7 +3,7 @@
 Skin is what lies where the detector saw bones, background what lies far from any hand, both over the whole film: the
 colors of one picture are too few, and an outline that is wrong would force background in. Where the camera stands
 still, what differs from the picture without the hand tells as well. GrabCut then decides in the band about the outline
-what colors alone leave open. Source: OWN_HAND 4.
+what colors alone leave open.
 
 The template ends at the wrist and the arm goes on: a line across the wrist parts them, and beyond it nothing counts.
 """

@@ -18,13 +18,14 @@ from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.metrics import compare
-from jghand_engine.own.gather import FEW_PICTURES, MOTION_FROM_CAMERA
+from jghand_engine.own.gather import FEW_PICTURES
 from jghand_engine.own.light_and_skin import OwnHand
 from jghand_engine.own.masks import wrist_side
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.framing import framing_camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import preset
+from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 # of a film every so manieth picture is held out
 HELD_OUT_EVERY = 8
@@ -53,9 +54,11 @@ class FilmView:
         return replace(self, joints_m=self.joints_m[which], pictures=self.pictures[which], masks=self.masks[which])
 
 
-def held_out(count: int) -> np.ndarray:
-    """(count,) bool: pictures of a film that no skin is made of; none of few photographs, which are all needed."""
-    return np.arange(count) % HELD_OUT_EVERY == HELD_OUT_EVERY // 2 if count >= FEW_PICTURES else np.zeros(count, bool)
+def held_out(count: int, *, is_film: bool) -> np.ndarray:
+    """(count,) bool: pictures of a film that no skin is made of; none of few pictures, or of photographs, which are all
+    needed."""
+    held = np.arange(count) % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
+    return held & (is_film and count >= FEW_PICTURES)
 
 
 def drawn_before(own: OwnHand, film: FilmView) -> Iterator[np.ndarray]:

@@ -13,11 +13,11 @@ from jghand_engine.color import linear_to_srgb, to_bytes
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.rotations import axis_rotation
-from jghand_engine.own.gather import MOTION_FROM_CAMERA
 from jghand_engine.own.report import FilmView
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
+from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 POSES = ("open", "relaxed", "open", "point", "open", "spread", "relaxed", "open")
 WAY_M = 0.42

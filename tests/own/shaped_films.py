@@ -26,7 +26,7 @@ WIDTH, HEIGHT, FOCAL_PX, FPS = 96, 160, 118.0, 7.5
 
 @dataclass(frozen=True)
 class Film:
-    """poses, joints_m (F, 21, 3), canonical_joints_m (21, 3), shape (8,): the truth · rgb_u8, masks: (F, H, W, ...)"""
+    """poses, joints_m (F, 21, 3), canonical_joints_m (21, 3), shape (56,): the truth · rgb_u8, masks: (F, H, W, ...)"""
 
     camera: Camera
     poses: Poses

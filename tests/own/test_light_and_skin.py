@@ -17,11 +17,12 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own import light_and_skin
-from jghand_engine.own.gather import MOTION_FROM_CAMERA, observe
+from jghand_engine.own.gather import observe
 from jghand_engine.own.light_and_skin import LitFilm, Origin, film_light, seen_skin, skin_from
 from jghand_engine.own.skin_prior import SkinPrior, whole_skin
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
+from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 
 @pytest.fixture(scope="module")

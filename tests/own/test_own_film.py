@@ -29,7 +29,7 @@ from jghand_engine.track.poses import Poses
 NOISE = np.random.default_rng(0).integers(0, 256, (480, 640, 3)).astype(np.uint8)
 
 
-def photograph(path: Path, size: tuple[int, int] = (64, 48), focal_35mm: int | None = None) -> Path:
+def photograph(path: Path, size: tuple[int, int] = (64, 48), focal_35mm: object = None) -> Path:
     exif = Image.Exif()
     if focal_35mm is not None:
         exif.get_ifd(0x8769)[41989] = focal_35mm
@@ -37,8 +37,8 @@ def photograph(path: Path, size: tuple[int, int] = (64, 48), focal_35mm: int | N
     return path
 
 
-def photographs(folder: Path, count: int, **more: int) -> list[Path]:
-    return [photograph(folder / f"{number}.jpg", **more) for number in range(count)]
+def photographs(folder: Path, count: int, focal_35mm: object = None) -> list[Path]:
+    return [photograph(folder / f"{number}.jpg", focal_35mm=focal_35mm) for number in range(count)]
 
 
 def film(path: Path, fps: float = 30.0, count: int = 8) -> Path:
@@ -67,6 +67,16 @@ def test_a_film_among_photographs_and_photographs_of_two_sizes_are_refused(tmp_p
 def test_the_angle_of_view_is_what_the_photograph_says(tmp_path):
     assert open_source(photographs(tmp_path, 3, focal_35mm=26)).camera_angle_deg == pytest.approx(67.3, abs=0.1)
     assert open_source(photographs(tmp_path, 3)).camera_angle_deg is None
+
+
+@pytest.mark.parametrize("focal_35mm", [(26, 52), 1, 0])
+def test_a_lens_that_cannot_be_says_no_angle_of_view(tmp_path, focal_35mm):
+    assert open_source(photographs(tmp_path, 3, focal_35mm=focal_35mm)).camera_angle_deg is None
+
+
+def test_photographs_that_cannot_be_read_are_named_with_what_to_do(tmp_path):
+    with pytest.raises(InputError, match=r"got 0 photographs and other files \(\.heic\)\. Save photographs as JPEG"):
+        open_source([tmp_path / f"{number}.heic" for number in range(4)])
 
 
 def test_the_angle_of_view_is_what_the_film_of_a_telephone_says(tmp_path):
@@ -99,6 +109,8 @@ def test_pictures_that_differ_are_chosen_and_those_that_repeat_are_not():
     unseen[101] = False
     assert 101 not in spread_pictures(still, unseen, 4)
     assert spread_pictures(still, np.arange(103) < 3, 4).tolist() == [0, 1, 2]
+    alike = spread_pictures(still, np.arange(103) < 100, 4)
+    assert len(set(alike.tolist())) == 4
 
 
 class Perfect:

@@ -19,15 +19,16 @@ from jghand_engine.own.report import held_out, scores, seen_map, write_report
 def made():
     """The avatar of a film without the pictures that were held out, the film, and which these are."""
     hand = plain_hand()
-    film, held = film_of(marked_hand(hand), window_world(), count=12), held_out(12)
+    film, held = film_of(marked_hand(hand), window_world(), count=12), held_out(12, is_film=True)
     known = film.part(~held)
     observed = observe(hand, known.joints_m, known.camera, known.pictures, known.masks)
     return skin_from(observed, hand, Origin("film.mp4", "ab", Handedness.RIGHT)), film, held
 
 
 def test_every_eighth_picture_of_a_film_is_held_out_and_no_photograph():
-    assert np.flatnonzero(held_out(20)).tolist() == [4, 12]
-    assert not held_out(5).any()
+    assert np.flatnonzero(held_out(20, is_film=True)).tolist() == [4, 12]
+    assert not held_out(5, is_film=True).any()
+    assert not held_out(10, is_film=False).any()
 
 
 def test_pictures_that_were_held_out_look_like_the_film(made):
