@@ -15,7 +15,7 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.own.checks import Finding
-    from jghand_engine.own.make import OwnOptions
+    from jghand_engine.own.make import Begun, OwnOptions
 
 DESCRIPTION = """Make an avatar of your own hand, from one film of a telephone or 3 to 10 photographs.
 
@@ -120,16 +120,11 @@ class Own:
         source = open_source(self.pictures)
         with video_detector() as detector, stages() as told:
             begun = begin(source, load_builtin(handedness=Handedness.RIGHT), options, detector, told)
-        self._tell(begun.findings)
-        refused = any(finding.refuses for finding in begun.findings)
+        refused = self._looked_at(begun)
         if not begun.findings:
             say("Nothing is wrong with it.")
         elif not refused:
             say("An avatar can be made of it.")
-        write_figures(self.json, {
-            "command": "own", "pictures": [str(path) for path in self.pictures], "check": True, "refused": refused,
-            "hand": begun.start.handedness, "findings": [asdict(finding) for finding in begun.findings],
-        })  # fmt: skip
         if refused:
             raise InputError(source.name, wanted="a film of which an avatar can be made", came="the above")
 
@@ -148,14 +143,15 @@ class Own:
             check_has_motion(self.pictures)
         work, prior, started = out.with_suffix(".own"), load_builtin(handedness=Handedness.RIGHT), time.perf_counter()
         with work_folder(work, self.pictures, options, resume=self.resume), stages() as told:
-            explained = explain(self.pictures, prior, options, work, video_detector, told)
-            self._tell(explained.begun.findings)
+            explained = explain(self.pictures, prior, options, work, video_detector, told, self._looked_at)
             avatar, judged = hand_of(explained, prior, work, told)
             save_avatar(out, avatar)
             if self.motion is not None:
                 write_motion(self.motion, motion_of(self.pictures, explained, prior, told))
         self._tell(judged)
-        side, count = explained.begun.start.handedness, len(explained.begun.pictures)
+        side, learned_from = explained.begun.start.handedness, avatar.info.learned_from
+        assert learned_from is not None
+        count = learned_from.pictures
         say(f"{out}: a {side} hand, from {count} pictures, in {time.perf_counter() - started:.0f} s.")
         if self.motion is not None:
             say(f"{self.motion}: its motion. jghand render --motion {self.motion} --avatar {out} --out pictures")
@@ -167,6 +163,19 @@ class Own:
             "motion": None if self.motion is None else str(self.motion),
             "findings": [asdict(finding) for finding in (*explained.begun.findings, *judged)],
         })  # fmt: skip
+
+    def _looked_at(self, begun: Begun) -> bool:
+        """Tells what is wrong with the film before the work, and whether it is refused: these are all its figures then,
+        as they are of --check."""
+        self._tell(begun.findings)
+        refused = any(finding.refuses for finding in begun.findings)
+        if self.check or refused:
+            write_figures(self.json, {
+                "command": "own", "pictures": [str(path) for path in self.pictures], "check": self.check,
+                "refused": refused, "hand": begun.start.handedness,
+                "findings": [asdict(finding) for finding in begun.findings],
+            })  # fmt: skip
+        return refused
 
     def _tell(self, findings: list[Finding]) -> None:
         for finding in findings:

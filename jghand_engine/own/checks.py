@@ -111,7 +111,16 @@ def fit_findings(pictures: FilmPictures, masks: np.ndarray, outlines: np.ndarray
         return []
     at = _where(pictures, int(overlap.argmin()))
     return [Finding("mask against fit", f"The outline does not fit ({overlap.mean():.2f}), least of all{at}. "
-                    "Sleeve, ring, or a second hand? See masks.png.", refuses=True)]  # fmt: skip
+                    "Sleeve, ring, or a second hand?", refuses=True)]  # fmt: skip
+
+
+def left_out(pictures: FilmPictures, used: np.ndarray) -> list[Finding]:
+    """That no skin is made of some pictures. used: (F,) bool"""
+    if used.all():
+        return []
+    at = _where(pictures, int(np.flatnonzero(~used)[0]))
+    return [Finding("pictures", f"{(~used).sum()} of {len(used)} pictures are left out, as the fitted outline is not "
+                    f"theirs, such as{at}. Sleeve, ring, or a blurred hand?")]  # fmt: skip
 
 
 def report_findings(report: dict[str, Any]) -> list[Finding]:

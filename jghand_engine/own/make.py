@@ -26,7 +26,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.forearm import ended
 from jghand_engine.errors import InputError
-from jghand_engine.files import make_folder, writing
+from jghand_engine.files import file_error, make_folder, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import hand_length
 from jghand_engine.hand.sequence import PoseSequence
@@ -38,6 +38,7 @@ from jghand_engine.own.checks import (
     PICTURE_RESIDUAL_MAX,
     Finding,
     fit_findings,
+    left_out,
     picture_findings,
     refuse,
     report_findings,
@@ -174,14 +175,21 @@ class Explained:
 
 
 def explain(
-    paths: Sequence[Path], prior: HandAvatar, options: OwnOptions, work: Path, detectors: Detectors, told: Told
+    paths: Sequence[Path],
+    prior: HandAvatar,
+    options: OwnOptions,
+    work: Path,
+    detectors: Detectors,
+    told: Told,
+    looked_at: Callable[[Begun], object] = lambda begun: None,
 ) -> Explained:
     """From the film to the hand's shape, its poses and its masks. What lies in `work` already is taken from there.
 
-    InputError for a film of which no avatar can be made, or not the motion that is wanted; `detectors` gives the
-    detector when one is needed.
+    `detectors` gives the detector when one is needed; `looked_at` is told what is wrong with the film before the fit,
+    which takes minutes. InputError for a film of which no avatar can be made, or not the motion that is wanted.
     """
     begun = _begun(paths, prior, options, work, detectors, told)
+    looked_at(begun)
     refuse(begun.findings)
     if options.motion:
         check_length(int(begun.track.seen.sum()))
@@ -295,9 +303,9 @@ def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> 
     origin = Origin(pictures.source, pictures.digest, explained.begun.start.handedness)
     own = skin_from(observed, shaped, origin)
     told("Finding skin and light", 1, 2)
-    report = write_report(work, own, film, held)
+    report = write_report(work, own, film, held, np.flatnonzero(used))
     told("Finding skin and light", 2, 2)
-    return own.avatar, report_findings(report)
+    return own.avatar, [*left_out(pictures, used), *report_findings(report)]
 
 
 # ---- the work folder -------------------------------------------------------------------------------------------------
@@ -317,14 +325,23 @@ def work_folder(path: Path, paths: Sequence[Path], options: OwnOptions, *, resum
         if there and MARK not in there:
             raise InputError(f"{path}", wanted="a new folder, or one of `jghand own`", came=f"one with {there[0]}",
                              remedy="Name another --out.")  # fmt: skip
-        if resume and read_small_json(path / MARK) != stamp if there else resume:
-            raise InputError(f"{path}", wanted="what this very film and these options began", came="another beginning",
+        if resume and (not there or read_small_json(path / MARK) != stamp):
+            came = "another beginning" if there else "nothing to go on with"
+            raise InputError(f"{path}", wanted="what this very film and these options began", came=came,
                              remedy="Leave out --resume.")  # fmt: skip
         if not resume:
-            for name in _FILES:
-                (path / name).unlink(missing_ok=True)
+            # the mark last: a folder that was being emptied when the run was stopped is still one of ours
+            for name in reversed(_FILES):
+                _forget(path / name)
             _write_json(path / MARK, stamp)
         yield
+
+
+def _forget(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise file_error(path, error) from error
 
 
 def _stamp(paths: Sequence[Path], options: OwnOptions) -> dict[str, Any]:

@@ -114,9 +114,11 @@ def sheet(own: OwnHand, film: FilmView, held: np.ndarray) -> np.ndarray:
     return contact_sheet(cells, SheetStyle(columns=4, cell_px=SHEET_PX))
 
 
-def write_report(folder: Path, own: OwnHand, film: FilmView, held: np.ndarray) -> dict[str, object]:
+def write_report(
+    folder: Path, own: OwnHand, film: FilmView, held: np.ndarray, numbers: np.ndarray
+) -> dict[str, object]:
     """Writes sheet.png and report.json into a folder, and returns what the latter holds. held: (F,) bool, pictures of
-    the film that the skin was not made of"""
+    the film that the skin was not made of · numbers: (F,) which of the pictures that were kept of it they are"""
     each = scores(own, film.part(held)) if held.any() else []
     mean = {name: float(np.mean([one[name] for one in each])) for name in (each[0] if each else ())}
     # skin that deep Gaussians hold is never seen
@@ -124,7 +126,7 @@ def write_report(folder: Path, own: OwnHand, film: FilmView, held: np.ndarray) -
     report: dict[str, object] = {
         "format": 1,
         "pictures": len(held),
-        "held_out": np.flatnonzero(held).tolist(),
+        "held_out": numbers[held].tolist(),
         "seen_part": float((shown * np.clip(own.seen, 0, 1)).sum() / shown.sum()),
         "mean": mean,
         "each": each,

@@ -17,6 +17,7 @@ from jghand_engine.own.checks import (
     bend_deg,
     facing,
     fit_findings,
+    left_out,
     picture_findings,
     refuse,
     seen_findings,
@@ -156,8 +157,17 @@ def test_an_outline_that_does_not_fit_the_masks_refuses_the_film(good):
     assert fit_findings(good.pictures, masks, masks) == []
     told = fit_findings(good.pictures, masks, np.roll(masks, 8, axis=2))
     assert told[0].refuses
-    assert "Sleeve, ring, or a second hand?" in told[0].sentence
+    assert told[0].sentence.endswith("Sleeve, ring, or a second hand?")
     refuse([Finding("size", "Small.")])
+
+
+def test_pictures_that_no_skin_is_made_of_are_told_with_the_time(good):
+    used = np.ones(6, bool)
+    assert left_out(good.pictures, used) == []
+    used[3:5] = False
+    (told,) = left_out(good.pictures, used)
+    assert told.sentence.startswith("2 of 6 pictures are left out")
+    assert "such as at 0:03." in told.sentence
 
 
 def test_the_color_of_the_wall_is_of_no_matter(good):

@@ -53,7 +53,7 @@ def test_the_light_of_a_film_is_found_but_for_its_strength(seen):
 def test_an_outline_that_shines_is_no_light_from_behind():
     hand = plain_hand()
     film = film_of(marked_hand(hand), window_world(), count=12)
-    rim = film.masks & ~np.stack([binary_erosion(mask, iterations=4) for mask in film.masks])
+    rim = film.masks & np.stack([np.logical_not(binary_erosion(mask, iterations=4)) for mask in film.masks])
     shining = np.where(rim[..., None], 235, film.pictures).astype(np.uint8)
     behind = []
     for pictures in (film.pictures, shining):

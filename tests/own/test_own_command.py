@@ -21,6 +21,7 @@ from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion.read import read_motion_file
 from jghand_engine.own import exact, make
+from jghand_engine.own.checks import Finding
 from jghand_engine.own.exact import BEST_EFFORT
 from jghand_engine.own.hand_fit import Effort, FittedHand
 from jghand_engine.own.make import OwnOptions, explain, work_folder
@@ -182,7 +183,7 @@ def test_a_run_that_was_stopped_goes_on_after_the_last_stage_that_ended(film, tm
 
 def test_a_work_folder_is_of_one_film_and_its_options_and_of_nothing_else(film, tmp_path, fits):
     work = tmp_path / "me.own"
-    with pytest.raises(InputError, match="Leave out --resume"):
+    with pytest.raises(InputError, match=r"got nothing to go on with\. Leave out --resume"):
         explained(film, work, resume=True)
     explained(film, work, resume=False)
     with pytest.raises(InputError, match="this very film and these options"):
@@ -196,6 +197,38 @@ def test_a_work_folder_is_of_one_film_and_its_options_and_of_nothing_else(film, 
         explained(film, other, resume=False)
 
 
+def test_a_stop_while_old_work_is_forgotten_leaves_a_folder_that_can_be_used(film, tmp_path, fits, monkeypatch):
+    work, forget = tmp_path / "me.own", make._forget
+    explained(film, work, resume=False)
+
+    def stopped(path: Path) -> None:
+        forget(path)
+        if path.name == make.FIT:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as stopping:
+        stopping.setattr(make, "_forget", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            explained(film, work, resume=False)
+    explained(film, work, resume=True, detectors=nobody)
+    (work / make.FIT).unlink()
+    (work / make.FIT).mkdir()
+    with pytest.raises(InputError, match=r"fit\.npz"):
+        explained(film, work, resume=False)
+
+
+def test_all_that_is_wrong_is_told_before_a_film_is_refused(film, tmp_path, fits, monkeypatch, capsys):
+    wrong = [Finding("size", "Small."), Finding("light", "Too dark.", refuses=True)]
+    monkeypatch.setattr(make, "picture_findings", lambda *_: wrong)
+    told = tmp_path / "told.json"
+    assert main(["own", str(film), "--out", str(tmp_path / "me.jghand"), "--json", str(told)]) == 2
+    assert "size: Small." in capsys.readouterr().out
+    figures = json.loads(told.read_text())
+    assert figures["refused"]
+    assert [one["check"] for one in figures["findings"]] == ["size", "light"]
+    assert fits == []
+
+
 def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monkeypatch):
     monkeypatch.setattr(make, "hand_of", lambda explained, prior, *_: (prior, []))
     monkeypatch.setattr(make, "exact_poses", lambda source, track, *_: track.poses)
@@ -207,7 +240,12 @@ def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monke
     # as the tracker has them, up to the film's size
     away = motion_errors(found.joints_m * MOTION_FROM_CAMERA, FPS, JOINTS_M, FPS)
     assert away.aligned_mm < 8
-    assert json.loads((tmp_path / "told.json").read_text())["motion"] == str(motion)
+    told, learned_from = (
+        json.loads((tmp_path / "told.json").read_text()),
+        load_builtin(handedness=RIGHT).info.learned_from,
+    )
+    assert learned_from is not None
+    assert (told["motion"], told["pictures_used"]) == (str(motion), learned_from.pictures)
     assert main([*words, "--overwrite", "--resume"]) == 0
     assert len(fits) == 1
 
