@@ -199,7 +199,7 @@ class FromFile(InTurns, ImportHelper):
     chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
     hand_length: bpy.props.FloatProperty(
         name="Hand Length",
-        description="From the wrist to the middle finger's tip; 0: as in the file, or of a video the avatar's",
+        description="Wrist to tip of the middle finger; 0: the file's; of a film the avatar's, or the built-in hand's",
         min=0.0,
         soft_max=250.0,
         precision=0,

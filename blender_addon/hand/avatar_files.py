@@ -7,6 +7,7 @@ that is read here, and texts in it are somebody else's. Does not use bpy.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -228,8 +229,13 @@ def is_name(text: str) -> bool:
 
 
 def name_of_film(film: Path) -> str:
-    """The name of the hand in somebody's film: none of a hand that comes with JGHand."""
-    return "my_" + re.sub(r"[^a-z0-9_-]", "_", film.stem.lower())[:38]
+    """The name of the hand in somebody's film: none of a hand that comes with JGHand. Films whose names hold what such
+    a name cannot, or are too long, have different ones all the same."""
+    plain = film.stem.lower().replace(" ", "_")
+    if is_name(f"my_{plain}"):
+        return f"my_{plain}"
+    digits = hashlib.sha256(film.stem.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    return "my_" + f"{re.sub(r'[^a-z0-9_-]+', '_', plain)[:29]}_{digits}".lstrip("_")
 
 
 def hands_in(folders: Iterable[Path]) -> list[PackedHand]:

@@ -20,7 +20,7 @@ from ..hand.seen_hands import HANDS
 from ..ops import REGISTERED, FromFile, missing
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from .training_folder import PICTURE, TrainingFolder, capture_words, folder_of, picture_words, train_words
+from .training_folder import PICTURE, TOLD, TrainingFolder, capture_words, folder_of, picture_words, train_words
 
 _FILMED_HANDS = (
     ("AUTO", "Detected", "The hand that the film shows", "NONE", 0),
@@ -179,17 +179,18 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
             "--overwrite": self.confirmed,
             FETCH: runtime.is_online(),
         }
-        program, scratch = runtime.program(learns=True), folders.job_folder()
+        program, scratch, work = runtime.program(learns=True), folders.job_folder(), out.with_suffix(".own")
 
-        def take_picture() -> None:
+        def take() -> None:
             (scratch / PICTURE).replace(out.with_suffix(avatar_files.PICTURE))
+            (scratch / TOLD).replace(work / TOLD)
 
         return JobSpec(
             "Making your hand",
-            (*program, "own", str(film), "--out", str(out), *option_words(options)),
-            out.with_suffix(".own"),
+            (*program, "own", str(film), "--out", str(out), "--json", str(scratch / TOLD), *option_words(options)),
+            work,
             more=((*program, *picture_words(out, scratch)),),
-            on_done=take_picture,
+            on_done=take,
             on_over=partial(folders.remove_job_folder, scratch),
         )
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..renderer import runtime
 from ..renderer.jobs import Phase
 from ..renderer.panel import draw_failure, draw_job, draw_tools
 from ..ui import Sidebar
-from .training_folder import TrainingFolder, folder_of
+from .training_folder import TOLD, TrainingFolder, folder_of
 
 _icons: Any = None  # Blender's collection of previews, once there are some
 # the image that is among them
@@ -168,12 +169,23 @@ class FilmPanel(Sidebar, bpy.types.Panel):
         layout.operator("jghand.hand_from_film", text="Choose a Film…", icon="FILE_MOVIE")
         draw_job(layout, context, runtime.OWN)
         if job is not None and job.state.phase is Phase.DONE:
-            _draw_own(layout, job.spec.folder)
+            _draw_own(layout, context, job.spec.folder)
 
 
-def _draw_own(layout: bpy.types.UILayout, work: Path) -> None:
+def _look_at_findings(_context: bpy.types.Context, file: str) -> list[str]:
+    """Sentences on what is wrong with a film, and with the hand that was made of it all the same."""
+    try:
+        told = json.loads(Path(file).read_text(encoding="utf-8"))
+        return [str(finding["sentence"]) for finding in told["findings"]]
+    except (OSError, ValueError, TypeError, KeyError):
+        return []
+
+
+def _draw_own(layout: bpy.types.UILayout, context: bpy.types.Context, work: Path) -> None:
     """The proof of a hand that was made, and what can be done with it. work: its folder of work"""
     proof, avatar = work / "sheet.png", work.with_suffix(avatar_files.SUFFIX)
+    for sentence in ui.kept(context, _look_at_findings, str(work / TOLD)) or ():
+        ui.paragraph(layout, context, sentence, icon="INFO")
     if proof.is_file():
         layout.template_icon(icon_value=family.icon_of(proof), scale=_PICTURE_UNITS)
         layout.operator("wm.path_open", text="Film and Hand Side by Side", icon="IMAGE_DATA").filepath = str(proof)

@@ -18,6 +18,8 @@ from ..core.panel_text import Translate
 _SUFFIX = ".training"
 # what `jghand render` calls its first picture
 PICTURE = "frame_00000.png"
+# beside the proof of a hand from a film: what `jghand own --json` says of it
+TOLD = "told.json"
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class Own:
     """Angle of view across the longer edge of the picture. Left out: what the file says, else a telephone's."""
     minutes: Annotated[float, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = 0.0
     """Let the fit by pictures go on for so long: colors are found anew, and poses by them, again and again. Left out,
-    or where it is too short: five times."""
+    or where it is too short: five times, with --motion ten."""
     motion: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Also write the motion of the hand in the film, as exact as `jghand track --exact`: .npz, .json or .csv."""
     resume: bool = False

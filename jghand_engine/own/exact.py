@@ -23,7 +23,7 @@ from jghand_engine.own.masks import film_colors, hand_masks, hand_size_px, outli
 from jghand_engine.own.start import Start
 from jghand_engine.track.poses import Poses
 
-# all of them are held in memory, with what a fit knows of each: 238 pictures took 2 GB with all else
+# all of them are held in memory, with what a fit knows of each: a minute of a film at 15 a second
 PICTURES_MAX = 900
 # all pictures are coarser than the best ones, with fewer Gaussians: the hand, which asks for more, is known
 HAND_PX, GAUSSIANS = 150.0, 4000

@@ -96,3 +96,11 @@ def test_the_disk_is_asked_once_a_second(tmp_path, monkeypatch):
     monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
     assert stamp(str(path)) != before
     assert stamp("builtin") == ""
+
+
+def test_films_whose_names_hold_other_letters_are_different_hands():
+    names = ["左手", "右手", "IMG (1)", "IMG (2)", "x" * 60, "x" * 61]
+    hands = [avatar_files.name_of_film(Path(f"{name}.mp4")) for name in names]
+    assert len(set(hands)) == len(names)
+    assert all(avatar_files.is_name(hand) and hand.startswith("my_") for hand in hands)
+    assert avatar_files.name_of_film(Path("IMG 01.MOV")) == "my_img_01"

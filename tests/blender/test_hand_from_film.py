@@ -7,11 +7,12 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import bpy
 import pytest
 from recording_layout import RecordingLayout, draw
-from test_avatar_cards import write_avatar
+from test_avatar_cards import write_avatar  # pyright: ignore[reportMissingImports]
 
 from blender_addon import folders
 from blender_addon.errors import JGHandFailure
@@ -37,6 +38,8 @@ if (here / "error.json").exists():
 out = pathlib.Path(arguments[arguments.index("--out") + 1])
 if arguments[0] == "own":
     shutil.copy(here / "hand.jghand", out)
+    told = {"findings": [{"check": "views", "sentence": "The back of the hand is never seen.", "refuses": False}]}
+    pathlib.Path(arguments[arguments.index("--json") + 1]).write_text(json.dumps(told))
     out.with_suffix(".own").mkdir(exist_ok=True)
     (out.with_suffix(".own") / "sheet.png").write_bytes(b"film and hand")
 else:
@@ -103,13 +106,14 @@ def test_the_hand_of_a_film_is_made_while_blender_is_free_and_can_be_added_then(
     avatar = tmp_path / "hands" / "my_img_01.jghand"
     asked = json.loads((engine / "asked_own.json").read_text())
     assert asked[:4] == ["own", str(film), "--out", str(avatar)]
-    assert asked[4:8] == ["--hand", "left", "--hand-length", "187"]
+    assert asked[6:10] == ["--hand", "left", "--hand-length", "187"]
     assert "--overwrite" not in asked
     assert avatar.with_suffix(".png").read_bytes() == b"picture"
     assert str(avatar) in json.loads((engine / "asked_render.json").read_text())
     assert not list((tmp_path / "jobs").iterdir()), "what the job needed is taken away"
     shown = panel()
     files = [one.settings.get("filepath") for one in shown.drawn if one.function == "operator"]
+    assert "The back of the hand is never seen." in " ".join(shown.texts), "what does not refuse is told, too"
     assert str(avatar.with_suffix(".own") / "sheet.png") in files, "the proof"
     assert str(avatar) in files, "on hands that are there"
     assert [one.settings for one in shown.drawn if one.function == "operator_menu_enum"] == [{"avatar": "my_img_01"}]
@@ -134,7 +138,7 @@ def test_the_panel_says_how_to_film_and_what_is_missing(engine, monkeypatch):
 
 
 def test_a_hand_of_an_earlier_film_is_not_replaced_by_one_click(engine, film, tmp_path):
-    operator = SimpleNamespace(filepath=str(film), _out=lambda: tmp_path / "hands" / "my_img_01.jghand")
+    operator: Any = SimpleNamespace(filepath=str(film), _out=lambda: tmp_path / "hands" / "my_img_01.jghand")
     assert ops.HandFromFilm.overwritten(operator, bpy.context) == ""
     assert started(film).wait(LONG_S)
     assert ops.HandFromFilm.overwritten(operator, bpy.context).endswith("my_img_01.jghand is replaced.")
