@@ -121,6 +121,13 @@ def forearm_turns(joints: np.ndarray, handedness: str, rotations: np.ndarray) ->
     return _quaternions(np.swapaxes(palm, -1, -2) @ rotations @ palm)
 
 
+def palm_rotations(joints: np.ndarray, rest: np.ndarray, handedness: str) -> np.ndarray:
+    """(F, 21, 3) joints and (21, 4, 4) rest matrices -> (F, 3, 3) how the engine's palm is turned from rest: with the
+    knuckles where these arch it, and so another way than the wrist's bone."""
+    at_rest = palm_frames(rest[None, :, :3, 3], handedness)
+    return palm_frames(joints, handedness) @ np.swapaxes(at_rest, -1, -2)
+
+
 def palm_frames(joints: np.ndarray, handedness: str) -> np.ndarray:
     """(F, 21, 3) -> (F, 3, 3) the engine's frame of the palm (METHOD 2.7): z along the metacarpals index to pinky, x
     out of the palm; of a left hand the mirror image of a right one's."""
@@ -159,7 +166,7 @@ def bone_keys(
     above = np.broadcast_to(np.eye(3), axes[:, WRIST].shape), rest[WRIST, :3, 3]
     if forearm is not None:
         bone, turns = forearm
-        turn = forearm_rotations(joints, handedness, turns) @ (axes[:, WRIST] @ rest[WRIST, :3, :3].T)
+        turn = forearm_rotations(joints, handedness, turns) @ palm_rotations(joints, rest, handedness)
         head = joints[:, WRIST] + turn @ (bone[:3, 3] - rest[WRIST, :3, 3])
         location[:, -1] = (head - bone[:3, 3]) @ bone[:3, :3]
         quaternion[:, -1] = _continuous(_quaternions(bone[:3, :3].T @ turn @ bone[:3, :3]))

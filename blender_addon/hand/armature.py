@@ -242,8 +242,9 @@ def forearm_turn_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> n
 def _forearm_turn(evaluated: bpy.types.Object, heads: np.ndarray, handedness: str) -> np.ndarray | None:
     if not has_forearm_bone(evaluated):
         return None
-    wrist, forearm = (_turned_from_rest(evaluated.pose.bones[name]) for name in (NAMES[WRIST], FOREARM))
-    turn = posing.forearm_turns(heads[None], handedness, (forearm @ wrist.T)[None])[0]
+    forearm = _turned_from_rest(evaluated.pose.bones[FOREARM])
+    palm = posing.palm_rotations(heads[None], rest_matrices_of(evaluated), handedness)[0]
+    turn = posing.forearm_turns(heads[None], handedness, (forearm @ palm.T)[None])[0]
     # a palm without a plane has no axes to say it in
     return turn if np.isfinite(turn).all() else None
 

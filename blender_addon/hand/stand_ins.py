@@ -248,7 +248,8 @@ def _mesh(hand: bpy.types.Object, shape: _Shape, forearm: bool) -> bpy.types.Mes
     """The surface of a hand, with a group for each bone. JGHandFailure: bad_joints."""
     side, joints, bones, ways = shape
     surface = surface_at(joints, side, forearm=forearm)
-    every = with_forearm_bone(surface.weights, side) if forearm and len(bones) > len(NAMES) else surface.weights
+    has_bone = forearm and len(bones) > len(NAMES)
+    every = with_forearm_bone(surface.weights, side) if has_bone else surface.weights
     mesh = bpy.data.meshes.new(MATERIAL)
     mesh.from_pydata(surface.vertices, [], surface.faces)
     mesh.shade_smooth()
@@ -260,7 +261,10 @@ def _mesh(hand: bpy.types.Object, shape: _Shape, forearm: bool) -> bpy.types.Mes
         for vertex in np.flatnonzero(weights > _WEIGHT_MIN).tolist():
             group.add([vertex], float(weights[vertex]), "ADD")
     if ways is not None:
-        _add_palm(carrier, hand, surface.vertices, knuckle_ways(joints, side, ways, forearm=forearm))
+        by_knuckles = knuckle_ways(joints, side, ways, forearm=forearm)
+        if has_bone:  # what that holds no knuckle moves
+            by_knuckles *= 1 - every[:, -1:]
+        _add_palm(carrier, hand, surface.vertices, by_knuckles)
     bpy.data.objects.remove(carrier)
     return mesh
 

@@ -31,7 +31,7 @@ def forearm_way(read) -> np.ndarray:
     rest = posing.rest_matrices(posing.rest_joints_m(read.handedness), read.handedness)
     way = posing.forearm_rest(rest, read.handedness)[:3, 3] - rest[0, :3, 3]
     joints = read.joints_world_m[None]
-    carried = posing.posed_axes(joints, rest, read.handedness)[0, 0] @ rest[0, :3, :3].T
+    carried = posing.palm_rotations(joints, rest, read.handedness)[0]
     return posing.forearm_rotations(joints, read.handedness, read.forearm_turn[None])[0] @ carried @ way
 
 
@@ -129,24 +129,28 @@ def test_a_motion_that_knows_the_forearm_makes_a_hand_with_its_bone(context):
         assert abs(read.forearm_turn @ content.forearm[0]) == pytest.approx(1, abs=1e-6)
 
 
-def test_poses_and_controls_leave_the_wrist_as_it_is_bent(extension, monkeypatch):
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_a_fist_leaves_the_forearm_where_its_bone_is(extension, monkeypatch, side):
+    """A fist arches the palm, in whose frame the turn is told: it says how that is undone."""
     monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
-    bpy.ops.jghand.add_hand(handedness="right")
+    bpy.ops.jghand.add_hand(handedness=side)
     hand = bpy.context.object
     hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0, 0), 0.5)
     before = seen(hand)
-    # a fist arches the palm, whose frame the turn is in
-    bpy.ops.jghand.apply_pose(pose="claw")
+    bpy.ops.jghand.apply_pose(pose="fist")
     after = seen(hand)
-    np.testing.assert_allclose(after.forearm_turn, before.forearm_turn, atol=1e-6)
     assert np.abs(after.joints_m - before.joints_m).max() > 0.02
+    np.testing.assert_allclose(forearm_way(after), forearm_way(before), atol=1e-6)
+    assert np.abs(after.forearm_turn - before.forearm_turn).max() > 0.03
     assert bpy.ops.jghand.remove_controls.poll()
 
 
-def test_the_shadow_of_a_forearm_stays_when_the_wrist_bends(extension, monkeypatch):
+@pytest.mark.parametrize("closed", [False, True], ids=["bent", "in a fist"])
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_the_shadow_of_a_forearm_stays_when_the_wrist_bends(extension, monkeypatch, side, closed):
     monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
     monkeypatch.setattr(stand_ins.avatar_files, "has_forearm", lambda avatar: True)
-    bpy.ops.jghand.add_hand(handedness="right")
+    bpy.ops.jghand.add_hand(handedness=side)
     hand = bpy.context.object
     (shadow,) = hands.stand_ins_of(hand)
     shadow.hide_viewport = False
@@ -158,6 +162,8 @@ def test_the_shadow_of_a_forearm_stays_when_the_wrist_bends(extension, monkeypat
 
     straight = surface()
     hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0, 0), 0.8)
+    if closed:
+        bpy.ops.jghand.apply_pose(pose="fist")
     moved = np.linalg.norm(surface() - straight, axis=1)
     behind = straight[:, 1] < -0.05
     assert behind.sum() > 50
