@@ -29,11 +29,14 @@ NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 def unit_turns(turns: np.ndarray) -> np.ndarray:
     """(..., 4) quaternions w, x, y, z of any length as unit ones, each of the two of a rotation as the same one, that
     of at most a half turn. InputError for what is none."""
-    turns = np.asarray(turns, np.float64)
-    length = np.linalg.norm(turns, axis=-1, keepdims=True) if turns.shape[-1:] == (4,) else np.nan
+    try:
+        numbers = np.asarray(turns, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    length = np.linalg.norm(numbers, axis=-1, keepdims=True) if numbers.shape[-1:] == (4,) else np.nan
     if not np.all(np.isfinite(length) & (length > ZERO)):
         raise InputError("turn of a forearm", wanted="a quaternion w, x, y, z", came=str(turns)[:80])
-    turns = turns / length
+    turns = numbers / length
     largest = np.take_along_axis(turns[..., 1:], np.abs(turns[..., 1:]).argmax(-1)[..., None], -1)
     leading = np.where(np.abs(turns[..., :1]) > ZERO, turns[..., :1], largest)
     return np.where(leading < 0, -turns, turns)

@@ -93,7 +93,7 @@ def test_it_is_the_same_turn_however_the_hand_lies():
     np.testing.assert_allclose(there.maps, 2 * moved @ here.maps, atol=1e-12)
 
 
-@pytest.mark.parametrize("value", [np.zeros(4), np.full(4, np.nan), np.ones(3), "none"])
+@pytest.mark.parametrize("value", [np.zeros(4), np.full(4, np.nan), np.ones(3), "none", None, [[1, 0, 0, 0], [1]]])
 def test_what_is_no_rotation_is_refused(value):
-    with pytest.raises((InputError, ValueError)):
+    with pytest.raises(InputError, match="turn of a forearm"):
         unit_turns(value)
