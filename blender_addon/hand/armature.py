@@ -81,6 +81,7 @@ def has_forearm_bone(hand: bpy.types.Object) -> bool:
 
 def add_forearm(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     """Gives our armature a bone from the elbow to the wrist, which hangs on it from now on: turned, the wrist bends.
+    It hangs on what the wrist hung on.
 
     At rest, and so in every pose before, nothing moves. Raises JGHandFailure: not_a_hand.
     """
@@ -90,6 +91,7 @@ def add_forearm(context: bpy.types.Context, hand: bpy.types.Object) -> None:
         bone, wrist = bones.new(FOREARM), bones[NAMES[WRIST]]
         bone.head, bone.tail = Vector(matrix[:3, 3]), wrist.head
         bone.align_roll(Vector(matrix[:3, 2]))
+        bone.parent = wrist.parent
         wrist.parent, wrist.use_connect = bone, False
     hand.pose.bones[FOREARM].rotation_mode = "QUATERNION"
     hand.pose.bones[NAMES[WRIST]].lock_location = (True,) * 3

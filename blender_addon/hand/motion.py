@@ -55,7 +55,8 @@ def import_motions(
 ) -> list[bpy.types.Object]:
     """Keys motions at the scene's frame rate, each on its hand or on a new one of its proportions; returns the hands.
 
-    One that says how the forearm turns brings a bone for it, but not where hands share their armature.
+    One that says how the forearm turns brings a bone for it, but not where hands share their armature or have it from
+    another file: there that is left out.
 
     A motion has the axes and the meters of the world, however the object of its hand, and what that hangs on, is turned
     and scaled now; a mirrored hand takes motions of the other side, which it shows. Its origin is where the object
@@ -84,12 +85,16 @@ def import_motions(
                 forearm=one.motion.forearm is not None,
             )
             hand.location = (0, 0, 0) if origin_m is None else origin_m / scene.unit_settings.scale_length
-        elif one.motion.forearm is not None and not has_forearm_bone(hand) and hand.data.users == 1:
+        elif one.motion.forearm is not None and not has_forearm_bone(hand) and _takes_bones(hand.data):
             add_forearm(context, hand)
         frames = first_frame + frame_rate(scene) / one.motion.fps * np.arange(len(joints))
         key_motion(hand, joints, scene, frames, filled=one.motion.filled, turns=one.motion.forearm).name = one.name
         hands.append(hand)
     return hands
+
+
+def _takes_bones(bones: bpy.types.Armature) -> bool:
+    return bones.users == 1 and bones.is_editable and not bones.override_library
 
 
 def frame_rate(scene: bpy.types.Scene) -> float:

@@ -221,6 +221,14 @@ class KeysFile(FromFile):
     def conclude(self, done: Sequence[str], wanted: Sequence[WantedMotion], *doubts: str) -> None:
         """Tells what was done, and warns of what was repaired and of `doubts`."""
         notes = list(dict.fromkeys(note for one in wanted for note in one.motion.notes)) + list(doubts)
+        stiff = [
+            one.hand.name
+            for one in wanted
+            if one.hand is not None and one.motion.forearm is not None and not armature.has_forearm_bone(one.hand)
+        ]
+        if stiff:
+            text = rpt_("The turn of the forearm is left out on {names}: its bones are shared, or linked.")
+            notes.append(text.format(names=", ".join(stiff)))
         if notes:
             self.warn(*done, *notes)
         else:

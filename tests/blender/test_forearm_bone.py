@@ -10,9 +10,10 @@ from mathutils import Quaternion
 
 from blender_addon.core import posing
 from blender_addon.core.joints import FOREARM, HANDEDNESSES
+from blender_addon.core.view import HandInSpace
 from blender_addon.export.ops_common import record_steps
 from blender_addon.hand import armature, avatar_files, motion, stand_ins
-from blender_addon.hand.motion_files import MotionFile, read_motion
+from blender_addon.hand.motion_files import MotionFile, read_motion, write_motion
 
 NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
@@ -21,18 +22,23 @@ def arm_of(context: bpy.types.Context, side: str) -> bpy.types.Object:
     return armature.build_armature(context, side, posing.rest_joints_m(side), side, forearm=True)
 
 
-def seen(hand: bpy.types.Object):
+def seen(hand: bpy.types.Object) -> HandInSpace:
     bpy.context.view_layer.update()
     return armature.read_hand(hand, bpy.context.evaluated_depsgraph_get())
 
 
-def forearm_way(read) -> np.ndarray:
+def turn_of(read: HandInSpace) -> np.ndarray:
+    assert read.forearm_turn is not None
+    return read.forearm_turn
+
+
+def forearm_way(read: HandInSpace) -> np.ndarray:
     """Where the renderer then has it, in the world: the rest hand's way, carried by the palm and turned."""
     rest = posing.rest_matrices(posing.rest_joints_m(read.handedness), read.handedness)
     way = posing.forearm_rest(rest, read.handedness)[:3, 3] - rest[0, :3, 3]
     joints = read.joints_world_m[None]
     carried = posing.palm_rotations(joints, rest, read.handedness)[0]
-    return posing.forearm_rotations(joints, read.handedness, read.forearm_turn[None])[0] @ carried @ way
+    return posing.forearm_rotations(joints, read.handedness, turn_of(read)[None])[0] @ carried @ way
 
 
 def random_turns(frames: int) -> np.ndarray:
@@ -68,16 +74,31 @@ def test_a_bone_for_the_forearm_moves_nothing_of_a_hand_that_is_posed(extension,
     assert not bpy.ops.jghand.add_forearm_bone.poll()
 
 
+def test_a_bone_for_the_forearm_hangs_on_what_the_wrist_hung_on(context):
+    hand = armature.build_armature(context, "right", posing.rest_joints_m("right"), "right")
+    with armature.edit_mode(context, hand):
+        arm = hand.data.edit_bones.new("arm")
+        arm.head, arm.tail = (0.1, -0.5, 0), (0.1, -0.3, 0)
+        hand.data.edit_bones["wrist"].parent = arm
+    hand.pose.bones["arm"].rotation_mode = "QUATERNION"
+    hand.pose.bones["arm"].rotation_quaternion = Quaternion((0.3, 1, 0.2), 0.7)
+    before = seen(hand).joints_m
+    assert np.abs(before[0]).max() > 0.05
+    armature.add_forearm(context, hand)
+    assert hand.data.bones[FOREARM].parent == hand.data.bones["arm"]
+    np.testing.assert_allclose(seen(hand).joints_m, before, atol=1e-6)
+
+
 @pytest.mark.parametrize("place", ["where it was made", "moved and turned", "scaled", "turned inside out"])
 @pytest.mark.parametrize("side", HANDEDNESSES)
 def test_the_forearm_carries_the_hand_and_stays_where_it_is_when_the_wrist_bends(context, side, place):
     hand = arm_of(context, side)
     hands.put(hand, hands.PLACES[place])
     straight = seen(hand)
-    np.testing.assert_allclose(straight.forearm_turn, NO_TURN, atol=1e-6)
+    np.testing.assert_allclose(turn_of(straight), NO_TURN, atol=1e-6)
     hand.pose.bones[FOREARM].rotation_quaternion = Quaternion((0.3, 1, 0.2), 1.2)
     carried = seen(hand)
-    np.testing.assert_allclose(carried.forearm_turn, NO_TURN, atol=1e-6)
+    np.testing.assert_allclose(turn_of(carried), NO_TURN, atol=1e-6)
     assert np.abs(carried.joints_m - straight.joints_m).max() > 0.05
     way = forearm_way(carried)
     hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0.2, 0.4), 1.0)
@@ -96,12 +117,13 @@ def test_a_motion_with_a_forearm_comes_back_from_its_keys(extension, side, tmp_p
     for frame in range(5):
         read = armature.read_hand(hand, armature.at_frame(context.scene, 1 + frame))
         np.testing.assert_allclose(read.joints_m, joints[frame], atol=1e-6)
-        assert abs(read.forearm_turn @ turns[frame]) == pytest.approx(1, abs=1e-6)
+        assert abs(turn_of(read) @ turns[frame]) == pytest.approx(1, abs=1e-6)
     # ... and from what is written of it
     recordings = []
     list(record_steps(context, [hand], range(1, 6), recordings))
     recordings[0].save(tmp_path / "motion.npz")
     again = read_motion(tmp_path / "motion.npz").forearm
+    assert again is not None
     np.testing.assert_allclose(np.abs((again * turns).sum(1)), 1, atol=1e-6)
 
 
@@ -112,11 +134,12 @@ def test_a_motion_without_a_forearm_moves_it_with_the_hand(context, side):
     for frame in range(5):
         read = armature.read_hand(hand, armature.at_frame(context.scene, 1 + frame))
         np.testing.assert_allclose(read.joints_m, joints[frame], atol=1e-6)
-        np.testing.assert_allclose(np.abs(read.forearm_turn), NO_TURN, atol=1e-6)
+        np.testing.assert_allclose(np.abs(turn_of(read)), NO_TURN, atol=1e-6)
 
 
 def test_a_motion_that_knows_the_forearm_makes_a_hand_with_its_bone(context):
-    content = MotionFile(hands.moving_hand_m("right"), 24.0, "right", forearm=random_turns(5))
+    turns = random_turns(5)
+    content = MotionFile(hands.moving_hand_m("right"), 24.0, "right", forearm=turns)
     plain = MotionFile(content.joints_m, 24.0, "right")
     there = armature.build_armature(context, "there", posing.rest_joints_m("right"), "right")
     wanted = [
@@ -126,7 +149,28 @@ def test_a_motion_that_knows_the_forearm_makes_a_hand_with_its_bone(context):
     assert not armature.has_forearm_bone(straight)
     for hand in (turned, there):
         read = armature.read_hand(hand, armature.at_frame(context.scene, 1))
-        assert abs(read.forearm_turn @ content.forearm[0]) == pytest.approx(1, abs=1e-6)
+        assert abs(turn_of(read) @ turns[0]) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("overrides_data", [False, True], ids=["armature linked", "armature overridden"])
+def test_a_motion_on_linked_bones_is_keyed_without_its_forearm_and_says_so(extension, tmp_path, capfd, overrides_data):
+    armature.build_armature(bpy.context, "there", posing.rest_joints_m("right"), "right")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hand.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "hand.blend"), link=True) as (_there, here):
+        here.objects = ["there"]
+    bpy.context.scene.collection.objects.link(here.objects[0])
+    hand = here.objects[0].override_create(remap_local_usages=True)
+    if overrides_data:
+        hand.data.override_create(remap_local_usages=True)
+    bpy.context.view_layer.objects.active = hand
+    joints = hands.moving_hand_m("right")
+    write_motion(tmp_path / "wave.npz", MotionFile(joints, 24.0, "right", forearm=random_turns(len(joints))))
+    bpy.ops.jghand.import_motion(filepath=str(tmp_path / "wave.npz"), target="ACTIVE")
+    assert "The turn of the forearm is left out on there" in capfd.readouterr().out
+    read = armature.read_hand(hand, armature.at_frame(bpy.context.scene, 1))
+    np.testing.assert_allclose(read.joints_m, joints[0], atol=1e-6)
+    assert read.forearm_turn is None
 
 
 @pytest.mark.parametrize("side", HANDEDNESSES)
@@ -141,7 +185,7 @@ def test_a_fist_leaves_the_forearm_where_its_bone_is(extension, monkeypatch, sid
     after = seen(hand)
     assert np.abs(after.joints_m - before.joints_m).max() > 0.02
     np.testing.assert_allclose(forearm_way(after), forearm_way(before), atol=1e-6)
-    assert np.abs(after.forearm_turn - before.forearm_turn).max() > 0.03
+    assert np.abs(turn_of(after) - turn_of(before)).max() > 0.03
     assert bpy.ops.jghand.remove_controls.poll()
 
 
