@@ -159,10 +159,14 @@ def test_a_motion_on_linked_bones_is_keyed_without_its_forearm_and_says_so(exten
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with bpy.data.libraries.load(str(tmp_path / "hand.blend"), link=True) as (_there, here):
         here.objects = ["there"]
-    bpy.context.scene.collection.objects.link(here.objects[0])
-    hand = here.objects[0].override_create(remap_local_usages=True)
+    linked = bpy.data.objects["there"]
+    bpy.context.scene.collection.objects.link(linked)
+    hand = linked.override_create(remap_local_usages=True)
+    assert isinstance(hand, bpy.types.Object)
     if overrides_data:
-        hand.data.override_create(remap_local_usages=True)
+        bones = hand.data
+        assert isinstance(bones, bpy.types.Armature)
+        bones.override_create(remap_local_usages=True)
     bpy.context.view_layer.objects.active = hand
     joints = hands.moving_hand_m("right")
     write_motion(tmp_path / "wave.npz", MotionFile(joints, 24.0, "right", forearm=random_turns(len(joints))))
