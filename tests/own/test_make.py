@@ -1,0 +1,106 @@
+"""From a film to an avatar and to an exact motion, on films whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import drawn_film
+import numpy as np
+import pytest
+from shaped_films import FOCAL_PX, FPS, HEIGHT, WIDTH, Film, film, poses_of
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import bone_directions
+from jghand_engine.own import exact, make
+from jghand_engine.own.checks import PICTURE_RESIDUAL_MAX, Finding
+from jghand_engine.own.film import FilmPictures, Looked, Source
+from jghand_engine.own.hand_fit import Effort, FittedHand
+from jghand_engine.own.make import Begun, Explained, exact_track, hand_of
+from jghand_engine.own.shape import SHAPE_COUNT
+from jghand_engine.own.start import Start
+from jghand_engine.track.detection import SeenHand
+from jghand_engine.track.hands_over_time import hands_over_time
+from jghand_engine.track.motion_errors import motion_errors
+from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
+
+COUNT, BAD = 13, 7
+# of the twelve pictures that are left the fifth is held out
+HELD = 4
+ANGLE_DEG = 2 * math.degrees(math.atan(HEIGHT / 2 / FOCAL_PX))
+CANONICAL_M = drawn_film.plain_hand().canonical_joints_m
+
+
+@pytest.fixture(scope="module")
+def explained() -> Explained:
+    """A film that is fitted as it truly is, one of whose pictures is said to be explained badly."""
+    hand = drawn_film.plain_hand()
+    shown = drawn_film.film_of(drawn_film.marked_hand(hand), drawn_film.window_world(), count=COUNT)
+    poses, numbers = poses_of(COUNT), np.arange(COUNT)
+    residual = np.where(numbers == BAD, 2 * PICTURE_RESIDUAL_MAX, 0.0)
+    landmarks = shown.camera.project(shown.joints_m)[0]
+    directions = bone_directions(shown.joints_m)
+    start = Start(shown.camera, Handedness.RIGHT, landmarks, directions, poses, CANONICAL_M)
+    pictures = FilmPictures(shown.pictures, numbers / FPS, numbers, "film.mp4", "ab", True)
+    fitted = FittedHand(shown.camera, poses, shown.joints_m, CANONICAL_M, np.zeros(SHAPE_COUNT), residual)
+    return Explained(Begun(start, pictures, start, []), fitted, shown.masks)
+
+
+def made(explained: Explained, work: Path) -> tuple[HandAvatar, list[Finding], dict]:
+    avatar, findings, *_ = hand_of(explained, drawn_film.plain_hand(), work, lambda *_: None)
+    return avatar, findings, json.loads((work / "report.json").read_text())
+
+
+def painted(explained: Explained, picture: int) -> Explained:
+    """One picture in a color that no skin has."""
+    rgb = explained.begun.pictures.rgb_u8.copy()
+    rgb[picture] = (0, 255, 60)
+    pictures = replace(explained.begun.pictures, rgb_u8=rgb)
+    return replace(explained, begun=replace(explained.begun, pictures=pictures))
+
+
+def test_a_hand_is_made_of_the_pictures_that_are_explained_and_not_held_out(explained, tmp_path):
+    avatar, findings, report = made(explained, tmp_path)
+    assert (report["pictures"], report["held_out"]) == (COUNT - 1, [HELD])
+    assert report["mean"]["psnr_mask"] > 25
+    assert findings == []
+    for picture, is_used in ((BAD, False), (HELD, False), (HELD + 1, True)):
+        other, told, _ = made(painted(explained, picture), tmp_path)
+        assert np.array_equal(other.rgb, avatar.rgb) == (not is_used), picture
+        assert [finding.check for finding in told] == (["result"] if picture == HELD else []), picture
+
+
+def seen_hand(truth: Film, side: Handedness) -> tuple[Source, Looked]:
+    """What a detector says that is a little off, of a film or of its mirrored pictures."""
+    random, right = np.random.default_rng(4), side is Handedness.RIGHT
+    frames = []
+    for joints_m, pixels in zip(truth.joints_m, truth.camera.project(truth.joints_m)[0], strict=True):
+        landmarks = pixels + random.standard_normal(pixels.shape)
+        space = joints_m - joints_m.mean(0)
+        if not right:
+            landmarks, space = landmarks * (-1, 1) + (WIDTH, 0), space * (-1, 1, 1)
+        frames.append([SeenHand(landmarks, space, side, 0.95)])
+    pictures = tuple(truth.rgb_u8 if right else truth.rgb_u8[:, :, ::-1])
+    source = Source("film", (HEIGHT, WIDTH), FPS, len(frames), True, None, None, pictures)
+    return source, Looked(Sightings(FPS, (HEIGHT, WIDTH), frames), np.ones(len(frames)))
+
+
+def test_the_exact_motion_is_that_of_the_film_and_of_a_left_hand_its_mirror_image(monkeypatch):
+    short = Effort(times=1, rounds=1)
+    monkeypatch.setattr(make, "BEST_EFFORT", short)
+    monkeypatch.setattr(exact, "EFFORT", short)
+    truth, options = film(8), TrackOptions(own_bones=True, camera_angle_deg=ANGLE_DEG)
+    found: dict[Handedness, TrackedHand] = {}
+    for side in Handedness:
+        source, looked = seen_hand(truth, side)
+        hand = hands_over_time(looked.sightings.frames, FPS).hands[side]
+        found[side] = exact_track(source, looked, hand, CANONICAL_M, options, lambda *_: None)
+        assert found[side].sequence.handedness is side
+        assert found[side].seen.all()
+    right, left = (found[side].in_view for side in (Handedness.RIGHT, Handedness.LEFT))
+    # observed 3.6 mm with so little effort
+    assert motion_errors(right, FOCAL_PX, truth.joints_m, FOCAL_PX).aligned_mm < 5
+    np.testing.assert_allclose(left * (-1, 1, 1), right, atol=1e-4)
