@@ -14,6 +14,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 from matplotlib.transforms import Affine2D
@@ -67,7 +68,7 @@ def seen(pose: str, turn_deg: float, tilt_deg: float) -> np.ndarray:
     turn = vector_rotation(turns)
     placed = (joints_m - joints_m[0]) @ turn[0].T @ turn[1].T + (0.0, WRIST_M, -DISTANCE_M)
     rgba = HandRenderer(avatar, preset("final")).render(placed, camera).rgba
-    return np.clip(rgba[..., :3] + (1 - rgba[..., 3:]) * mpl.colors.to_rgb(WALL), 0, 1)
+    return np.clip(rgba[..., :3] + (1 - rgba[..., 3:]) * to_rgb(WALL), 0, 1)
 
 
 def screen(axes: Axes, picture: np.ndarray, words: str) -> None:

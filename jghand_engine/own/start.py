@@ -75,15 +75,14 @@ class Start:
 
     def save(self, path: Path) -> None:
         """As .npz."""
+        own = {
+            "handedness": np.array(str(self.handedness)),
+            "landmarks_px": self.landmarks_px,
+            "detector_directions": self.detector_directions,
+            "canonical_joints_m": self.canonical_joints_m,
+        }
         with writing(path) as temporary:
-            np.savez_compressed(
-                temporary,
-                **packed(self.camera, self.poses),
-                handedness=str(self.handedness),
-                landmarks_px=self.landmarks_px,
-                detector_directions=self.detector_directions,
-                canonical_joints_m=self.canonical_joints_m,
-            )
+            np.savez_compressed(temporary, allow_pickle=False, **own, **packed(self.camera, self.poses))
 
     @classmethod
     def load(cls, path: Path) -> Start:
@@ -107,9 +106,9 @@ def packed(camera: Camera, poses: Poses) -> dict[str, np.ndarray]:
 
 def unpacked(arrays: dict[str, np.ndarray]) -> tuple[Camera, Poses]:
     """What `packed` made arrays of."""
-    width, height, *lens = arrays["camera"].tolist()
+    width, height, fx, fy, cx, cy = arrays["camera"].tolist()
     poses = Poses(arrays["turn"], arrays["place_m"], arrays["angle_rad"])
-    return Camera(int(width), int(height), *lens, np.eye(4)), poses
+    return Camera(int(width), int(height), fx, fy, cx, cy, np.eye(4)), poses
 
 
 def start_of(

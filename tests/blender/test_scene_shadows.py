@@ -209,7 +209,7 @@ def test_what_is_left_out_before_rays_are_cast_is_met_by_none(context, lamp, mon
     assert 0.05 < seen.mean() < 0.95
     scene_shadows.forget()
     monkeypatch.setattr(scene_shadows, "_between", lambda _points, _lamp, standing: list(range(len(standing.meshes))))
-    monkeypatch.setattr(scene_shadows, "_meet_box", lambda origins, *_: np.ones(len(origins), bool))
+    monkeypatch.setattr(scene_shadows, "meet_box", lambda origins, *_: np.ones(len(origins), bool))
     np.testing.assert_array_equal(seen, left(points, normals, lamp))
 
 

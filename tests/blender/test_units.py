@@ -58,9 +58,6 @@ def test_panels_translate_what_core_says(extension, monkeypatch):
     monkeypatch.setattr(runtime, "jobs", lambda: {"output": job})
     status.draw_job(MagicMock(), extension, "output")
     assert {"Baking", "{text} {done} of {total}", "{text} · {time} left"} <= set(words)
-    monkeypatch.setattr(output.ui, "kept", lambda *_: (1000, None))
-    output._draw_size(MagicMock(), extension, "")
-    assert "Up to {size}" in words
     monkeypatch.setattr(training_panel, "iface_", lambda text: words.append(text) or text)
     monkeypatch.setattr(runtime, "jobs", dict)
     training_panel._draw_course(MagicMock(), extension, TrainingFolder(Path(), can_go_on=True, steps=5))

@@ -120,9 +120,9 @@ def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, smal
         ours = renderer.render(sample.joints_m, view.camera)
         error = np.abs(ours.rgba - torch.cat([rgb, alpha[..., None]], -1).numpy()).max(-1)
         # a Gaussian that hardly passes the cut at 1/255 on one side is left out on the other (RENDERING 3): observed
-        # once in 24 pictures, 7 pixels of one; all others 5e-6, with the shadow 2.3e-5
+        # once in 24 pictures, 7 pixels of one, and two Gaussians in one pixel; all others 5e-6, with the shadow 2.3e-5
         assert float((error > 5e-5).mean()) < 5e-3, sample
-        assert float(error.max()) < 1.2 / 255, sample
+        assert float(error.max()) < 2 / 255, sample
         strengths.append(posed.shadow)
     assert max(strengths) > 0.5
 
