@@ -11,7 +11,8 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.own.film import BURNT_U8, FilmPictures, Looked, blurred
-from jghand_engine.own.masks import FilmColors, Zones, hand_size_px, opencv
+from jghand_engine.own.fit_terms import guides
+from jghand_engine.own.masks import FilmColors, Zones, camera_moved, hand_size_px
 from jghand_engine.own.start import Start
 from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
 
@@ -19,10 +20,8 @@ from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
 SEEN_PART_MIN, OTHER_HAND_PART_MAX, BLURRED_PART_MAX = 0.8, 0.1, 0.3
 # about the hand's length in the pictures that are kept, pixels
 HAND_SIZE_MIN_PX = 250.0
-# how far the background moves between pictures, of the width; features that must agree on it
-CAMERA_STEP_PART_MAX, FEATURES_MIN = 0.01, 8
-# how square palm or back must be seen once; the flat hand that bone lengths come from: how bent, and how square
-VIEW_ANGLE_DEG, FLAT_BEND_DEG, FLAT_ANGLE_DEG = 45.0, 25.0, 25.0
+# how square palm or back must be seen once
+VIEW_ANGLE_DEG = 45.0
 # of the skin: the part that is burnt out, and its mean, of 255
 BURNT_PART_MAX, DARK_U8 = 0.02, 45.0
 # more than this is too much to make an avatar of; less are highlights (5 % of a film of dark skin between two lamps)
@@ -38,8 +37,6 @@ FIT_IOU_MIN, PICTURE_RESIDUAL_MAX = 0.85, 0.12
 HELD_OUT_MIN_DB = 19.0
 
 _WRIST, _INDEX, _PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "pinky1"))
-# flexions of index to pinky among the 20 angles
-_FLEXIONS = [4 * finger + angle for finger in range(1, 5) for angle in (0, 2, 3)]
 
 
 @dataclass(frozen=True)
@@ -74,33 +71,33 @@ def wanted_hand(found: FoundHands, looked: Looked, name: str, wanted: Handedness
     first, *others = sorted(found.hands.values(), key=lambda hand: -hand.seen.sum())
     for other in others:
         if other.seen.mean() > OTHER_HAND_PART_MAX:
-            at = _at(int(np.flatnonzero(other.seen)[0]) / looked.sightings.fps)
+            at = _seen_at(looked, other.seen)
             raise InputError(f"Two hands are seen{at}. Film one hand alone, or say --hand right or --hand left")
     return first
 
 
 def seen_findings(looked: Looked, hand: HandOverTime) -> list[Finding]:
     """Of the whole film: whether the hand is seen, and sharp."""
-    seen, fps, findings = hand.seen, looked.sightings.fps, []
+    seen, findings = hand.seen, []
     if seen.mean() < SEEN_PART_MIN:
-        at = _at(int(np.flatnonzero(~seen)[0]) / fps)
+        at = _seen_at(looked, ~seen)
         findings.append(Finding("hand found", f"The hand is seen in {seen.sum()} of {len(seen)} pictures; it is not{at}"
                                 ". Film it larger, with its wrist, on a plain wall."))  # fmt: skip
     soft = blurred(looked.sharpness) & seen
     if soft.sum() > BLURRED_PART_MAX * seen.sum():
-        at = _at(int(np.flatnonzero(soft)[0]) / fps)
-        findings.append(Finding("blur", f"{round(100 * soft.sum() / seen.sum())} % of the film is blurred, such "
-                                f"as{at or ' its beginning'}: move more slowly, or with more light."))  # fmt: skip
+        at, what = _seen_at(looked, soft), "film is" if looked.is_film else "photographs are"
+        findings.append(Finding("blur", f"{round(100 * soft.sum() / seen.sum())} % of the {what} blurred, such as{at}: "
+                                "move more slowly, or with more light."))  # fmt: skip
     return findings
 
 
 def picture_findings(pictures: FilmPictures, start: Start, zones: Zones, colors: FilmColors) -> list[Finding]:
     """Of the pictures that are kept: size, camera, views, light, and what is behind the hand."""
-    moved = camera_steps(pictures, zones.away)
+    moved = camera_moved(pictures, zones.away)
     findings = [_size(pictures, start), _moving(pictures, moved), *_views(start), _ruler(start)]
     findings += [_burnt(pictures, zones), _dark(pictures, zones), _wall(colors)]
-    if pictures.is_film and not np.nanmax(moved, initial=0.0) > CAMERA_STEP_PART_MAX:
-        findings.append(_brightness(pictures, zones.away))
+    if pictures.is_film:
+        findings.append(_brightness(pictures, zones.away & ~moved[:, None, None]))
     return [finding for finding in findings if finding is not None]
 
 
@@ -144,35 +141,11 @@ def _size(pictures: FilmPictures, start: Start) -> Finding | None:
                    "skin sharp.")  # fmt: skip
 
 
-def camera_steps(pictures: FilmPictures, away: np.ndarray) -> np.ndarray:
-    """(F,) how far the background of each picture lies from the first one's, of the width; NaN where too little of it
-    is seen. away: (F, H, W) bool, where no hand is"""
-    cv2 = opencv()
-    steps = np.full(len(pictures), np.nan)
-    if not pictures.is_film:
-        return steps
-    grays = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in pictures.rgb_u8]
-    there = cv2.goodFeaturesToTrack(grays[0], 200, 0.01, 8, mask=away[0].astype(np.uint8))
-    if there is None:
-        return steps
-    for at, gray in enumerate(grays):
-        here, found, _ = cv2.calcOpticalFlowPyrLK(grays[0], gray, there, None, maxLevel=4)
-        back, again, _ = cv2.calcOpticalFlowPyrLK(gray, grays[0], here, None, maxLevel=4)
-        good = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.linalg.norm((back - there)[:, 0], axis=-1) < 1)
-        for points in (there, here):
-            x, y = np.clip(points[:, 0].astype(int), 0, np.array(gray.shape[::-1]) - 1).T
-            good &= away[at, y, x]
-        if good.sum() >= FEATURES_MIN:
-            steps[at] = np.linalg.norm(np.median((here - there)[good, 0], axis=0)) / gray.shape[1]
-    return steps
-
-
 def _moving(pictures: FilmPictures, moved: np.ndarray) -> Finding | None:
-    far = np.flatnonzero(np.nan_to_num(moved) > CAMERA_STEP_PART_MAX)
-    if not len(far):
+    if not moved.any():
         return None
-    return Finding("camera", f"The camera moves{_where(pictures, int(far[0]))}. Lean the telephone on something; what "
-                   "moves is worked out from colors alone, a little worse.")  # fmt: skip
+    return Finding("camera", f"The camera moves{_where(pictures, int(moved.argmax()))}. Lean the telephone on "
+                   "something; what moved is worked out from colors alone, a little worse.")  # fmt: skip
 
 
 def facing(start: Start) -> np.ndarray:
@@ -191,14 +164,8 @@ def _views(start: Start) -> list[Finding]:
     return [Finding("views", f"The {side} of the hand {words}") for side, there in seen.items() if not there]
 
 
-def bend_deg(start: Start) -> np.ndarray:
-    """(F,) mean flexion of the joints of index to pinky."""
-    return np.degrees(start.poses.angle_rad[:, _FLEXIONS].mean(1))
-
-
 def _ruler(start: Start) -> Finding | None:
-    square = np.abs(facing(start)) > math.cos(math.radians(FLAT_ANGLE_DEG))
-    if (square & (bend_deg(start) < FLAT_BEND_DEG)).any():
+    if guides(start.detector_directions).any():
         return None
     return Finding("ruler", "No picture shows the flat hand. Bone lengths are guessed; hold it flat for two seconds, "
                    "palm and back.")  # fmt: skip
@@ -224,7 +191,7 @@ def _dark(pictures: FilmPictures, zones: Zones) -> Finding | None:
 
 
 def _brightness(pictures: FilmPictures, away: np.ndarray) -> Finding | None:
-    """Of a camera that stands still: each picture against the first, where no hand is in either."""
+    """Each picture against the first, where no hand is in either. away: (F, H, W) bool, nowhere after a move"""
     steps = []
     for rgb, free in zip(pictures.rgb_u8, away, strict=True):
         both = free & away[0]
@@ -245,6 +212,12 @@ def _wall(colors: FilmColors) -> Finding | None:
 def _where(pictures: FilmPictures, picture: int) -> str:
     """` at 0:07`, or which photograph."""
     return _at(float(pictures.time_s[picture])) if pictures.is_film else f" in photograph {pictures.index[picture] + 1}"
+
+
+def _seen_at(looked: Looked, which: np.ndarray) -> str:
+    """As `_where`, of the first of the pictures that were looked at. which: (F,) bool"""
+    first = int(which.argmax())
+    return _at(first / looked.sightings.fps) if looked.is_film else f" in photograph {first + 1}"
 
 
 def _at(time_s: float) -> str:

@@ -190,10 +190,12 @@ def _sharpness(rgb8: np.ndarray, hand: SeenHand) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """What was seen in all pictures of a source. sharpness: (F,) about the hands, NaN without one"""
+    """What was seen in all pictures of a source. sharpness: (F,) about the hands, NaN without one · is_film: else
+    photographs"""
 
     sightings: Sightings
     sharpness: np.ndarray
+    is_film: bool = True
 
 
 def look(
@@ -208,7 +210,7 @@ def look(
     as of `Source.read`"""
     watcher = _SharpnessToo(detector)
     sightings = detect(source.read(notes, most=most), source.fps, watcher, tick)
-    return Looked(sightings, np.array(watcher.sharpness))
+    return Looked(sightings, np.array(watcher.sharpness), source.is_film)
 
 
 def blurred(sharpness: np.ndarray) -> np.ndarray:

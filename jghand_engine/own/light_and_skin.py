@@ -166,7 +166,7 @@ def film_light(film: LitFilm) -> World:
     observed, count = film.observed, min(LIGHT_GAUSSIANS, film.observed.color.shape[1])
     color, cosine = observed.color[:, :count], torch.stack([one.facing[:count] for one in observed.shown])
     squarely = ((cosine - FACING) / (SQUARE - FACING)).clamp(0, 1)
-    weight = _weight(observed.seen[:, :count] * squarely) * observed.trust[:, :count]
+    weight = _weight(observed.seen[:, :count] * squarely, observed.trust[:, :count])
     # what the cells do not say of how skin answers: the pose's shade, and all that the renderer does beyond
     beyond = torch.stack([one.shade[:count] for one in observed.shown]) * film.response.shade_gain
     own, thrown = film.reach(count)
@@ -236,9 +236,9 @@ def _precision(directions: np.ndarray) -> Tensor:
     return torch.from_numpy(np.linalg.inv(np.kron(among, alike) + free))
 
 
-def _weight(seen: Tensor) -> Tensor:
-    """0..1 how much a picture says of a Gaussian that has so many pixels in it."""
-    return seen / (seen + SEEN_HALF_PX)
+def _weight(seen: Tensor, trust: Tensor) -> Tensor:
+    """0..1 how much a picture says of a Gaussian that has so many pixels in it, and is so much trusted there."""
+    return seen * trust / (seen * trust + SEEN_HALF_PX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +304,7 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
     observed = film.observed
     best = len(observed) < FEW_PICTURES
     world = film_light(film)
-    answers, weight = film.answers(world), _weight(observed.seen) * observed.trust
+    answers, weight = film.answers(world), _weight(observed.seen, observed.trust)
     color = list(observed.color)
     albedo = _albedo(color, answers, weight, best=best)
     known = (weight.sum(0) > 0)[:, None]

@@ -40,8 +40,10 @@ OUTLINE_ODDS, SURE_ODDS = 1.5, 3.0
 # a pixel's background is known that was seen so often without the hand; of a camera that stands still so large a part
 # of what is not the hand is the background of that very pixel, and the rest is something that came to it
 STILL_SEEN_MIN, STILL_PART = 3, 0.9
-# the camera moves where the background of a typical pixel has more noise than this, of 255
+# nothing is known where the background of a typical pixel has more noise than this, of 255
 STILL_NOISE_MAX = 8.0
+# how far the background moves between pictures, of the width; features that must agree on it
+CAMERA_STEP_PART_MAX, FEATURES_MIN = 0.01, 8
 GRABCUT_ROUNDS = 2
 # specks that an opening with a cross of so many pixels removes; holes of less than this part of the picture are filled
 OPENING_PX, HOLE_PART = 3, 6e-4
@@ -176,6 +178,30 @@ def _places(colors: np.ndarray) -> np.ndarray:
 # ---- what a camera that stands still says ----------------------------------------------------------------------------
 
 
+def camera_moved(pictures: FilmPictures, away: np.ndarray) -> np.ndarray:
+    """(F,) bool: pictures whose background lies elsewhere than the first one's, as far as enough of it is seen. away:
+    (F, H, W) bool, where no hand is"""
+    cv2 = opencv()
+    moved = np.zeros(len(pictures), bool)
+    if not pictures.is_film:
+        return moved
+    grays = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in pictures.rgb_u8]
+    there = cv2.goodFeaturesToTrack(grays[0], 200, 0.01, 8, mask=away[0].astype(np.uint8))
+    if there is None:
+        return moved
+    for at, gray in enumerate(grays):
+        here, found, _ = cv2.calcOpticalFlowPyrLK(grays[0], gray, there, None, maxLevel=4)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(gray, grays[0], here, None, maxLevel=4)
+        good = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.linalg.norm((back - there)[:, 0], axis=-1) < 1)
+        for points in (there, here):
+            x, y = np.clip(points[:, 0].astype(int), 0, np.array(gray.shape[::-1]) - 1).T
+            good &= away[at, y, x]
+        if good.sum() >= FEATURES_MIN:
+            step = np.linalg.norm(np.median((here - there)[good, 0], axis=0)) / gray.shape[1]
+            moved[at] = step > CAMERA_STEP_PART_MAX
+    return moved
+
+
 @dataclass(frozen=True, eq=False)
 class Background:
     """The picture without the hand: colors (H, W, 3) float32 YCrCb, noise (H, W) their standard deviation, and known
@@ -221,14 +247,17 @@ def background_of(pictures: FilmPictures, away: np.ndarray) -> Background:
 
 def hand_masks(pictures: FilmPictures, zones: Zones, colors: FilmColors) -> np.ndarray:
     """(F, H, W) bool, the hand on its side of the wrist. The same bits each time."""
-    background = background_of(pictures, zones.away) if pictures.is_film else None
+    moved = camera_moved(pictures, zones.away)
+    background = background_of(pictures, zones.away & ~moved[:, None, None]) if pictures.is_film else None
     if background is not None and not background.still:
         background = None
     masks = []
-    for rgb, outline, band, side in zip(pictures.rgb_u8, zones.outline, zones.band, zones.side, strict=True):
+    each = zip(pictures.rgb_u8, zones.outline, zones.band, zones.side, moved, strict=True)
+    for rgb, outline, band, side, elsewhere in each:
         # whatever the forearm looks like, a sleeve included, the hand's mask is the same
         shown = np.where(side[..., None], rgb, colors.wall_rgb)
-        odds = _log_odds(_seen_colors(shown), colors, background) + OUTLINE_ODDS * (outline - 0.5)
+        known = None if elsewhere else background
+        odds = _log_odds(_seen_colors(shown), colors, known) + OUTLINE_ODDS * (outline - 0.5)
         masks.append(_cleaned(_cut(shown, odds, band & side) & side))
     return np.stack(masks)
 

@@ -50,6 +50,12 @@ def test_the_light_of_a_film_is_found_but_for_its_strength(seen):
     assert np.sqrt(np.mean((ratio[towards] - 1) ** 2)) < 0.1
 
 
+def test_what_is_bent_counts_where_a_picture_shows_much_of_it():
+    much, little = (light_and_skin._weight(torch.tensor(pixels), torch.tensor(0.2)) for pixels in (20.0, 0.1))
+    assert much > 0.85
+    assert little < 0.05
+
+
 def test_an_outline_that_shines_is_no_light_from_behind():
     hand = plain_hand()
     film = film_of(marked_hand(hand), window_world(), count=12)
