@@ -150,7 +150,8 @@ class UseArmature(Reporting, bpy.types.Operator):
         maps = [one.candidates[: self.answer][-1] for one in found if one.candidates]
         doubts = [one.sentences[0] for one in found if len(one.candidates) > 1]
         if doubts:
-            doubts.append(rpt_("Number {count} is used: the redo panel has the others.").format(count=self.answer))
+            used = min(self.answer, max(len(one.candidates) for one in found))
+            doubts.append(rpt_("Number {count} is used: the redo panel has the others.").format(count=used))
         nothing = not maps
         if nothing:
             side = RIGHT if self.handedness == "BOTH" else self.handedness
@@ -250,12 +251,14 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         side = rig.jghand.map_hand
         found = sources.recognize(rig, side)
         before = sources.shown_map(rig)
-        if found.bone_map is None:
+        if not found.candidates:
             raise JGHandFailure("bad_bone_map", " ".join(found.sentences))
+        known_before = set(before.sources) if before is not None else set()
+        nearest = max(found.candidates, key=lambda candidate: len(known_before & set(candidate.sources)))
         chosen = before.sources if before is not None and self.only_missing else [None] * len(NAMES)
         known = rig.data.bones
         kept = [old if old is not None and old.bone in known else None for old in chosen]
-        filled = [old or new for old, new in zip(kept, found.bone_map.sources, strict=True)]
+        filled = [old or new for old, new in zip(kept, nearest.sources, strict=True)]
         bone_map = bone_maps.by_hand(side, filled)
         sources.store_map(rig, bone_map)
         sources.prepare(rig)

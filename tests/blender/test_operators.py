@@ -180,7 +180,13 @@ def test_where_two_answers_are_possible_the_first_is_taken_and_told_and_the_othe
         assert f"Number {answer} is used" in said
         (stored,) = sources.stored_maps(rig)
         assert stored.sources == wanted.sources
+        rig.jghand.joints["index2"].bone = ""
+        assert bpy.ops.jghand.fill_bone_map() == {"FINISHED"}
+        (stored,) = sources.stored_maps(rig)
+        assert stored.sources == wanted.sources
         bpy.ops.jghand.forget()
+    bpy.ops.jghand.use_armature(answer=7)
+    assert "Number 2 is used" in capfd.readouterr().out
 
 
 def _doubtful_names() -> list[str]:
