@@ -36,6 +36,8 @@ from .seen_hands import avatar_of
 # that is rendered without stand-ins
 MARK, MADE_FROM, WITHOUT = armature.STAND_IN, "jghand_made_from", "jghand_without_stand_ins"
 MATERIAL = "JGHand Stand-In"
+# counts up when other vertices, weights or keys are made of the same hand, so that saved files get them
+_MAKING = b"2"
 # skin as the scene's light sees it: the mean albedo that a hand of unknown light is given, linear Rec.709
 SKIN_RGBA = (0.50, 0.33, 0.25, 1.0)
 # of a surface that mirrors like skin
@@ -231,7 +233,7 @@ def _add_driver(thing: bpy.types.Object, hand: bpy.types.Object) -> None:
 def _digest(shape: _Shape, forearm: bool) -> str:
     """Of what a stand-in's mesh is made from."""
     side, joints, bones, ways = shape
-    numbers = np.round(joints, 7).tobytes() + (b"" if ways is None else np.round(ways, 7).tobytes())
+    numbers = _MAKING + np.round(joints, 7).tobytes() + (b"" if ways is None else np.round(ways, 7).tobytes())
     return hashlib.sha256(numbers + "\n".join((side, *bones)).encode() + b"forearm" * forearm).hexdigest()
 
 

@@ -272,6 +272,17 @@ def test_files_without_stand_ins_get_them_and_linked_hands_too(extension, tmp_pa
     assert only(linked).library is None
 
 
+def test_of_a_file_of_another_making_it_is_made_anew(extension, monkeypatch):
+    rig, _ = hands.mixamo_rig(extension)
+    bpy.ops.jghand.use_armature()
+    monkeypatch.setattr(stand_ins, "_MAKING", b"1")
+    stand_ins.update()
+    before = {thing.data.session_uid for thing in hands.stand_ins_of(rig)}
+    monkeypatch.undo()
+    stand_ins.update()
+    assert before.isdisjoint(thing.data.session_uid for thing in hands.stand_ins_of(rig))
+
+
 def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_path):
     hand = add_hand()
     asset = bpy.data.collections.new("asset")
