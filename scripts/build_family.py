@@ -6,13 +6,15 @@ The built-in hand learned from `jghand capture` of adult_woman and the usual per
 Nobody else's pictures were learned: each hand is the trained one in another identity's shape, with the colors, the
 gloss and the detail of another person's maps (`captures/skin/other_person.py`). In OUT come NAME.jghand and NAME.png of
 each, family.png with all of them, and jghand-hands.zip, which Blender's "Install Hands" takes. A hand that is there, of
-the same trained one and the same person, is kept; the maps of a person take minutes of one core, and are kept too.
+the same trained one, the same person and the same code, is kept; the maps of a person take minutes of one core, and are
+kept too.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import inspect
 import json
 import shutil
 import zipfile
@@ -34,6 +36,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.validation import as_text
 from jghand_engine.captures.making.person_skin import MAP_PX
 from jghand_engine.captures.making.rig import load_identity
+from jghand_engine.captures.skin import other_person
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.other_person import Somebody, as_person, other_detail, shading, somebody
 from jghand_engine.captures.skin.person import Person
@@ -44,6 +47,7 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import Frame, HandRenderer
 from jghand_engine.render.settings import preset
+from jghand_engine.template import reshape
 
 # whom the trained hand learned: identity, and the person on it
 TRAINED = ("adult_woman", Person())
@@ -71,8 +75,9 @@ DISTANCE_M, BACKGROUND = 0.8, (0.36, 0.36, 0.36)
 @dataclass(frozen=True)
 class Options:
     """trained: the hand, a .jghand file or builtin · maps: folder in which maps are kept; OUT/maps
-    texels: along an edge of the maps · only: these of the family · carried: hands that are put into the assets instead
-    of the pack, with the picture of the trained one, which comes with JGHand as the built-in hand"""
+    texels: along an edge of the maps · only: these of the family, without family.png and the pack
+    carried: hands of this run that are put into the assets instead of the pack, with the picture of the trained one,
+    which comes with JGHand as the built-in hand"""
 
     trained: str = BUILTIN
     out: Path = Path("family")
@@ -83,6 +88,9 @@ class Options:
 
 
 def main(options: Options) -> None:
+    absent = set(options.carried) - set(options.only or FAMILY)
+    if absent:
+        raise SystemExit(f"--carried wants hands that are made in this run, not {', '.join(sorted(absent))}")
     trained = load_avatar_called(options.trained)
     maps = options.maps or options.out / "maps"
     maps.mkdir(parents=True, exist_ok=True)
@@ -102,14 +110,22 @@ def main(options: Options) -> None:
                 avatar = replace(avatar, detail=other_detail(avatar.detail, light, other))
             return _told(avatar, f"JGHand {name}")
 
-        stamp = json.dumps([digest, options.texels, FAMILY[name][0], dataclasses.asdict(FAMILY[name][1])])
+        identity, person = FAMILY[name]
+        stamp = json.dumps([digest, code_sha256(), options.texels, identity, dataclasses.asdict(person)])
         files.append(_kept(options.out / f"{name}.jghand", stamp, made))
-    picture(files).save(options.out / "family.png")
-    pack([file for file in files[1:] if file.stem not in options.carried], options.out / PACK)
+    if not options.only:
+        picture(files).save(options.out / "family.png")
+        pack([file for file in files[1:] if file.stem not in options.carried], options.out / PACK)
     for name in options.carried:
         shutil.copyfile(options.out / f"{name}.jghand", HANDS / f"{name}.jghand")
     for name in ("builtin", *options.carried) if options.carried else ():
         shutil.copyfile(options.out / f"{name}.png", HANDS / f"{name}.png")
+
+
+def code_sha256() -> str:
+    """Of the sources that make one person's hand into another's."""
+    sources = (inspect.getsource(module) for module in (other_person, reshape))
+    return hashlib.sha256("".join(sources).encode()).hexdigest()
 
 
 def _told(avatar: HandAvatar, name: str) -> HandAvatar:

@@ -3,15 +3,17 @@
     python scripts/show_truth.py --work truth --out docs/close_up.jpg
 
 The views are those of scripts/show_skin.py; none of them was learned from. Below each stands its PSNR on the pixels of
-the hand. Minutes of one core for the maps of the
-skin, and as many for each picture of 960x1080; what is there already is kept.
+the hand. The maps of the skin take minutes of one core, and so does each picture of 960x1080; what a run with the same
+options left in the folder is kept.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -30,6 +32,7 @@ from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.captures.making.worker import fault_of, find_blender_python, render
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.color import linear_to_srgb, to_bytes
+from jghand_engine.errors import InputError
 from jghand_engine.export.light_file import ENV_FROM_WORLD
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet
 from jghand_engine.learn.evaluate import AvatarPicturer
@@ -66,7 +69,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    plan = read_plan(options.work) or begun(options)
+    plan = opened(options)
     jobs = [job for job in plan.jobs(options.work) if fault_of(job)]
     for done in render(options.work, jobs, find_blender_python(), processors()):
         print(f"{done.job.file}: {done.seconds:.0f} s")
@@ -91,6 +94,37 @@ def main(options: Options) -> None:
     Image.fromarray(contact_sheet([*truth, *ours], style)).save(options.out, quality=88)
 
 
+def opened(options: Options) -> CapturePlan:
+    """The plan of the folder, begun where there is none. InputError for one of other options."""
+    plan, asked = read_plan(options.work), described(options)
+    if plan is None:
+        return begun(options)
+    other = [name for name in asked if asked[name] != plan.description.get(name)]
+    if other:
+        raise InputError(
+            f"the pictures in {options.work}",
+            wanted="the options that they were begun with",
+            came=f"another {', '.join(other)}",
+            remedy="Give the same options, or another --work.",
+        )
+    return plan
+
+
+def described(options: Options) -> dict[str, Any]:
+    """The options that change what Cycles renders, as JSON has them."""
+    return json.loads(
+        json.dumps(
+            {
+                "identity": options.identity,
+                "person": dataclasses.asdict(options.person),
+                "views": options.views,
+                "size": options.size,
+                "samples": options.samples,
+            }
+        )
+    )
+
+
 def begun(options: Options) -> CapturePlan:
     """A capture of the views, each in the same light about the hand."""
     width, height = map(int, options.size.split("x"))
@@ -101,7 +135,7 @@ def begun(options: Options) -> CapturePlan:
     sampling = dataclasses.asdict(Sampling(samples=options.samples, subdivisions=0))
     light = {"lights": LIGHTS_FILE, "skies": [], "shipped": ["studio"]}
     plan = CapturePlan(
-        description={},
+        description=described(options),
         render={"sampling": sampling, "light": light, "skin": skin.material, FOREARM: True},
         pose_names=tuple(names),
         joints_m=pose.joints_m,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from dataclasses import replace
 
 import build_family
 import pytest
@@ -34,6 +35,45 @@ def test_a_hand_is_made_again_only_when_it_is_of_something_else(tmp_path):
     assert len(made) == 2
     assert len(load_avatar(file)) == len(HAND)
     assert file.with_suffix(".png").is_file()
+
+
+@pytest.fixture
+def drafted(tmp_path, monkeypatch):
+    """Options of a run in which each hand is the same small one, and where its assets go."""
+    (tmp_path / "assets").mkdir()
+    monkeypatch.setattr(build_family, "HANDS", tmp_path / "assets")
+    monkeypatch.setattr(build_family, "load_avatar_called", lambda name: HAND)
+    monkeypatch.setattr(build_family, "_somebody", lambda *whom: None)
+    monkeypatch.setattr(build_family, "as_person", lambda trained, own, other: trained)
+    monkeypatch.setattr(build_family, "picture", lambda files: Image.new("RGB", (8, 8)))
+    return build_family.Options(out=tmp_path / "family")
+
+
+def test_a_part_of_the_family_leaves_the_picture_and_the_pack_of_all(drafted):
+    build_family.main(drafted)
+    shared = [drafted.out / "family.png", drafted.out / build_family.PACK]
+    for file in shared:
+        file.write_bytes(b"of all")
+    build_family.main(replace(drafted, only=("child",)))
+    assert [file.read_bytes() for file in shared] == [b"of all"] * 2
+
+
+def test_a_hand_that_is_not_made_in_this_run_is_not_carried(drafted):
+    build_family.main(drafted)
+    with pytest.raises(SystemExit, match="elder"):
+        build_family.main(replace(drafted, only=("child",), carried=("child", "elder")))
+    assert not list(build_family.HANDS.iterdir())
+    build_family.main(replace(drafted, only=("child",), carried=("child",)))
+    assert (build_family.HANDS / "child.jghand").is_file()
+
+
+def test_hands_are_made_again_by_other_code(drafted, monkeypatch):
+    build_family.main(replace(drafted, only=("child",)))
+    stamp = drafted.out / "child.stamp"
+    before = stamp.read_text()
+    monkeypatch.setattr(build_family, "code_sha256", lambda: "other")
+    build_family.main(replace(drafted, only=("child",)))
+    assert stamp.read_text() != before
 
 
 def test_a_hand_larger_than_eight_megabytes_is_refused(tmp_path, monkeypatch):
