@@ -12,7 +12,7 @@ inverse kinematics for the whole finger, which has the same limits as properties
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Generator, Iterator, Sequence
 from typing import Any
 
 import bpy
@@ -96,7 +96,9 @@ def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
             hand.data.collections.remove(hand.data.collections[name])
 
 
-def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], frames: Sequence[int]) -> Iterator[float]:
+def bake_steps(
+    context: bpy.types.Context, hands: Sequence[bpy.types.Object], frames: Sequence[int]
+) -> Generator[float, None, None]:
     """Keys what is seen at every frame on the 21 bones of hands, in new actions, and takes their control layers away.
 
     In steps, each with the part of the frames that is read; whoever stops half-way changes nothing. Raises

@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -80,7 +81,7 @@ def posed(name: str, side: str) -> np.ndarray:
     return build_pose_table.joints_of(poses.pose_named(name, side))
 
 
-def refuses(operator: object, **options: object) -> str:
+def refuses(operator: Callable[..., object], **options: object) -> str:
     """The sentence with which an operator refuses, by its poll or by a report."""
     with pytest.raises(RuntimeError) as caught:
         operator(**options)
@@ -231,7 +232,7 @@ def test_finding_bones_again_keeps_what_was_chosen_and_fills_what_is_missing(ext
 
 def test_a_map_that_a_script_stored_gets_its_rows(extension):
     rig, _ = hands.mixamo_rig(extension)
-    sources.store_map(rig, sources.recognize(rig, "right").bone_map)
+    sources.store_map(rig, sources.recognize(rig, "right").candidates[0])
     assert len(rig.jghand.joints) == 0
     bpy.ops.jghand.fill_bone_map()
     assert rig.jghand.joints["wrist"].bone == "mixamorig:RightHand"
@@ -502,7 +503,7 @@ def test_reset_puts_fingers_and_controls_to_rest_and_leaves_the_wrist(extension)
     bpy.ops.jghand.reset_pose()
     wanted = posing.rest_joints_m("right") + np.array(thing.pose.bones["wrist"].matrix.translation)
     np.testing.assert_allclose(joints_of(extension, thing), wanted, atol=EXACT_M)
-    assert thing.pose.bones["wrist"].location.y == pytest.approx(0.05)
+    assert thing.pose.bones["wrist"].location[1] == pytest.approx(0.05)
 
 
 def test_finger_controls_come_go_and_are_muted(extension):

@@ -125,7 +125,9 @@ def test_a_preview_movie_shows_no_stand_in(floor, tmp_path):
     assert dark(shown, f12(tmp_path)) > 20
     del floor[stand_ins.WITHOUT]
     movie = preview._begin(bpy.context)
-    assert preview._scene(movie.scene_uid).get(stand_ins.WITHOUT)
+    scene = preview._scene(movie.scene_uid)
+    assert scene is not None
+    assert scene.get(stand_ins.WITHOUT)
     preview._remove(movie)
 
 
@@ -373,7 +375,7 @@ def test_blenders_usd_export_leaves_it_out(extension, tmp_path):
 
 
 def test_blenders_gltf_export_leaves_it_out(extension, tmp_path):
-    import addon_utils  # Blender's own, which is there once bpy is
+    import addon_utils  # pyright: ignore[reportMissingImports] - Blender's own, which is there once bpy is
 
     addon_utils.enable("io_scene_gltf2", default_set=True)
     extension.preferences.addons.new().module = "blender_addon"  # as an extension is known that is enabled
