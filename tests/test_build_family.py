@@ -95,6 +95,8 @@ def test_a_pack_has_each_hand_beside_its_picture_and_is_the_same_twice(tmp_path)
 def test_what_was_measured_is_told_to_be_of_the_trained_hand():
     told = build_family._told(load_builtin(handedness=Handedness.RIGHT).prefix(10), "JGHand child")
     assert told.info.name == "JGHand child, made from JGHand built-in"
+    assert told.learned is not None
+    assert told.learned.distilled is not None
     assert told.learned.distilled.measured_on.startswith("the hand that it was made from: held-out")
 
 
