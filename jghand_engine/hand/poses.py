@@ -16,7 +16,9 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, ArchingHand, ArticulatedHand, Contact
-from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
+from jghand_engine.hand.rotations import quaternions
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence, palm_frames
+from jghand_engine.hand.wrist import NO_TURN, ZERO
 
 _Finger = tuple[float, float, float, float]
 # fingers of a fist, bent into the palm and opened for each hand; they turn so that neighbors touch, within 2 mm on all
@@ -176,7 +178,7 @@ def pose_sequence_of_names(
     handedness: Handedness,
     options: MotionOptions | None = None,
 ) -> PoseSequence:
-    """A motion through named poses: minimum jerk, each finger a little late, the wrist at rest.
+    """A motion through named poses: minimum jerk, each finger a little late, the wrist and the forearm at rest.
 
     canonical_joints_m: (21, 3) right hand, level order, meters; its bone lengths are kept exactly.
     """
@@ -197,7 +199,16 @@ def pose_sequence_of_names(
             frames.append(start + (end - start) * minimum_jerk((time - delay) / (1 - delay)))
         frames += [end] * hold
     joints = hand.joints(np.stack(frames))
-    return PoseSequence(_handed(joints, handedness), options.fps, handedness)
+    return PoseSequence(_handed(joints, handedness), options.fps, handedness, forearm=_still_forearm(hand, joints))
+
+
+def _still_forearm(hand: ArticulatedHand, joints_m: np.ndarray) -> np.ndarray | None:
+    """(F, 4) turns that keep the forearm of a right hand (F, 21, 3) where it is at rest, while the palm, which would
+    carry it (`HandPose`), arches with the knuckles; None where it never does."""
+    (at_rest,), _ = palm_frames(hand.straight_joints_m[None])
+    turns = quaternions(np.swapaxes(palm_frames(joints_m)[0], -1, -2) @ at_rest)
+    turns[np.linalg.norm(turns[:, 1:], axis=-1) < ZERO] = NO_TURN
+    return None if (turns == NO_TURN).all() else turns
 
 
 def _handed(joints: np.ndarray, handedness: Handedness) -> np.ndarray:

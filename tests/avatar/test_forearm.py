@@ -15,10 +15,10 @@ from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.forearm import FOREARM_FADE_M, WRIST_CUT_M, WRIST_WAY, ended
 from jghand_engine.avatar.posing import Posing
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.poses import named_pose, pose_sequence_of_names
 from jghand_engine.hand.rotations import quaternion_rotation
 from jghand_engine.hand.sequence import HandPose
-from jghand_engine.hand.wrist import NO_TURN
+from jghand_engine.hand.wrist import BEND_M, NO_TURN, TWIST_M
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -134,6 +134,30 @@ def test_a_straight_wrist_is_the_hand_of_before_to_the_bit(avatar):
         after = posing(joints_m, forearm)
         for name in ("position_m", "sigma_m", "rgb", "covariance_m2"):
             assert np.array_equal(getattr(before, name), getattr(after, name)), name
+
+
+@pytest.mark.parametrize("side", Handedness)
+@pytest.mark.parametrize("name", ["fist", "table"])
+def test_a_motion_that_closes_the_hand_leaves_the_forearm_where_it_is(side, name):
+    """Its palm arches, and would take the forearm along by up to a centimeter."""
+    arm = on_template(forearm=True)
+    arm = arm.for_hand(side)
+    motion = pose_sequence_of_names(["open", name], load_template().joints_m, handedness=side)
+    posing, behind = Posing(arm, threads=1), arm.position_m @ FOREARM_WAY > BEND_M[1]
+    end_of = arm.position_m @ FOREARM_WAY > TWIST_M[1]
+    assert end_of.sum() > 10
+    for pose in (motion.pose(len(motion) // 2), motion.pose(len(motion) - 1)):
+        still, end = (posing(each.joints_m, each.forearm).position_m for each in (motion.pose(0), pose))
+        assert np.linalg.norm(end - still, axis=1)[end_of].max() < 1e-4
+        # a twist is undone evenly along the forearm: observed 2.6 mm behind the wrist
+        assert np.linalg.norm(end - still, axis=1)[behind].max() < 3.5e-3
+    carried = posing(motion.joints_m[-1]).position_m
+    assert np.linalg.norm(carried - still, axis=1)[behind].max() > 5e-3
+
+
+def test_a_motion_that_does_not_arch_the_palm_has_no_turn_of_the_forearm():
+    names = ["open", "claw", "relaxed"]
+    assert pose_sequence_of_names(names, load_template().joints_m, handedness=Handedness.RIGHT).forearm is None
 
 
 @pytest.mark.parametrize("name", TURNS)

@@ -187,7 +187,8 @@ def _learned_from(avatar: HandAvatar) -> str:
 
 
 def _notes(avatar: HandAvatar, sequence: PoseSequence) -> list[str]:
-    notes = [] if sequence.forearm is None else ["Not shown here: how the forearm turns, which goes with the palm."]
+    turns = avatar.has_forearm and sequence.forearm is not None
+    notes = ["Not shown here: how the forearm turns, which goes with the palm."] if turns else []
     shadow = ShadowLook() if avatar.learned is None else avatar.learned.shadow
     if shadow is None or not shadow.is_seen:
         return notes
