@@ -14,12 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.forearm import ended
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own.film import Source, Window, read_pictures
 from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
-from jghand_engine.own.masks import film_colors, hand_masks, hand_size_px, outlines_of, zones_of
+from jghand_engine.own.masks import hand_masks, hand_size_px, hand_zones
 from jghand_engine.own.start import Start
 from jghand_engine.track.poses import Poses
 
@@ -58,9 +57,8 @@ def exact_poses(
     fit = HandFit(prior, start, pictures.time_s, fitted, count=GAUSSIANS)
     now = fit.result()
     told("Cutting the hand out of all pictures", 0, 1)
-    outlines = outlines_of(ended(fitted.avatar_shape(prior), forearm=False), now.joints_m, start.camera)
-    zones = zones_of(start.landmarks_px, start.camera.project(now.joints_m)[0], outlines)
-    masks = hand_masks(pictures, zones, film_colors(pictures, zones))
+    zones = hand_zones(fitted.avatar_shape(prior), now.joints_m, start.landmarks_px, start.camera)
+    masks = hand_masks(pictures, zones)
 
     def tick(done: int, total: int) -> None:
         told("Fitting all pictures", done, total)

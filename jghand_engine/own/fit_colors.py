@@ -11,10 +11,10 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from jghand_engine.learn.light import harmonics, unit
+from jghand_engine.learn.light import harmonics
 from jghand_engine.own.fit_surface import FitSurface, Kept, PosedBatch
 from jghand_engine.own.fit_views import Sight
-from jghand_engine.own.gather import SEEN_MIN_PX, mean_of_pixels
+from jghand_engine.own.gather import SEEN_MIN_PX, counted, facing, mean_of_pixels
 
 # a Gaussian that was seen less, by all pictures, takes its neighbors' color
 SEEN_ENOUGH = 0.3
@@ -48,12 +48,11 @@ def skin_colors(
         rgb = torch.zeros(len(surface), 3, requires_grad=True)
         drawn = surface.draw(posed, row, sight.view.camera, rgb, factor).rgb
         color, seen = mean_of_pixels(drawn, rgb, sight.rgb, sight.inside)
-        facing = (posed.normal[row] * -unit(posed.position_m[row])).sum(-1).clamp_min(0)
-        found.append(
-            (color.clamp(COLOR_MIN, 1).log() - kept.shade[row].float(), seen * facing**2 * (seen > SEEN_MIN_PX))
-        )
+        squarely = facing(posed.normal[row], posed.position_m[row]).square()
+        log_color = color.clamp(COLOR_MIN, 1).log() - kept.shade[row].float()
+        found.append((log_color, seen * squarely * (seen > SEEN_MIN_PX)))
     logs, seen = (torch.stack(parts) for parts in zip(*found, strict=True))
-    return _solved(logs, seen / (seen + 0.5), posed, surface)
+    return _solved(logs, counted(seen), posed, surface)
 
 
 def _solved(logs: Tensor, weight: Tensor, posed: PosedBatch, surface: FitSurface) -> SkinColors:

@@ -39,8 +39,8 @@ from jghand_engine.track.track import MOTION_FROM_CAMERA
 EDGE_PX = 2
 # what is shown around the joints, of the hand's length in the picture
 CROP_MARGIN = 0.25
-# a Gaussian that colors less of a picture than this many pixels is not seen in it
-SEEN_MIN_PX = 0.15
+# a Gaussian that colors less of a picture than this many pixels is not seen in it; from how many on it counts half
+SEEN_MIN_PX, SEEN_HALF_PX = 0.15, 0.5
 # of fewer pictures none is held out, and marks are those of the best one
 FEW_PICTURES = 8
 # how bent a finger is at which what a picture shows of it counts half, degrees of knuckle and middle joint. The fit of
@@ -74,7 +74,7 @@ class Shown:
     @property
     def facing(self) -> Tensor:
         """(N,) cosine between the normals and the way to the camera, 0 for what faces away."""
-        return (self.normal * unit(-self.position_m)).sum(-1).clamp_min(0)
+        return facing(self.normal, self.position_m)
 
     def draw(self, rgb: Tensor, opacity: Tensor) -> tuple[Tensor, Tensor]:
         """Color (h, w, 3), premultiplied, and alpha (h, w) of Gaussians with these colors (N, 3)."""
@@ -89,6 +89,16 @@ class Shown:
         drawn, alpha = self.draw(rgb, opacity)
         # what does not cover a pixel wholly is compared with as much of the picture
         return mean_of_pixels(drawn, rgb, (self.radiance * alpha[..., None] - drawn).detach(), self.counts)
+
+
+def facing(normal: Tensor, position_m: Tensor) -> Tensor:
+    """(N,) cosine between normals (N, 3) and the way to the camera, which is the origin; 0 for what faces away."""
+    return (normal * unit(-position_m)).sum(-1).clamp_min(0)
+
+
+def counted(seen: Tensor) -> Tensor:
+    """0..1 how much a picture says of a Gaussian that has so many pixels in it."""
+    return seen / (seen + SEEN_HALF_PX)
 
 
 def mean_of_pixels(drawn: Tensor, rgb: Tensor, values: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:

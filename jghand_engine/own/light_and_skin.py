@@ -42,7 +42,7 @@ from jghand_engine.learn.scene_light import (
 from jghand_engine.learn.skinning import posed_anchors
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native.scene_light_task import LAMP_NUMBERS
-from jghand_engine.own.gather import FEW_PICTURES, Observations, Shown
+from jghand_engine.own.gather import FEW_PICTURES, Observations, Shown, counted
 from jghand_engine.own.skin_prior import whole_skin
 
 # Gaussians that the light is found from, the first ones, which cover the hand
@@ -63,8 +63,6 @@ FACING, SQUARE = 0.5, 0.8
 LOG_NOISE, INDEPENDENT = 0.15, 0.05
 # of albedos: the same, and where two pictures disagree
 ALBEDO_NOISE, ALBEDO_ROUNDS, DISAGREE = 0.12, 3, 0.12
-# pixels seen squarely that are half of all that many pictures say of a Gaussian
-SEEN_HALF_PX = 0.5
 # rounds in which what a picture still lacks is given back to the Gaussians
 SHARPENED = 3
 # a color or an albedo below is black, one above white
@@ -166,7 +164,7 @@ def film_light(film: LitFilm) -> World:
     observed, count = film.observed, min(LIGHT_GAUSSIANS, film.observed.color.shape[1])
     color, cosine = observed.color[:, :count], torch.stack([one.facing[:count] for one in observed.shown])
     squarely = ((cosine - FACING) / (SQUARE - FACING)).clamp(0, 1)
-    weight = _weight(observed.seen[:, :count] * squarely, observed.trust[:, :count])
+    weight = counted(observed.seen[:, :count] * squarely * observed.trust[:, :count])
     # what the cells do not say of how skin answers: the pose's shade, and all that the renderer does beyond
     beyond = torch.stack([one.shade[:count] for one in observed.shown]) * film.response.shade_gain
     own, thrown = film.reach(count)
@@ -236,11 +234,6 @@ def _precision(directions: np.ndarray) -> Tensor:
     return torch.from_numpy(np.linalg.inv(np.kron(among, alike) + free))
 
 
-def _weight(seen: Tensor, trust: Tensor) -> Tensor:
-    """0..1 how much a picture says of a Gaussian that has so many pixels in it, and is so much trusted there."""
-    return seen * trust / (seen * trust + SEEN_HALF_PX)
-
-
 @dataclass(frozen=True, eq=False)
 class OwnHand:
     """
@@ -304,7 +297,7 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
     observed = film.observed
     best = len(observed) < FEW_PICTURES
     world = film_light(film)
-    answers, weight = film.answers(world), _weight(observed.seen, observed.trust)
+    answers, weight = film.answers(world), counted(observed.seen * observed.trust)
     color = list(observed.color)
     albedo = _albedo(color, answers, weight, best=best)
     known = (weight.sum(0) > 0)[:, None]

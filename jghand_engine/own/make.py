@@ -24,7 +24,6 @@ import numpy as np
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
-from jghand_engine.avatar.forearm import ended
 from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, make_folder, writing
 from jghand_engine.hand.joints import Handedness
@@ -61,7 +60,7 @@ from jghand_engine.own.film import (
 from jghand_engine.own.gather import observe
 from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
 from jghand_engine.own.light_and_skin import Origin, skin_from
-from jghand_engine.own.masks import Zones, film_colors, hand_masks, hand_size_px, outlines_of, zones_of
+from jghand_engine.own.masks import film_colors, hand_masks, hand_size_px, hand_zones
 from jghand_engine.own.report import FilmView, held_out, write_report
 from jghand_engine.own.start import Start, start_of
 from jghand_engine.track import CAMERA_ANGLE_DEG
@@ -132,7 +131,7 @@ def begin(source: Source, prior: HandAvatar, options: OwnOptions, detector: Hand
         raise InputError(f"photograph {number}", wanted="a hand", came="none", remedy=remedy)
     begun = best_pictures(source, prior, options, looked, hand)
     pictures, start = begun.pictures, begun.start
-    zones = _zones(start, prior, start.joints_m)
+    zones = hand_zones(prior, start.joints_m, start.landmarks_px, start.camera)
     begun.findings.extend([*(Finding("film", note) for note in notes), *seen_findings(looked, hand)])
     begun.findings.extend(picture_findings(pictures, start, zones, film_colors(pictures, zones)))
     return begun
@@ -154,12 +153,6 @@ def best_pictures(source: Source, prior: HandAvatar, options: OwnOptions, looked
     window = Window.around(start.landmarks_px.reshape(-1, 2), hand_px, size_px)
     pictures = read_pictures(source, index, window, mirrored=start.handedness is Handedness.LEFT)
     return Begun(track, pictures, start.within(window), [])
-
-
-def _zones(start: Start, avatar: HandAvatar, joints_m: np.ndarray) -> Zones:
-    """Of the pictures, by the outlines of a hand with these joints (F, 21, 3)."""
-    outlines = outlines_of(ended(avatar, forearm=False), joints_m, start.camera)
-    return zones_of(start.landmarks_px, start.camera.project(joints_m)[0], outlines)
 
 
 # ---- all of it -------------------------------------------------------------------------------------------------------
@@ -199,12 +192,13 @@ def explain(
         effort = BEST_EFFORT if options.motion else Effort()
         fitted = fit_hand(begun, prior, told, replace(effort, least_s=options.fit_s))
         fitted.save(work / FIT)
-    zones = _zones(begun.start, fitted.avatar_shape(prior), fitted.joints_m)
+    start = begun.start
+    zones = hand_zones(fitted.avatar_shape(prior), fitted.joints_m, start.landmarks_px, start.camera)
     if (work / MASKS).exists():
         masks = read_arrays(work / MASKS, ("hand",), str(work / MASKS), max_bytes=_MASK_BYTES_MAX)["hand"]
     else:
         told("Cutting the hand out", 0, 1)
-        masks = hand_masks(begun.pictures, zones, film_colors(begun.pictures, zones))
+        masks = hand_masks(begun.pictures, zones)
         with writing(work / MASKS) as temporary:
             np.savez_compressed(temporary, hand=masks)
         told("Cutting the hand out", 1, 1)
@@ -236,8 +230,8 @@ def fit_hand(begun: Begun, prior: HandAvatar, told: Told, effort: Effort) -> Fit
     told("Fitting the hand by landmarks", 0, 1)
     fit.fit_landmarks()
     now = fit.result()
-    zones = _zones(start, now.avatar_shape(prior), now.joints_m)
-    masks = hand_masks(pictures, zones, film_colors(pictures, zones))
+    zones = hand_zones(now.avatar_shape(prior), now.joints_m, start.landmarks_px, start.camera)
+    masks = hand_masks(pictures, zones)
 
     def tick(done: int, total: int) -> None:
         told("Fitting the hand by pictures", done, total)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.forearm import ended
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.own.film import FilmPictures
@@ -78,12 +79,6 @@ def hand_size_px(joints_px: np.ndarray) -> np.ndarray:
     return 2 * np.linalg.norm(joints_px[:, 0] - joints_px[:, _KNUCKLES].mean(1), axis=1)
 
 
-def outlines_of(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera) -> np.ndarray:
-    """(F, H, W) float32 alpha of a hand as it stands in each picture. joints_m: (F, 21, 3) camera axes"""
-    renderer = HandRenderer(avatar, replace(preset("draft"), threads=1, reuse=False, depth=False))
-    return np.stack([renderer.render(joints, camera).rgba[..., 3] for joints in joints_m])
-
-
 @dataclass(frozen=True, eq=False)
 class Zones:
     """What is known of the pixels of F pictures before their colors are looked at; all (F, H, W), bool but the outline.
@@ -123,6 +118,14 @@ def zones_of(landmarks_px: np.ndarray, joints_px: np.ndarray, outline: np.ndarra
         along, across = (x - wx) * nx + (y - wy) * ny, (y - wy) * nx - (x - wx) * ny
         away[at] = ~band[at] & ((along <= 0) | (np.abs(across) >= FOREARM_PART * size))
     return Zones(outline, band, bones, away, side)
+
+
+def hand_zones(avatar: HandAvatar, joints_m: np.ndarray, landmarks_px: np.ndarray, camera: Camera) -> Zones:
+    """`zones_of`, by the outline of an avatar without its forearm. joints_m: (F, 21, 3) camera axes"""
+    settings = replace(preset("draft"), threads=1, reuse=False, depth=False)
+    renderer = HandRenderer(ended(avatar, forearm=False), settings)
+    outlines = np.stack([renderer.render(joints, camera).rgba[..., 3] for joints in joints_m])
+    return zones_of(landmarks_px, camera.project(joints_m)[0], outlines)
 
 
 # ---- what colors say -------------------------------------------------------------------------------------------------
@@ -245,8 +248,9 @@ def background_of(pictures: FilmPictures, away: np.ndarray) -> Background:
 # ---- masks -----------------------------------------------------------------------------------------------------------
 
 
-def hand_masks(pictures: FilmPictures, zones: Zones, colors: FilmColors) -> np.ndarray:
+def hand_masks(pictures: FilmPictures, zones: Zones) -> np.ndarray:
     """(F, H, W) bool, the hand on its side of the wrist. The same bits each time."""
+    colors = film_colors(pictures, zones)
     moved = camera_moved(pictures, zones.away)
     background = background_of(pictures, zones.away & ~moved[:, None, None]) if pictures.is_film else None
     if background is not None and not background.still:

@@ -10,7 +10,7 @@ from films_of_bones import SIZE, SKIN, SLEEVE, WALL, drawn_hands, film_of, zoned
 from tracking_samples import CAMERA, HEIGHT, WIDTH, right_joints_m
 
 from jghand_engine.own import masks
-from jghand_engine.own.masks import HOLE_PART, camera_moved, film_colors, hand_masks, hand_size_px, wrist_side
+from jghand_engine.own.masks import HOLE_PART, camera_moved, hand_masks, hand_size_px, wrist_side
 
 
 def test_the_line_across_the_wrist_has_the_hand_on_one_side_and_the_forearm_on_the_other():
@@ -29,13 +29,13 @@ def test_a_hand_of_one_color_on_a_wall_of_another_is_found_to_the_pixel_and_twic
     joints_px, zones = zoned()
     film = film_of(joints_px, SKIN)
     wanted = drawn_hands(joints_px) & wrist_side(joints_px, *SIZE)
-    found = hand_masks(film, zones, film_colors(film, zones))
+    found = hand_masks(film, zones)
     square = np.ones((3, 3), np.uint8)
     for mask, truth in zip(found, wanted.astype(np.uint8), strict=True):
         # small holes between fingers are filled
         assert (mask & (cv2.dilate(truth, square) == 0)).sum() < HOLE_PART * mask.size
         assert mask[cv2.erode(truth, square) > 0].all()
-    assert np.array_equal(found, hand_masks(film, zones, film_colors(film, zones)))
+    assert np.array_equal(found, hand_masks(film, zones))
 
 
 def test_the_color_of_the_forearm_changes_no_pixel_of_the_masks():
@@ -43,7 +43,7 @@ def test_the_color_of_the_forearm_changes_no_pixel_of_the_masks():
     found = []
     for arm in (SKIN, SLEEVE, WALL):
         film = film_of(joints_px, arm)
-        found.append(hand_masks(film, zones, film_colors(film, zones)))
+        found.append(hand_masks(film, zones))
     assert found[0].any()
     assert np.array_equal(found[0], found[1])
     assert np.array_equal(found[0], found[2])
@@ -54,7 +54,7 @@ def test_a_picture_without_the_hand_has_an_empty_mask():
     film = film_of(joints_px, SKIN)
     rgb = film.rgb_u8.copy()
     rgb[3] = WALL
-    found = hand_masks(replace(film, rgb_u8=rgb), zones, film_colors(film, zones))
+    found = hand_masks(replace(film, rgb_u8=rgb), zones)
     assert found[3].sum() == 0
     assert found[4].any()
 
@@ -70,7 +70,7 @@ def test_where_the_camera_stands_still_a_wall_with_the_colors_of_skin_is_told_fr
     wanted = drawn_hands(joints_px) & wrist_side(joints_px, *SIZE)
     overlap = []
     for one in (replace(film, is_film=False), film):
-        found = hand_masks(one, zones, film_colors(one, zones))
+        found = hand_masks(one, zones)
         overlap.append(np.mean([(m & t).sum() / (m | t).sum() for m, t in zip(found, wanted, strict=True)]))
     assert overlap[0] + 0.004 < overlap[1]
 
@@ -89,6 +89,6 @@ def test_a_picture_in_which_the_camera_moved_is_worked_out_from_colors_alone(mon
         return log_odds(seen, colors, background)
 
     monkeypatch.setattr(masks, "_log_odds", watched)
-    hand_masks(film, zones, film_colors(film, zones))
+    hand_masks(film, zones)
     assert told == [False, False, False, True, False, False]
     assert told == camera_moved(film, zones.away).tolist()

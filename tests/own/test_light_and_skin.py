@@ -17,7 +17,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own import light_and_skin
-from jghand_engine.own.gather import observe
+from jghand_engine.own.gather import counted, observe
 from jghand_engine.own.light_and_skin import LitFilm, Origin, film_light, seen_skin, skin_from
 from jghand_engine.own.skin_prior import SkinPrior, whole_skin
 from jghand_engine.render.renderer import SceneRenderer
@@ -51,7 +51,7 @@ def test_the_light_of_a_film_is_found_but_for_its_strength(seen):
 
 
 def test_what_is_bent_counts_where_a_picture_shows_much_of_it():
-    much, little = (light_and_skin._weight(torch.tensor(pixels), torch.tensor(0.2)) for pixels in (20.0, 0.1))
+    much, little = (counted(torch.tensor(0.2 * pixels)) for pixels in (20.0, 0.1))
     assert much > 0.85
     assert little < 0.05
 
