@@ -83,7 +83,12 @@ class MediaPipeHands:
         try:
             with _quiet():
                 self._landmarker: Any = vision.HandLandmarker.create_from_options(options)
-        except (RuntimeError, ValueError, OSError) as error:
+        except OSError as error:  # the file of the networks was found before
+            raise InputError(
+                "tracking", wanted="the system's libraries that MediaPipe loads", came=str(error)[:200],
+                remedy="Install what it names; on Debian and Ubuntu: apt-get install libgles2 libegl1.",
+            ) from error  # fmt: skip
+        except (RuntimeError, ValueError) as error:
             raise InputError(
                 f"hand model {path}", wanted="MediaPipe's hand landmarker", came=str(error)[:200]
             ) from error

@@ -105,3 +105,14 @@ def test_the_hand_of_a_real_video_is_found_in_every_picture(shared_data):
     hand = hands[Handedness.RIGHT]
     assert hand.seen.all()
     assert hand.jitter_after_deg < 0.4 * hand.jitter_before_deg, "seen: 0.19"
+
+
+def test_a_library_of_the_system_that_is_missing_is_named_and_how_to_install_it(monkeypatch):
+    from mediapipe.tasks.python import vision
+
+    def lacks(_options):
+        raise OSError("libGLESv2.so.2: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setattr(vision.HandLandmarker, "create_from_options", lacks)
+    with pytest.raises(InputError, match=r"libraries.*libGLESv2.so.2.*apt-get install libgles2"):
+        MediaPipeHands()
