@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from tracking_samples import CAMERA, CANONICAL_M, HEIGHT, WIDTH, right_joints_m
 
 from jghand_engine.avatar.builtin import load_builtin
@@ -37,7 +36,7 @@ ABOVE = light_of((SUN,), World(np.full((2, 4, 3), 0.8, np.float32)))
 
 def shown(handedness, joints_m):
     """A picture of the built-in hand, (H, W, 3) uint8."""
-    axes = torch.eye(4, dtype=torch.float64)
+    axes = np.eye(4)
     camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
     renderer = HandRenderer(load_builtin(handedness=handedness), preset("viewport"), ABOVE)
     return flatten(renderer.render(joints_m, camera).displayed(), (0.45, 0.45, 0.47))
@@ -59,7 +58,7 @@ def test_both_hands_of_a_picture_are_found():
     open_hand = named_pose("open", CANONICAL_M, handedness=Handedness.RIGHT) * (1, -1, -1)
     right = open_hand - open_hand[0] + np.array([0.12, 0.08, 0.5])
     truth = {Handedness.RIGHT: right, Handedness.LEFT: right * (-1, 1, 1)}
-    axes = torch.eye(4, dtype=torch.float64)
+    axes = np.eye(4)
     camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
     renderer = SceneRenderer([load_builtin(handedness=side) for side in truth], preset("viewport"), ABOVE)
     picture = flatten(renderer.render(list(truth.values()), camera).displayed(), (0.45, 0.45, 0.47))
