@@ -20,8 +20,8 @@ JG_INLINE vf tanh(vf x) {
   return x < 0 ? -y : y;
 }
 
-// The first layer of one block: hidden units (hidden, stride) at `to`.
-JG_INLINE void first_layer(const LearnedTask& t, int32_t block, float* to, int stride) {
+// The first layer of one block: hidden units (hidden, stride) at `to`, and which of them are above 0 anywhere in it.
+JG_INLINE void first_layer(const LearnedTask& t, int32_t block, float* to, int stride, bool* alive) {
   constexpr int TILE = 8;
   const SkinTask& s = t.skin;
   const float* places = t.places + (int64_t)block * t.hidden * LANES;
@@ -33,20 +33,27 @@ JG_INLINE void first_layer(const LearnedTask& t, int32_t block, float* to, int s
       const float* feature = t.features + s.bone[e] * t.hidden + h;
       for (int r = 0; r < TILE; r++) sum[r] += w * feature[r];
     }
-    for (int r = 0; r < TILE; r++) store(to + (h + r) * stride, max(sum[r], vf{}));
+    for (int r = 0; r < TILE; r++) {
+      store(to + (h + r) * stride, max(sum[r], vf{}));
+      alive[h + r] |= bit_mask(sum[r] > 0) != 0;
+    }
   }
 }
 
-// The second layer of BLOCKS blocks, UNITS of a tile at a time: as many sums as there are registers for.
+// The second layer of BLOCKS blocks from `count` units of the first, UNITS of a tile at a time: as many sums as there
+// are registers for. `next`: what the first layer reads after this, on its way from memory meanwhile.
 template <int BLOCKS, int UNITS>
-JG_INLINE void middle_layer(const LearnedTask& t, const float* from, float* to) {
+JG_INLINE void middle_layer(const LearnedTask& t, const float* from, const int16_t* unit, int count, const float* next,
+                            float* to) {
   constexpr int STRIDE = BLOCKS * LANES;
   for (int o = 0; o < t.hidden; o += UNITS) {
+    for (int r = 0; r < UNITS * BLOCKS; r++) __builtin_prefetch(next + LANES * (o * BLOCKS + r), 0, 2);
     const float* weight = t.middle + (int64_t)(o / NETWORK_TILE) * t.hidden * NETWORK_TILE + o % NETWORK_TILE;
     vf sum[UNITS][BLOCKS];
     for (int r = 0; r < UNITS; r++)
       for (int b = 0; b < BLOCKS; b++) sum[r][b] = all(t.middle_bias[o + r]);
-    for (int h = 0; h < t.hidden; h++) {
+    for (int i = 0; i < count; i++) {
+      const int h = unit[i];
       vf x[BLOCKS];
       for (int b = 0; b < BLOCKS; b++) x[b] = load(from + h * STRIDE + b * LANES);
       for (int r = 0; r < UNITS; r++)
@@ -66,17 +73,25 @@ JG_INLINE void network(const LearnedTask& t, int32_t block, vf out[][CORRECTION]
   constexpr int UNITS = NETWORK_TILE / 2;  // a vector is two registers of sixteen
 #endif
   alignas(64) float first[HIDDEN_MAX * STRIDE], second[HIDDEN_MAX * STRIDE];
-  for (int b = 0; b < BLOCKS; b++) first_layer(t, block + b, first + b * LANES, STRIDE);
-  middle_layer<BLOCKS, UNITS>(t, first, second);
-  for (int b = 0; b < BLOCKS; b++) {
-    vf sum[CORRECTION];
-    for (int j = 0; j < CORRECTION; j++) sum[j] = all(t.out_bias[j]);
-    for (int h = 0; h < t.hidden; h++) {
-      const vf x = load(second + h * STRIDE + b * LANES);
-      for (int j = 0; j < CORRECTION; j++) sum[j] += x * t.out[CORRECTION * h + j];
-    }
-    for (int j = 0; j < CORRECTION; j++) out[b][j] = tanh(sum[j]) * t.reach[j / 3];
+  // neighbors agree about most units: those that are 0 for all of them add nothing
+  bool alive[HIDDEN_MAX] = {};
+  int16_t unit[HIDDEN_MAX];
+  int count = 0;
+  for (int b = 0; b < BLOCKS; b++) first_layer(t, block + b, first + b * LANES, STRIDE, alive);
+  for (int h = 0; h < t.hidden; h++) unit[count] = (int16_t)h, count += alive[h];
+  const int32_t next = block + BLOCKS < t.skin.blocks - BLOCKS ? block + BLOCKS : block;
+  middle_layer<BLOCKS, UNITS>(t, first, unit, count, t.places + (int64_t)next * t.hidden * LANES, second);
+  vf sum[CORRECTION][BLOCKS];
+  for (int j = 0; j < CORRECTION; j++)
+    for (int b = 0; b < BLOCKS; b++) sum[j][b] = all(t.out_bias[j]);
+  for (int h = 0; h < t.hidden; h++) {
+    vf x[BLOCKS];
+    for (int b = 0; b < BLOCKS; b++) x[b] = load(second + h * STRIDE + b * LANES);
+    for (int j = 0; j < CORRECTION; j++)
+      for (int b = 0; b < BLOCKS; b++) sum[j][b] += x[b] * t.out[CORRECTION * h + j];
   }
+  for (int b = 0; b < BLOCKS; b++)
+    for (int j = 0; j < CORRECTION; j++) out[b][j] = tanh(sum[j][b]) * t.reach[j / 3];
 }
 
 }  // namespace
