@@ -57,9 +57,8 @@ class CastStep:
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
         anchors, root_m = cast.anchors, avatar.canonical_joints_m[0]
-        # in the light of a scene capsules are left out by the balls around blocks
-        is_lit = avatar.learned is not None and avatar.learned.response is not None
-        own = Blocks(anchors.position_m, compact_order(anchors.position_m) if is_lit else None)
+        # capsules are left out by the balls around blocks
+        own = Blocks(anchors.position_m, compact_order(anchors.position_m))
         rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
         self.joints_m = avatar.canonical_joints_m - root_m
         self.rows = own.rows
@@ -92,7 +91,7 @@ class CastStep:
         self._capsule = aligned_zeros((-(-count // LANES) * LANES, 8))
         self._capsule_lanes = aligned_zeros((len(self._capsule) // LANES, 8, LANES))
         self._capsule_lamp = aligned_zeros((count, self._groups, 2, LANES))
-        self._other = aligned_zeros((max(count - BONE_COUNT, 1), 5))
+        self._other = aligned_zeros((max(count - BONE_COUNT, 1),))
         self._shadow.capsules = count
         self.arrays |= {"capsule": self._capsule, "capsule_lanes": self._capsule_lanes}
         self.arrays |= {"capsule_lamp": self._capsule_lamp, "other": self._other}
@@ -112,9 +111,7 @@ class CastStep:
         if count != self._shadow.capsules:
             self._set_capsules(count)
         if others is not None:
-            half_m = 0.5 * (others.end_m - others.start_m)
-            self._other[:, 0], self._other[:, 1:4] = others.part, others.start_m + half_m
-            self._other[:, 4] = np.linalg.norm(half_m, axis=1) + others.radius_m
+            self._other[:] = others.part
         axis = end - start
         length2 = np.maximum((axis * axis).sum(1), CAPSULE_LENGTH2_MIN)
         along = axis @ self.direction.T

@@ -10,13 +10,6 @@ constexpr float ROUNDING_M = 1e-5f;  // that distances in single precision are g
 
 JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
 
-JG_INLINE float sum_of(vf v) {
-  float lanes[LANES], sum = 0;
-  store(lanes, v);
-  for (int i = 0; i < LANES; i++) sum += lanes[i];
-  return sum;
-}
-
 // Rays from points in a ball, nearly one way. turn: the largest difference of one's unit direction from `direction`
 // half_width: the largest of the lamp per distance
 struct Rays {
@@ -68,11 +61,10 @@ JG_INLINE uint32_t lamps_behind(const CastTask& t, const Rays& rays, int k, int 
 }
 
 // The least distance between a capsule's axis and sixteen rays, squared, and how far along these it is.
-template <class Point>
-JG_INLINE void nearest_to(const float* capsule, const Point from_start[3], const vf direction[3], vf axis_along,
+JG_INLINE void nearest_to(const float* capsule, const vf from_start[3], const vf direction[3], vf axis_along,
                           vf inverse_sine2, vf& distance2, vf& way) {
   const float* axis = capsule + 3;
-  const Point point_along_axis = from_start[0] * axis[0] + from_start[1] * axis[1] + from_start[2] * axis[2];
+  const vf point_along_axis = from_start[0] * axis[0] + from_start[1] * axis[1] + from_start[2] * axis[2];
   const vf along = direction[0] * from_start[0] + direction[1] * from_start[1] + direction[2] * from_start[2];
   vf s = clamped((point_along_axis - axis_along * along) * inverse_sine2);
   way = max(s * axis_along - along, vf{});
@@ -90,63 +82,65 @@ JG_INLINE vf soft_edge(vf distance, float radius, vf width) {
   return edge * edge * (3.f - 2.f * edge);
 }
 
-// What shines past a capsule, from sixteen directions to a point or from a lamp to sixteen points, which lie
-// `from_start` of its start; see past_capsule in learn/cast_shadow.py, also for `far`. False: all of all.
-// half_width: of a lamp per distance
-template <bool far, class Point, class Width>
-JG_INLINE bool past_capsule(const CastTask& t, const float* capsule, const Point from_start[3], const vf direction[3],
-                            vf axis_along, vf inverse_sine2, float softness, Width half_width, vf& part) {
+// What of a distant lamp shines past a capsule to sixteen points, which lie `from_start` of its start; see past_capsule
+// in learn/cast_shadow.py, also for `far`. Where nothing is hidden `part` stays.
+template <bool far>
+JG_INLINE void past_capsule(const CastTask& t, const float* capsule, const vf from_start[3], const vf direction[3],
+                            vf axis_along, vf inverse_sine2, vf& part) {
   const float radius = capsule[7];
   vf distance2, way;
   nearest_to(capsule, from_start, direction, axis_along, inverse_sine2, distance2, way);
-  const vf width = max(softness * radius + half_width * way, all(t.width_min)), clear = radius + width;
-  if (!bit_mask(distance2 < clear * clear)) return false;
+  const vf width = max(t.softness * radius + t.lamp_width * way, all(t.width_min)), clear = radius + width;
+  if (!bit_mask(distance2 < clear * clear)) return;
   part = soft_edge(sqrt(max(distance2, all(t.distance2_min))), radius, width);
-  if (far) part = 1.f - (1.f - part) * min(radius / max(half_width * way, all(t.width_min)), all(1.f));
-  return true;
+  if (far) part = 1.f - (1.f - part) * min(radius / max(t.lamp_width * way, all(t.width_min)), all(1.f));
 }
 
-// Whether the ball around a capsule may hide any of sixteen lamps that a point faces.
-JG_INLINE bool stands_before(const CastTask& t, float radius, const float ball[4], const float point[3],
-                             const float normal[3], const vf direction[3]) {
-  float to[3], height = 0, square = 0;
-  for (int i = 0; i < 3; i++) to[i] = ball[i] - point[i], height += to[i] * normal[i], square += to[i] * to[i];
-  const float clear = ball[3] + t.softness * radius + t.lamp_width * (sqrtf(square) + ball[3]);
-  if (height < -clear) return false;
-  const vf along = max(direction[0] * to[0] + direction[1] * to[1] + direction[2] * to[2], vf{});
-  return bit_mask(square - along * along < clear * clear);
+// A ball around sixteen points.
+struct Ball {
+  float middle[3], radius;
+};
+JG_INLINE Ball ball_around(const vf p[3]) {
+  const auto sum = [](vf a, vf b) { return a + b; };
+  vf from[3], middle[3];
+  for (int i = 0; i < 3; i++) middle[i] = folded(p[i], sum) * (1.f / LANES), from[i] = p[i] - middle[i];
+  const vf radius2 = folded(dot(from, from), [](vf a, vf b) { return max(a, b); });
+  return {{middle[0][0], middle[1][0], middle[2][0]}, sqrtf(radius2[0])};
 }
 
-// What of sixteen distant lamps, one group of them, a point sees past one capsule.
-template <bool far>
-JG_INLINE bool distant_past(const CastTask& t, int k, int group, const float point[3], const vf direction[3], vf& part) {
-  const float* capsule = t.capsule + CAPSULE * k;
-  const float from_start[3] = {point[0] - capsule[0], point[1] - capsule[1], point[2] - capsule[2]};
-  const float* capsule_lamp = t.capsule_lamp + 2 * LANES * (t.groups * k + group);
-  return past_capsule<far>(t, capsule, from_start, direction, load(capsule_lamp), load(capsule_lamp + LANES), t.softness,
-                           t.lamp_width, part);
-}
-
-// Sixteen of the distant lamps from a point: cosines to them, and the part of each that is seen. False: none is faced.
-JG_INLINE bool distant_seen(const CastTask& t, const float* foreign, const float point[3], const float normal[3],
-                            int group, vf& cosine, vf& visible) {
-  const float* lamp = t.lamp + 6 * LANES * group;
-  vf direction[3], part;
-  for (int i = 0; i < 3; i++) direction[i] = load(lamp + LANES * i);
-  cosine = max(direction[0] * normal[0] + direction[1] * normal[1] + direction[2] * normal[2], vf{});
-  if (!bit_mask(cosine > 0)) return false;
-  visible = all(1.f);
-  for (int bone = 0; bone < BONES; bone++) {
-    const float hides = foreign[LANES * bone];
-    if (hides != 0 && distant_past<false>(t, bone, group, point, direction, part)) visible *= 1.f - hides * (1.f - part);
+// Sixteen of the distant lamps, one group of them, from sixteen points: cosines to each, and the part of each that they
+// see, of those that any of them faces: their bits. foreign: of the points, as in CastTask · visible: (16 lamps, 16
+// points); `keeps_visible` where it is known
+JG_INLINE uint32_t distant_seen(const CastTask& t, const float* foreign, const Ball& ball, const vf p[3],
+                                const vf normal[3], int group, bool keeps_visible, vf cosines[LANES], float* visible) {
+  const float* lamps = t.lamp + 6 * LANES * group;
+  uint32_t faced = 0;
+  for (int lamp = 0; lamp < LANES; lamp++) {
+    const float* d = lamps + lamp;
+    cosines[lamp] = max(normal[0] * d[0] + normal[1] * d[LANES] + normal[2] * d[2 * LANES], vf{});
+    if (bit_mask(cosines[lamp] > 0)) faced |= 1u << lamp;
   }
-  for (int k = BONES; k < t.capsules; k++) {
-    const float* other = t.other + OTHER * (k - BONES);
-    if (stands_before(t, t.capsule[CAPSULE * k + 7], other + 1, point, normal, direction) &&
-        distant_past<true>(t, k, group, point, direction, part))
-      visible *= 1.f - other[0] * (1.f - part);
+  if (keeps_visible || !faced) return faced;
+  const Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, t.lamp_width};
+  for (int lamp = 0; lamp < LANES; lamp++) store(visible + LANES * lamp, all(1.f));
+  for (int k = 0; k < t.capsules; k++) {
+    const bool far = k >= BONES;
+    const vf hides = far ? all(t.other[k - BONES]) : load(foreign + LANES * k);
+    if (!bit_mask(hides > 0)) continue;
+    const float *capsule = t.capsule + CAPSULE * k, *capsule_lamp = t.capsule_lamp + 2 * LANES * (t.groups * k + group);
+    vf from_start[3];
+    for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
+    for (uint32_t some = faced & lamps_behind(t, rays, k, group); some; some &= some - 1) {
+      const int lamp = __builtin_ctz(some);
+      const vf direction[3] = {all(lamps[lamp]), all(lamps[LANES + lamp]), all(lamps[2 * LANES + lamp])};
+      const vf along = all(capsule_lamp[lamp]), inverse_sine2 = all(capsule_lamp[LANES + lamp]);
+      vf part = all(1.f);
+      far ? past_capsule<true>(t, capsule, from_start, direction, along, inverse_sine2, part)
+          : past_capsule<false>(t, capsule, from_start, direction, along, inverse_sine2, part);
+      store(visible + LANES * lamp, load(visible + LANES * lamp) * (1.f - hides * (1.f - part)));
+    }
   }
-  return true;
+  return faced;
 }
 
 }  // namespace jg

@@ -19,8 +19,7 @@ struct CastTask {
   const float* capsule;         // (capsules, 8): start, axis, 1 / squared length, radius; root-relative, meters
   const float* capsule_lanes;   // (capsules / 16 and what is over, 8, 16): the same
   const float* capsule_lamp;    // (capsules, groups, 2, 16): axis . direction, 1 / (squared length sine^2)
-  const float* other;           // (capsules - BONES, 5): those of other hands, behind the hand's own: how much each
-                                // counts, and the middle and radius of a ball around it
+  const float* other;           // (capsules - BONES): how much those of other hands count, behind the hand's own
   float* fallen;                // (16 blocks, 4): exponent per channel; the fourth is not used
   float bounced[3];             // light that reaches skin which sees no lamp
   float softness, lamp_width, width_min, distance2_min;
@@ -69,7 +68,7 @@ struct LearnedTask {
 };
 
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
-constexpr int BONES = 20, ANCHORS_AROUND = 3, OTHER = 5, HARMONICS = 16;
+constexpr int BONES = 20, ANCHORS_AROUND = 3, HARMONICS = 16;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
 constexpr int HIDDEN_MAX = 256;   // wider networks are refused: two layers of two blocks lie on the stack
 

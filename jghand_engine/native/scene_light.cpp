@@ -67,18 +67,6 @@ JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& st
   }
 }
 
-// A ball around sixteen points.
-struct Ball {
-  float middle[3], radius;
-};
-JG_INLINE Ball ball_around(const vf p[3]) {
-  const auto sum = [](vf a, vf b) { return a + b; };
-  vf from[3], middle[3];
-  for (int i = 0; i < 3; i++) middle[i] = folded(p[i], sum) * (1.f / LANES), from[i] = p[i] - middle[i];
-  const vf radius2 = folded(dot(from, from), [](vf a, vf b) { return max(a, b); });
-  return {{middle[0][0], middle[1][0], middle[2][0]}, sqrtf(radius2[0])};
-}
-
 // All rays from points in a ball to a lamp.
 JG_INLINE Rays rays_to(const float* lamp, const Ball& ball) {
   Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, lamp[SUN_SINE]};
@@ -111,7 +99,7 @@ JG_INLINE void lamp_seen(const CastTask& c, const SceneLightTask& s, Hides hides
     for (uint32_t some = capsules_before(c, rays, first, softest); some; some &= some - 1) {
       const int k = first + __builtin_ctz(some);
       const bool far = k >= BONES;
-      const vf hiding = far ? all(c.other[OTHER * (k - BONES)]) : hides(k);
+      const vf hiding = far ? all(c.other[k - BONES]) : hides(k);
       if (!bit_mask(hiding > 0)) continue;
       const float *capsule = c.capsule + CAPSULE * k, *axis = capsule + 3, length2 = 1.f / capsule[6], radius = capsule[7];
       vf from_start[3], distance2, way;
@@ -250,37 +238,11 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   vf p[3], normal[3], open[3] = {}, seen[3] = {}, towards_hidden[3] = {}, sky = {}, open_sky = {};
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
   const Ball ball = ball_around(p);
-  const Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, c.lamp_width};
   for (int g = 0; g < c.groups; g++) {
     const float* cells = c.lamp + 6 * LANES * g;
     float* visible = s.visible + LANES * LANES * (c.groups * (int64_t)block + g);
     vf cosines[LANES];
-    uint32_t faced = 0;
-    for (int cell = 0; cell < LANES; cell++) {
-      const float* d = cells + cell;
-      cosines[cell] = max(normal[0] * d[0] + normal[1] * d[LANES] + normal[2] * d[2 * LANES], vf{});
-      if (bit_mask(cosines[cell] > 0)) faced |= 1u << cell;
-    }
-    if (!s.keeps_visible) {
-      for (int cell = 0; cell < LANES; cell++) store(visible + LANES * cell, all(1.f));
-      for (int k = 0; k < c.capsules; k++) {
-        const bool far = k >= BONES;
-        const vf hides = far ? all(c.other[OTHER * (k - BONES)]) : load(foreign + LANES * k);
-        if (!bit_mask(hides > 0)) continue;
-        const float *capsule = c.capsule + CAPSULE * k, *capsule_lamp = c.capsule_lamp + 2 * LANES * (c.groups * k + g);
-        vf from_start[3];
-        for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
-        for (uint32_t some = faced & lamps_behind(c, rays, k, g); some; some &= some - 1) {
-          const int cell = __builtin_ctz(some);
-          const vf direction[3] = {all(cells[cell]), all(cells[LANES + cell]), all(cells[2 * LANES + cell])};
-          const vf along = all(capsule_lamp[cell]), inverse_sine2 = all(capsule_lamp[LANES + cell]);
-          vf part = all(1.f);
-          far ? past_capsule<true>(c, capsule, from_start, direction, along, inverse_sine2, c.softness, c.lamp_width, part)
-              : past_capsule<false>(c, capsule, from_start, direction, along, inverse_sine2, c.softness, c.lamp_width, part);
-          store(visible + LANES * cell, load(visible + LANES * cell) * (1.f - hides * (1.f - part)));
-        }
-      }
-    }
+    uint32_t faced = distant_seen(c, foreign, ball, p, normal, g, s.keeps_visible, cosines, visible);
     for (; faced; faced &= faced - 1) {
       const int cell = __builtin_ctz(faced);
       const vf cosine = cosines[cell], part = load(visible + LANES * cell), hidden = cosine * (1.f - part);
