@@ -10,7 +10,8 @@ ever unpickled.
            frames of joints; a missing joint is null; "filled", optional, lists numbers of frames, "forearm" quaternions
     .csv   comment lines `# unit: m` and so on, a header `frame,wrist_x,wrist_y,…`, one line per frame; empty cells are
            missing. Without joint names in the header the columns are the 63 numbers of the declared order. A column
-           called frame and one of times (`time`, `timestamp_ms`, …) may stand anywhere. `# filled: 3 4 5` is optional
+           called frame and one of times (`time`, `timestamp_ms`, …) may stand anywhere. `# filled: 3 4 5` is optional,
+           and so are the columns `forearm_w,forearm_x,forearm_y,forearm_z` beside joints that are named
     .npy   (F, 21, 3) numbers
 
 Filled frames are those that nobody measured: whoever made the file closed a gap there.
@@ -48,6 +49,8 @@ from jghand_engine.npz_files import read_arrays
 FORMAT, _VERSION = "jghand motion", 1
 # what a file declares beside its joints
 _DECLARED = ("order", "unit", "fps", "handedness", "filled", "forearm")
+# the columns of a table that say how the forearm is turned
+FOREARM_COLUMNS = tuple(f"forearm_{axis}" for axis in "wxyz")
 
 
 def own_content(path: Path, kind: str, joints: np.ndarray, declared: Mapping[str, Any]) -> MotionContent:
@@ -246,16 +249,20 @@ def _write_json(file: Path, sequence: PoseSequence, joints_m: np.ndarray) -> Non
 
 
 def _write_csv(file: Path, sequence: PoseSequence, joints_m: np.ndarray) -> None:
+    names, numbers = (
+        [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"],
+        joints_m.reshape(len(sequence), -1),
+    )
     if sequence.forearm is not None:
-        raise InputError(f"motion file {file}", wanted=".npz or .json, which hold a turned forearm", came=".csv")
+        names, numbers = [*names, *FOREARM_COLUMNS], np.hstack([numbers, sequence.forearm])
     with open(file, "w", encoding="utf-8", newline="") as stream:
         stream.write(f"# format: {FORMAT} {_VERSION}\n")
         stream.writelines(f"# {name}: {value}\n" for name, value in _declarations(sequence).items())
         if sequence.filled.any():
             stream.write(f"# filled: {' '.join(map(str, np.flatnonzero(sequence.filled)))}\n")
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["frame", *(f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz")])
-        for number, row in enumerate(joints_m.reshape(len(sequence), -1).tolist()):
+        writer.writerow(["frame", *names])
+        for number, row in enumerate(numbers.tolist()):
             writer.writerow([number, *("" if math.isnan(x) else repr(x) for x in row)])
 
 

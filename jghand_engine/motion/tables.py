@@ -27,7 +27,7 @@ from jghand_engine.motion.content import (
     check_frame_count,
     check_size,
 )
-from jghand_engine.motion.files import checked_joints, own_content
+from jghand_engine.motion.files import FOREARM_COLUMNS, checked_joints, own_content
 
 # a joint's name, what parts it from its axis, the axis
 _COLUMN = re.compile(r"(.+?)[._ -]+([xyz])", re.IGNORECASE)
@@ -86,7 +86,9 @@ def read(source: Source, _wanted: MotionFormat) -> MotionContent:
         header = [cell.strip() for cell in first]
         clock = [place for place, cell in enumerate(header) if plain(cell) in TIME_NAMES][:1]
         hands, columns = named_hands(header)
+        turn: list[int] = []
         if hands:
+            turn = [header.index(name) for name in FOREARM_COLUMNS if name in header]
             flat = [
                 at for hand in hands for bone in hand.bones for at in (columns[bone] if bone is not None else (-1,) * 3)
             ]
@@ -96,12 +98,15 @@ def read(source: Source, _wanted: MotionFormat) -> MotionContent:
                 raise ValueError(f"{len(flat)} columns of numbers are not x, y, z of joints")
             if all(map(_is_number, header)):
                 rows = itertools.chain([first], rows)
-        table = np.array(list(_numbers(rows, flat + clock))).reshape(-1, len(flat) + len(clock))
+        places = flat + turn + clock
+        table = np.array(list(_numbers(rows, places))).reshape(-1, len(places))
     joints = table[:, : len(flat)].reshape(len(table), -1, 3)
     times = table[:, -1].tolist() if clock else []
     if not hands or (hands[0].convention == "JGHand" and hands[0].handedness is None):
-        order = {"order": JointOrder.STANDARD} if hands else {}
-        content = own_content(source.path, "plain csv", checked_joints(joints), declared | order)
+        known: dict[str, Any] = {"order": JointOrder.STANDARD} if hands else {}
+        if turn:
+            known["forearm"] = table[:, len(flat) : len(flat) + len(turn)]
+        content = own_content(source.path, "plain csv", checked_joints(joints), declared | known)
         return replace(content, times=times if content.fps is None else ())
     tracks = (
         HandTrack(joints, hand.handedness, JointOrder.STANDARD, hand.part)

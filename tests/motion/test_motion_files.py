@@ -49,7 +49,7 @@ def _with_forearm():
     return replace(_motion(), forearm=turns)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".json"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_how_a_forearm_is_turned_is_read_back(tmp_path, suffix):
     motion = _with_forearm()
     write_motion(tmp_path / f"motion{suffix}", motion)
@@ -57,8 +57,22 @@ def test_how_a_forearm_is_turned_is_read_back(tmp_path, suffix):
     assert again.forearm is not None
     assert motion.forearm is not None
     np.testing.assert_allclose(again.forearm, motion.forearm, atol=1e-15)
-    with pytest.raises(InputError, match=r"\.npz or \.json"):
-        write_motion(tmp_path / "motion.csv", motion)
+    np.testing.assert_array_equal(again.joints_m, motion.joints_m)
+
+
+@pytest.mark.parametrize("broken", ["forearm_w,", ",,,", ""], ids=["three columns", "no numbers", "no turn"])
+def test_a_table_whose_forearm_is_turned_in_no_way_is_refused(tmp_path, broken):
+    path = tmp_path / "motion.csv"
+    write_motion(path, _with_forearm())
+    lines = path.read_text().splitlines()
+    if "_" in broken:
+        path.write_text("\n".join(line.replace(broken, "other,") for line in lines))
+    else:
+        path.write_text(
+            "\n".join([*lines[:-1], lines[-1].rsplit(",", 4)[0] + (broken + "," if broken else 4 * ",0.0")])
+        )
+    with pytest.raises(InputError, match="forearm"):
+        read_motion_file(path)
 
 
 def test_turns_of_a_forearm_that_are_none_are_named(tmp_path):
