@@ -273,7 +273,7 @@ class CanonicalHand:
         abduction pole (METHOD 2.4).
         """
         # a copy: the caller's array may be read-only, or change later
-        joints = np.array(joints_m, dtype=np.float64)
+        joints = np.asarray(joints_m, dtype=np.float64).copy()
         if joints.shape != (JOINT_COUNT, 3) or not np.isfinite(joints).all():
             raise InputError("canonical joints", wanted="a finite (21, 3) array", came=str(joints.shape))
         centered = joints - joints[0]

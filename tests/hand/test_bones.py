@@ -1,6 +1,7 @@
 """The bones of a single hand are those of the differentiable form. Degenerate hands: tests/hard_cases."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -141,6 +142,14 @@ def test_unusable_canonical_hands_are_refused():
         sideways[7 + 5 * k] = sideways[2] + y_axis * 0.03 * (k + 1)
     with pytest.raises(InputError, match="bent sideways"):
         CanonicalHand.build(sideways)
+
+
+@pytest.mark.filterwarnings("error")
+def test_joints_in_a_tensor_are_copied_without_a_warning():
+    tensor: Any = torch.from_numpy(CANONICAL.copy())
+    hand = CanonicalHand.build(tensor)
+    tensor += 1
+    np.testing.assert_array_equal(hand.root_m, CANONICAL[0])
 
 
 @pytest.mark.parametrize("seed", range(20))
