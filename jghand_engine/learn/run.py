@@ -52,6 +52,7 @@ class RunOptions:
     log_steps:   steps that one line of the log averages
     checkpoint:  when to write one
     preview:     when to write one
+    clock:       seconds by which all of this is timed
     """
 
     out: Path
@@ -63,6 +64,7 @@ class RunOptions:
     log_steps: int = LOG_EVERY_STEPS
     checkpoint: Every = CHECKPOINTS
     preview: Every = PREVIEWS
+    clock: Callable[[], float] = time.monotonic
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ class Loop:
 
     def run(self, stop: Event) -> bool:
         """True when the budget is spent, False after a stop; in both cases the newest checkpoint is where it ended."""
-        now_s = time.monotonic()
+        now_s = self._options.clock()
         self._spent_before_s, self._began_s = self.state.seconds, now_s
         self._checkpoint_timer = Timer(self._options.checkpoint, self.state.step, now_s)
         self._preview_timer = Timer(self._options.preview, self.state.step, now_s)
@@ -189,7 +191,7 @@ class Loop:
     # ---- between steps -----------------------------------------------------------------------------------------------
 
     def _now_and_then(self) -> None:
-        step, now_s = self.state.step, time.monotonic()
+        step, now_s = self.state.step, self._options.clock()
         if step % GUARD_KEEP_STEPS == 0 or step in GUARD_KEEPS_AT_FIRST:
             self._plan()
             self._guard.good = self._snapshot()
@@ -241,7 +243,7 @@ class Loop:
         )
 
     def _take_time(self) -> None:
-        now_s = time.monotonic()
+        now_s = self._options.clock()
         self._ends_s.append(now_s)
         self.state.seconds = self._spent_before_s + now_s - self._began_s
 
