@@ -53,6 +53,8 @@ TIP_COLLECTION = "JGHand Tips"
 RANGE = "JGHand Range"
 # custom property of hands of earlier versions whose layer was muted: the paths of the rules that were off before it
 _RULES_OFF = "jghand_rules_off"
+# what single precision leaves of the other axis where a control is turned in the view: 0.00004 degrees were seen
+_ROUNDING_RAD = 2e-6
 # what was changed and may be keyed: a bone or a constraint, and its property
 Touched = tuple[bpy.types.bpy_struct, str]
 
@@ -223,6 +225,21 @@ def own_bones(hand: bpy.types.Object) -> None:
     """Bones that are shared with other objects become the hand's own."""
     if hand.data.users > 1:
         hand.data = hand.data.copy()
+
+
+def notice(depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed in Blender: an axis of a control that rounding alone has turned is put back, so that its
+    field shows 0."""
+    if any(screen.is_animation_playing for screen in bpy.data.screens):
+        return  # keys put it back again
+    for update in depsgraph.updates:
+        if not isinstance(update.id, bpy.types.Object) or not has_controls(hand := update.id.original):
+            continue
+        for name in (HAND_CONTROL, *FINGER_CONTROLS):
+            bone = hand.pose.bones[name]
+            for axis, angle in enumerate(bone.rotation_euler):
+                if 0 < abs(angle) < _ROUNDING_RAD:
+                    bone.rotation_euler[axis] = 0.0
 
 
 def rules_of(hand: bpy.types.Object) -> Iterator[bpy.types.Constraint]:

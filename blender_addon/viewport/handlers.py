@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from .. import clock, ui
 from ..core import pacing
-from ..hand import seen_hands, stand_ins
+from ..hand import controls, seen_hands, stand_ins
 from ..render import exact_light, handover, lamps, probe, rendering, scene_light, scene_shadows, worlds
 from ..renderer import runtime
 from . import drawing, views
@@ -192,6 +192,7 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
 def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """Something was edited: whether that made or removed a hand, or changed lamps. Blender draws the views itself."""
     if not rendering.now() and _on_main_thread() and depsgraph is not None and not probe.is_own(depsgraph.scene):
+        controls.notice(depsgraph)
         seen_hands.notice(depsgraph)
         stand_ins.notice(depsgraph)
         lamps.notice(depsgraph)

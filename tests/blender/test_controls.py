@@ -13,6 +13,7 @@ from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL,
 from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, TIPS
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, motion
+from blender_addon.viewport import handlers
 
 # float32 of a bone chain through constraints; worst observed 8.9e-8 m
 EXACT_M = 2e-7
@@ -38,6 +39,22 @@ def test_neutral_controls_change_nothing_and_need_no_script(context, handedness,
     assert controls.has_controls(hand)
     assert hand.animation_data is None or not hand.animation_data.drivers
     assert not any(hand.data.bones[name].use_deform for name in CONTROLS)
+
+
+def test_an_axis_that_rounding_alone_has_moved_is_put_back(context):
+    hand = controlled_hand(context, "right")
+    joints_of(context, hand)
+    edits = bpy.app.handlers.depsgraph_update_post
+    edits.append(handlers.on_change)
+    try:
+        for name in (HAND_CONTROL, *FINGER_CONTROLS):
+            # as it was left of a ring that was turned in the view, and what somebody has typed
+            for turn, shown in (((0.5, 0.0, -4.5e-7), (0.5, 0.0, 0.0)), ((0.0, 0.0, 2e-5), (0.0, 0.0, 2e-5))):
+                hand.pose.bones[name].rotation_euler = turn
+                context.view_layer.update()
+                np.testing.assert_array_equal(hand.pose.bones[name].rotation_euler, np.float32(shown))
+    finally:
+        edits.remove(handlers.on_change)
 
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
