@@ -33,6 +33,8 @@ from .joints import (
 REST_BONE_MIN = 1e-2
 # sine between palm bones below which a frame has no palm plane and holds the orientation of the one before
 PALM_SINE_MIN = 1e-3
+# part of the squared sum of the metacarpals below which their fan has no plane: the engine's PALM_NORMAL_MIN
+_PALM_NORMAL_MIN = 1e-4
 # cosine below which two directions count as opposite: the smallest rotation between them has no axis of its own
 OPPOSITE_COSINE = -0.999999
 
@@ -130,16 +132,36 @@ def palm_rotations(joints: np.ndarray, rest: np.ndarray, handedness: str) -> np.
 
 def palm_frames(joints: np.ndarray, handedness: str) -> np.ndarray:
     """(F, 21, 3) -> (F, 3, 3) the engine's frame of the palm (METHOD 2.7): z along the metacarpals index to pinky, x
-    out of the palm; of a left hand the mirror image of a right one's."""
-    fan = joints[:, (INDEX, MIDDLE, RING, PINKY)] - joints[:, WRIST : WRIST + 1]
+    out of the palm; of a left hand the mirror image of a right one's. A frame without a palm, wrist and knuckles on a
+    line, takes that of the frame before it; where no frame has one, the axes of their space."""
     mirror = np.array([-1.0 if handedness == LEFT else 1.0, 1.0, 1.0])
-    fan = fan * mirror
-    z = fan.sum(1)
-    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
-    area = np.cross(fan[:, :-1], fan[:, 1:]).sum(1)
-    x = area - z * np.sum(z * area, -1, keepdims=True)
-    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    return mirror[:, None] * np.stack([x, np.cross(z, x), z], -1)
+    frames, good = _fan_frames(joints * mirror)
+    if good.any():
+        frames = frames[_last_good(good)]
+    return mirror[:, None] * frames
+
+
+def has_palm(joints: np.ndarray) -> np.ndarray:
+    """(F, 21, 3) -> (F,) whether `palm_frames` finds a plane there."""
+    return _fan_frames(joints)[1]
+
+
+def _fan_frames(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F, 3, 3) of the metacarpals' fan, the identity where it has no plane, and where it has one (F,)."""
+    fan = joints[:, (INDEX, MIDDLE, RING, PINKY)] - joints[:, WRIST : WRIST + 1]
+    axis, area = fan.sum(1), np.cross(fan[:, :-1], fan[:, 1:]).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+        across = area - z * np.sum(z * area, -1, keepdims=True)
+        size = np.linalg.norm(across, axis=-1, keepdims=True)
+        x = across / size
+    good = (size > _PALM_NORMAL_MIN * np.sum(axis * axis, -1, keepdims=True))[:, 0]
+    return np.where(good[:, None, None], np.stack([x, np.cross(z, x), z], -1), np.eye(3)), good
+
+
+def _last_good(good: np.ndarray) -> np.ndarray:
+    """(F,) of each frame the last one until then that is good; before the first one that is, that one."""
+    return np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
 
 
 def bone_keys(
@@ -252,8 +274,7 @@ def palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
     good &= _sine(middle, normal) > PALM_SINE_MIN
     if not good.any():
         raise JGHandFailure("bad_joints", "wrist and knuckles lie on a line in every frame")
-    # before the first good frame that one
-    last_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
+    last_good = _last_good(good)
     return _axes_along(middle[last_good], normal[last_good])
 
 

@@ -18,7 +18,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
-from ..hand import armature, sources
+from ..hand import armature, avatar_files, sources
 from ..hand.seen_hands import avatar_of
 from ..ops import DONE, Elsewhere, InTurns, missing, seen_frames
 from ..renderer import runtime
@@ -165,18 +165,20 @@ def record_steps(
     for place, (thing, handedness, name) in enumerate(named):
         moments = [hands[place] for hands in read]
         joints_m = np.stack([hand.joints_world_m for hand in moments])
+        avatar = avatar_of(thing)
         turns = [hand.forearm_turn for hand in moments if hand.forearm_turn is not None]
+        known = len(turns) == len(read) and (avatar_files.has_forearm(avatar) or armature.has_forearm_bone(thing))
         into.append(
             Recording(
                 name,
                 handedness,
-                avatar_of(thing),
+                avatar,
                 joints_m,
                 frames[0],
                 fps,
                 thing.name,
                 thing.jghand.forearm,
-                np.stack(turns) if len(turns) == len(read) else None,
+                np.stack(turns) if known else None,
             )
         )
 

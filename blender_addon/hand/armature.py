@@ -235,20 +235,20 @@ def _heads(evaluated: bpy.types.Object) -> np.ndarray:
 
 
 def forearm_turn_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray | None:
-    """(4,) how the evaluated forearm of our armature is turned, see `posing.forearm_rotations`; None without a bone for
-    it."""
+    """(4,) how the evaluated forearm of our armature is turned, see `posing.forearm_rotations`: without a bone of its
+    own as the wrist's bone. None for a palm without a plane."""
     evaluated = evaluated_object(hand, depsgraph)
     return _forearm_turn(evaluated, _heads(evaluated), handedness_of(hand))
 
 
 def _forearm_turn(evaluated: bpy.types.Object, heads: np.ndarray, handedness: str) -> np.ndarray | None:
-    if not has_forearm_bone(evaluated):
-        return None
-    forearm = _turned_from_rest(evaluated.pose.bones[FOREARM])
-    palm = posing.palm_rotations(heads[None], rest_matrices_of(evaluated), handedness)[0]
-    turn = posing.forearm_turns(heads[None], handedness, (forearm @ palm.T)[None])[0]
     # a palm without a plane has no axes to say it in
-    return turn if np.isfinite(turn).all() else None
+    if not posing.has_palm(heads[None]).all():
+        return None
+    bone = FOREARM if has_forearm_bone(evaluated) else NAMES[WRIST]
+    forearm = _turned_from_rest(evaluated.pose.bones[bone])
+    palm = posing.palm_rotations(heads[None], rest_matrices_of(evaluated), handedness)[0]
+    return posing.forearm_turns(heads[None], handedness, (forearm @ palm.T)[None])[0]
 
 
 def _turned_from_rest(bone: bpy.types.PoseBone) -> np.ndarray:

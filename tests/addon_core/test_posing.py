@@ -185,3 +185,20 @@ def test_the_palm_in_whose_axes_a_forearm_turns_is_the_engines(handedness):
         expected = mirror @ palm @ rotations(quaternion) @ palm.swapaxes(1, 2) @ mirror
         np.testing.assert_allclose(turned, expected, atol=1e-12)
         np.testing.assert_allclose(posing.forearm_turns(joints_m, handedness, turned), quaternion, atol=1e-12)
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_a_frame_without_a_palm_has_that_of_the_frame_before(handedness):
+    joints_m = random_motion(handedness, frames=4)
+    for place in (0, 2):  # wrist and knuckles on a line
+        joints_m[place, [0, 5, 9, 13, 17]] = np.outer(np.arange(5), [0.01, 0.02, 0.03])
+    assert posing.has_palm(joints_m).tolist() == [False, True, False, True]
+    frames = posing.palm_frames(joints_m, handedness)
+    np.testing.assert_array_equal(frames, posing.palm_frames(joints_m[[1, 1, 1, 3]], handedness))
+    mirror = np.diag([-1.0 if handedness == LEFT else 1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(posing.palm_frames(joints_m[::2], handedness), [mirror, mirror])
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    rest = posing.rest_matrices(posing.rest_joints_m(handedness), handedness)
+    keys = posing.bone_keys(joints_m, rest, handedness, (posing.forearm_rest(rest, handedness), turns))
+    assert np.isfinite(keys.location).all()
+    assert np.isfinite(keys.quaternion).all()

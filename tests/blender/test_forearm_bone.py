@@ -50,7 +50,6 @@ def test_a_hand_of_an_avatar_with_a_forearm_hangs_on_its_bone(extension, monkeyp
     monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: False)
     bpy.ops.jghand.add_hand(handedness="right")
     assert not armature.has_forearm_bone(bpy.context.object)
-    assert seen(bpy.context.object).forearm_turn is None
     monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
     bpy.ops.jghand.add_hand(handedness="left")
     hand = bpy.context.object
@@ -174,13 +173,14 @@ def test_a_motion_on_linked_bones_is_keyed_without_its_forearm_and_says_so(exten
     assert "The turn of the forearm is left out on there" in capfd.readouterr().out
     read = armature.read_hand(hand, armature.at_frame(bpy.context.scene, 1))
     np.testing.assert_allclose(read.joints_m, joints[0], atol=1e-6)
-    assert read.forearm_turn is None
+    assert not armature.has_forearm_bone(hand)
 
 
+@pytest.mark.parametrize("has_bone", [True, False], ids=["its own", "the wrist's"])
 @pytest.mark.parametrize("side", HANDEDNESSES)
-def test_a_fist_leaves_the_forearm_where_its_bone_is(extension, monkeypatch, side):
+def test_a_fist_leaves_the_forearm_where_its_bone_is(extension, monkeypatch, side, has_bone):
     """A fist arches the palm, in whose frame the turn is told: it says how that is undone."""
-    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: True)
+    monkeypatch.setattr(avatar_files, "has_forearm", lambda avatar: has_bone)
     bpy.ops.jghand.add_hand(handedness=side)
     hand = bpy.context.object
     hand.pose.bones["wrist"].rotation_quaternion = Quaternion((1, 0, 0), 0.5)
