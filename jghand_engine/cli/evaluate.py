@@ -32,8 +32,6 @@ Examples:
   jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses
   jghand evaluate id3.jghand captures/id3 --crops --beside captures/id3_again"""
 
-TIMED_ROUNDS, WARM_UP = 100, 10
-
 
 @dataclass(frozen=True)
 class CloseOptions:
@@ -85,7 +83,7 @@ class Evaluate:
     template: File = None
     """The MANO file of an avatar that was trained on it: its silhouette stands in for masks that are not there."""
     figures_only: bool = False
-    """Leave out the sheets of pictures, and the time per picture, which is measured on its own after the rest."""
+    """Leave out the sheets of pictures."""
     close: CloseOptions = field(default_factory=CloseOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
 
@@ -123,7 +121,7 @@ class Evaluate:
         out, settings = make_folder(self.out or Path(self.avatar).with_suffix(".evaluation")), preset(self.preset)
         draw = _drawer(avatar, capture, settings)
         evaluation = self._measured(draw, capture, again, categories, told.split.origin)
-        tables = self._tables(evaluation, avatar, capture, settings)
+        tables = self._tables(evaluation, avatar, capture)
         self._write(out, evaluation, tables, settings)
         if not self.figures_only:
             drawers = {Path(self.avatar).stem: draw}
@@ -155,18 +153,13 @@ class Evaluate:
             )
         return Evaluation(Path(self.avatar).stem, capture.name, origin, pictures, ceiling)
 
-    def _tables(
-        self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture, settings: RenderSettings
-    ) -> list[Table]:
-        from jghand_engine.learn.ablation import drawn_as_learned
+    def _tables(self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture) -> list[Table]:
         from jghand_engine.learn.tables import crops_table, figures_table, flexion_table, rendering_table
 
         tables = [rendering_table([evaluation]), figures_table(evaluation, "full"), figures_table(evaluation, "box"),
                   flexion_table(evaluation)]  # fmt: skip
         if self.close.crops:
             tables.append(crops_table(evaluation))
-        if not self.figures_only and drawn_as_learned(avatar):
-            tables.append(timed_table(evaluation.name, avatar, capture, settings))
         if note := forearm_note(capture, avatar.info.template):
             tables[0] = replace(tables[0], notes=(*tables[0].notes, note))
         for table in tables:
@@ -193,21 +186,3 @@ def _drawer(avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> P
         return AvatarPicturer(avatar, settings)
     say(f"{avatar.info.name} is drawn as it was learned, with a transform or a shadow that the renderer does not have.")
     return LiveHand(avatar.for_hand(capture.handedness), settings)
-
-
-def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Table:
-    """Time per picture of the capture's size, the hand in motion through its poses, nothing read or written."""
-    from jghand_engine.learn.tables import inference_table
-    from jghand_engine.render.subject import Subject
-    from jghand_engine.render.timing import frame_case, machine, measure
-
-    sample = capture.samples[0]
-    subject = Subject(name, avatar.for_hand(capture.handedness), capture.joints_m(), sample.camera)
-    # a frame that only repeats the last one would say nothing
-    case = frame_case(subject, replace(settings, reuse=False), "inference")
-    whole = measure([case], rounds=TIMED_ROUNDS, warm_up=WARM_UP)[0]
-    facts = machine(settings.threads)
-    on = f"{facts['processor']}, {facts['threads']} threads, {facts['backend']}"
-    size = f"{sample.camera.width} x {sample.camera.height}, {len(avatar):,} Gaussians"
-    mark = ", machine not free" if whole.disturbed else ""
-    return inference_table([(f"{name}, {size}{mark}", whole.median_ms, whole.p95_ms)], on)

@@ -74,8 +74,6 @@ PAPER_ABLATION: dict[str, tuple[float, float, float] | None] = {
     "w/o iso": (0.966, 33.56, 0.032),
     "full": PAPER_FULL,
 }
-# seconds per picture on an NVIDIA RTX 3090
-PAPER_INFERENCE_S = {"HandAvatar": 4.317, "LiveHand": 0.087, "JGHand (paper)": 0.040}
 
 
 # ---- ours beside it -------------------------------------------------------------------------------------------------
@@ -214,15 +212,6 @@ def light_table(results: Mapping[str, Evaluation]) -> Table:
              "w/o shadows: nor what fingers throw back. w/o lamps: they are pixels of the world.",
              "w/o shadows and lamps: harmonics of the world are left.")  # fmt: skip
     return Table("Known light", ("PSNR / SSIM", *columns), tuple(rows), notes)
-
-
-def inference_table(ours: Sequence[tuple[str, float, float]], machine: str) -> Table:
-    """Time per picture. ours: name, median and 95th percentile, milliseconds · machine: hardware and threads."""
-    rows = [(name, f"{1e3 * seconds:.0f}", NONE, "NVIDIA RTX 3090") for name, seconds in PAPER_INFERENCE_S.items()]
-    rows += [(name, f"{median:.1f}", f"{p95:.1f}", machine) for name, median, p95 in ours]
-    notes = ("Ours: from joints to the finished picture, reading and writing of files excluded, after warm-up.",
-             "What the paper's times include is not said.", CAVEAT)  # fmt: skip
-    return Table("Inference time per picture, milliseconds", ("Method", "median", "p95", "on"), tuple(rows), notes)
 
 
 def _mask_notes(evaluations: Sequence[Evaluation]) -> list[str]:

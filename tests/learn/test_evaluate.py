@@ -161,7 +161,6 @@ def test_every_row_is_as_long_as_the_head(evaluation):
         tables.figures_table(evaluation, "full"),
         tables.flexion_table(evaluation),
         tables.ablation_table({"full": evaluation}),
-        tables.inference_table([("ours", 12.3, 15.0)], "a machine"),
     ]
     for table in made:
         assert {len(row) for row in table.rows} == {len(table.columns)}, table.title
