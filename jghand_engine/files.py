@@ -7,7 +7,6 @@ import contextlib
 import errno
 import os
 import secrets
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -29,8 +28,6 @@ def file_error(path: Path, error: OSError) -> JGHandError:
     return RetryError(f"cannot write {path}: {error.strerror or error}", remedy="Check the disk and try again.")
 
 
-# part of the free disk that must be left over when an export is expected to fit: other programs write too
-DISK_RESERVE = 0.02
 # of what JGHand writes into folders: whoever gives a folder such a name meant the file
 FILE_SUFFIXES = frozenset(
     (".png", ".exr", ".mp4", ".ply", ".splat", ".glb", ".spz", ".sog", ".usd", ".usda", ".usdc", ".usdz", ".html")
@@ -49,21 +46,6 @@ def make_folder(path: Path | str) -> Path:
     except OSError as error:
         raise file_error(folder, error) from error
     return folder
-
-
-def check_room(folder: Path, needed_bytes: int, thing: str) -> None:
-    """DiskFullError, before the work, when so much cannot be written on the disk of `folder`."""
-    try:
-        free = shutil.disk_usage(folder).free * (1 - DISK_RESERVE)
-    except OSError as error:
-        raise file_error(folder, error) from error
-    if needed_bytes > free:
-        raise DiskFullError(
-            f"cannot write {thing} in {folder}: the disk is too small",
-            wanted=f"{needed_bytes / 1e6:.0f} MB",
-            came=f"{free / 1e6:.0f} MB free",
-            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
-        )
 
 
 def cache_folder() -> Path:

@@ -21,7 +21,7 @@ from jghand_engine.errors import InputError, install_extra
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
-from jghand_engine.files import check_room, make_folder, writing
+from jghand_engine.files import make_folder, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.builtin import template_called
@@ -37,8 +37,6 @@ COMPANIONS = (".mtl", ".png")
 TEXTURE_PX = 512
 # Gaussians around a texel or a vertex whose mean color it gets
 COLOR_NEIGHBORS = 4
-# of a file, at most: positions, normals, UV and faces as text, and the texture
-BYTES_PER_VERTEX, BYTES_PER_TEXEL = 400, 3
 
 
 @dataclass(frozen=True)
@@ -77,8 +75,6 @@ def export_meshes(
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(names.path(target, index) for index in frames)
     kept = names.refuse_others(target, files, len(sequence), COMPANIONS if names.suffix == "obj" else ())
-    each = BYTES_PER_VERTEX * len(surface.vertex) + BYTES_PER_TEXEL * surface.texture_px**2
-    check_room(target, len(files) * each, "the meshes")
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         for name, content in _encoded(surface.mesh(index, RUB_FROM_UP[up]), path).items():
             with writing(target / name) as temporary:

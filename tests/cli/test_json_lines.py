@@ -57,7 +57,7 @@ def test_a_training_tells_its_step_its_sentence_and_what_happened():
     [
         (InputError("joints", wanted="21", came="20"), "bad_input"),
         (RetryError("the engine is busy"), "retry"),
-        (DiskFullError("cannot write the stage: the disk is too small"), "disk_full"),
+        (DiskFullError("cannot write the stage: the disk is full"), "disk_full"),
         (OSError(errno.ENOSPC, "No space left on device", "x"), "disk_full"),
         (MemoryError(), "out_of_memory"),
         (KeyboardInterrupt(), "canceled"),

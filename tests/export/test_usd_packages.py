@@ -87,7 +87,7 @@ def test_files_in_an_archive_are_stored_at_multiples_of_64_bytes(tmp_path):
             assert content[begin : begin + entry.file_size] == opened_archive.read(entry)
 
 
-def test_an_archive_that_a_zip_cannot_hold_is_refused_before_the_work(tmp_path, monkeypatch):
+def test_an_archive_that_a_zip_cannot_hold_is_refused_and_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(package, "USDZ_BYTES_MAX", 3_000_000)
     with pytest.raises(InputError, match="fewer frames"):
         exported(tmp_path, lively_motion(Handedness.RIGHT, 200), package="usdz")

@@ -19,7 +19,7 @@ from jghand_engine.export.motion import HandMotion, check_balls
 from jghand_engine.export.splats import gltf as gltf_splats
 from jghand_engine.export.splats import ply, spz
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
-from jghand_engine.files import check_room, make_folder, writing
+from jghand_engine.files import make_folder, writing
 from jghand_engine.hand.sequence import PoseSequence
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
@@ -28,25 +28,23 @@ _NAME = re.compile(r"[A-Za-z0-9_-]+")
 class SplatFormat(NamedTuple):
     """How splats are written.
 
-    encode:     a cloud as the content of a file
-    bytes_each: of a Gaussian, at most
-    axes:       of the numbers, first what is written unless asked otherwise, then what may be asked for
-    check:      raises where a package is missing
+    encode: a cloud as the content of a file
+    axes:   of the numbers, first what is written unless asked otherwise, then what may be asked for
+    check:  raises where a package is missing
     """
 
     encode: Callable[[SplatCloud], bytes]
-    bytes_each: int
     axes: tuple[str, ...]
     check: Callable[[], object] = lambda: None
 
 
 # name of the format and suffix of its files -> the format
 FORMATS = {
-    "ply": SplatFormat(ply.ply_bytes, ply.PLY_BYTES, ("rdf", "rub")),
-    "splat": SplatFormat(ply.splat_bytes, ply.SPLAT_BYTES, ("rdf", "rub")),
-    "glb": SplatFormat(gltf_splats.glb_bytes, gltf_splats.BYTES_PER_GAUSSIAN, ("rub",)),
-    "spz": SplatFormat(spz.spz_bytes, spz.BYTES_PER_GAUSSIAN, ("rub", "rdf")),
-    "sog": SplatFormat(ply.sog_bytes, ply.SOG_BYTES, ("rdf", "rub"), ply.sog_converter),
+    "ply": SplatFormat(ply.ply_bytes, ("rdf", "rub")),
+    "splat": SplatFormat(ply.splat_bytes, ("rdf", "rub")),
+    "glb": SplatFormat(gltf_splats.glb_bytes, ("rub",)),
+    "spz": SplatFormat(spz.spz_bytes, ("rub", "rdf")),
+    "sog": SplatFormat(ply.sog_bytes, ("rdf", "rub"), ply.sog_converter),
 }
 
 
@@ -177,7 +175,7 @@ def export_splats(
     frames: which of the motion's are written, each with its number; None: all · progress: called with (frames done,
     frames) after every frame. Raises InputError for a motion with gaps, a folder that cannot be written, or holds
     frames of that name that the motion does not have, or (unless they may be overwritten) those that are to be written,
-    and for a package that is missing; RetryError for a disk that is full or too small.
+    and for a package that is missing; RetryError for a full disk.
     """
     options = options or SplatOptions()
     kind = FORMATS[options.format]
@@ -187,7 +185,6 @@ def export_splats(
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(options.names.path(target, index) for index in frames)
     kept = options.names.refuse_others(target, files, len(sequence))
-    check_room(target, len(avatar) * len(files) * kind.bytes_each, "the splat files")
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
         with writing(path) as temporary:

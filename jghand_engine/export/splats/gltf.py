@@ -18,7 +18,6 @@ from jghand_engine.color import srgb_to_linear, to_bytes
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 EXTENSION = "KHR_gaussian_splatting"
-BYTES_PER_GAUSSIAN = 60
 # of a binary glTF file, and of its two parts
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = b"glTF", 2, 0x4E4F534A, 0x004E4942
 _POINTS, _FLOAT, _UNSIGNED_BYTE, _ARRAY_BUFFER = 0, 5126, 5121, 34962

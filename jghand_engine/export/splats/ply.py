@@ -30,8 +30,6 @@ PROPERTIES = (
 # opacity is written as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
 OPACITY_MARGIN = 1e-6
 SPLAT_ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
-# the last is about 10 for a hand; an estimate for the check of the disk
-PLY_BYTES, SPLAT_BYTES, SOG_BYTES = 4 * len(PROPERTIES), SPLAT_ROW.itemsize, 20
 
 
 def ply_bytes(cloud: SplatCloud) -> bytes:

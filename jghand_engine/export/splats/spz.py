@@ -21,7 +21,6 @@ from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 MAGIC, VERSION = 0x5053474E, 3
 POSITION_BITS, QUATERNION_BITS, STEPS_PER_LN = 24, 9, 16
-BYTES_PER_GAUSSIAN = 20
 # bits of a position behind the point: steps of 0.004 mm, and 32 m on each side of the origin
 FRACTIONAL_BITS = 18
 # what the harmonics of band 0 are multiplied by before they are cut to 0..1, and where ln(sigma) begins

@@ -58,7 +58,7 @@ from jghand_engine.export.usd.stage import (
     usd_errors,
     write_interface,
 )
-from jghand_engine.files import check_room, make_folder, sync
+from jghand_engine.files import make_folder, sync
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.mesh import HandTemplate
@@ -74,10 +74,7 @@ BALL_WIDTH_FACTOR = 2.0
 # by how much constant radii may be off, as a part, in the mean of a frame: no pose changes those of a hand of one size,
 # growing or longer bones do. And how many frames are looked at for it
 SIZE_ERROR_MAX, SIZED_FRAMES = 0.01, 16
-# bytes beside the samples of Gaussians, generous: of each Gaussian once (static arrays, skin), of each frame (bones,
-# bounds, times), and of the layers
-GAUSSIAN_BYTES, FRAME_BYTES, LAYER_BYTES = 180, 3_500, 2_000_000
-# bytes of a file in a .usdz: more would make it a zip with numbers of 64 bits, which USD does not read
+# bytes of the files in a .usdz: more would make it a zip with numbers of 64 bits, which USD does not read
 USDZ_BYTES_MAX = int(zipfile.ZIP64_LIMIT / 1.05)
 # in a .usdz each file begins at a multiple of this, so that readers map it into memory
 USDZ_ALIGNMENT = 64
@@ -215,7 +212,7 @@ def export_usd(
     cameras: by name, or in a row (cam0, cam1, …); only the shot layer has them
     progress: called with (frames done, frames) after every frame
     Raises InputError for a motion with gaps, Gaussians that are no balls, a template that is not the avatar's, a folder
-    that cannot be written, files in the way, a .usdz that would be too large; RetryError for a full or too small disk.
+    that cannot be written, files in the way, a .usdz that would be too large; RetryError for a full disk.
     On any failure the folder is left as it was.
     """
     options = options or UsdOptions()
@@ -230,7 +227,6 @@ def export_usd(
         len(motion), float(sequence.fps), options.first_frame, options.up, provenance(motion.avatar, stamp)
     )
     writer = _Writer(motion, options, span, progress)
-    _check_size(target, writer.expected_bytes, options)
     with usd_errors(target), _arriving(target, options) as (layers, arrived):
         writer.write(layers, arrived, template, named_cameras)
         sizes = {path.name: path.stat().st_size for path in sorted(arrived.iterdir())}
@@ -311,16 +307,6 @@ class _Writer:
             if options.is_lit:
                 self._cloud = replace(self._cloud, rgb=linear_to_srgb(self._material.albedo), material=self._material)
             self._has_sizes = self._changes_size()
-
-    @property
-    def expected_bytes(self) -> int:
-        """Of all layers together, rather too many."""
-        count, frames = len(self._motion.avatar), self._span.frames
-        each = 0
-        if self._options.package != "usdc" or Variant(self._options.default_variant).has_frames:
-            # positions, colors and sizes of splats; widths and colors of points; equal arrays are stored once
-            each = 4 * (3 + 6 * self._colors_move + 4 * self._has_sizes)
-        return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
 
     def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
         """Writes layers into `layers`, and the single file, where one is wanted, into `arrived`."""
@@ -416,10 +402,13 @@ class _Writer:
 
 def write_archive(files: Sequence[Path], target: Path) -> None:
     """A .usdz: a zip of stored files, the one that is opened first. Not by USD, which takes memory for all that it
-    packs. InputError where a file is too large for one."""
+    packs. InputError where they are too large for one."""
+    if (size := sum(path.stat().st_size for path in files)) > USDZ_BYTES_MAX:
+        wanted = f"at most {USDZ_BYTES_MAX / 1e9:.2f} GB, which is what a .usdz can hold"
+        remedy = "Export layers, or fewer frames."
+        raise InputError(f"{target.name}", wanted=wanted, came=f"{size / 1e9:.2f} GB", remedy=remedy)
     with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:
         for path in files:
-            _check_archive_size(path.stat().st_size, path.name)
             entry = zipfile.ZipInfo(path.name)
             # a local header has 30 bytes, the name, and an extra field of at least 4 that fills up to the alignment
             missing = -(archive.start_dir + 30 + len(path.name)) % USDZ_ALIGNMENT
@@ -428,21 +417,6 @@ def write_archive(files: Sequence[Path], target: Path) -> None:
                 entry.extra = (0x1986).to_bytes(2, "little") + (missing - 4).to_bytes(2, "little") + bytes(missing - 4)
             with path.open("rb") as source, archive.open(entry, "w") as out:
                 shutil.copyfileobj(source, out, 2**20)
-
-
-def _check_archive_size(size: int, name: str) -> None:
-    if size > USDZ_BYTES_MAX:
-        wanted = f"at most {USDZ_BYTES_MAX / 1e9:.2f} GB, which is what a .usdz can hold"
-        remedy = "Export layers, or fewer frames."
-        raise InputError(f"package usdz of {name}", wanted=wanted, came=f"{size / 1e9:.2f} GB", remedy=remedy)
-
-
-def _check_size(folder: Path, expected_bytes: int, options: UsdOptions) -> None:
-    """Before minutes of work: RetryError when the disk is too small, InputError when the package is."""
-    if options.package == "usdz":
-        _check_archive_size(expected_bytes, f"{options.name}.usdz")
-    # the layers of a .usdz are whole when it is packed
-    check_room(folder, expected_bytes * (2 if options.package == "usdz" else 1), "the USD stage")
 
 
 def _check_place(folder: Path, options: UsdOptions) -> None:
