@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -68,7 +70,7 @@ def test_positions_colors_opacities_and_sizes_are_the_engines(exported):
 
 def test_another_reader_finds_the_same_points(exported):
     report, *_ = exported
-    read = trimesh.load(report.files[0], process=False)
+    read: Any = trimesh.load(report.files[0], process=False)
     assert np.allclose(read.vertices, columns(fields(report.files[0]), "x", "y", "z"), rtol=0, atol=1e-9)
 
 

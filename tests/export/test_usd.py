@@ -391,7 +391,7 @@ def test_files_carry_the_chosen_name_and_others_stay(tmp_path):
     names = {"wave.usda", "wave.rig.usdc", "wave.splats.usdc", "wave.skinned.usdc", "wave.shot.usda"}
     assert set(report.bytes) == names
     assert {path.name for path in tmp_path.iterdir()} == {*names, "notes.txt"}
-    assert check_usd(report.shot) == []
+    assert check_usd(tmp_path / "wave.shot.usda") == []
 
 
 def test_an_earlier_export_is_replaced_where_that_is_asked_for(tmp_path):
@@ -545,6 +545,7 @@ def test_a_stage_says_what_it_was_made_from(tmp_path):
 def test_all_that_is_learned_is_in_the_digest_and_names_and_prices_are_not():
     motion, avatar = lively_motion(Handedness.RIGHT, 2), trained_avatar(20)
     learned = avatar.learned
+    assert learned is not None
     others = [
         replace(learned, light=replace(learned.light, irradiance=3 * learned.light.irradiance)),
         replace(learned, correctives=None),

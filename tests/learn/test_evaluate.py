@@ -27,7 +27,7 @@ def truth_but(capture, error):
     """Draws the very truth, `error` brighter on the hand."""
     by_camera = {(id(s.camera), s.joints_m.tobytes()): s for s in capture.samples}
 
-    def draw(joints_m, _handedness, camera):
+    def draw(joints_m, handedness, camera):
         picture = load_image(by_camera[id(camera), joints_m.tobytes()])
         rgb = picture.rgb + error * (picture.mask[..., None] >= 0.5)
         return np.concatenate([rgb, picture.mask[..., None]], -1).astype(np.float32)
