@@ -6,6 +6,18 @@
 
 namespace jg {
 
+namespace {
+
+// Depths of sixteen pixels relative to the origin, or SHADOW_FAR_M; those of the camera go to whoever wants them.
+JG_INLINE vf depth_of(const ShadeTask& s, vf alpha, vf sum, int64_t pixel, int n) {
+  const vi valid = alpha > s.alpha_min;
+  const vf z = (sum - s.origin * alpha) / select(valid, alpha, all(1.f));
+  if (s.depth_out) store_first(s.depth_out + pixel, select(valid, z + s.origin, vf{}), n);
+  return select(valid, z, all(SHADOW_FAR_M));
+}
+
+}  // namespace
+
 void prepare_depth(const ShadeTask& s, int y) {
   const int64_t pixels = (int64_t)s.width * s.height, row = (int64_t)y * s.width;
   const float *alpha = s.picture + 3 * pixels + row, *sum = s.picture + 4 * pixels + row;
@@ -13,12 +25,9 @@ void prepare_depth(const ShadeTask& s, int y) {
   int32_t count = 0;
   for (int x = 0; x < s.width; x += LANES) {
     const int n = s.width - x;
-    const vf a = load_first(alpha + x, n), d = load_first(sum + x, n);
-    const vi valid = a > s.alpha_min;
-    const vf z = (d - s.origin * a) / select(valid, a, all(1.f));
-    store(out + x, select(valid, z, all(SHADOW_FAR_M)));  // the lanes beyond the row are padding
-    if (s.depth_out) store_first(s.depth_out + row + x, select(valid, z + s.origin, vf{}), n);
-    count += __builtin_popcount(bit_mask(valid));
+    const vf z = depth_of(s, load_first(alpha + x, n), load_first(sum + x, n), row + x, n);
+    store(out + x, z);  // the lanes beyond the row are padding
+    count += __builtin_popcount(bit_mask(z < SHADOW_FAR_M));
   }
   s.row_valid[y] = count;
 }
@@ -49,20 +58,23 @@ JG_INLINE void interleave(const vf c[4], float out[64]) {
   store(out + 48, JG_SHUFFLE(rg1, ba1, 8, 9, 24, 25, 10, 11, 26, 27, 12, 13, 28, 29, 14, 15, 30, 31));
 }
 
+// Without a shadow depth is found on the way. Of pixels without anything only the alpha is read.
 void shade_row(const ShadeTask& s, int y) {
   const int64_t pixels = (int64_t)s.width * s.height, row = (int64_t)y * s.width;
-  const bool shadowed = s.samples > 0 && s.row_valid[y] > 0;
+  const bool shadowed = s.samples > 0 && s.row_valid[y] > 0, wants_depth = s.samples == 0 && s.depth_out;
   const Curve curve = curve_of(s);
   Block block;
   for (int x = 0; x < s.width; x += LANES) {
     const int n = s.width - x;
-    vf v = all(1.f);
+    const float* p = s.picture + row + x;
+    vf v = all(1.f), c[4] = {};
+    c[3] = load_first(p + 3 * pixels, n);
+    const bool covered = bit_mask(c[3] > 0);
     if (shadowed) v = visibility_of(block, curve, s.depth + (int64_t)y * s.stride + x, x, y, s);
     if (s.visibility) store_first(s.visibility + row + x, v, n);
+    if (wants_depth) depth_of(s, c[3], covered ? load_first(p + 4 * pixels, n) : vf{}, row + x, n);
     if (!s.rgba) continue;
-    vf c[4];
-    for (int k = 0; k < 4; k++) c[k] = load_first(s.picture + k * pixels + row + x, n);
-    for (int k = 0; k < 3; k++) c[k] *= 1.f - s.darkness[k] * (1.f - v);
+    for (int k = 0; covered && k < 3; k++) c[k] = load_first(p + k * pixels, n) * (1.f - s.darkness[k] * (1.f - v));
     float* out = s.rgba + 4 * (row + x);
     if (n >= LANES) {
       interleave(c, out);
@@ -83,7 +95,7 @@ JG_API int32_t jg_shade_task_bytes() { return sizeof(jg::ShadeTask); }
 JG_API void jg_shade(jg::Team* team, const jg::ShadeTask* task) {
   const jg::ShadeTask s = *task;
   int step = 0;
-  if (s.samples > 0 || s.depth_out) {
+  if (s.samples > 0) {
     jg::share(*team, step++, s.height, [&](int32_t y) { jg::prepare_depth(s, y); });
   }
   jg::share(*team, step, s.height, [&](int32_t y) { jg::shade_row(s, y); });
