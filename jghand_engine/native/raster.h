@@ -68,7 +68,7 @@ struct RasterJob {
   int32_t* part_cursors;    // (parts, tiles_y + 1, tiles_x + 1)
   int32_t* tile_start;      // (tiles + 1): where each tile's list begins
   int32_t* tile_list;       // (list_capacity): slots, front to back per tile
-  int32_t* tile_work;       // (tiles): work done by blend, for sharing backward evenly
+  int32_t* tile_work;       // (tiles): work done by blend, for sharing backward evenly; 0 where nothing is
   float* planes;            // (5, height, width): premultiplied R G B, alpha, sum of weight times depth
   // backward only
   const float* plane_gradients;       // (5, height, width)
@@ -91,6 +91,7 @@ struct RasterJob {
   int32_t visible, invalid;           // out
   int32_t status;                     // out
   int32_t orthographic;               // 1: parallel rays; fx and fy are px per meter then
+  int32_t keeps_empty;                // 1: planes and tile_work are those of the last picture, or zeros
 };
 
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.

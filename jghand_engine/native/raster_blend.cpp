@@ -39,6 +39,7 @@ JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, 
 template <int SQUARINGS>
 void blend(const RasterJob& job, int32_t index) {
   const Tile tile = tile_at(job, index);
+  if (!tile.length && job.keeps_empty && !job.tile_work[index]) return;
   Chunk chunk;
   Hits hits;
   Block blocks[BLOCKS];

@@ -59,6 +59,7 @@ class _Job(ctypes.Structure):
         *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
         *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status", "orthographic")),
+        ("keeps_empty", ctypes.c_int32),
     )
 
 
@@ -134,6 +135,8 @@ class NativeRasterizer:
         self._prepared: GaussianArrays | None = None  # what is being drawn
         self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
         self._planes: np.ndarray | None = None
+        # whether the last image was drawn into this object's own memory, which is empty when it is new
+        self._own_planes = self._drew_own = True
 
     @property
     def visible(self) -> int:
@@ -183,6 +186,9 @@ class NativeRasterizer:
         self._set_view(view)
         self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
         shape = (PLANES, view.height, view.width)
+        # tiles that were empty in this object's own memory need not be cleared again
+        self._own_planes, self._job.keeps_empty = planes is None, planes is None and self._drew_own
+        self._drew_own = False
         self._planes = self._array("planes", shape, np.float32) if planes is None else planes
         self._job.planes = address(self._planes, np.float32, "planes", shape, writable=True)
         self._reserve_scratch()
@@ -205,7 +211,7 @@ class NativeRasterizer:
                 wanted=f"at most {contract.MAX_PAIRS} pairs of Gaussian and tile",
                 remedy="Use a smaller image, fewer or smaller Gaussians.",
             )
-        self._inputs = self._prepared
+        self._inputs, self._drew_own = self._prepared, self._own_planes
         return True
 
     def backward(self, plane_gradients: np.ndarray) -> Gradients:

@@ -68,6 +68,18 @@ def test_planes_can_be_drawn_into_memory_of_the_caller():
     assert np.array_equal(planes, rasterizer().forward(arrays, view))
 
 
+@pytest.mark.parametrize("between", [False, True])
+def test_tiles_that_become_empty_are_cleared(between: bool):
+    arrays, one = hand_arrays(300), rasterizer()
+    here, moved = view_for(96, 64), view_for(96, 64).camera_from_position.copy()
+    moved[0, 3] += 0.25  # most of the hand leaves the picture
+    away = View(96, 64, here.fx, here.fy, here.cx, here.cy, moved)
+    for view in (here, away, here, away):
+        if between:  # what is drawn elsewhere says nothing about this object's own memory
+            one.forward(arrays, away, planes=np.empty((5, 64, 96), np.float32))
+        assert np.array_equal(one.forward(arrays, view), rasterizer().forward(arrays, view))
+
+
 @pytest.mark.parametrize(
     ("name", "value", "wanted"),
     [
