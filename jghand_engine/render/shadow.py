@@ -114,7 +114,8 @@ class NativeShade:
         task.visibility = _output(visibility, "visibility", size)
         task.rgba = _output(rgba, "rgba", (*size, 4))
         task.depth_out = _output(depth_m, "depth_m", size)
-        self._keep = tuple(array for array in (planes, visibility, rgba, depth_m) if array is not None)
+        # results are their owner's
+        self._keep = (planes,)
         task.origin = near_m
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.orthographic = camera.orthographic

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend as backend_module
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.effect_plan import Effect
+from jghand_engine.render.effect_plan import Decision, Effect
 from jghand_engine.render.effects import REUSE_SKIN_M, reusable
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
@@ -184,8 +185,37 @@ def test_frames_belong_to_the_caller(backend: str):
 # ---- the receipt ----------------------------------------------------------------------------------------------------
 
 
+def decision(frame: Frame, effect: Effect) -> Decision:
+    assert frame.report.plan is not None
+    return frame.report.plan[effect]
+
+
 def bound(frame: Frame) -> str:
-    return frame.report.plan[Effect.SKIN].bound
+    return decision(frame, Effect.SKIN).bound
+
+
+def test_no_memory_of_the_size_of_an_image_is_taken_for_a_frame():
+    renderer, view = HandRenderer(RIGHT, replace(ALWAYS, reuse=False)), camera(512, 384, focal_px=1000.0)
+    poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in ("fist", "open")]
+    for pose in (*poses, *poses):
+        frame = renderer.render(pose, view)
+    tracemalloc.start()
+    for pose in (*poses, *poses):
+        frame = renderer.render(pose, view)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert decision(frame, Effect.WHOLE).runs
+    # observed 0.04 of one plane of the image
+    assert peak < 0.5 * frame.depth_m.nbytes
+
+
+def test_a_part_of_a_frame_is_kept_as_it_is():
+    renderer, view = HandRenderer(RIGHT, replace(ALWAYS, reuse=False)), camera()
+    names = ("fist", "open", "point", "pinch")
+    poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in names]
+    parts = [renderer.render(pose, view).rgba[::2, :, 3] for pose in poses]
+    for pose, part in zip(poses, parts, strict=True):
+        assert np.array_equal(part, HandRenderer(RIGHT, ALWAYS).render(pose, view).rgba[::2, :, 3])
 
 
 def test_small_movements_reuse_the_pose_within_the_bound(backend: str):
@@ -218,6 +248,7 @@ def test_skin_that_is_kept_is_off_by_no_more_than_the_receipt_says(name: str, bo
     """With all joints moved against each other in the way that moves some point of the skin most, as far as the bound
     allows; also of hands of odd bones."""
     avatar = load_builtin(handedness=Handedness.RIGHT).prefix(1500)
+    assert avatar.learned is not None
     avatar = replace(avatar, learned=avatar.learned.with_tier(tier)[0])
     facts, skeleton, posing = HandFacts(avatar), avatar.skeleton(), Posing(avatar, threads=1)
     joints = odd_bones(avatar, name, *bones)
@@ -286,7 +317,7 @@ def test_reuse_can_be_switched_off(backend: str):
 def test_gate_fades_the_shadow_and_says_the_score(backend: str):
     renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend, shadow=ShadowMode.GATED))
     still = renderer.render(CANONICAL_M, camera())
-    assert still.report.plan[Effect.SHADOW].reason == "gate 0.00"
+    assert decision(still, Effect.SHADOW).reason == "gate 0.00"
     assert "shadow + compose" not in still.report.stages
     fist = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera())
     assert "shadow + compose" in fist.report.stages
@@ -296,7 +327,7 @@ def test_tiny_hand_gets_no_shadow_pass(backend: str):
     renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend, shadow=ShadowMode.GATED))
     frame = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera(focal_px=60.0))
     assert "shadow + compose" not in frame.report.stages
-    assert frame.report.plan[Effect.SHADOW].reason.startswith("hand ")
+    assert decision(frame, Effect.SHADOW).reason.startswith("hand ")
 
 
 def test_a_picture_that_is_given_up_between_its_parts_harms_no_later_one(backend: str):
