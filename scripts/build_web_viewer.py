@@ -1,7 +1,6 @@
 """Builds what `jghand export web` puts beside every hand: jghand_engine/assets/web.
 
-    python scripts/build_web_viewer.py            builds it anew
-    python scripts/build_web_viewer.py --check    builds it elsewhere and compares; exit code 1 when it differs
+    python scripts/build_web_viewer.py
 
 To be run with the engine's Python. Needs Node and npm, and the registry of npm the first time: the packages are pinned
 with their hashes in scripts/web_viewer/package-lock.json and go into .envs/web_viewer (JGHAND_WEB_VIEWER names another
@@ -150,14 +149,6 @@ def packed(script: str) -> str:
     return UNPACK.replace("@PACKED@", base64.b64encode(gzip.compress(script.encode(), 9, mtime=0)).decode())
 
 
-def unpacked(script: str) -> str:
-    """The inverse of `packed`."""
-    found = re.search(r"atob\('([^']*)'\)", script)
-    if not found:
-        raise RuntimeError("viewer.js holds no packed script")
-    return gzip.decompress(base64.b64decode(found[1])).decode()
-
-
 def licenses() -> str:
     """The texts of all that the scripts hold."""
     import ziglang
@@ -178,31 +169,13 @@ def licenses() -> str:
     return head + "".join(f"\n{'=' * 78}\n{title}\n{'=' * 78}\n\n{text.strip()}\n" for title, text in parts)
 
 
-def differing(folder: Path) -> list[str]:
-    """Files of `folder` that are not those of the package. How tightly gzip packs may differ between machines."""
-    names = []
-    for path in sorted(folder.iterdir()):
-        one, other = path.read_text(encoding="utf-8"), (TARGET / path.name).read_text(encoding="utf-8")
-        if path.name == "viewer.js":
-            one, other = unpacked(one), unpacked(other)
-        if one != other:
-            names.append(path.name)
-    return names
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true")
-    if not parser.parse_args().check:
-        build(TARGET)
-        for path in sorted(TARGET.iterdir()):
-            print(f"{path.relative_to(ROOT)} {path.stat().st_size} bytes")
-        return 0
-    with tempfile.TemporaryDirectory() as name:
-        build(Path(name))
-        names = differing(Path(name))
-    print("They differ: " + ", ".join(names) if names else "The same.")
-    return 1 if names else 0
+    parser.parse_args()
+    build(TARGET)
+    for path in sorted(TARGET.iterdir()):
+        print(f"{path.relative_to(ROOT)} {path.stat().st_size} bytes")
+    return 0
 
 
 if __name__ == "__main__":

@@ -312,32 +312,6 @@ def compare(folder: Path) -> Iterator[Row]:
                     yield Row(format, client, subject, path.stat().st_size, Difference.between(found, wanted))
 
 
-def axes_of_conversions(folder: Path) -> Iterator[tuple[str, str, tuple[int, ...] | None]]:
-    """How our files lie to each other in the eyes of splat-transform, which turns axes where it believes to know those
-    of a format: (from, to, signs that turn our file of the second format into what it makes of our first); signs None
-    when it is no turn of axes."""
-    ours = {format: folder / f"axes.{format}" for format in ("ply", "spz")}
-    for format, path in ours.items():
-        path.write_bytes(FORMATS[format].encode(ellipsoid_cloud(FORMATS[format].axes[0])))
-    for source, target, reader in (("spz", "ply", "gsply"), ("ply", "glb", "fourdgs")):
-        made = folder / f"from_{source}.{target}"
-        transform(ours[source], made)
-        found = next(client.read for client in clients() if client.name == reader)(made)
-        wanted = Found.of_cloud(ellipsoid_cloud(FORMATS[target].axes[0]))
-        yield source, target, next((turn for turn in TURNS if _turned(wanted, turn, found)), None)
-
-
-# the turns that leave every axis on its line
-TURNS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
-
-
-def _turned(wanted: Found, signs: tuple[int, ...], found: Found) -> bool:
-    """Whether the turn of `wanted` is what was found, shapes included, as exactly as SPZ has it."""
-    turn = np.diag(signs)
-    turned = Found(wanted.positions_m @ turn, turn @ wanted.covariance_m2 @ turn, wanted.rgb, wanted.opacity)
-    return Difference.between(found, turned).within(PRECISION["spz"])
-
-
 def markdown(rows: list[Row]) -> str:
     """The table of docs/FORMATS.md: the larger of the differences of hand and ellipsoids."""
     lines = [
@@ -380,9 +354,6 @@ def main() -> int:
         for row in rows:
             verdict = "" if row.good else "   ABOVE THE FORMAT'S PRECISION"
             print(f"{row.format:6} {row.subject:10} {row.client.name:16} {row.size:9} bytes  {row.difference}{verdict}")
-        if node_has("@playcanvas/splat-transform")() and has_python():
-            for source, target, signs in axes_of_conversions(folder):
-                print(f"splat-transform makes of our {source} our {target} with x, y, z times {signs}")
     if not rows:
         print("None of the programs is here: python scripts/check_splat_files.py --install", file=sys.stderr)
         return 1

@@ -459,19 +459,6 @@ def test_a_motion_that_is_a_bare_array_is_bad_input(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("change", [{"fx": None}, {"fy": 400}], ids=["no fx", "pixels not square"])
-def test_cameras_that_cannot_be_used_are_bad_input(tmp_path, change):
-    view = {"width": 200, "height": 100, "fx": 300, "fy": 300, "cx": 90, "cy": 55, **change}
-    view = {"camera_from_world": np.eye(4).tolist(), **view}
-    cameras = {"front": {name: value for name, value in view.items() if value is not None}}
-    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
-    files = ["--motion", motion_file(tmp_path), "--cameras", tmp_path / "cameras.json", "--out", tmp_path / "a.blend"]
-    done = script("build_demo_scene.py", *files)
-    assert done.returncode == 2
-    assert "build_demo_scene:" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_a_python_without_numpy_and_bpy_is_told_which_one_to_use():
     for name, arguments in (
         ("build_demo_scene.py", ["--motion", "x.npz", "--out", "x.blend"]),

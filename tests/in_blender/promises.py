@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What takes long can be ended, and what goes wrong is said where it is seen: motions, drivers, combined pictures."""
+"""A long motion is one step of undo, and what viewport renders leave out is what the panel says."""
 
 from __future__ import annotations
 
@@ -53,58 +53,6 @@ def step_viewport_renders_have_no_hands_which_the_panel_says(window):
     bpy.data.images.remove(image)
     assert skin((255 * values[::-1, :, :3]).astype(np.uint8)).sum() < 50
     window.hide_overlays(False)
-
-
-def step_a_driver_that_refuses_is_a_sentence_and_recovers(window):
-    gpu_picture, views = window.module("viewport.drawing"), window.module("viewport.views")
-    made = gpu_picture.GpuPicture.__init__
-
-    def refused(*_):
-        raise RuntimeError("out of memory")
-
-    yield from window.settle()
-    there = skin(window.crop(window.screen())).sum()
-    gpu_picture.GpuPicture.__init__ = refused
-    try:
-        _hand().location.x += 0.01
-        window.redraw()
-        yield lambda: any(failure.kind == "no_graphics" for _, failure in views.problems())
-        yield 1.0
-        window.redraw()
-        yield 0.5
-        window.picture("driver_refuses")
-    finally:
-        gpu_picture.GpuPicture.__init__ = made
-    window.redraw()
-    yield lambda: not views.problems()
-    yield from window.settle()
-    assert skin(window.crop(window.picture("driver_recovered"))).sum() > 0.8 * there
-
-
-def step_a_combined_picture_whose_hands_failed_is_magenta_and_says_why(window):
-    scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples = 1
-    scene.render.resolution_x, scene.render.resolution_y = 160, 120
-    bpy.context.preferences.view.render_display_type = "NONE"
-    bpy.ops.mesh.primitive_cube_add(size=0.02, location=(0.2, 0.2, 0.0))
-    window.call("jghand.combine_with_scene")
-    _hand().scale = (0.0, 0.0, 0.0)
-    scene.render.filepath = str(window.out / "combined.png")
-    shown, interface = [], window.module("ui")
-    show = interface.show_message
-    interface.show_message = lambda text, **options: (shown.append(text), show(text, **options))
-    try:
-        with window.override():
-            bpy.ops.render.render("INVOKE_DEFAULT", write_still=True)
-        yield lambda: shown
-    finally:
-        interface.show_message = show
-    assert "failed and are magenta: A scale of zero" in shown[0]
-    assert (window.out / "combined.png").exists()
-    yield 0.5
-    window.picture("combined_failed")
-    yield from window.key("Escape")
 
 
 # ---- parts -----------------------------------------------------------------------------------------------------------
