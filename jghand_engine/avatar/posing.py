@@ -91,8 +91,8 @@ class Posing:
         )
 
 
-def new_rows(rows: int, *, ellipsoids: bool) -> GaussianArrays:
-    """Arrays for Gaussians that are posed."""
+def new_rows(rows: int, *, ellipsoids: bool, lit: bool) -> GaussianArrays:
+    """Arrays for Gaussians that are posed. lit: whether any of them stand in the light of a scene"""
     covariance_m2 = aligned_zeros((rows, 6)) if ellipsoids else None
     return GaussianArrays(
         aligned_zeros((rows, 3)),
@@ -100,6 +100,7 @@ def new_rows(rows: int, *, ellipsoids: bool) -> GaussianArrays:
         aligned_zeros((rows,)),
         aligned_zeros((rows, 3)),
         covariance_m2,
+        np.ones(rows, np.float32) if lit else None,
     )
 
 
@@ -122,7 +123,8 @@ class Poser:
         self._call, self._maps, learned = library.call, avatar.map_count, avatar.learned
         self.blocks = blocks = Blocks(avatar.position_m)
         ellipsoids = learned is not None and learned.ellipsoid is not None
-        self.into = new_rows(blocks.rows, ellipsoids=ellipsoids) if into is None else into
+        lit = learned is not None and learned.response is not None
+        self.into = new_rows(blocks.rows, ellipsoids=ellipsoids, lit=lit) if into is None else into
         self.into.opacity[:], self.into.rgb[:] = blocks.in_rows(avatar.opacity), blocks.in_rows(avatar.rgb)
         self._team, self._gloss_team = new_team(), new_team()
         self.teams = [self._team, self._gloss_team]
@@ -166,7 +168,7 @@ class Poser:
         if self._light is not None:
             self._light.task.skin = task
             self._light.prepare_scene(light, bones)
-            self._light.prepare(bones, inverse_scale, into.rgb, others, keep_correctives=keep_correctives)
+            self._light.prepare(bones, inverse_scale, into, others, keep_correctives=keep_correctives)
         self._stands, self._eye_m = (linear_offset, bones, others), None
         self._team.fill(0)
 
@@ -240,10 +242,17 @@ class _Light:
             self._scene.prepare(light or SceneLight(), bones, keep_pose=keep_pose)
 
     def prepare(
-        self, bones: Bones, inverse_scale: float, rgb: np.ndarray, others: Capsules | None, *, keep_correctives: bool
+        self,
+        bones: Bones,
+        inverse_scale: float,
+        into: GaussianArrays,
+        others: Capsules | None,
+        *,
+        keep_correctives: bool,
     ) -> None:
-        task = self.task
-        task.rgb = address(rgb, np.float32, "rgb", (self._rows, 3), writable=True)
+        task, front = self.task, into.front
+        task.rgb = address(into.rgb, np.float32, "rgb", (self._rows, 3), writable=True)
+        task.front = None if front is None else address(front, np.float32, "front", (self._rows,), writable=True)
         if not keep_correctives:
             self._correctives.prepare(task, bones.angles_rad)
         elif task.given is not None:

@@ -7,6 +7,7 @@ constexpr float BLUR_PX2 = 0.3f;
 constexpr float VAR_MAX_PX2 = 1e9f;
 constexpr float RGB_MAX = 1e6f;
 constexpr float POSITION_MAX_M = 1e6f;
+constexpr float FRONT_MIN = 0.04f;
 constexpr double COVARIANCE_SLACK = 1e-6;
 constexpr int TILE_PX = 16;
 constexpr int BLOCK_PX = 4;

@@ -24,6 +24,8 @@ DEPTH_ALPHA_MIN = 0.05
 VAR_MAX_PX2 = 1e9
 # colors beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
+# part of a pixel's alpha, at least, that is taken for seen from outside: from below on its color goes to black
+FRONT_MIN = 0.04
 # coordinates beyond this are counted as invalid, meters: depth is blended like a color, and has the same limit
 POSITION_MAX_M = 1e6
 # a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32

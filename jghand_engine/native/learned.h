@@ -56,6 +56,7 @@ struct LearnedTask {
   // results
   float* matt;                  // (blocks, 6, 16): unit normal and matt color, for the gloss; null: nothing is glossy
   float* rgb;                   // (16 blocks, 3)
+  float* front;                 // (16 blocks): how much it is seen from outside, see RasterJob; null: nobody asks
   float out_bias[6];
   float reach[2];               // of offset and shade
   float eye[3];

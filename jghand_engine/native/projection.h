@@ -19,7 +19,7 @@ struct Projection {
 
 // Sixteen consecutive Gaussians; fewer are filled up with zeros, which are culled.
 struct Inputs {
-  vf px, py, pz, opacity, r, g, b;
+  vf px, py, pz, opacity, r, g, b, front;
 };
 struct Spheres {
   vf sigma;
@@ -34,13 +34,16 @@ JG_INLINE Inputs load_inputs(const RasterJob& job, int64_t first, int n) {
     load_triples(job.position + 3 * first, in.px, in.py, in.pz);
     load_triples(job.rgb + 3 * first, in.r, in.g, in.b);
     in.opacity = load(job.opacity + first);
+    in.front = job.front ? load(job.front + first) : all(1.f);
     return in;
   }
-  float position[3 * LANES] = {}, rgb[3 * LANES] = {}, opacity[LANES] = {};
+  float position[3 * LANES] = {}, rgb[3 * LANES] = {}, opacity[LANES] = {}, front[LANES] = {};
   memcpy(position, job.position + 3 * first, 12 * n), memcpy(rgb, job.rgb + 3 * first, 12 * n);
   memcpy(opacity, job.opacity + first, 4 * n);
+  if (job.front) memcpy(front, job.front + first, 4 * n);
   load_triples(position, in.px, in.py, in.pz), load_triples(rgb, in.r, in.g, in.b);
   in.opacity = load(opacity);
+  in.front = job.front ? load(front) : all(1.f);
   return in;
 }
 

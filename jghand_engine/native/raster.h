@@ -24,7 +24,8 @@ struct alignas(64) Record {
   float r, g, b;
   float z;                   // camera depth, m
   float radius2;             // beyond this squared distance (px^2) alpha is below the cut
-  float unused[5];
+  float front;
+  float unused[4];
 };
 
 // Gradients of one Gaussian's record, summed over pixels; the moments are of g = dL/d(alpha) alpha.
@@ -55,6 +56,9 @@ struct RasterJob {
   const float* covariance;  // (count, 6) m^2, xx xy xz yy yz zz in the frame of the positions; null: spheres
   const float* opacity;   // (count)
   const float* rgb;       // (count, 3)
+  const float* front;     // (count) part of it that is seen from outside, by which rgb is multiplied already: pixels get
+                          // the color that these parts have, as if none were seen from inside, through gaps between
+                          // others. null: all of all. There is no backward pass of such a picture
   // scratch that forward leaves for backward
   Record* projected;        // (count): in the order of the input
   TileRect* projected_rects;

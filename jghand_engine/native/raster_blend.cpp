@@ -8,19 +8,20 @@ constexpr int UNROLL = 4;  // Gaussians between two tests whether all pixels of 
 
 // One 4 x 4 block on its way through the list.
 struct Block {
-  vf transmittance, r, g, b, depth;
+  vf transmittance, r, g, b, depth, front;
 };
 
-template <int SQUARINGS>
+template <int SQUARINGS, bool FRONT>
 JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, const Hits& hits, Block& block) {
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
   const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
-  vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth;
+  vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth, front = block.front;
   auto add = [&](int hit) __attribute__((always_inline)) {
     const Record& record = chunk.records[hit];
     const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
     T -= weight;
     r += weight * record.r, g += weight * record.g, b += weight * record.b, depth += weight * record.z;
+    if (FRONT) front += weight * record.front;
   };
   int i = 0, n = hits.count;
   for (; i + UNROLL <= n; i += UNROLL) {
@@ -28,16 +29,20 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
     if (!bit_mask(T > t_stop)) n = 0;
   }
   for (; i < n; i++) add(hits.index[i]);
-  block = {T, r, g, b, depth};
+  block = {T, r, g, b, depth, front};
 }
 
+template <bool FRONT>
 JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
-  const vf planes[5] = {block.r, block.g, block.b, 1.0f - block.transmittance, block.depth};
+  const vf alpha = 1.0f - block.transmittance;
+  vf gain = all(1.0f);
+  if (FRONT) gain = select(alpha > 0, alpha / max(block.front, FRONT_MIN * alpha), gain);
+  const vf planes[5] = {block.r * gain, block.g * gain, block.b * gain, alpha, block.depth};
   for (int plane = 0; plane < 5; plane++) store_pixels(job, job.planes, plane, x, y, planes[plane]);
 }
 
-template <int SQUARINGS>
-void blend(const RasterJob& job, int32_t index) {
+template <int SQUARINGS, bool FRONT>
+void blend_with(const RasterJob& job, int32_t index) {
   const Tile tile = tile_at(job, index);
   if (!tile.length && job.keeps_empty && !job.tile_work[index]) return;
   Chunk chunk;
@@ -45,7 +50,7 @@ void blend(const RasterJob& job, int32_t index) {
   Block blocks[BLOCKS];
   uint32_t live = 0;  // blocks on the picture with a pixel that still lets light through
   for (int b = 0; b < BLOCKS; b++) {
-    blocks[b] = {all(1.0f), vf{}, vf{}, vf{}, vf{}};
+    blocks[b] = {all(1.0f), vf{}, vf{}, vf{}, vf{}, vf{}};
     if (tile.x + block_x(b) < job.width && tile.y + block_y(b) < job.height) live |= 1u << b;
   }
   const uint32_t on_picture = live;
@@ -58,25 +63,31 @@ void blend(const RasterJob& job, int32_t index) {
       find_hits(chunk, b, hits);
       if (!hits.count) continue;
       work += hits.count;
-      blend_hits<SQUARINGS>(job, chunk, b, hits, blocks[b]);
+      blend_hits<SQUARINGS, FRONT>(job, chunk, b, hits, blocks[b]);
       if (!bit_mask(blocks[b].transmittance > job.t_stop)) live &= ~(1u << b);
     }
   }
   job.tile_work[index] = work;
   for (uint32_t rest = on_picture; rest; rest &= rest - 1) {
     const int b = __builtin_ctz(rest);
-    store_block(job, blocks[b], tile.x + block_x(b), tile.y + block_y(b));
+    store_block<FRONT>(job, blocks[b], tile.x + block_x(b), tile.y + block_y(b));
   }
 }
 
 }  // namespace
 
-void blend_tile(const RasterJob& job, int32_t tile) {
+template <bool FRONT>
+void blend(const RasterJob& job, int32_t tile) {
   switch (squarings_for(job.log2_alpha_min)) {
-    case 3: return blend<3>(job, tile);
-    case 4: return blend<4>(job, tile);
-    default: return blend<5>(job, tile);
+    case 3: return blend_with<3, FRONT>(job, tile);
+    case 4: return blend_with<4, FRONT>(job, tile);
+    default: return blend_with<5, FRONT>(job, tile);
   }
+}
+
+void blend_tile(const RasterJob& job, int32_t tile) {
+  if (job.front) return blend<true>(job, tile);
+  blend<false>(job, tile);
 }
 
 }  // namespace jg

@@ -47,7 +47,8 @@ JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inpu
                     in.g,
                     in.b,
                     p.z,
-                    radius2};
+                    radius2,
+                    in.front};
   transpose(rows);
   memcpy((void*)out, rows, n * sizeof(Record));
 }

@@ -46,7 +46,7 @@ class _Job(ctypes.Structure):
     """Mirror of RasterJob in native/raster.h, field by field; the self-test compares the sizes."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb")),
+        *((name, ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb", "front")),
         *((name, ctypes.c_void_p) for name in ("projected", "projected_rects", "records", "rects", "slots")),
         *((name, ctypes.c_void_p) for name in ("sort_a", "sort_b", "order", "summaries")),
         *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
@@ -73,6 +73,8 @@ class GaussianArrays:
     """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, meters, colors 0..1.
 
     covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the frame of the positions; then sigma_m is not looked at.
+    front:         (N,) 0..1 part of each that is seen from outside, see native/raster.h; None: all of all. There is no
+                   backward pass with it
     pixel_m:       of the pictures that they were learned from: see `learn.gaussians.Gaussians`
     """
 
@@ -81,6 +83,7 @@ class GaussianArrays:
     opacity: np.ndarray
     rgb: np.ndarray
     covariance_m2: np.ndarray | None = None
+    front: np.ndarray | None = None
     pixel_m: float = 0.0
 
     def __len__(self) -> int:
@@ -243,7 +246,8 @@ class NativeRasterizer:
         job.sigma = address(gaussians.sigma_m, np.float32, "sigma_m", (n,))
         job.opacity = address(gaussians.opacity, np.float32, "opacity", (n,))
         job.rgb = address(gaussians.rgb, np.float32, "rgb", (n, 3))
-        covariance = gaussians.covariance_m2
+        covariance, front = gaussians.covariance_m2, gaussians.front
+        job.front = None if front is None else address(front, np.float32, "front", (n,))
         job.low_pass_m2 = contract.BLUR_PX2 * gaussians.pixel_m**2
         job.covariance = None if covariance is None else address(covariance, np.float32, "covariance_m2", (n, 6))
         self._prepared = gaussians

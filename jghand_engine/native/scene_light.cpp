@@ -375,6 +375,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
   const vf facing = dot(n, eye), cosine_eye = max(facing, all(FACING_MIN)), k = 0.5f * alpha;
   // skin that faces away is seen through gaps only: in back light it would shine through them
   const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
+  if (t.front) store(t.front + row, fade);
   if (!bit_mask(fade > 0)) return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;

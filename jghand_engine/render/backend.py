@@ -113,7 +113,7 @@ class Backend:
         self.variant, self.threads = library.variant, thread_count(settings.threads)
         self._library, self._settings = library, settings
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
-        self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)))
+        self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), lit=any(map(_is_lit, avatars)))
         self._hands: list[Poser] = []
         self._pixels_m = [avatar.pixel_m for avatar in avatars]
         first = 0
@@ -210,7 +210,7 @@ class Backend:
 
     def _coverage(self, rasterizer: NativeRasterizer, canvas: Canvas, numbers: np.ndarray, first: int) -> np.ndarray:
         """(H, W, 3) how much of a pixel the Gaussians of these numbers cover: `first` and the next two."""
-        colored = replace(self._gaussians, rgb=part_colors(numbers, first))
+        colored = replace(self._gaussians, rgb=part_colors(numbers, first), front=None)
         drawn = rasterizer.forward(
             colored, view_of(canvas.camera), alpha_min=canvas.alpha_min, t_stop=self._settings.t_stop
         )
@@ -244,9 +244,14 @@ def _has_ellipsoids(avatar: HandAvatar) -> bool:
     return avatar.learned is not None and avatar.learned.ellipsoid is not None
 
 
+def _is_lit(avatar: HandAvatar) -> bool:
+    return avatar.learned is not None and avatar.learned.response is not None
+
+
 def _part(every: GaussianArrays, rows: slice) -> GaussianArrays:
-    covariance = None if every.covariance_m2 is None else every.covariance_m2[rows]
-    return GaussianArrays(every.position_m[rows], every.sigma_m[rows], every.opacity[rows], every.rgb[rows], covariance)
+    covariance, front = (None if a is None else a[rows] for a in (every.covariance_m2, every.front))
+    arrays = (every.position_m[rows], every.sigma_m[rows], every.opacity[rows], every.rgb[rows])
+    return GaussianArrays(*arrays, covariance, front)
 
 
 class _Work:

@@ -75,7 +75,11 @@ def natively(
     eyes_m: tuple[np.ndarray, ...] = (EYE_M,),
 ) -> Gaussians:
     """In the avatar's order, as the last of the eyes sees it."""
-    into, count, pool = new_rows(padded_rows(len(avatar)), ellipsoids=True), len(avatar), shared_pool(threads)
+    into, count, pool = (
+        new_rows(padded_rows(len(avatar)), ellipsoids=True, lit=False),
+        len(avatar),
+        shared_pool(threads),
+    )
     poser = Poser(library, avatar, into)
     for array in (into.position_m, into.sigma_m, into.rgb, into.covariance_m2):
         array.fill(np.nan)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from splat_scenes import camera_for, hand_gaussians
@@ -78,6 +80,35 @@ def test_tiles_that_become_empty_are_cleared(between: bool):
         if between:  # what is drawn elsewhere says nothing about this object's own memory
             one.forward(arrays, away, planes=np.empty((5, 64, 96), np.float32))
         assert np.array_equal(one.forward(arrays, view), rasterizer().forward(arrays, view))
+
+
+def test_pixels_have_the_color_of_what_is_seen_of_them_from_outside():
+    arrays, view = hand_arrays(2000), view_for(80, 50)
+    front = np.random.default_rng(0).choice(np.array([0, 0.3, 1], np.float32), 2000)
+    dimmed = replace(arrays, rgb=arrays.rgb * front[:, None])
+    plain = rasterizer().forward(dimmed, view).copy()
+    part = rasterizer().forward(replace(arrays, rgb=np.repeat(front[:, None], 3, 1)), view)[0].copy()
+    drawn = rasterizer().forward(replace(dimmed, front=front), view)
+    gain = plain[3] / np.maximum(np.maximum(part, contract.FRONT_MIN * plain[3]), 1e-9)
+    assert (part < contract.FRONT_MIN * plain[3]).any(), "some pixels show hardly anything from outside"
+    assert np.abs(drawn[:3] - gain * plain[:3]).max() < 1e-5
+    assert np.array_equal(drawn[3:], plain[3:])
+
+
+def test_through_a_gap_the_far_side_is_not_seen():
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-0.02, 0.02, 41)]))
+    gap = np.hypot(x, y) < 0.003
+    count, whole = len(x), np.concatenate([~gap, np.ones(len(x), bool)])
+    position_m = np.stack([np.tile(x, 2), np.tile(y, 2), np.repeat([0.3, 0.32], count)], 1).astype(np.float32)
+    front = np.repeat(np.array([1, 0], np.float32), count)
+    rgb = front[:, None] * np.array([0.8, 0.5, 0.4], np.float32)
+    sheets = GaussianArrays(position_m, np.full(2 * count, 1e-3, np.float32), np.full(2 * count, 0.9, np.float32), rgb)
+    sheets = GaussianArrays(*(getattr(sheets, name)[whole] for name in ("position_m", "sigma_m", "opacity", "rgb")))
+    view = View(41, 41, 300.0, 300.0, 20.5, 20.5, np.eye(3, 4))
+    middle = (slice(None), 20, 20)
+    assert rasterizer().forward(sheets, view)[middle][0] < 0.3
+    filled = rasterizer().forward(replace(sheets, front=front[whole]), view)[middle]
+    assert np.abs(filled[:3] - np.array([0.8, 0.5, 0.4], np.float32)).max() < 1e-3
 
 
 @pytest.mark.parametrize(
