@@ -116,7 +116,7 @@ except JGHandError as error:
 # the engine with the tools of its tests and checks; whoever only uses it need not have them
 DEVELOPER = replace(
     ENGINE,
-    packages=(*ENGINE.packages[:-1], ".[dev,learn,usd,video,metrics,perceptual,study,track,farm,formats]"),
+    packages=(*ENGINE.packages[:-1], ".[dev,learn,usd,video,metrics,perceptual,study,track,farm,formats,gpu]"),
     last_words=WHICH_KERNELS + HAND_MODEL,
     holds=(ENGINE,),
 )

@@ -8,15 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from graphics_card import needs_gpu
 
 from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.reference import Picture, rasterize_reference
-from jghand_engine.native.library import runnable_variants
+from jghand_engine.native.library import GPU, runnable_variants
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 
 NATIVE = runnable_variants()
+# what draws and has no gradients too
+DRAWING = [*NATIVE, GPU]
 NAMES = ("position_m", "sigma_m", "opacity", "rgb")
 ELLIPSOID_NAMES = ("position_m", "covariance_m2", "opacity", "rgb")  # of these, sigma_m is ignored
 
@@ -28,8 +31,10 @@ FLIP_LIMIT = 1 / 255
 
 
 def gaussians_from(position_m, sigma_m, opacity, rgb, dtype: torch.dtype = torch.float32) -> Gaussians:
-    arrays = (position_m, sigma_m, opacity, rgb)
-    return Gaussians(*(torch.as_tensor(np.asarray(array), dtype=torch.float32).to(dtype) for array in arrays))
+    def tensor(array) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array), dtype=torch.float32).to(dtype)
+
+    return Gaussians(tensor(position_m), tensor(sigma_m), tensor(opacity), tensor(rgb))
 
 
 def hand_gaussians(
@@ -67,7 +72,7 @@ def camera_for(width: int, height: int, *, distance_m: float = 0.6, eye_directio
 
 def front_camera(width: int, height: int, focal_px: float) -> Camera:
     """The camera frame is the world: no rotation, no shift."""
-    return Camera(width, height, focal_px, focal_px, width / 2, height / 2, torch.eye(4, dtype=torch.float64))
+    return Camera(width, height, focal_px, focal_px, width / 2, height / 2, np.eye(4))
 
 
 def stretched(gaussians: Gaussians, *, aspect: float = 4.0, seed: int = 5) -> Gaussians:
@@ -115,7 +120,9 @@ def planes_of(picture: Picture) -> torch.Tensor:
 
 
 def draw(gaussians: Gaussians, camera: Camera, backend: str, **settings) -> Picture:
-    """backend: a variant of the kernels, or "torch" for the reference, which never stops early"""
+    """backend: a variant of the kernels, a graphics card, or "torch" for the reference, which never stops early"""
+    if backend == GPU:
+        needs_gpu()
     if backend == "torch":
         settings.pop("t_stop", None), settings.pop("threads", None)
         return rasterize_reference(gaussians, camera, **settings)

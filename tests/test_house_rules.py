@@ -22,6 +22,7 @@ ENGINE, ADDON = ROOT / "jghand_engine", ROOT / "blender_addon"
 ROOMS = (
     ("errors", "files", "lock", "color", "json_files", "npz_files"),
     ("native",),
+    ("gpu",),
     ("hand",),
     ("avatar",),
     ("render",),
@@ -40,7 +41,7 @@ MODULE_LINES, PUBLIC_PARAMETERS = 600, 8
 # MANO exists as a pickle alone: one reader with a list of what it may name
 PICKLE_READER = "jghand_engine/template/mano.py"
 # packages that draw: numpy, safetensors and the kernels are all that importing them may load
-WITHOUT_TORCH = ("avatar", "export", "hand", "motion", "native", "render", "service")
+WITHOUT_TORCH = ("avatar", "export", "gpu", "hand", "motion", "native", "render", "service")
 LEARNING_ONLY = ("torch", "scipy", "trimesh")
 NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
 SHARED_MODULES = ("jghand_engine.motion.conventions", "jghand_engine.service.protocol")

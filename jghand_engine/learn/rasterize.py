@@ -3,7 +3,8 @@
     picture = rasterize(gaussians, camera, settings)
 
 Gradients go to position, sigma or covariance, opacity and color. float32 tensors on the CPU are drawn by the kernel;
-all others, such as float64 ones, which ask for the exact picture, by the reference.
+all others, such as float64 ones, which ask for the exact picture, by the reference. A graphics card draws only where
+its backend is named, and has no gradients.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from jghand_engine.gpu.choice import new_rasterizer, working_device
+from jghand_engine.gpu.device import Device
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture, check_gaussians, rasterize_reference
 from jghand_engine.native.binding import Library
-from jghand_engine.native.library import load
+from jghand_engine.native.library import GPU, load
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.backend import view_of
@@ -38,7 +41,9 @@ def rasterize(gaussians: Gaussians, camera: Camera, settings: RenderSettings | N
     position = gaussians.position_m
     if position.dtype != torch.float32 or position.device.type != "cpu":
         return rasterize_reference(gaussians, camera, alpha_min=settings.alpha_min)
-    lease = _Lease(load(settings.backend), thread_count(settings.threads))
+    library = load(settings.backend)
+    device = working_device(library) if settings.backend == GPU else None
+    lease = _Lease(library, thread_count(settings.threads), device)
     tensors = (getattr(gaussians, name) for name in _NAMES)
     planes = _NativeRaster.apply(*tensors, gaussians.pixel_m, lease, camera, settings)
     visible, invalid = lease.rasterizer.visible, lease.rasterizer.invalid
@@ -47,7 +52,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, settings: RenderSettings | N
 
 # ---- memory of the kernel -------------------------------------------------------------------------------------------
 
-_idle: dict[tuple[str, int], list[NativeRasterizer]] = {}
+_idle: dict[tuple[str, int, Device | None], list[NativeRasterizer]] = {}
 _idle_lock = threading.Lock()
 
 
@@ -55,12 +60,12 @@ class _Lease:
     """A NativeRasterizer on loan. It goes back when the last holder lets go: the call that draws, or, when gradients
     are wanted, the node of the graph, whose backward pass needs what the forward pass left in it."""
 
-    def __init__(self, library: Library, threads: int) -> None:
-        key = (str(library.path), threads)
+    def __init__(self, library: Library, threads: int, device: Device | None) -> None:
+        key = (str(library.path), threads, device)
         with _idle_lock:
             idle = _idle.setdefault(key, [])
             rasterizer = idle.pop() if idle else None
-        self.rasterizer = rasterizer or NativeRasterizer(library, threads)
+        self.rasterizer = rasterizer or new_rasterizer(library, threads, device)
         weakref.finalize(self, idle.append, self.rasterizer).atexit = False
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError, RetryError
 
-ABI = 8
+ABI = 9
 
 _P, _I32 = ctypes.c_void_p, ctypes.c_int32
 
@@ -42,6 +42,7 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_mean_finish": (None, (_P, _P)),
     "jg_team_bytes": (_I32, ()),
     "jg_raster_job_bytes": (_I32, ()),
+    "jg_raster_lists": (None, (_P,)),
     "jg_raster_forward": (None, (_P,)),
     "jg_raster_backward": (None, (_P,)),
     "jg_skeleton_bytes": (_I32, ()),

@@ -17,7 +17,9 @@ from jghand_engine.native import build, selftest
 from jghand_engine.native.binding import Library, open_library
 
 VARIANTS = ("v4", "v3", "neon")
-BACKENDS = ("auto", *VARIANTS)
+# the last step of a picture on a graphics card (jghand_engine/gpu), all others by the best variant
+GPU = "gpu"
+BACKENDS = ("auto", *VARIANTS, GPU)
 
 # ---- choice of variant ----------------------------------------------------------------------------------------------
 
@@ -69,13 +71,14 @@ def load(variant: str = "auto") -> Library:
     """The native library.
 
     variant: "auto" takes JGHAND_BACKEND, else the best for this processor, and steps down to the next with one line on
-    stderr for each that fails. InputError for an unknown name, RetryError where there is no library that works here.
+    stderr for each that fails; "gpu" takes the same, for what is done beside a graphics card. InputError for an
+    unknown name, RetryError where there is no library that works here.
     """
     if variant not in BACKENDS:
         raise InputError("backend", wanted=" | ".join(BACKENDS), came=variant)
     with _lock:
         if variant not in _loaded:
-            _loaded[variant] = _load_automatic() if variant == "auto" else _load_named(variant)
+            _loaded[variant] = _load_automatic() if variant in ("auto", GPU) else _load_named(variant)
         return _loaded[variant]
 
 
@@ -83,7 +86,7 @@ def _load_automatic() -> Library:
     wanted = os.environ.get("JGHAND_BACKEND", "").strip() or "auto"
     if wanted not in BACKENDS:
         raise InputError("JGHAND_BACKEND", wanted=" | ".join(BACKENDS), came=wanted)
-    if wanted != "auto":
+    if wanted not in ("auto", GPU):
         return _load_named(wanted)
     variants = runnable_variants()
     if not variants:

@@ -126,7 +126,13 @@ class NativeRasterizer:
 
     threads: how many draw, as `threads.thread_count` gives them; the pool of that size is shared by the process.
     After `forward`: `visible`, `invalid` (Gaussians) and `pairs` (entries of all tile lists).
+
+    finishes_elsewhere: whether the planes are drawn by `finished`, not by `run`: see `gpu.rasterizer`
+    fell_back:          why the last image was drawn by another backend than the one asked for; empty where it was not
     """
+
+    finishes_elsewhere = False
+    fell_back = ""
 
     def __init__(self, library: Library, threads: int) -> None:
         self.library, self.threads = library, threads

@@ -17,6 +17,7 @@ from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.avatar.scene_light import SceneLight
+from jghand_engine.gpu.choice import device_for, new_rasterizer
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
@@ -102,7 +103,7 @@ def view_of(camera: Camera) -> View:
 class Backend:
     """Draws hands, whose avatars it knows, again and again. One image at a time.
 
-    variant: of the kernels
+    variant: of the kernels, and the graphics card if one draws
     threads: how many draw
     light:   of the scene, in which the Gaussians stand
     """
@@ -110,7 +111,8 @@ class Backend:
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings, detail_powers: Sequence[float]) -> None:
         """detail_powers: per avatar, of the ratios of its detail"""
         library = native_library.load(settings.backend)
-        self.variant, self.threads = library.variant, thread_count(settings.threads)
+        self._device, self.threads = device_for(settings.backend, library), thread_count(settings.threads)
+        self.variant = library.variant if self._device is None else f"{library.variant}, {self._device.name}"
         self._library, self._settings = library, settings
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
         self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), lit=any(map(_is_lit, avatars)))
@@ -122,7 +124,7 @@ class Backend:
             self._hands.append(Poser(library, avatar, mine, limits_of(settings.effects)))
             first += len(mine)
         self._padding = rows - sum(len(avatar) for avatar in avatars)
-        self._rasterizer = NativeRasterizer(library, self.threads)
+        self._rasterizer = self._new_rasterizer()
         self._shade: NativeShade | None = None
         # numbers of the hands that have one
         self._detailed = [place for place, avatar in enumerate(avatars) if avatar.detail is not None]
@@ -183,11 +185,13 @@ class Backend:
         work.report_to(report, LIGHT if poses is None else SKIN, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasterizer.visible
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
+        if self._rasterizer.fell_back:
+            report.notes.append(self._rasterizer.fell_back)
         return rgba, depth_m
 
     def rest(self) -> None:
         """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""
-        self._rasterizer, self._shade = NativeRasterizer(self._library, self.threads), None
+        self._rasterizer, self._shade = self._new_rasterizer(), None
         self._planes = aligned_zeros((PLANES, 0, 0))
         self._rgba, self._depth = _Results(), _Results()
 
@@ -198,14 +202,14 @@ class Backend:
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
         """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""
         numbers = owners([hand.blocks.rows for hand in self._hands])
-        rasterizer = NativeRasterizer(self._library, self.threads)
+        rasterizer = self._new_rasterizer()
         return hand_weights(len(self._hands), lambda first: self._coverage(rasterizer, canvas, numbers, first))
 
     def part_map(self, canvas: Canvas, parts: Sequence[np.ndarray]) -> np.ndarray:
         """(H, W) uint8 number of the part that covers most of the pixel, 0 where hardly anything does, of the Gaussians
         of the last call. parts: per hand the number, from 1, of the part that each of its Gaussians belongs to."""
         numbers = np.concatenate([hand.blocks.in_rows(one) for hand, one in zip(self._hands, parts, strict=True)])
-        rasterizer = NativeRasterizer(self._library, self.threads)
+        rasterizer = self._new_rasterizer()
         return heaviest_part(int(numbers.max()), lambda first: self._coverage(rasterizer, canvas, numbers, first))
 
     def _coverage(self, rasterizer: NativeRasterizer, canvas: Canvas, numbers: np.ndarray, first: int) -> np.ndarray:
@@ -215,6 +219,9 @@ class Backend:
             colored, view_of(canvas.camera), alpha_min=canvas.alpha_min, t_stop=self._settings.t_stop
         )
         return drawn[:3].transpose(1, 2, 0).copy()
+
+    def _new_rasterizer(self) -> NativeRasterizer:
+        return new_rasterizer(self._library, self.threads, self._device)
 
     def _shade_for(self, width: int, height: int) -> NativeShade:
         if self._shade is None or (self._shade.task.width, self._shade.task.height) != (width, height):
@@ -273,6 +280,9 @@ class _Work:
         self._detail, self._times = detail, [0.0] * 6
 
     def run(self, pool: WorkerPool) -> None:
+        if self._rasterizer is not None and self._rasterizer.finishes_elsewhere:
+            self._run_in_two(pool, self._rasterizer)
+            return
         pool.run(self._walk)
         while self._rasterizer is not None and not self._rasterizer.finished():
             # the lists of the tiles had no room: everything again, which costs least where it never happens
@@ -281,7 +291,18 @@ class _Work:
                 team.fill(0)
             pool.run(self._walk)
 
+    def _run_in_two(self, pool: WorkerPool, rasterizer: NativeRasterizer) -> None:
+        """The threads wait while another device draws."""
+        pool.run(self._walk_to_lists)
+        while not rasterizer.finished():
+            pool.run(rasterizer.run)
+        pool.run(self._walk_from_planes)
+
     def _walk(self, thread: int) -> None:
+        self._walk_to_lists(thread)
+        self._walk_from_planes(thread)
+
+    def _walk_to_lists(self, thread: int) -> None:
         times = self._times if thread == 0 else [0.0] * 6
         times[0] = time.perf_counter()
         for hand in self._skins:
@@ -292,6 +313,9 @@ class _Work:
         times[2] = time.perf_counter()
         if self._rasterizer is not None:
             self._rasterizer.run()
+
+    def _walk_from_planes(self, thread: int) -> None:
+        times = self._times if thread == 0 else [0.0] * 6
         times[3] = time.perf_counter()
         if self._detail is not None:
             self._detail.run()

@@ -10,6 +10,7 @@ import torch
 from depth_scenes import fingers, planes_of
 from small_avatars import ellipsoid_avatar, trained_avatar
 from splat_scenes import (
+    DRAWING,
     ELLIPSOID_NAMES,
     NAMES,
     NATIVE,
@@ -63,7 +64,7 @@ def test_the_reference_draws_what_a_pinhole_sees_from_far_away(shape):
     assert errors[1] < 0.15 * errors[0]
 
 
-@pytest.mark.parametrize("backend", NATIVE)
+@pytest.mark.parametrize("backend", DRAWING)
 @pytest.mark.parametrize("shape", [lambda g: g, stretched], ids=["spheres", "ellipsoids"])
 def test_the_kernels_draw_what_the_reference_draws(backend, shape):
     gaussians, camera = shape(hand_gaussians(3000)), parallel(camera_for(120, 84))
@@ -111,7 +112,7 @@ def view(size=(120, 100), px_per_meter: float = PX_PER_METER) -> Camera:
     return parallel(Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=1.0), px_per_meter)
 
 
-@pytest.mark.parametrize("backend", NATIVE)
+@pytest.mark.parametrize("backend", DRAWING)
 @pytest.mark.parametrize("make", [trained_avatar, ellipsoid_avatar])
 def test_a_trained_hand_shines_as_it_does_from_far_away(backend, make):
     renderer, joints_m = hand_before(backend=backend, avatar=make(3000))
@@ -121,7 +122,7 @@ def test_a_trained_hand_shines_as_it_does_from_far_away(backend, make):
     assert np.abs(near - far).mean() < 4e-4
 
 
-@pytest.mark.parametrize("backend", NATIVE)
+@pytest.mark.parametrize("backend", DRAWING)
 def test_moving_the_camera_along_its_rays_changes_nothing_but_depth(backend):
     renderer, joints_m = hand_before(backend=backend)
     moved = view().camera_from_world.copy()
@@ -135,7 +136,7 @@ def test_moving_the_camera_along_its_rays_changes_nothing_but_depth(backend):
     np.testing.assert_allclose(other.rgba, one.rgba, atol=3e-3)
 
 
-@pytest.mark.parametrize("backend", NATIVE)
+@pytest.mark.parametrize("backend", DRAWING)
 def test_the_hands_box_holds_all_that_is_seen(backend):
     camera = view((600, 400), 500.0)
     pictures = []

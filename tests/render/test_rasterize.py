@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from splat_scenes import (
-    NATIVE,
+    DRAWING,
     assert_same_bits,
     assert_same_picture,
     camera_for,
@@ -31,8 +31,8 @@ from jghand_engine.learn.reference import camera_frame
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
-native = pytest.mark.parametrize("backend", NATIVE)
-every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])
+native = pytest.mark.parametrize("backend", DRAWING)
+every_backend = pytest.mark.parametrize("backend", ["torch", *DRAWING])
 
 
 # ---- the low pass of the pictures that Gaussians were learned from ---------------------------------------------------

@@ -1,0 +1,89 @@
+"""Which graphics card draws, and opening it: Vulkan, Metal or Direct3D 12 through the package wgpu.
+
+Software adapters (llvmpipe, WARP) are slower than the native kernel, so they are taken only when asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+from jghand_engine.errors import InputError, install_extra
+
+# names a part of an adapter's summary, or any adapter, software too
+ADAPTER_VARIABLE, ANY = "JGHAND_GPU", "any"
+# OpenGL is left out: it lists the same cards once more
+_INTERFACES = ("Vulkan", "Metal", "D3D12")
+# best first
+_KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
+_SOFTWARE = "CPU"
+# how large arrays may be is all that is asked for beyond what every WebGPU device has
+_SIZE_LIMITS = ("max-buffer-size", "max-storage-buffer-binding-size")
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """An open device of this process.
+
+    name:    of its adapter, as the driver tells it, with kind and interface
+    largest: array that it holds, bytes
+    turn:    held by who draws, for a device belongs to one thread at a time
+    process: that opened it; a child made by fork cannot use it
+    """
+
+    handle: Any
+    name: str
+    largest: int
+    turn: threading.Lock = field(default_factory=threading.Lock)
+    process: int = field(default_factory=os.getpid)
+
+
+_open: dict[str, Device] = {}
+_opening = threading.Lock()
+
+
+def open_device() -> Device:
+    """The device to draw on, opened once. InputError where there is none, with what was seen."""
+    wanted = os.environ.get(ADAPTER_VARIABLE, "").strip().lower()
+    with _opening:
+        device = _open.get(wanted)
+        if device is None or device.process != os.getpid():
+            device = _open[wanted] = _opened(_choose(wanted))
+        return device
+
+
+def forget(device: Device) -> None:
+    """After an error: who asks next gets a device that was opened anew."""
+    with _opening:
+        for wanted in [key for key, value in _open.items() if value is device]:
+            del _open[wanted]
+
+
+def _choose(wanted: str) -> Any:
+    try:
+        import wgpu
+    except ImportError as error:
+        raise InputError("backend gpu: the package wgpu is missing", remedy=install_extra("gpu")) from error
+    adapters = [one for one in wgpu.gpu.enumerate_adapters_sync() if one.info["backend_type"] in _INTERFACES]
+    adapters.sort(key=lambda one: _KINDS.index(one.info["adapter_type"]))
+    if wanted == ANY:
+        usable = adapters
+    elif wanted:
+        usable = [one for one in adapters if wanted in one.summary.lower()]
+    else:
+        usable = [one for one in adapters if one.info["adapter_type"] != _SOFTWARE]
+    if usable:
+        return usable[0]
+    raise InputError(
+        "backend gpu",
+        wanted=f"a graphics card with {wanted!r} in its name" if wanted else "a graphics card",
+        came=", ".join(one.summary for one in adapters) or "none that Vulkan, Metal or Direct3D 12 knows",
+        remedy=f"Install the card's driver, or leave out --backend; {ADAPTER_VARIABLE} chooses among several.",
+    )
+
+
+def _opened(adapter: Any) -> Device:
+    limits = {name: adapter.limits[name] for name in _SIZE_LIMITS}
+    return Device(adapter.request_device_sync(required_limits=limits), adapter.summary, min(limits.values()))
