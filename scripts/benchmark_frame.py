@@ -138,10 +138,11 @@ def raster_and_shadow_cases(library: Library, threads: int) -> Iterator[Case]:
             posed = _PosedScene(library, subject, threads)
             for section, run in (
                 ("raster + shadow, 64 samples", posed.forward),
+                ("raster alone", posed.raster_alone),
                 ("backward of the raster", posed.backward),
                 ("backward of shadow, then of the raster", posed.both_backward),
             ):
-                if (width == SIZES[0][0] and height == SIZES[0][1]) or run == posed.forward:
+                if (width == SIZES[0][0] and height == SIZES[0][1]) or run in (posed.forward, posed.raster_alone):
                     yield Case(section, title_of(subject), run, threads=threads)
 
 
@@ -163,6 +164,9 @@ class _PosedScene:
         self._gradient = np.random.default_rng(3).normal(size=(5, *size)).astype(np.float32)
         self._through = np.zeros((5, *size), np.float32)
         self.forward()
+
+    def raster_alone(self) -> None:
+        self._rasterizer.forward(self._gaussians, view_of(self._camera))
 
     def forward(self) -> None:
         planes = self._rasterizer.forward(self._gaussians, view_of(self._camera))
