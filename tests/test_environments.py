@@ -10,7 +10,7 @@ from pathlib import Path
 
 import environments
 import pytest
-from environments import BLENDER, BLENDER45, BLENDER52, DEVELOPER, ENGINE, MissingLibraryError, SetupError
+from environments import BLENDER, BLENDER45, DEVELOPER, ENGINE, MissingLibraryError, SetupError
 
 THIS = sys.version_info[:2]
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the stand-ins are shell scripts")
@@ -36,60 +36,15 @@ def test_the_python_that_runs_the_script_is_taken_when_it_will_do():
     assert environments.find_python((THIS,)) == [sys.executable]
 
 
-def test_a_shim_that_does_not_run_is_passed_over(only_these_pythons, monkeypatch, tmp_path):
-    only_these_pythons("python3.99", "not installed", code=127)
-    other = tmp_path / "later"
-    other.mkdir()
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{other}")
-    good = other / "python3.99"
-    good.write_text("#!/bin/sh\necho 3.99\n")
-    good.chmod(0o755)
-    assert environments.find_python(((3, 99),)) == [str(good)]
-
-
-def test_the_better_version_wins(only_these_pythons):
-    only_these_pythons("python3.98", "3.98")
-    best = only_these_pythons("python3.99", "3.99")
-    assert environments.find_python(((3, 99), (3, 98))) == best
-
-
-def test_a_python_of_another_version_than_its_name_is_not_taken(only_these_pythons):
-    only_these_pythons("python3.99", "3.42")
-    with pytest.raises(SetupError):
-        environments.find_python(((3, 99),))
-
-
 def test_a_missing_python_is_named_with_a_way_to_get_it(only_these_pythons):
     with pytest.raises(SetupError, match=r"No usable Python 3\.98 or 3\.99 was found\. Install Python 3\.98"):
         environments.find_python(((3, 98), (3, 99)))
 
 
-def test_a_newer_python_than_any_named_will_do_where_that_is_allowed(only_these_pythons):
-    assert environments.find_python(((3, 1), None)) == [sys.executable]
-
-
-def test_the_second_blender_is_pinned_by_the_same_file_and_lies_elsewhere():
-    assert BLENDER52.constraints == BLENDER.constraints
-    assert BLENDER52.folder != BLENDER.folder
-    assert [version for version in ((3, 11), (3, 12), (3, 13), (3, 14)) if BLENDER52.usable(version)] == [(3, 13)]
-
-
-def test_blender_is_never_made_with_a_python_that_it_is_not_built_for():
-    assert [version for version in BLENDER.pythons if not BLENDER.usable(version)] == []
-    assert not any(BLENDER.usable(version) for version in ((3, 10), (3, 12), (3, 14)))
-    assert all(ENGINE.usable(version) for version in ((3, 11), (3, 12), (3, 13), (3, 14), (3, 20)))
-    assert not ENGINE.usable((3, 10))
-
-
 @pytest.fixture
-def tiny_failures():
-    return []
-
-
-@pytest.fixture
-def tiny(tmp_path, monkeypatch, tiny_failures):
+def tiny(tmp_path, monkeypatch):
     """An environment in a project of its own. It is really made, but with an empty pip (the real one takes seconds),
-    and steps of pip are only said; one whose text has a word in `tiny_failures` fails."""
+    and steps of pip are only said."""
     (tmp_path / "constraints").mkdir()
     (tmp_path / "constraints/tiny.txt").write_text("# nothing\n")
     (tmp_path / "source.txt").write_text("one")
@@ -103,8 +58,6 @@ def tiny(tmp_path, monkeypatch, tiny_failures):
             folder = Path(command[-1]) / "lib" / f"python{THIS[0]}.{THIS[1]}" / "site-packages" / "pip"
             folder.mkdir()
             (folder / "__init__.py").touch()
-        elif any(word in text for word in tiny_failures):
-            raise SetupError(f"This step failed: {text}.")
         else:
             print(text, *command)
 
@@ -148,37 +101,6 @@ def test_an_environment_that_lacks_something_is_finished_or_made_anew(tiny, caps
     assert said in capsys.readouterr().out
 
 
-def test_an_update_that_fails_keeps_the_environment_and_is_tried_again(tiny, tiny_failures, tmp_path, capsys):
-    environments.ensure(tiny)
-    (tiny.folder / "costly").write_text("two gigabytes")
-    (tmp_path / "source.txt").write_text("two")
-    tiny_failures.append("installing")
-    for _ in range(2):
-        capsys.readouterr()
-        with pytest.raises(
-            SetupError, match=r"failed: installing the packages(.*\n)*.*tiny was not brought up to date"
-        ):
-            environments.ensure(tiny)
-        assert "anew" not in capsys.readouterr().out
-    assert not (tiny.folder / environments.STAMP).exists()
-    tiny_failures.clear()
-    assert environments.ensure(tiny) == tiny.python
-    assert (tiny.folder / "costly").read_text() == "two gigabytes"
-
-
-def test_a_mistake_in_the_projects_own_code_does_not_cost_the_environment(tiny, capsys):
-    environments.ensure(tiny)
-    (tiny.folder / "costly").touch()
-    with pytest.raises(SetupError, match="does not work: SyntaxError"):
-        environments.ensure(dataclasses.replace(tiny, last_words="a typing mistake"))
-    assert (tiny.folder / "costly").exists()
-
-
-def test_what_the_environment_says_last_is_shown(tiny, capsys):
-    environments.ensure(dataclasses.replace(tiny, last_words="print('drawing with', 'chalk')"))
-    assert "  drawing with chalk\n" in capsys.readouterr().out
-
-
 def test_a_larger_set_of_packages_will_do_for_a_smaller_one_and_not_the_other_way(tiny, capsys):
     large = dataclasses.replace(tiny, packages=("nothing", "tools"), holds=(tiny,))
     environments.ensure(tiny)
@@ -197,15 +119,6 @@ def test_using_the_engine_needs_no_tools_of_its_developers():
     assert extras[0] < extras[1]
 
 
-@pytest.mark.parametrize("index", ["", "https://packages.example/cpu"])
-def test_another_index_is_asked_for_pytorch_alone(tiny, capsys, monkeypatch, index):
-    monkeypatch.setenv(environments.TORCH_INDEX_VARIABLE, index)
-    environments.ensure(dataclasses.replace(tiny, builds=True))
-    steps = [line for line in capsys.readouterr().out.splitlines() if index and index in line]
-    assert len(steps) == bool(index)
-    assert all(line.endswith(f"--extra-index-url {index} torch") for line in steps)
-
-
 def test_an_environment_that_does_not_work_is_made_anew_once(tiny, capsys):
     environments.ensure(tiny)
     broken = dataclasses.replace(tiny, check="raise ImportError('torn')")
@@ -221,12 +134,6 @@ def test_a_missing_system_library_is_named_with_the_line_that_installs_it(tiny):
     check = "raise ImportError('libGL.so.1: cannot open shared object file: No such file or directory')"
     with pytest.raises(MissingLibraryError, match=r"libGL\.so\.1.*(\n.*)*apt-get install -y libgl1"):
         environments.ensure(dataclasses.replace(tiny, check=check))
-
-
-def test_nothing_of_another_python_leaks_into_an_environment(monkeypatch):
-    for name in environments.LEAKING_VARIABLES:
-        monkeypatch.setenv(name, "/elsewhere")
-    assert not set(environments.LEAKING_VARIABLES) & set(environments.clean_variables())
 
 
 @pytest.mark.parametrize("environment", [ENGINE, BLENDER, BLENDER45])

@@ -120,37 +120,6 @@ def test_a_job_runs_says_how_far_it_is_and_is_done(tmp_path):
 
 
 @posix
-def test_what_fails_after_the_end_makes_it_a_failed_job(tmp_path):
-    def full():
-        raise JGHandFailure("disk_full", "stamp")
-
-    state = ended(Job(spec("short", on_done=full)))
-    assert state.phase is Phase.FAILED
-    assert state.failure is not None
-    assert state.failure.kind == "disk_full"
-
-
-@posix
-@pytest.mark.parametrize("end", ["on_done", "on_over"])
-def test_a_mistake_at_the_end_of_one_job_is_told_and_is_no_end_of_the_others(tmp_path, end):
-    def mistaken():
-        raise RuntimeError("poll() failed")
-
-    table = JobTable()
-    first = table.start("first", spec("short", **{end: mistaken}))
-    other = table.start("other", spec("short"))
-    until = time.monotonic() + LONG_S
-    while table.running and time.monotonic() < until:
-        table.tick()
-        time.sleep(0.01)
-    assert first.state.failure is not None
-    assert first.state.failure.kind == "internal"
-    assert "poll() failed" in first.state.failure.detail
-    assert "in mistaken" in first.log
-    assert other.state.phase is Phase.DONE
-
-
-@posix
 def test_a_canceled_training_writes_its_checkpoint_first(tmp_path):
     job = Job(spec("long", f"file={tmp_path / 'checkpoint'}"))
     until_it_counts(job)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,31 +82,6 @@ def test_a_bake_that_is_killed_at_any_move_leaves_a_whole_one_or_none(tmp_path, 
             finished += [(moves, hand.first_frame) for hand in bakes.read_bake(folder)]
     # two moves before the first that touches the folder; four files out of it, and four into it
     assert finished == [(0, 7), (1, 7), (2, 7), (10, 8)]
-
-
-def test_a_bake_whose_files_cannot_all_be_moved_leaves_the_one_before_whole(tmp_path, monkeypatch):
-    replace_file, left, folder = os.replace, 0, tmp_path / "bake"
-
-    def refused(source, target):
-        nonlocal left
-        left -= 1
-        if left == 0:  # another program reads this one; it may be moved a moment later
-            raise PermissionError(13, "in use", str(source))
-        replace_file(source, target)
-
-    a_bake(folder, a_recording())
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    for moves in range(3, 11):  # two write files of the new one
-        left = moves
-        monkeypatch.setattr(os, "replace", refused)
-        with pytest.raises(JGHandFailure, match="in use"):
-            a_bake(folder, replace(a_recording(), first_frame=8))
-        monkeypatch.setattr(os, "replace", replace_file)
-        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-        made = tmp_path / ".bake.made"
-        assert {path.name for path in made.iterdir()} == set(before)
-        shutil.rmtree(made)
-        assert list(tmp_path.iterdir()) == [folder]
 
 
 def test_the_next_bake_sweeps_what_a_killed_one_left(tmp_path):

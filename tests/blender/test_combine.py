@@ -150,15 +150,6 @@ def test_a_picture_whose_hand_failed_is_magenta_and_says_why(scene, capfd):
     assert runtime.last_render().failure is None
 
 
-def test_a_region_whose_hand_failed_is_magenta_too(scene):
-    render = scene.render
-    render.use_border, render.use_crop_to_border = True, True
-    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.25, 0.75
-    bpy.ops.jghand.combine_with_scene()
-    bpy.data.objects["right"].scale.x = 0
-    assert is_magenta(f12())
-
-
 def fails_from(hand: bpy.types.Object, frame: int) -> None:
     """Its scale is zero from a frame on."""
     for at, x in ((1, 1.0), (frame, 0.0)):

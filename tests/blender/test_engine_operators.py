@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from recording_layout import RecordingLayout, operator_type
+from recording_layout import RecordingLayout
 
 from blender_addon import preferences
 from blender_addon.errors import JGHandFailure
@@ -144,13 +144,6 @@ def _wheel(folder: Path) -> Path:
     return path
 
 
-def test_a_python_without_ensurepip_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
-    with pytest.raises(install_tools.InstallError, match="python3-venv"):
-        install_tools.install(tmp_path / "tools", tmp_path, tmp_path / "constraints.txt", [])
-    assert not (tmp_path / "tools").exists()
-
-
 def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_in_command):
     found: list[list[str]] = []
 
@@ -165,11 +158,3 @@ def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_i
     runtime.look_again()
     runtime.link().wait_until_ready()
     assert state() == "ready"
-
-
-def test_names_and_tooltips_follow_blenders_habits(extension):
-    for each in engine.CLASSES:
-        operator = operator_type(each.bl_idname)
-        assert operator.name
-        assert operator.description
-        assert not operator.description.endswith(".")

@@ -366,14 +366,3 @@ def test_a_render_that_is_canceled_does_not_wait(scene, monkeypatch):
     objects = len(bpy.data.objects)
     exact_light.tend()
     assert len(bpy.data.objects) == objects
-
-
-def test_nothing_is_baked_after_esc(monkeypatch):
-    """That would make Blender forget the Esc."""
-    done = []
-    errand = handover._Errand(lambda: done.append("baked"), lambda: True)
-    monkeypatch.setattr(handover, "_errand", errand)
-    exact_light.tend()
-    assert errand.is_done.is_set()
-    assert errand.failure.kind == "canceled"
-    assert not done

@@ -133,14 +133,6 @@ def test_an_instance_appears_and_goes_as_blender_tells_of_it(extension):
         assert len(shown(extension)) == (wanted is not None)
 
 
-def test_scenes_without_instances_are_read_without_looking_for_them(extension, monkeypatch):
-    hands.keyed_hand(extension, "right", hands.moving_hand_m("right"))
-    assert len(shown(extension)) == 1
-    monkeypatch.setattr(instances, "shows_hands", None)
-    monkeypatch.setattr(instances, "_visible", None)
-    assert len(shown(extension)) == 1
-
-
 def beside_a_meadow(context: bpy.types.Context) -> tuple[bpy.types.Collection, bpy.types.Collection]:
     """An instanced collection with a hand and with instances of another one, which has none."""
     inner, meadow = asset(context), bpy.data.collections.new("meadow")
@@ -151,16 +143,6 @@ def beside_a_meadow(context: bpy.types.Context) -> tuple[bpy.types.Collection, b
     instance_of(inner, "placed", context.scene.collection)
     context.view_layer.update()
     return inner, meadow
-
-
-def test_nested_instances_without_hands_are_not_entered(extension, monkeypatch):
-    beside_a_meadow(extension)
-    entered, visible = [], instances._visible
-    monkeypatch.setattr(
-        instances, "_visible", lambda collection, how: entered.append(collection.name) or visible(collection, how)
-    )
-    assert len(shown(extension)) == 1
-    assert entered == ["asset"]
 
 
 def test_an_edit_beside_instances_looks_into_none_of_them_again(extension, monkeypatch):

@@ -11,7 +11,6 @@ from mathutils import Matrix
 from recording_layout import draw
 
 from blender_addon import versions
-from blender_addon.render import lamps, limits
 from blender_addon.render.panel import RenderPanel
 from blender_addon.viewport import handlers
 
@@ -140,12 +139,6 @@ def test_depth_of_field_is_told_where_hands_are_among_other_things(scene):
     assert "Depth of field" not in told()
 
 
-def test_where_nothing_is_seen_through_no_object_is_asked(scene, monkeypatch):
-    card(scene, material("ShaderNodeBsdfPrincipled"))
-    monkeypatch.delattr(limits, "_things")
-    assert "seen through" not in told()
-
-
 def test_a_room_with_windows_is_named_only_where_one_may_be_between(scene):
     bpy.ops.mesh.primitive_cube_add(size=4)  # around camera and hand
     room = bpy.context.object
@@ -172,22 +165,6 @@ def test_a_text_of_glass_is_named(scene):
     assert "text: no hand is seen through it" in told()
     thing.location.z += 1.0  # beside the ways
     assert "text" not in told()
-
-
-def test_a_second_look_without_an_edit_asks_no_object(scene, monkeypatch):
-    scene.jghand.light = "SCENE"
-    pane = card(scene, material("ShaderNodeBsdfGlass"))
-    first = told()
-    with monkeypatch.context() as changed:
-        changed.delattr(limits, "_things")
-        changed.delattr(lamps, "_placed")
-        assert told() == first
-    pane.location.z += 1.0
-    assert told() != first
-    pane.location.z -= 1.0
-    monkeypatch.delattr(limits, "_things")
-    monkeypatch.setattr(limits.handover, "is_blender_busy", lambda: True)
-    assert told() != first  # what was found last, until the render is over
 
 
 def test_a_volume_that_is_moved_is_looked_at_anew(scene):

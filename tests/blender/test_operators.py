@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -17,7 +14,7 @@ import numpy as np
 import pytest
 from recording_layout import operator_type
 
-from blender_addon import folders, preferences, registration, versions
+from blender_addon import preferences, registration, versions
 from blender_addon.core import bone_maps, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES
@@ -26,8 +23,6 @@ from blender_addon.hand import armature, controls, motion, motion_files, sources
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import properties as hand_properties
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE, sentence_of
-from blender_addon.render import ENGINE
-from blender_addon.render import ops as picture
 from blender_addon.render import properties as scene_properties
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -228,14 +223,6 @@ def test_finding_bones_again_keeps_what_was_chosen_and_fills_what_is_missing(ext
     assert rows["index3"].bone.endswith("Index3")
     bpy.ops.jghand.fill_bone_map(only_missing=False)
     assert rows["index1"].bone.endswith("Index1")
-
-
-def test_a_map_that_a_script_stored_gets_its_rows(extension):
-    rig, _ = hands.mixamo_rig(extension)
-    sources.store_map(rig, sources.recognize(rig, "right").candidates[0])
-    assert len(rig.jghand.joints) == 0
-    bpy.ops.jghand.fill_bone_map()
-    assert rig.jghand.joints["wrist"].bone == "mixamorig:RightHand"
 
 
 def test_21_selected_objects_become_a_hand(extension):
@@ -591,19 +578,6 @@ def test_linked_hands_are_refused_by_the_poll_and_overrides_only_where_bones_cha
     assert bpy.ops.jghand.remove_controls() == {"FINISHED"}
 
 
-def test_baking_that_is_stopped_half_way_changes_nothing(extension):
-    thing = add()
-    scene = extension.scene
-    scene.frame_set(11)
-    steps = controls.bake_steps(extension, [thing], range(1, 100))
-    assert next(steps) == pytest.approx(1 / 99)
-    next(steps)
-    steps.close()
-    assert scene.frame_current == 11
-    assert controls.has_controls(thing)
-    assert thing.animation_data is None or thing.animation_data.action is None
-
-
 def write_motion(path: Path, joints_m: np.ndarray, side: str, fps: float = 24.0) -> Path:
     np.savez(path, joints_m=joints_m, order="standard", unit="m", fps=fps, handedness=side)
     return path
@@ -697,34 +671,6 @@ def test_standard_colors_undo_look_exposure_and_curves(extension):
     assert not view.use_curve_mapping
 
 
-def test_a_studio_configuration_without_standard_is_refused_with_a_sentence(tmp_path):
-    """In a process of its own: Blender reads the configuration when it starts."""
-    config, script = tmp_path / "config.ocio", tmp_path / "ask.py"
-    config.write_text(_STUDIO_OCIO)
-    script.write_text(
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
-        "import bpy, blender_addon\n"
-        "blender_addon.register()\n"
-        "assert bpy.context.scene.view_settings.view_transform == 'Film'\n"
-        "try:\n    bpy.ops.jghand.use_standard()\n"
-        "except RuntimeError as error:\n    print(error)\n"
-    )
-    environment = {**os.environ, "OCIO": str(config)}
-    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, env=environment, check=True)
-    assert "has no view transform Standard" in ran.stdout
-
-
-_STUDIO_OCIO = """ocio_profile_version: 2
-roles: {default: linear, scene_linear: linear, data: raw}
-displays:
-  Studio:
-    - !<View> {name: Film, colorspace: linear}
-colorspaces:
-  - !<ColorSpace> {name: linear, bitdepth: 32f, isdata: false}
-  - !<ColorSpace> {name: raw, bitdepth: 32f, isdata: true}
-"""
-
-
 def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
     hands.mixamo_rig(extension)
     assert "Select a hand" in refuses(bpy.ops.jghand.add_camera)
@@ -732,12 +678,6 @@ def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
     bpy.ops.jghand.add_camera()
     assert extension.scene.camera.name == "Hand Camera"
     assert extension.scene.camera.data.display_size < 0.1  # Blender's own of 1 m would be drawn across the hand
-
-
-def test_the_users_folder_is_there_also_without_an_installed_extension():
-    folder = folders.user_folder("logs")
-    assert folder.is_dir()
-    assert folder.name == "logs"
 
 
 def test_the_manual_has_a_section_for_every_operator_and_setting(extension):
@@ -752,22 +692,6 @@ def test_the_manual_has_a_section_for_every_operator_and_setting(extension):
     settings = [f"bpy.types.{each.__name__}.any".lower() for each in SETTINGS]
     for name in (*(f"bpy.ops.{each.bl_idname}" for each in OPERATORS), *settings):
         assert any(fnmatchcase(name, pattern) for pattern in patterns), name
-
-
-def test_explain_says_its_text(extension, capfd):
-    assert picture.Explain.description(extension, type("P", (), {"text": "why"})) == "why"
-    bpy.ops.jghand.explain(text="because")
-    assert "because" in capfd.readouterr().out
-
-
-def test_without_the_engine_in_blender_use_engine_says_so(extension):
-    if any(getattr(each, "bl_idname", "") == ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
-        assert bpy.ops.jghand.use_engine() == {"FINISHED"}
-        assert extension.scene.render.engine == ENGINE
-        assert extension.scene.render.use_lock_interface
-        assert "already" in refuses(bpy.ops.jghand.use_engine)
-    else:
-        assert "JGHAND" in refuses(bpy.ops.jghand.use_engine)
 
 
 def test_what_changes_data_can_be_undone_and_the_rest_says_why_not():

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +17,7 @@ from hands import PLACES, keyed_hand, mixamo_rig, moving_hand_m, put
 from recording_layout import draw
 
 import blender_addon
-from blender_addon import folders, ui
+from blender_addon import folders
 from blender_addon.errors import JGHandFailure
 from blender_addon.export import bakes, ops_common, recording, usd_hook
 from blender_addon.export import panel as output
@@ -26,7 +25,6 @@ from blender_addon.export.ops import Bake, Export
 from blender_addon.export.ops_common import StartsJob
 from blender_addon.hand import armature, sources
 from blender_addon.hand.motion_files import read_motion
-from blender_addon.render import scene_light
 from blender_addon.renderer import runtime
 from blender_addon.renderer.process import VARIABLE
 from blender_addon.viewport import handlers
@@ -110,15 +108,6 @@ def test_a_rig_with_two_hands_is_two_recordings(extension):
     assert [(one.name, one.handedness) for one in into] == [("Body_right", "right"), ("Body_left", "left")]
 
 
-def test_recording_that_is_given_up_puts_the_frame_back(extension):
-    hand = a_hand(extension)
-    extension.scene.frame_set(17)
-    steps = ops_common.record_steps(extension, [hand], range(3, 9), [])
-    next(steps)
-    steps.close()
-    assert extension.scene.frame_current == 17
-
-
 def test_a_hand_that_cannot_be_read_is_a_report_and_nothing_is_written(extension, tmp_path):
     hand = a_hand(extension)
     hand.scale.x = 0
@@ -162,16 +151,6 @@ def test_a_click_on_bake_is_told_of_the_bake_that_is_there(baked):
     assert overwritten(Bake, context) == f"There is a bake in {bakes.folder_of(hand)}"
     hand.name = "other"
     assert overwritten(Bake, context) == ""
-
-
-def test_a_click_is_asked_before_anything_is_overwritten(extension, monkeypatch):
-    said = []
-    app = SimpleNamespace(background=False)
-    monkeypatch.setattr(ops_common, "bpy", SimpleNamespace(app=app, types=bpy.types))
-    manager = SimpleNamespace(invoke_confirm=lambda *_, message, **__: said.append(message) or {"RUNNING_MODAL"})
-    pressed = SimpleNamespace(confirmed=False, overwrite="Overwrite", overwritten=lambda _: "a file is there")
-    assert StartsJob.invoke(pressed, SimpleNamespace(window_manager=manager), None) == {"RUNNING_MODAL"}
-    assert (said, pressed.confirmed) == (["a file is there"], True)
 
 
 # ---- jobs ------------------------------------------------------------------------------------------------------------
@@ -375,19 +354,6 @@ def test_a_bake_that_fails_loses_nothing_of_the_one_before(baked, tmp_path, monk
     assert [path.name for path in before.parent.iterdir()] == ["right"]
 
 
-def test_a_finished_bake_that_cannot_be_put_into_its_place_leaves_the_one_before_playing(baked, monkeypatch):
-    context, hand, _ = baked
-    bpy.ops.jghand.play_bake()
-
-    def refuse(*_):
-        raise JGHandFailure("cannot_write", "no room")
-
-    monkeypatch.setattr(bakes, "put_in_place", refuse)
-    with pytest.raises(RuntimeError, match="no room"):
-        bpy.ops.jghand.bake()
-    assert len(bakes.playing(context.scene, bakes.folder_of(hand))) == 1
-
-
 def test_a_linked_hand_of_the_same_name_has_a_bake_of_its_own(extension, tmp_path, monkeypatch):
     a_hand(extension)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"), copy=True)
@@ -409,32 +375,6 @@ def test_a_linked_hand_of_the_same_name_has_a_bake_of_its_own(extension, tmp_pat
     assert names == ["right", "right_2"]
 
 
-def test_a_first_bake_that_fails_leaves_the_hand_without_one(extension, tmp_path, monkeypatch):
-    hand = a_hand(extension)
-    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
-    failing_engine(monkeypatch)
-    with pytest.raises(RuntimeError, match="stopped unexpectedly"):
-        bpy.ops.jghand.bake()
-    assert hand.jghand.bake == ""
-    assert not list((tmp_path / "bakes").iterdir())
-
-
-def test_a_finished_bake_is_one_step_of_undo_made_after_the_hand_has_it(extension, engine, tmp_path, monkeypatch):
-    hand = a_hand(extension)
-    steps = []
-
-    @contextmanager
-    def one_step(message):
-        assert hand.jghand.bake == ""
-        yield bpy.context
-        steps.append((message, hand.jghand.bake != ""))
-
-    monkeypatch.setattr(ui, "one_step", one_step)
-    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
-    bpy.ops.jghand.bake()
-    assert steps == [("Bake", True)]
-
-
 def test_files_of_one_folder_bake_and_export_into_folders_of_their_own(extension, tmp_path):
     settings = extension.scene.jghand.output
     for name in ("one", "two"):
@@ -452,21 +392,6 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
     extension.scene.jghand.output.folder = str(tmp_path / "out")
     before = set(folders.user_folder("jobs").iterdir())
     bpy.ops.jghand.export()
-    assert set(folders.user_folder("jobs").iterdir()) == before
-
-
-def test_a_splat_export_whose_light_is_not_known_leaves_no_folder(extension, tmp_path, monkeypatch):
-    def fail(*_: object) -> None:
-        raise JGHandFailure("no_world_image")
-
-    a_hand(extension)
-    settings = extension.scene.jghand
-    settings.light, settings.output.format, settings.output.folder = "SCENE", "ply", str(tmp_path)
-    monkeypatch.setattr(runtime, "program", lambda **_: ("engine",))
-    monkeypatch.setattr(scene_light, "save", fail)
-    before = set(folders.user_folder("jobs").iterdir())
-    with pytest.raises(RuntimeError, match="image of the world is missing"):
-        bpy.ops.jghand.export()
     assert set(folders.user_folder("jobs").iterdir()) == before
 
 
@@ -637,13 +562,3 @@ def test_the_layers_of_an_export_lie_in_a_folder_of_its_own(baked, tmp_path):
     bpy.ops.wm.usd_export(export_animation=True, filepath=str(out / "whole.usdc"))
     assert (out / f"{hand.name}.usda").read_text() == "somebody else's"
     assert (out / "whole_jghand" / f"{hand.name}.usda").is_file()
-
-
-def test_nothing_that_goes_wrong_in_the_hook_leaves_it(extension, tmp_path, monkeypatch, capfd):
-    def broken(*_):
-        raise ZeroDivisionError("on purpose")
-
-    monkeypatch.setattr(usd_hook, "add_splats", broken)
-    bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
-    assert (tmp_path / "whole.usdc").exists()
-    assert "The splats were left out: on purpose" in capfd.readouterr().err

@@ -108,14 +108,6 @@ def test_a_combined_scene_has_a_preview_too_and_stays_combined(scene, tmp_path):
     assert len(written(tmp_path)) == 2
 
 
-def test_a_preview_that_fails_leaves_nothing_either(scene, tmp_path):
-    (tmp_path / "movie").write_text("a file where the folder would be")
-    before = state(scene)
-    with pytest.raises(RuntimeError):
-        bpy.ops.jghand.preview_movie()
-    assert state(scene) == before
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("Error: No camera found in scene"), ValueError()])
 def test_a_preview_that_is_broken_off_is_over_and_says_why(scene, context, monkeypatch, error):
     def broken(*_):

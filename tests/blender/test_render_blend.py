@@ -224,18 +224,6 @@ def test_the_hands_of_a_foreign_rig_and_of_21_objects_are_drawn_too(engine, cont
         assert {tuple(color) for color in near if color[3]} == {(1, 1, 1, 1) if name == "right" else (0, 0, 1, 1)}
 
 
-def test_a_hand_that_is_switched_off_in_a_frame_leaves_the_picture_empty(engine, blend):
-    hand = bpy.data.objects["right"]
-    for frame, off in ((1, False), (2, True)):
-        hand.hide_render = off
-        hand.keyframe_insert("hide_render", frame=frame)
-    bpy.context.scene.frame_set(1)
-    code, _, _ = rendered(saved(blend.parent), "--frames", "1-2")
-    assert code == 0
-    assert hands.pixels(blend.parent / "out/CamPalm/0001.png").any()
-    assert not hands.pixels(blend.parent / "out/CamPalm/0002.png").any()
-
-
 def hidden() -> None:
     bpy.data.objects["right"].hide_render = True
 
@@ -276,27 +264,6 @@ def test_a_failing_engine_ends_the_run_with_its_code_and_nothing_half_written(en
     assert files == []
     assert report["failure"]["kind"] == kind
     assert report["failure"]["sentence"] in capsys.readouterr().err
-
-
-def test_pictures_made_before_a_failure_are_kept(engine, blend):
-    rendered(blend, "--frames", "1")
-    engine("die")
-    code, files, report = rendered(blend, "--frames", "1-3")
-    assert code == 3
-    assert files == ["CamPalm/0001.png"]
-    assert [picture["skipped"] for picture in report["pictures"]] == [True]
-
-
-def test_a_mistake_of_our_own_is_told_with_its_trace_and_in_the_report(engine, blend, monkeypatch, capsys):
-    def mistake(*_):
-        raise ZeroDivisionError("ours")
-
-    monkeypatch.setattr(camera, "pinhole", mistake)
-    code, _, report = rendered(blend, "--frames", "1")
-    assert code == 1
-    assert report["failure"]["kind"] == "internal"
-    assert "ZeroDivisionError: ours" in report["failure"]["detail"]
-    assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows cannot send Ctrl-C to one process")
@@ -376,12 +343,6 @@ def test_a_python_driver_that_is_blocked_ends_the_run_and_works_when_it_is_allow
     assert code == 0
 
 
-def test_a_driver_that_needs_no_python_is_rendered(engine, blend):
-    driven(bpy.data.objects["right"], "location", "frame * 0.01")
-    code, _, _ = rendered(saved(blend.parent), "--frames", "1")
-    assert code == 0
-
-
 def test_a_folder_that_cannot_be_written_is_bad_input(engine, blend):
     (blend.parent / "out").touch()
     code = cli.main([str(blend), "--out", str(blend.parent / "out"), "--frames", "1"])
@@ -449,14 +410,6 @@ def test_a_motion_that_cannot_be_used_is_bad_input_and_writes_nothing(tmp_path, 
     assert "build_demo_scene:" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "hand.blend").exists()
-
-
-def test_a_motion_that_is_a_bare_array_is_bad_input(tmp_path):
-    np.save(tmp_path / "motion.npy", hands.moving_hand_m("right"))
-    done = script("build_demo_scene.py", "--motion", tmp_path / "motion.npy", "--out", tmp_path / "hand.blend")
-    assert done.returncode == 2
-    assert "no motion that JGHand can read" in done.stderr
-    assert "Traceback" not in done.stderr
 
 
 def test_a_python_without_numpy_and_bpy_is_told_which_one_to_use():

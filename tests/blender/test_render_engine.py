@@ -13,10 +13,8 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon import registration
 from blender_addon.core import film, posing
 from blender_addon.core.view import picture_request
-from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, sources
 from blender_addon.render import camera, command, samples
 from blender_addon.render import engine as render_engine
@@ -224,25 +222,6 @@ def test_every_view_layer_shows_its_own_hands(scene, tmp_path):
     passes = layers(scene, tmp_path, names=True)
     assert passes[f"{first}.Combined.A"].any()
     assert not passes["without.Combined.A"].any()
-
-
-def test_a_view_layer_that_fails_is_not_forgotten_over_the_next_one(scene, monkeypatch):
-    scene.view_layers.new("second")
-    fill, count = render_engine.JGHandRenderEngine._fill, []
-
-    def first_fails(*parts):
-        count.append(1)
-        if len(count) == 1:
-            raise JGHandFailure("out_of_memory")
-        fill(*parts)
-
-    monkeypatch.setattr(render_engine.JGHandRenderEngine, "_fill", first_fails)
-    with pytest.raises(RuntimeError, match="Out of memory"):
-        bpy.ops.render.render(write_still=True)
-    assert runtime.last_render().failure.kind == "out_of_memory"
-    monkeypatch.undo()
-    f12()
-    assert runtime.last_render().failure is None
 
 
 # ---- what a scene may ask for ---------------------------------------------------------------------------------------
@@ -567,18 +546,6 @@ def test_an_animation_and_a_batch_run_write_the_same_bytes(scene, tmp_path, monk
             )
         }
         assert len(contents) == 1
-
-
-def test_registering_again_and_again_leaves_blenders_panels_as_they_were():
-    registration.unregister()
-    before = {name: set(getattr(bpy.types, name).COMPAT_ENGINES) for name in ("DATA_PT_lens", "RENDER_PT_format")}
-    assert all("JGHAND" not in engines for engines in before.values())
-    for _ in range(3):
-        registration.register()
-        assert all("JGHAND" in getattr(bpy.types, name).COMPAT_ENGINES for name in before)
-        registration.unregister()
-    assert {name: set(getattr(bpy.types, name).COMPAT_ENGINES) for name in before} == before
-    registration.register()
 
 
 # ---- the real engine ------------------------------------------------------------------------------------------------

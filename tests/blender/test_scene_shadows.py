@@ -184,35 +184,6 @@ def test_a_hand_that_moves_reads_no_thing_again_however_many_there_are(context, 
     assert len(read) == 71
 
 
-def test_instances_of_one_thing_are_read_once(context, monkeypatch):
-    """As vertices of a ring that each carry a card, which shade what lies under them."""
-    points, normals = line(length=0.1)
-    plane = card(0.02, up=0.0)
-    bpy.ops.mesh.primitive_circle_add(vertices=500, radius=0.03, location=(0, 0, 0.2))
-    ring = bpy.context.object
-    ring.instance_type, plane.parent = "VERTS", ring
-    read = counted(monkeypatch, "_shape_of")
-    seen = left(points, normals, SUN)[0]
-    assert len(read) == 2  # the card, and the ring, which has no surface
-    assert seen[np.abs(np.abs(points[:, 0]) - 0.03) < 0.008].max() == 0
-    assert seen[np.abs(np.abs(points[:, 0]) - 0.0145) < 0.002].min() == 1  # between the ring and the card itself
-
-
-@pytest.mark.parametrize("lamp", [SUN, {**POINT, "radius_m": 0.3}, AREA], ids=["sun", "point", "area"])
-def test_what_is_left_out_before_rays_are_cast_is_met_by_none(context, lamp, monkeypatch):
-    rng = np.random.default_rng(3)
-    for _ in range(60):
-        bpy.ops.mesh.primitive_cube_add(size=0.05, location=rng.uniform(-0.4, 0.4, 3), rotation=rng.uniform(0, 3, 3))
-        bpy.context.object.scale = rng.uniform(0.1, 4, 3)
-    points, normals = line(300, length=0.2)
-    seen = left(points, normals, lamp)
-    assert 0.05 < seen.mean() < 0.95
-    scene_shadows.forget()
-    monkeypatch.setattr(scene_shadows, "_between", lambda _points, _lamp, standing: list(range(len(standing.meshes))))
-    monkeypatch.setattr(scene_shadows, "meet_box", lambda origins, *_: np.ones(len(origins), bool))
-    np.testing.assert_array_equal(seen, left(points, normals, lamp))
-
-
 def test_blenders_lamps_are_read_into_what_it_takes(context):
     """The shadow of a cube on points that a spot of Blender's lights."""
     spot = bpy.data.objects.new("spot", bpy.data.lights.new("spot", "SPOT"))

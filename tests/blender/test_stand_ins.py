@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import hands
@@ -308,25 +307,6 @@ def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_pat
     assert len([thing for thing in bpy.data.objects if stand_ins.MARK in thing and thing.parent == made]) == 1
 
 
-def test_what_is_up_to_date_is_left_alone(extension):
-    """Whoever wrote anything would hear of a change, and bring all up to date again, for ever."""
-    add_hand()
-    hands.mixamo_rig(extension)
-    bpy.ops.jghand.use_armature()
-    stand_ins.update()
-    extension.view_layer.update()
-    changed = []
-
-    def record(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-        changed.extend(update.id.name for update in depsgraph.updates)
-
-    bpy.app.handlers.depsgraph_update_post.append(record)
-    stand_ins.update()
-    extension.view_layer.update()
-    bpy.app.handlers.depsgraph_update_post.remove(record)
-    assert not changed
-
-
 def test_undo_takes_both_away(extension):
     bpy.ops.ed.undo_push(message="before")
     add_hand()
@@ -346,15 +326,6 @@ def test_views_show_it_only_where_they_trace(extension):
     assert thing.hide_viewport
     assert thing.hide_select
     assert not thing.visible_camera
-
-
-def test_at_a_tick_of_the_timer_the_other_objects_are_not_looked_at(extension, monkeypatch):
-    thing = only(add_hand())
-    objects = SimpleNamespace(get=bpy.data.objects.get)  # to go through them all would raise
-    monkeypatch.setattr(stand_ins, "bpy", SimpleNamespace(data=SimpleNamespace(objects=objects), context=bpy.context))
-    for traced in (True, False):
-        stand_ins.show(traced)
-        assert thing.hide_viewport != traced
 
 
 def test_the_scene_of_the_hands_has_none(floor):

@@ -110,15 +110,6 @@ def counts() -> dict[str, int]:
     return {name: getattr(bpy.app.handlers, name).count(function) for name, function in handlers.HANDLERS}
 
 
-def test_handlers_are_there_once_however_often_they_are_added_and_gone_however_often_they_are_removed(installed):
-    handlers.install()
-    assert set(counts().values()) == {1}
-    handlers.remove()
-    handlers.remove()
-    assert set(counts().values()) == {0}
-    assert not clock.runs()
-
-
 def test_a_session_without_a_hand_has_no_timer(installed, context):
     seen_hands.forget()
     assert not seen_hands.hands_of(context.scene, context.view_layer)
@@ -143,12 +134,6 @@ def test_without_a_window_the_extension_adds_no_handler(extension):
 def test_without_a_hand_the_timer_starts_no_engine(link):
     assert handlers.tick() == clock.IDLE_TICK_S
     assert link.status.state == "stopped"
-
-
-def test_a_render_that_ended_without_a_word_does_not_stop_the_views_for_ever(extension):
-    rendering.begin()
-    handlers.tick()
-    assert not rendering.now()
 
 
 def test_while_blender_renders_or_bakes_the_timer_adds_and_removes_nothing(link, monkeypatch):
@@ -217,15 +202,6 @@ def test_hands_that_come_go_or_change_their_name_are_noticed(extension, installe
     context.view_layer.update()
     wanted = {"added": ["left", "right"], "duplicated": ["right", "right.001"], "deleted": [], "renamed": ["my hand"]}
     assert seen(context) == wanted[change]
-
-
-def test_after_an_undo_hands_are_looked_for_anew(extension):
-    context = extension
-    assert seen(context) == []
-    add_hand(context)
-    assert seen(context) == []  # nobody was told
-    handlers.on_undo(context.scene)
-    assert seen(context) == ["right"]
 
 
 def test_undo_brings_a_hand_back_and_nothing_holds_the_old_one(extension, installed):
@@ -382,27 +358,6 @@ def test_a_failure_is_told_with_the_view_and_asked_for_no_more(full_link, extens
     assert views.problems() == []
 
 
-def test_a_failure_that_comes_a_second_time_is_heard_of_and_the_view_rests(full_link, extension):
-    context = extension
-    context.scene.jghand.sharpen_when_still = False
-    hand = add_hand(context)
-    view = view_on(context, hand)
-    wait_for(context, view)
-    hand.location.x = 0.01
-    context.view_layer.update()
-    look(context, view, hand)
-    wait_for(context, view)
-    views._views[1, views.SOLID] = view
-    views.forget_failures()  # as when another view brought the renderer back
-    look(context, view, hand)
-    wait_for(context, view)
-    assert view.failure.kind == "out_of_memory"
-    assert not pacing.is_open(view.pace)
-    for _ in range(3):
-        look(context, view, hand)
-        assert not views.take(view, views.moment_of(context.scene))
-
-
 def test_a_view_at_rest_brings_a_killed_renderer_back_and_asks_again(link, extension, monkeypatch):
     monkeypatch.setattr(state, "RESTART_S", 0.3)
     context = extension
@@ -474,14 +429,6 @@ def test_while_blender_renders_a_frame_change_asks_for_nothing(link, extension, 
     rendering.begin()
     context.scene.frame_set(3)
     rendering.end()
-
-
-def test_the_handlers_of_renders_set_and_clear_the_flag(extension, installed):
-    bpy.context.scene.render.engine = ENGINE
-    handlers.on_render_begin(bpy.context.scene)
-    assert rendering.now()
-    handlers.on_render_end(bpy.context.scene)
-    assert not rendering.now()
 
 
 def test_a_render_of_another_engine_leaves_the_views_alone_unless_it_is_combined_with_hands(extension):

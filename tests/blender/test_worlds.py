@@ -13,7 +13,7 @@ import pytest
 from blender_addon import versions
 from blender_addon.core import worlds as pictures
 from blender_addon.core.view import LIGHT_FROM_WORLD
-from blender_addon.render import world_nodes, worlds
+from blender_addon.render import worlds
 from blender_addon.viewport import handlers
 from jghand_engine.avatar.scene_light import World, harmonics
 from jghand_engine.avatar.world_suns import take_suns
@@ -391,20 +391,6 @@ def test_until_a_world_is_measured_anew_it_lights_as_it_did():
     assert reading().light.key != before.key
 
 
-def test_what_another_way_measured_lights_nothing_meanwhile():
-    """A sky is measured without the strength of its world, which may be a twentieth."""
-    of_a_turned_sky_without_a_sun()
-    background().inputs["Strength"].default_value = 0.05
-    update()
-    sky = reading().light
-    # around hands: the world alone, until that is measured
-    found = reading((0, 0, 0))
-    assert found.stale
-    assert found.light.key == sky.key
-    of_a_gradient()
-    assert reading().light is None
-
-
 def test_measuring_leaves_the_file_as_it_was(context):
     of_a_turned_sky_without_a_sun()
     kinds = ("scenes", "worlds", "objects", "collections", "meshes", "materials", "node_groups")
@@ -435,13 +421,6 @@ def test_every_value_of_a_node_counts_for_whether_it_is_measured_again():
     noise.location = (100, 100)
     ramp.select = not ramp.select
     assert reading().stale in names
-
-
-def test_nodes_that_are_muted_are_measured():
-    of_picture()
-    nodes().nodes["Environment Texture"].mute = True
-    with pytest.raises(world_nodes.Unread):
-        world_nodes.shine_of(bpy.context.scene.world)
 
 
 # ---- what is around hands --------------------------------------------------------------------------------------------

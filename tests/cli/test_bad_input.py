@@ -275,13 +275,6 @@ def test_a_traceback_is_shown_when_asked_for(tmp_path, capsys, monkeypatch):
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_an_out_folder_that_is_called_like_a_file_is_refused(tmp_path, command):
-    code, err = command("render", "--poses", "fist", "--out", tmp_path / "hand.png", *SMALL)
-    assert code == 2
-    assert "wanted the name of a folder" in " ".join(err.split())
-    assert not (tmp_path / "hand.png").exists()
-
-
 def test_colons_in_what_is_named_stay_as_they_are(tmp_path, command):
     code, err = command("info", tmp_path / "a:100:.npz")
     assert code == 2

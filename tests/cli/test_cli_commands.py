@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -16,7 +15,6 @@ from command_line import run
 from jghand_engine import __version__
 from jghand_engine.avatar import builtin
 from jghand_engine.cli import VERBS, bench, main
-from jghand_engine.cli.console import say_table
 from jghand_engine.cli.inputs import load_motion, read_sequence
 from jghand_engine.cli.options import FormatOptions, MotionOptions, color, pixels
 from jghand_engine.errors import InputError
@@ -154,16 +152,6 @@ def test_a_mistake_in_the_words_is_told_before_anything_is_loaded(command, words
     monkeypatch.setattr(builtin, "load_avatar_called", lambda _: pytest.fail("loaded"))
     assert run(command, *words, "--out", tmp_path) == 2
     assert said in capsys.readouterr().err
-
-
-def test_long_headings_go_on_in_the_next_line_of_a_narrow_screen(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "40")
-    names = ("test/Capture_of_one_hand", "test/Capture_of_another")
-    say_table("Figures", ("", *names), [("PSNR, dB", "33.1", "32.2")])
-    lines = capsys.readouterr().out.splitlines()
-    head = ["".join(parts) for parts in zip(*([cell.strip() for cell in line.split("┃")] for line in lines[2:]
-            if "┃" in line), strict=True)]  # fmt: skip
-    assert head[1:] == list(names)
 
 
 def test_render_shows_the_hand_in_the_light_of_a_file(tmp_path):
@@ -305,18 +293,6 @@ def test_named_poses_have_the_avatars_bones(avatar):
     assert np.allclose(motion.sequence.bone_lengths_m[:, 2], measured, atol=1e-12)
 
 
-def test_a_reader_that_has_seen_enough_stops_nothing(tmp_path):
-    """As `jghand info builtin | head -1`: the pipe is closed before the command says anything."""
-    figures = tmp_path / "info.json"
-    reader, writer = os.pipe()
-    os.close(reader)
-    words = [sys.executable, "-m", "jghand_engine", "info", "builtin", "--json", str(figures)]
-    ended = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=100)
-    os.close(writer)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert json.loads(figures.read_text())["kind"] == "avatar"
-
-
 # ---- the other verbs -------------------------------------------------------------------------------------------------
 
 
@@ -375,19 +351,6 @@ def test_check_usd_ends_with_0_for_our_stage_and_2_with_sentences_for_a_broken_o
     assert any("fallbackPrimTypes" in note for note in told["notes"])
     assert "ERROR: there is no default prim" in shown
     assert "note: [splats]: the root layer names no fallbackPrimTypes" in shown
-
-
-def test_info_and_check_usd_refuse_a_stage_that_is_cut_off_in_the_same_words(tmp_path, capsys):
-    assert run("export", "--poses", "open", "--frames", "0", "--out", tmp_path, "--avatar", "painted") == 0
-    cut = tmp_path / "cut.usdc"
-    cut.write_bytes((tmp_path / "hand.splats.usdc").read_bytes()[:1000])
-    capsys.readouterr()
-    said = []
-    for command in ("info", "check-usd"):
-        assert run(command, cut) == 2
-        said.append(capsys.readouterr().err)
-    assert said[0] == said[1]
-    assert "cut off" in said[0]
 
 
 def test_check_usd_of_a_file_that_is_not_there_is_bad_input(tmp_path, capsys):

@@ -192,17 +192,6 @@ def test_without_skip_existing_everything_is_drawn_anew(half, whole, capsys):
     assert "10 pictures" in capsys.readouterr().out
 
 
-def test_what_workers_could_not_agree_on_is_refused(tmp_path, capsys):
-    for words, told in (
-        (("--shard", "1/2", "--video", str(tmp_path / "hand.mp4")), "--video: wanted all pictures"),
-        (("--skip-existing", "--budget-ms", "10"), "--budget-ms: wanted the same settings"),
-        (("--shard", "3/2"), "--shard: wanted NUMBER/COUNT"),
-    ):
-        assert render(tmp_path / "out", *words) == 2
-        assert told in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_video_is_made_when_all_shards_are_there(half, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
     assert render(half, "--skip-existing", "--video", str(tmp_path / "hand.mp4")) == 0

@@ -252,19 +252,6 @@ def test_a_motion_that_is_there_stays_unless_it_shall_be_replaced(
     assert track(film, tmp_path / "motion.npz", *options, "--overwrite") == 0
 
 
-def test_a_proof_that_is_there_stays_unless_it_shall_be_replaced(film, sees, right, tmp_path, capsys):
-    proof = tmp_path / "proof.mp4"
-    proof.write_bytes(b"precious")
-    sees(right)
-    assert track(film, tmp_path / "motion.npz", "--proof", str(proof)) == 2
-    said = capsys.readouterr().err
-    assert "--proof" in said
-    assert "--overwrite" in said
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"precious"]
-    assert track(film, tmp_path / "motion.npz", "--proof", str(proof), "--most", "2", "--overwrite") == 0
-    assert proof.read_bytes() != b"precious"
-
-
 @pytest.mark.parametrize("option", ["--json", "--proof"])
 def test_a_folder_for_a_file_is_told_before_the_work(film, sees, right, tmp_path, capsys, option):
     folder = tmp_path / "folder.mp4"
@@ -275,12 +262,6 @@ def test_a_folder_for_a_file_is_told_before_the_work(film, sees, right, tmp_path
     assert f"{option} " in said
     assert "replace" not in said, "with --overwrite neither"
     assert list(tmp_path.iterdir()) == [folder]
-
-
-def test_a_motion_of_another_name_is_in_nobodys_way(film, sees, right, tmp_path):
-    sees(right)
-    (tmp_path / "motion_left.npz").write_bytes(b"precious")
-    assert track(film, tmp_path / "motion.npz", "--hand", "right") == 0
 
 
 def test_one_picture_has_no_jitter_to_tell(film, sees, right, tmp_path, capsys):

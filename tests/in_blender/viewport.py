@@ -12,7 +12,6 @@ import functools
 import importlib
 import os
 import signal
-import threading
 import time
 from types import ModuleType
 
@@ -207,43 +206,6 @@ def step_playing_goes_on_while_the_engine_hangs(window):
     assert len(waits) <= _part(window, ".core.pacing").LATE_PATIENCE, "a hung engine is waited for again and again"
     assert late > len(waits)
     yield lambda: _is_sharp(window)
-
-
-def step_playing_goes_on_while_the_engine_is_slow(window):
-    """It is stopped and let go on ten times a second, so that every answer comes, and late."""
-    pid = window.runtime().link().status.handshake["pid"]
-    waits, over = _watch_waits(window), threading.Event()
-
-    def hinder() -> None:
-        while not over.wait(0.02):
-            os.kill(pid, signal.SIGSTOP)
-            time.sleep(0.1)
-            os.kill(pid, signal.SIGCONT)
-
-    hinderer = threading.Thread(target=hinder)
-    with _watching(window) as kept:
-        hinderer.start()
-        try:
-            yield from _play(window, 3.0)
-        finally:
-            over.set()
-            hinderer.join()
-    _check_kept(waits, kept)
-    yield lambda: _is_sharp(window)
-
-
-def step_playing_goes_on_when_the_engine_is_killed_which_is_said_and_it_comes_back_with_the_next_pose(window):
-    with _watching(window) as kept:
-        os.kill(window.runtime().link().status.handshake["pid"], signal.SIGKILL)
-        yield from _play(window, 3.0)
-    _check_kept([0.0], kept)  # nobody has to wait for an engine that is gone
-    yield lambda: window.runtime().link().status.state == "failed"
-    time_s = time.monotonic()
-    yield lambda: time.monotonic() - time_s > 5.5  # no earlier is it started again
-    _hand().location.x += 0.01
-    window.redraw()
-    yield lambda: window.runtime().link().status.state == "ready"
-    yield lambda: _is_there(window)
 
 
 def step_another_file_begins_anew(window):

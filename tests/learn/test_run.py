@@ -293,16 +293,6 @@ def test_a_folder_with_other_things_is_refused(options):
     assert [path.name for path in options.work.iterdir()] == ["thesis.tex"]
 
 
-def test_a_kill_while_the_mark_is_written_does_not_close_the_folder(options):
-    options.work.mkdir()
-    (options.work / "lock").touch()
-    left = options.work / ".training.0123456789ab.json"
-    left.write_text("{")
-    (options.work / ".nfs0000001").touch()
-    assert train(StandIn, options).finished
-    assert not left.exists()
-
-
 def test_fresh_removes_only_what_trainings_leave(options):
     train(StandIn, options)
     (options.work / "notes.txt").write_text("mine")
@@ -321,21 +311,6 @@ def test_somebody_elses_output_is_not_overwritten(options):
     train(StandIn, replace(options, overwrite=True))
     assert len(load_avatar(options.out)) == 50
     assert train(StandIn, replace(options, start=Start.FRESH)).finished, "its own may be replaced"
-
-
-def test_an_output_that_appears_meanwhile_is_not_overwritten_and_nothing_is_lost(options):
-    class Meanwhile(StandIn):
-        def step(self, number):
-            if number == 30:
-                options.out.write_text("somebody's hand")
-            return super().step(number)
-
-    with pytest.raises(InputError, match="another --out"):
-        train(Meanwhile, options)
-    assert options.out.read_text() == "somebody's hand"
-    other = replace(options, start=Start.RESUME, out=options.out.with_name("other.jghand"))
-    assert train(StandIn, other).finished
-    assert other.out.exists()
 
 
 def test_two_trainings_do_not_share_a_folder(options):

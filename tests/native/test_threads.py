@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-import weakref
 
 import numpy as np
 import pytest
@@ -78,16 +77,6 @@ def test_a_thread_that_gets_no_processor_does_not_hold_the_call_and_never_begins
         assert pool.map(lambda i: i * i, 20) == [i * i for i in range(20)]
     pool.run(all_together(pool))  # they have come back, and what was called off does not run
     assert seen == [0, 0, 0]
-
-
-def test_a_call_that_was_called_off_leaves_nothing_of_its_caller_in_memory():
-    pool, array = WorkerPool(2), np.zeros(8)
-    gone = weakref.ref(array)
-    with without_a_processor(pool):
-        pool.run(lambda _index, array=array: None)
-        del array
-        assert gone() is None
-    pool.close()
 
 
 def test_a_picture_has_the_same_bits_whoever_comes():

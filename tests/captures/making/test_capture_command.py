@@ -23,7 +23,6 @@ from jghand_engine.captures.making import person_skin, skin, worker
 from jghand_engine.captures.making import plan as plan_module
 from jghand_engine.captures.making.close_ups import CLOSE_PX, CLOSE_SAMPLES
 from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
-from jghand_engine.captures.making.person_skin import PersonSkin
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import split_capture
@@ -295,28 +294,6 @@ def test_one_shard_is_made_by_one_process(copied, capsys):
         assert capture(copied, "--shard", "2/2") == 0
 
 
-def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(tmp_path, monkeypatch):
-    """The other one, of another seed, begins and writes while the first, which is refused, is making its plan."""
-    folder, first = (
-        tmp_path / "raced",
-        CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN),
-    )
-    other, plans = dataclasses.replace(first, seed=1), []
-
-    def overtaken(options: CaptureOptions) -> CapturePlan:
-        if options is first:
-            plans.append(open_or_make(folder, other))
-        return make_plan(options)
-
-    monkeypatch.setattr(plan_module, "make_plan", overtaken)
-    with pytest.raises(InputError, match="got another seed"):
-        open_or_make(folder, first)
-    again = read_plan(folder)
-    assert again is not None
-    assert again.description == plans[0].description
-    np.testing.assert_array_equal(again.vertices_m, plans[0].vertices_m)
-
-
 def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_path):
     begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN)
     open_or_make(tmp_path, begun)
@@ -463,25 +440,6 @@ def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monke
         list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
 
 
-def test_the_stamp_of_a_picture_survives_without_blenders_texts():
-    """The worker's own PNG code, which needs no Blender."""
-    code = (
-        "import sys, io; sys.path.insert(0, sys.argv[1] + '/blender_addon')\n"
-        "from capture.png import stamped\n"
-        "from PIL import Image, PngImagePlugin\n"
-        "texts = PngImagePlugin.PngInfo(); texts.add_text('Date', 'today')\n"
-        "raw = io.BytesIO(); Image.new('RGBA', (5, 4), (1, 2, 3, 4)).save(raw, 'PNG', pnginfo=texts)\n"
-        "new = Image.open(io.BytesIO(stamped(raw.getvalue(), 'abc')))\n"
-        "assert new.info == {'jghand-stamp': 'abc'}, new.info\n"
-        "assert new.getpixel((4, 3)) == (1, 2, 3, 4)\n"
-        "for broken in (b'', raw.getvalue()[:-5], raw.getvalue()[5:]):\n"
-        "    try: stamped(broken, 'abc')\n"
-        "    except ValueError: continue\n"
-        "    sys.exit('a broken PNG passed')\n"
-    )
-    subprocess.run([sys.executable, "-c", code, str(ROOT)], check=True)
-
-
 def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(person_skin, "MAP_PX", 128)
     (tmp_path / "ann.json").write_text(json.dumps({"melanin": 0.9, "seed": 4}))
@@ -528,24 +486,6 @@ def person_plan() -> CapturePlan:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(person_skin, "MAP_PX", 128)
         return make_plan(PERSON_OPTIONS)
-
-
-def test_two_shards_of_a_person_begin_together(tmp_path, monkeypatch, person_plan):
-    """The mesh of many poses takes longer than one waits for another: it is written without the lock."""
-    write_mesh, others = PersonSkin.write_mesh, []
-
-    def overtaken(skin: PersonSkin, *given) -> None:
-        write_mesh(skin, *given)
-        monkeypatch.setattr(PersonSkin, "write_mesh", write_mesh)
-        others.append(open_or_make(tmp_path, PERSON_OPTIONS))
-
-    monkeypatch.setattr(plan_module, "make_plan", lambda options: person_plan)
-    monkeypatch.setattr(plan_module, "LOCK_WAIT_S", 0.0)
-    monkeypatch.setattr(PersonSkin, "write_mesh", overtaken)
-    plan = open_or_make(tmp_path, PERSON_OPTIONS)
-    assert [job.stamp for job in plan.jobs(tmp_path)] == [job.stamp for job in others[0].jobs(tmp_path)]
-    names = {path.name for path in (tmp_path / "plan").iterdir()}
-    assert names == {"plan.json", "hands.npz", "plan.lock", person_skin.MESH_FILE, *person_skin.PERSON_FILES}
 
 
 def test_images_and_boxes_are_those_of_the_hand_whatever_its_forearm_does(person_plan):
