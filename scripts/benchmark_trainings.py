@@ -6,8 +6,8 @@
 Every cell is a training of its own, whose schedule was planned for its minutes; the log of one long training says
 nothing of a shorter one. All cells take four hours of a core. What is finished is kept and what was stopped goes on,
 so the table can be made in parts: cells without a finished training are shown as not run. Minutes are those of the
-processors, all threads together, so that other programs beside it take nothing from a cell; with OMP_NUM_THREADS=1
-they are those of one core. The steps that they made are told.
+processors, all threads together, and so are the milliseconds of drawing: other programs beside it take nothing from a
+cell. With OMP_NUM_THREADS=1 they are those of one core. The steps that they made are told.
 
 FOLDER gets the avatars, their trainings, and trainings.json, .png and .csv (scripts/quote_studies.py).
 """
@@ -142,8 +142,8 @@ def measured(cells: Sequence[Cell], capture: Path, folder: Path) -> list[Cell]:
     known = {}
     for place, cell in enumerate(finished):
         steps = json.loads(cell.steps_file(folder).read_text(encoding="utf-8"))
-        score, time = TruthScore.of(psnr_db[place], psnr_db[place]), times[str(place)]
-        known[cell] = replace(cell, steps=steps, truth=score, draw_ms=time.median_ms, disturbed=time.disturbed)
+        score, took = TruthScore.of(psnr_db[place], psnr_db[place]), times[str(place)]
+        known[cell] = replace(cell, steps=steps, truth=score, draw_ms=took.cpu_ms, disturbed=took.disturbed)
     return [known.get(cell, cell) for cell in cells]
 
 
@@ -156,7 +156,7 @@ def table(cells: Sequence[Cell], capture: str) -> Table:
         else (f"{cell.minutes:g}", f"{cell.gaussians:,}", *[NOT_RUN] * 4)
         for cell in cells
     ]  # fmt: skip
-    columns = ("Minutes of processors", "Gaussians", "Steps", "PSNR dB", "±", "ms a frame")
+    columns = ("Processor minutes", "Gaussians", "Steps", "PSNR dB", "±", "Processor ms a frame")
     notes = (f"PSNR: mean and standard error over held-out pictures of {capture}, whole picture over black, preset "
              f"{PRESET}; ms: 512 x 334, the same preset, nothing reused. Every row is a training of its own.",
              "✗: the machine had other work while frames were timed.")  # fmt: skip
@@ -189,7 +189,7 @@ def draw_figure(cells: Sequence[Cell]) -> Figure:
         for axes, name, text in zip(
             figure.subplots(1, 2, sharey=True),
             ("minutes", "draw_ms"),
-            ("minutes of training", "ms a frame"),
+            ("processor minutes of training", "processor ms a frame"),
             strict=True,
         ):
             for color, count in zip(COLORS, GAUSSIANS, strict=False):
