@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from small_avatars import trained_avatar
 
@@ -13,7 +14,8 @@ from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect
-from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.subject import Subject
 from jghand_engine.study import effects as study
 from jghand_engine.study import effects_in_light
@@ -46,6 +48,25 @@ def test_the_motion_rests_bends_and_moves_as_a_whole():
     assert max(by_effect[Effect.SKIN].errors) < 0.1
     # the largest of each kind of bound is told, and not that of every frame
     assert len(by_effect[Effect.SKIN].bounds) <= 2
+
+
+def test_the_error_of_a_skipped_effect_is_the_largest_difference_that_it_makes():
+    plain_hand = replace(subject(3), avatar=replace(AVATAR, learned=None))
+    settings = RenderSettings(threads=1)
+    rows, _strip = study.effects_of_motion(plain_hand, settings, lambda: None)
+    (row,) = (row for row in rows if row.effect is Effect.SHADOW)
+    without, always = (
+        HandRenderer(plain_hand.avatar, replace(settings, shadow=mode)) for mode in (ShadowMode.OFF, ShadowMode.ALWAYS)
+    )
+    expected = [
+        np.abs(without.render(joints, plain_hand.camera).rgba - always.render(joints, plain_hand.camera).rgba).max()
+        for joints in plain_hand.poses
+    ]
+    assert min(expected) > 0.05
+    np.testing.assert_allclose(row.errors, expected, atol=1e-6)
+    (table,) = study.EffectsStudy("a test", rows, {}).tables()
+    (told,) = (cells[2] for cells in table.rows if cells[0] == Effect.SHADOW)
+    assert float(told) == pytest.approx(255 * max(expected), rel=0.05)
 
 
 def test_tables_and_figures_say_the_same():
