@@ -7,16 +7,18 @@ struct Picture {
 }
 
 @group(0) @binding(0) var<uniform> picture: Picture;
-@group(0) @binding(1) var<storage, read> records: array<vec4f>;     // 4 of each: u v xx xy | yy log2_opacity r g | b z
+@group(0) @binding(1) var<storage, read> records: array<vec4f>;     // 4 of each: u v xx xy | yy log2_opacity r g | b z - front
 @group(0) @binding(2) var<storage, read> tile_start: array<u32>;    // where each tile's list begins; one more, the end
 @group(0) @binding(3) var<storage, read> tile_list: array<u32>;     // records, front to back per tile
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;  // premultiplied R G B, alpha, sum of weight times depth
 
+// as in native/constants.h
+const FRONT_MIN = 0.04;
 // 12 KiB of the 16 that every WebGPU device has
 const CHUNK = 256u;
 var<workgroup> shapes: array<vec4f, CHUNK>;
 var<workgroup> opacities: array<vec4f, CHUNK>;
-var<workgroup> depths: array<vec2f, CHUNK>;
+var<workgroup> others: array<vec3f, CHUNK>;
 var<workgroup> any_open: atomic<u32>;
 var<workgroup> going_on: u32;
 
@@ -32,6 +34,7 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
   var T = 1.0;
   var color = vec3f(0.0);
   var depth = 0.0;
+  var front = 0.0;
   for (var first = tile_start[tile]; first < end; first += CHUNK) {
     let length = min(CHUNK, end - first);
     if (thread == 0u) { atomicStore(&any_open, 0u); }
@@ -41,7 +44,7 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
       let record = 4u * tile_list[first + thread];
       shapes[thread] = records[record];
       opacities[thread] = records[record + 1u];
-      depths[thread] = records[record + 2u].xy;
+      others[thread] = records[record + 2u].xyw;
     }
     workgroupBarrier();
     if (thread == 0u) { going_on = atomicLoad(&any_open); }
@@ -50,24 +53,28 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
       for (var k = 0u; k < length; k++) {
         let shape = shapes[k];
         let rest = opacities[k];
+        let other = others[k];
         let d = center - shape.xy;
         let exponent = (d.x * shape.z + d.y * shape.w) * d.x + (d.y * d.y * rest.x + rest.y);
         if (!(exponent > picture.log2_alpha_min)) { continue; }
         let weight = min(exp2(exponent), picture.alpha_max) * T;
         T -= weight;
-        color += weight * vec3f(rest.zw, depths[k].x);
-        depth += weight * depths[k].y;
+        color += weight * vec3f(rest.zw, other.x);
+        depth += weight * other.y;
+        front += weight * other.z;
         if (!(T > picture.t_stop)) { open = false; break; }
       }
     }
     workgroupBarrier();
   }
   if (!on_picture) { return; }
+  let alpha = 1.0 - T;
+  color *= select(1.0, alpha / max(front, FRONT_MIN * alpha), alpha > 0.0);
   let size = picture.width * picture.height;
   let pixel = at.y * picture.width + at.x;
   planes[pixel] = color.x;
   planes[pixel + size] = color.y;
   planes[pixel + 2u * size] = color.z;
-  planes[pixel + 3u * size] = 1.0 - T;
+  planes[pixel + 3u * size] = alpha;
   planes[pixel + 4u * size] = depth;
 }

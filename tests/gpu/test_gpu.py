@@ -89,6 +89,21 @@ def test_a_frame_says_what_it_was_drawn_on():
     assert not report.notes
 
 
+def test_gaps_have_the_color_around_them_as_by_the_kernel(opened, kernels):
+    gaussians = selftest.sample_gaussians()
+    front = np.random.default_rng(0).choice(np.array([0, 0.3, 1], np.float32), len(gaussians))
+    seen = replace(gaussians, rgb=gaussians.rgb * front[:, None], front=front)
+    got, want = (
+        one.forward(seen, selftest.sample_view())
+        for one in (GpuRasterizer(kernels, 1, opened), NativeRasterizer(kernels, 1))
+    )
+    assert (
+        np.abs(want - NativeRasterizer(kernels, 1).forward(replace(seen, front=None), selftest.sample_view())).max()
+        > 0.1
+    )
+    assert np.abs(got - want).max() <= 1e-5
+
+
 def test_lists_that_do_not_fit_are_made_again(opened, kernels):
     """A Gaussian over every tile, many times: far more pairs than the first lists have room for."""
     count = 300

@@ -6,9 +6,11 @@ import os
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
+from jghand_engine import gpu
 from jghand_engine.avatar import lamp_rows
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.native import binding, build, contract, library, selftest, tasks
@@ -35,6 +37,11 @@ def test_the_kernels_constants_are_those_of_python():
     for path in build.source_files():
         if path.name != "constants.h":
             assert not re.search(rf"constexpr \w+ ({'|'.join(shared)})\b", path.read_text()), path.name
+
+
+def test_the_shaders_constant_is_that_of_python():
+    text = (Path(gpu.__file__).parent / "blend.wgsl").read_text()
+    assert re.findall(r"const FRONT_MIN = ([\d.]+);", text) == [f"{contract.FRONT_MIN:g}"]
 
 
 def test_a_scene_has_as_many_lamps_as_the_kernel_has_room_for_shadows():
