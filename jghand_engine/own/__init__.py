@@ -12,6 +12,7 @@ exact   the motion of all pictures, by the hand that the best ones gave
 gather  what each picture shows of every Gaussian
 light_and_skin  the light of the film, and the albedo of what was seen: the avatar
 skin_prior      skin that no picture shows
+detail  what Gaussians cannot hold of the skin: its texture
 report  pictures of the film that were held out, what was seen, a sheet
 make    all of it, stage by stage, in a work folder that a stopped run goes on from
 """

@@ -44,6 +44,7 @@ from jghand_engine.own.checks import (
     seen_findings,
     wanted_hand,
 )
+from jghand_engine.own.detail import seen_detail
 from jghand_engine.own.exact import BEST_EFFORT, check_length, exact_poses
 from jghand_engine.own.film import (
     PHOTOGRAPHS_MIN,
@@ -287,7 +288,7 @@ def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> 
     """The avatar: skin and light of the pictures whose outlines the fit explains, but for those that are held out to
     judge it by; and what is to be said of it. Writes sheet.png and report.json into `work`."""
     pictures, fitted = explained.begun.pictures, explained.fitted
-    told("Finding skin and light", 0, 2)
+    told("Finding skin and light", 0, 3)
     fits = np.nan_to_num(fitted.outline_residual) <= PICTURE_RESIDUAL_MAX
     used = fits if fits.sum() >= PHOTOGRAPHS_MIN else ~np.zeros(len(pictures), bool)
     film = FilmView(fitted.joints_m, fitted.camera, pictures.rgb_u8, explained.masks).part(used)
@@ -296,9 +297,13 @@ def hand_of(explained: Explained, prior: HandAvatar, work: Path, told: Told) -> 
     observed = observe(shaped, seen.joints_m, seen.camera, seen.pictures, seen.masks)
     origin = Origin(pictures.source, pictures.digest, explained.begun.start.handedness)
     own = skin_from(observed, shaped, origin)
-    told("Finding skin and light", 1, 2)
+    told("Finding skin and light", 1, 3)
+    if shaped.detail is not None:
+        detail = seen_detail(own, shaped.detail, observed.shown, seen.joints_m)
+        own = replace(own, avatar=replace(own.avatar, detail=detail))
+    told("Finding skin and light", 2, 3)
     report = write_report(work, own, film, held, np.flatnonzero(used))
-    told("Finding skin and light", 2, 2)
+    told("Finding skin and light", 3, 3)
     return own.avatar, [*left_out(pictures, used), *report_findings(report)]
 
 

@@ -93,7 +93,8 @@ def seen_map(own: OwnHand, edge_px: int = SHEET_PX) -> dict[str, np.ndarray]:
     avatar, learned = own.avatar.for_hand(Handedness.RIGHT), own.avatar.learned
     assert learned is not None
     flat = replace(learned, response=None, light=no_light(), cast=None, correctives=None, distilled=None, shadow=None)
-    painted = replace(avatar, rgb=(share * SEEN_RGB + (1 - share) * UNSEEN_RGB).astype(np.float32), learned=flat)
+    rgb = (share * SEEN_RGB + (1 - share) * UNSEEN_RGB).astype(np.float32)
+    painted = replace(avatar, rgb=rgb, learned=flat, detail=None)
     return {f"seen of the {side}": picture for side, picture in _sides(painted, "open", edge_px).items()}
 
 
