@@ -47,6 +47,23 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         subtype="FILE_PATH",
         update=_look_again,
     )
+    render_device: bpy.props.EnumProperty(
+        name="Render Device",
+        description="What draws the hands. Graphics cards want a renderer's Python with the extra jghand[gpu]",
+        items=(
+            (
+                "AUTO",
+                "Automatic",
+                "The processor, or a graphics card that `jghand bench --backend gpu` found faster",
+            ),
+            (
+                "GPU",
+                "Graphics Card",
+                "By Vulkan, Metal or Direct3D 12; an error where there is none",
+            ),
+        ),
+        update=_look_again,
+    )
     render_timeout_s: bpy.props.FloatProperty(
         name="Render Timeout",
         description="How long one rendered frame may take before the render fails with a report",
@@ -66,11 +83,15 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         column = self.layout.column()
         column.use_property_split = True
         column.prop(self, "engine_python")
-        column.prop(self, "render_timeout_s")
-        column.prop(self, "show_training")
         # here: what draws needs what is kept, which needs the preferences
+        from .renderer import runtime
         from .renderer.panel import draw_status, draw_tools
 
+        row = column.row()
+        row.active = runtime.offers_graphics_card()
+        row.prop(self, "render_device")
+        column.prop(self, "render_timeout_s")
+        column.prop(self, "show_training")
         box = self.layout.box()
         draw_status(box, context, buttons=False)
         row = box.row(align=True)

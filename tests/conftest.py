@@ -14,14 +14,22 @@ from hypothesis import settings
 _CACHE = tempfile.TemporaryDirectory(prefix="jghand_tests_", ignore_cleanup_errors=True)
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Ctrl-C interrupts, also where the tests were started in the background of a shell, which has it ignored."""
+    config.addinivalue_line("markers", "graphics_card: draws by WebGPU; skipped, with the reason, where nothing does")
     os.environ["JGHAND_CACHE_DIR"] = _CACHE.name
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # nothing here is timed: on a busy machine an example may take any time
     settings.register_profile("untimed", deadline=None)
     settings.load_profile("untimed")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("graphics_card"):
+        from graphics_card import needs_gpu  # the engine, which the tests of the extension do without
+
+        needs_gpu()
 
 
 @pytest.fixture(scope="session")

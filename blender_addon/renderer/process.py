@@ -41,10 +41,16 @@ _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64
 
 
 def engine_command(
-    python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
+    python: str | None = None,
+    *,
+    checkout: Path | None = None,
+    environment: Mapping[str, str] = os.environ,
+    on_gpu: bool = False,
 ) -> tuple[str, ...]:
-    """The command that starts the engine as a service; as `engine_program`."""
-    return (*engine_program(python, checkout=checkout, environment=environment), "serve")
+    """The command that starts the engine as a service; as `engine_program`. on_gpu: one that draws on the graphics
+    card, and on nothing else."""
+    words = (*engine_program(python, checkout=checkout, environment=environment), "serve")
+    return (*words, "--backend", "gpu") if on_gpu else words
 
 
 def engine_program(

@@ -79,6 +79,12 @@ def use_link(other: EngineLink | None) -> None:
         before.close()
 
 
+def offers_graphics_card() -> bool:
+    """Whether the engine that runs has the package by which a graphics card draws."""
+    handshake = None if _link is None else _link.status.handshake
+    return handshake is not None and "gpu" in handshake.get("capabilities", ())
+
+
 def look_again() -> None:
     """The engine may be another one from now on: what runs, or failed, is started anew."""
     if _link is not None and _link.status.state != "stopped":
@@ -90,7 +96,9 @@ def command() -> Sequence[str]:
 
     JGHandFailure: no_python, no_named_python, no_interpreter.
     """
-    return engine_command(_chosen_python(), checkout=_CHECKOUT)
+    chosen = preferences()
+    on_gpu = chosen is not None and chosen.render_device == "GPU"
+    return engine_command(_chosen_python(), checkout=_CHECKOUT, on_gpu=on_gpu)
 
 
 def program(*, learns: bool = False, usd: bool = False) -> Sequence[str]:

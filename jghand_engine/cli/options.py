@@ -29,6 +29,7 @@ OrderName = Literal["standard", "openpose", "mediapipe", "mano21", "interhand", 
 UnitName = Literal["m", "cm", "mm"]
 HandName = Literal["right", "left"]
 PresetName = Literal["draft", "viewport", "final", "reference"]
+BackendName = Literal["auto", "gpu", "v4", "v3", "neon"]
 CameraName = Literal["quarter", "front", "back", "side", "outside", "top", "quarter-back"]
 # an option that may be left out, shown without "(default: None)"
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -161,6 +162,9 @@ class PictureOptions:
     """transparent, or a color such as #e8e6e3. A video has no transparency: there it is a light gray."""
     threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Threads of the renderer; 0 chooses."""
+    backend: BackendName = "auto"
+    """What draws: gpu is a graphics card (docs/GPU.md), v4, v3 and neon are kernels of the processor. auto is the best
+    of these, and the card where `jghand bench --backend gpu` found it faster."""
 
     @property
     def camera_file(self) -> Path | None:

@@ -234,12 +234,12 @@ class Render:
 
         if self.budget_ms is None:
             name = self.picture.preset or "final"
-            return replace(preset(name), threads=self.picture.threads), name
+            return replace(preset(name), threads=self.picture.threads, backend=self.picture.backend), name
         from jghand_engine.render.budget import best_for
 
         chosen = best_for(self.budget_ms, avatar, (camera.width, camera.height), self.picture.threads)
         say(chosen.sentence)
-        return chosen.settings, chosen.name
+        return replace(chosen.settings, backend=self.picture.backend), chosen.name
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
         if (file := self.picture.camera_file) is not None:

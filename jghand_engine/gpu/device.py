@@ -5,6 +5,7 @@ Software adapters (llvmpipe, WARP) are slower than the native kernel, so they ar
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import threading
 from dataclasses import dataclass, field
@@ -42,6 +43,11 @@ class Device:
 
 _open: dict[str, Device] = {}
 _opening = threading.Lock()
+
+
+def is_installed() -> bool:
+    """Whether the extra is there; nothing of it is loaded."""
+    return importlib.util.find_spec("wgpu") is not None
 
 
 def open_device() -> Device:

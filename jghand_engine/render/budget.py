@@ -32,6 +32,7 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import decibels
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import cache_folder, writing
+from jghand_engine.gpu.choice import remembered
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import FREE_PART, FreeCores, processor
@@ -180,7 +181,14 @@ def _accuracy(subject: Subject, renderers: Mapping[str, HandRenderer], threads: 
 def profile_file(avatar: HandAvatar) -> Path:
     """Where the profile of this machine and avatar is, whether it is there or not."""
     library = load("auto")
-    machine = [processor(), platform.machine(), os.cpu_count(), library.variant, repr(read_stamp(library.path))]
+    machine = [
+        processor(),
+        platform.machine(),
+        os.cpu_count(),
+        library.variant,
+        repr(read_stamp(library.path)),
+        remembered(),
+    ]
     learned = None if avatar.learned is None else LearnedAbout.of(avatar.learned).as_dict()
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine, learned]).encode())
     detail = () if avatar.detail is None else (avatar.detail.texture,)

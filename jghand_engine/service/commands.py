@@ -16,6 +16,8 @@ import numpy as np
 from jghand_engine import __version__
 from jghand_engine.color import displayed
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
+from jghand_engine.gpu.device import is_installed
+from jghand_engine.native.library import GPU
 from jghand_engine.service.image_request import OUTPUT_BYTES, ImageRequest, read_request, text_of
 from jghand_engine.service.protocol import PROTOCOL_VERSION, Array, Message
 
@@ -109,8 +111,8 @@ class Commands:
 
     @property
     def capabilities(self) -> list[str]:
-        """What a client may ask for."""
-        return [*self._kinds, *OUTPUT_BYTES]
+        """What a client may ask for; "gpu" where the package is there by which a graphics card draws."""
+        return [*self._kinds, *OUTPUT_BYTES, *([GPU] if is_installed() else [])]
 
     def run(self, message: Message, canceled: Callable[[], bool] = never) -> Reply:
         """The reply to one request. canceled: asked from time to time; Canceled is raised when it says so."""

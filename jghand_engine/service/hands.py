@@ -25,6 +25,7 @@ from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.json_files import JsonObject
+from jghand_engine.native.library import GPU
 from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
 from jghand_engine.render.blur import Moment, middle
@@ -100,11 +101,10 @@ class _OnHands(NamedTuple):
 
 class HandImages:
     """An ImageSource (commands.py). The last few renderers are kept, and the avatars that they show, each as its file
-    was: one that changed meanwhile is read anew."""
+    was: one that changed meanwhile is read anew. backend: as of RenderSettings, for all images"""
 
-    device = "cpu"
-
-    def __init__(self) -> None:
+    def __init__(self, backend: str = "auto") -> None:
+        self.device, self._backend = GPU if backend == GPU else "cpu", backend
         self.doing = ""
         self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
@@ -223,7 +223,8 @@ class HandImages:
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
                 avatars = [ended(self._avatar(version, side), forearm=forearm) for version, side, forearm in hands]
-                settings = replace(_settings(wanted, avatars, size_px), depth=request.depth)
+                settings = _settings(wanted, avatars, size_px)
+                settings = replace(settings, depth=request.depth, backend=self._backend)
                 while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
                 self._renderers[key] = SceneRenderer(avatars, settings, light)

@@ -56,6 +56,7 @@ def test_the_engine_that_the_extension_carries_draws_and_does_not_learn(tmp_path
     (tmp_path / "engine" / "common" / "jghand_engine" / "cli.py").write_text(main)
     done = subprocess.run(engine_command(environment={}), capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (3, "serve\n")
+    assert engine_command(environment={}, on_gpu=True)[-3:] == ("serve", "--backend", "gpu")
     with pytest.raises(JGHandFailure) as caught:
         engine_program(learns=True, environment={})
     assert caught.value.kind == "no_tools"

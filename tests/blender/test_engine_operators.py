@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -101,6 +102,19 @@ def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, e
     texts = draw_preferences(extension).texts
     assert sentence in " ".join(texts)
     assert "/nowhere/python" in texts
+
+
+def test_the_graphics_card_is_offered_where_the_engine_has_its_package(stand_in, extension, monkeypatch):
+    asked = []
+    monkeypatch.setattr(runtime, "engine_command", lambda *_, on_gpu, **__: asked.append(on_gpu))
+    for chosen, on_gpu in (("AUTO", False), ("GPU", True)):
+        monkeypatch.setattr(runtime, "preferences", lambda c=chosen: SimpleNamespace(render_device=c, engine_python=""))
+        runtime.command()
+        assert asked[-1] == on_gpu
+    bpy.ops.jghand.restart_engine()
+    assert not runtime.offers_graphics_card()  # the stand-in names no capabilities
+    monkeypatch.setitem(runtime.link().status.handshake, "capabilities", ["gpu"])
+    assert runtime.offers_graphics_card()
 
 
 def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension, tmp_path, monkeypatch):

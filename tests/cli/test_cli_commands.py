@@ -21,6 +21,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import read_png
 from jghand_engine.export.usd.package import UsdOptions
 from jghand_engine.export.usd.stage import Variant
+from jghand_engine.gpu import device
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.poses import pose_sequence_of_names
@@ -494,6 +495,38 @@ def test_export_refuses_an_option_of_the_other_format(tmp_path, words, capsys):
 def test_export_options_that_make_no_stage_are_refused(tmp_path, words):
     assert run("export", "--poses", "open", "--out", tmp_path / "out", *words) == 2
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.graphics_card
+def test_a_graphics_card_draws_the_same_pictures(tmp_path, capsys):
+    words = ("--poses", "open", "--size", "48x32", "--out")
+    assert run("render", *words, tmp_path / "card", "--backend", "gpu") == 0
+    assert device.open_device().name in capsys.readouterr().out
+    assert run("render", *words, tmp_path / "processor") == 0
+    card, processor = (read_png(next((tmp_path / name).rglob("*.png"))).astype(int) for name in ("card", "processor"))
+    assert np.abs(card - processor).max() <= 1  # a rounding, in 8 bits
+
+
+@pytest.mark.graphics_card
+def test_a_named_card_that_is_not_there_is_an_error_with_what_was_seen(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv(device.ADAPTER_VARIABLE, "no such card")
+    assert run("render", "--poses", "open", "--out", tmp_path / "card", "--backend", "gpu") == 2
+    assert "no such card" in capsys.readouterr().err
+
+
+@pytest.mark.graphics_card
+def test_bench_remembers_whether_the_card_is_faster(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(bench, "ROUNDS", 2)
+    assert run("bench", "--size", "48x32", "--backend", "gpu", "--json", tmp_path / "bench.json") == 0
+    report = json.loads((tmp_path / "bench.json").read_text())
+    assert report["graphics_card"] == device.open_device().name
+    kept = json.loads((tmp_path / "cache" / "gpu.json").read_text())
+    medians = {one["section"]: one["median_ms"] for one in report["measurements"] if not one["name"].startswith(" ")}
+    assert kept["gpu_ms"] == medians["preset viewport, gpu"]
+    assert kept["processor_ms"] == medians["preset viewport, processor"]
+    faster = "graphics card" if kept["gpu_ms"] < kept["processor_ms"] else "processor"
+    assert f"auto draws with the {faster}" in capsys.readouterr().out
 
 
 def test_bench_measures_every_preset(tmp_path, capsys, monkeypatch):

@@ -18,6 +18,7 @@ from jghand_engine.avatar.forearm import ended
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
+from jghand_engine.gpu import device
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.native import contract
@@ -68,10 +69,8 @@ def right(source) -> Hand:
 
 
 def test_a_picture_is_that_of_the_renderer_in_its_own_process(source, right):
-    import torch
-
     came = source.render(asked([right]))
-    camera = Camera(120, 90, *PINHOLE, torch.from_numpy(CAMERA_FROM_WORLD))
+    camera = Camera(120, 90, *PINHOLE, CAMERA_FROM_WORLD)
     renderer = HandRenderer(ended(load_painted(handedness=Handedness.RIGHT)), preset("draft"))
     frame = renderer.render(to_level(right.joints_m, JointOrder.STANDARD), camera)
     np.testing.assert_array_equal(came.rgba, frame.rgba)
@@ -182,6 +181,7 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
     avatar, path = trained_avatar(2000), tmp_path / "trained.jghand"
     save_avatar(path, avatar, storage=Storage.EXACT)
     hand = replace(right, avatar=str(path))
+    assert avatar.learned is not None
     dark = replace(avatar, learned=replace(avatar.learned, shine=np.zeros(2000, np.float32)))
     turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
     for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
@@ -505,3 +505,18 @@ def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
     assert np.abs(source.render(bent).rgba - source.render(request).rgba).max() > 0.5
     cut = [replace(each, hands=(replace(each.hands[0], forearm=False),)) for each in (bent, request)]
     assert np.array_equal(*(source.render(each).rgba for each in cut))
+
+
+@pytest.mark.graphics_card
+def test_a_service_that_was_started_for_the_graphics_card_draws_on_it(right):
+    on_card = HandImages("gpu")
+    assert on_card.device == "gpu"
+    report = on_card.render(asked([right])).report
+    assert device.open_device().name in report["backend"]
+
+
+@pytest.mark.graphics_card
+def test_a_service_without_its_graphics_card_answers_with_what_was_seen(right, monkeypatch):
+    monkeypatch.setenv(device.ADAPTER_VARIABLE, "no such card")
+    with pytest.raises(InputError, match="no such card"):
+        HandImages("gpu").render(asked([right]))
