@@ -31,7 +31,7 @@ from bundled_engine import PLATFORMS
 from jghand_engine.native import binding, build, library, selftest
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.rasterizer import _Job as RasterJob
-from jghand_engine.native.tasks import ShadeTask, SkinTask, SsimTask
+from jghand_engine.native.tasks import ShadeTask, SkinTask
 
 PROGRAM = Path(__file__).with_suffix(".cpp")
 FLOAT, DOUBLE = 1, 2
@@ -75,12 +75,6 @@ def shade_sizes(task: ShadeTask) -> dict[str, int]:
     return sizes | {"depth": padded, "visibility": 4 * pixels, "rgba": 16 * pixels, "depth_out": 4 * pixels}
 
 
-def ssim_sizes(task: SsimTask) -> dict[str, int]:
-    picture, rim = 12 * task.width * task.height, len(task.weights) - 1
-    sizes = {"rgb": picture, "truth": picture, "gradient": picture, "sums": 8 * (task.height - rim)}
-    return sizes | {"maps": 12 * (task.height + rim) * task.stride, "scratch": 16 * task.stripes * task.stride}
-
-
 def depth_start(task: ShadeTask) -> int:
     """Bytes from the beginning of the padded plane to where the task points."""
     columns = (task.stride - -(-task.width // 16) * 16) // 2
@@ -109,7 +103,6 @@ CALLS: dict[str, tuple[tuple[int, int] | Structure, ...]] = {
     "jg_skin": ((TEAM_BYTES, 0), Structure(SkinTask, skin_sizes, {"position": FLOAT, "sigma": FLOAT})),
     "jg_learned_pose": ((TEAM_BYTES, 0), _LEARNED),
     "jg_learned_gloss": ((TEAM_BYTES, 0), replace(_LEARNED, results={"rgb": FLOAT})),
-    "jg_ssim": ((TEAM_BYTES, 0), Structure(SsimTask, ssim_sizes, {"sums": DOUBLE, "gradient": FLOAT})),
 }
 # matrices, scale and angles of the bones; the skeleton's size is the library's
 _BONES = ((0, 0), (8 * 63, 0), (8 * 252, DOUBLE), (8, DOUBLE), (8 * 37, DOUBLE))

@@ -113,8 +113,8 @@ def _watched() -> tuple[Tensor, Tensor]:
 
 
 @cache
-def transform_for(handedness: Handedness, swing: str = "minimal") -> JointTransform:
-    return JointTransform(template_joints_m().numpy(), handedness=handedness, swing=swing)
+def transform_for(handedness: Handedness) -> JointTransform:
+    return JointTransform(template_joints_m().numpy(), handedness=handedness)
 
 
 def _blended(linear: Tensor, offset_m: Tensor, points_m: Tensor, weights: Tensor) -> Tensor:
@@ -124,10 +124,10 @@ def _blended(linear: Tensor, offset_m: Tensor, points_m: Tensor, weights: Tensor
     return apply(blended[..., :3], points_m.to(maps.dtype)) + blended[..., 3]
 
 
-def ours(joints_m: Tensor, dtype: torch.dtype, *, handedness: Handedness, swing: str = "minimal") -> Skin:
+def ours(joints_m: Tensor, dtype: torch.dtype, *, handedness: Handedness) -> Skin:
     """See Formulation: as the renderer does it, whose camera moves to the hand."""
     points_m, weights = _watched()
-    bones = transform_for(handedness, swing).bones((joints_m - joints_m[:, :1]).to(dtype))
+    bones = transform_for(handedness).bones((joints_m - joints_m[:, :1]).to(dtype))
     frames = bones.frames
     angles = frames.angles.sum() + frames.palm_p.sum() + frames.palm_n.sum()
     loss = _sum_of_turns(bones.linear, bones.scale) + angles

@@ -42,8 +42,8 @@ class MotionErrors:
     px: tuple[float, float]
 
     def __str__(self) -> str:
-        def pair(values: tuple[float, float], digits: int = 1) -> str:
-            return f"{values[0]:.{digits}f} / {values[1]:.0f}"
+        def pair(values: tuple[float, float]) -> str:
+            return f"{values[0]:.1f} / {values[1]:.0f}"
 
         return (
             f"aligned {self.aligned_mm:.1f} mm, wrist {self.wrist_mm:.1f} mm, finger bones {pair(self.camera_deg)} deg,"

@@ -434,10 +434,7 @@ def test_an_avatar_that_follows_the_joints_in_another_way_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"name": "a/b"}, {"default_variant": "cloud"}, {"radiance": "aces"}, {"width_factor": 0.0}],
-)
+@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"width_factor": 0.0}])
 def test_wrong_options_are_named(wrong):
     with pytest.raises(InputError, match=str(next(iter(wrong.values())))):
         UsdOptions(**wrong)

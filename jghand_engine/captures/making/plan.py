@@ -386,12 +386,9 @@ def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
 
 
 def open_begun(folder: Path, options: CaptureOptions) -> CapturePlan:
-    """The plan that is in `folder`; nothing is written. InputError when there is none, or one of other options.
-
-    Of a skin that JGHand has no more skin and mesh may differ: the images are there.
-    """
+    """The plan that is in `folder`; nothing is written. InputError when there is none, or one of other options."""
     options.check()
-    plan = _opened(folder, options, passed=("skin", "sampling"))
+    plan = _opened(folder, options)
     if plan is None:
         raise InputError(
             f"--out {folder}",
@@ -402,26 +399,13 @@ def open_begun(folder: Path, options: CaptureOptions) -> CapturePlan:
     return plan
 
 
-def _opened(folder: Path, options: CaptureOptions, *, passed: Collection[str] = ()) -> CapturePlan | None:
-    """The plan of the folder, None when there is none. InputError when it is one of other options.
-
-    passed: options that may differ where the skin is one that JGHand has no more
-    """
+def _opened(folder: Path, options: CaptureOptions) -> CapturePlan | None:
+    """The plan of the folder, None when there is none. InputError when it is one of other options."""
     present = read_plan(folder)
     if present is None:
         return None
     asked, began = _named(json.loads(json.dumps(options.description()))), _named(present.description)
     other = [name for name in asked if asked[name] != began.get(name)]
-    # before JGHand painted persons the default was a picture of its own
-    if "skin" in began and began["skin"] is None:
-        other = [name for name in other if name not in passed]
-        if "skin" in other:
-            raise InputError(
-                f"the capture in {folder}",
-                wanted="a skin that JGHand still has",
-                came="the default skin of an older JGHand, which is gone",
-                remedy="Choose another --out. With --finished-only it can be used as far as it is made.",
-            )
     if other:
         raise InputError(
             f"the capture in {folder}",

@@ -110,14 +110,6 @@ class UsdOptions:
     def __post_init__(self) -> None:
         if not IDENTIFIER.fullmatch(self.name):
             raise InputError("name of the USD files", wanted="letters, digits and _", came=repr(self.name))
-        for option, value, wanted in (
-            ("default variant", self.default_variant, tuple(Variant)),
-            ("radiance", self.radiance, tuple(IMAGE_STATES)),
-            ("up", self.up, ("y", "z")),
-            ("package", self.package, PACKAGES),
-        ):
-            if value not in wanted:
-                raise InputError(option, wanted=" or ".join(wanted), came=repr(value))
         if not (math.isfinite(self.width_factor) and self.width_factor > 0):
             raise InputError("width factor", wanted="a finite number above 0", came=str(self.width_factor))
 

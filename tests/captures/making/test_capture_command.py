@@ -139,21 +139,6 @@ def test_a_close_up_of_a_new_pose_is_of_a_new_camera_too(made):
     assert all(sample.camera_name in learned for sample in split.novel_pose)
 
 
-def test_a_capture_of_an_older_jghand_whose_close_ups_saw_every_pose_is_gone_on_with(tmp_path, capsys):
-    folder = tmp_path / "older"
-    assert capture(folder, "--close-ups", "0") == 0
-    file = folder / "plan" / "plan.json"
-    content = json.loads(file.read_text(encoding="utf-8"))
-    content["options"]["close_ups"] = 1
-    file.write_text(json.dumps(content), encoding="utf-8")
-    before = contents(folder)
-    pictures(folder)[-1].unlink()
-    capsys.readouterr()
-    assert capture(folder) == 0
-    assert "1 pictures" in capsys.readouterr().out
-    assert contents(folder) == before
-
-
 def test_a_second_run_makes_nothing_again(copied, capsys):
     times = {path: path.stat().st_mtime_ns for path in pictures(copied)}
     assert capture(copied) == 0
@@ -331,23 +316,6 @@ def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
     (moved / "plan" / "light.hdr").unlink()
     with pytest.raises(InputError, match=r"light\.hdr"):
         read_plan(moved)
-
-
-def test_a_capture_with_the_default_skin_of_an_older_jghand_is_used_but_not_gone_on_with(copied, monkeypatch, capsys):
-    monkeypatch.setattr(person_skin, "MAP_PX", 128)
-    file = copied / "plan" / "plan.json"
-    content = json.loads(file.read_text(encoding="utf-8"))
-    content["options"]["skin"] = None
-    file.write_text(json.dumps(content), encoding="utf-8")
-    words = [word for word in WORDS if word not in ("--skin", str(SKIN))]
-    command = [*words, "--out", str(copied), "--blender-python", sys.executable]
-    assert main(command) == 2
-    error = " ".join(capsys.readouterr().err.split())
-    assert "default skin of an older JGHand" in error
-    assert "Choose another --out" in error
-    assert main([*command, "--finished-only"]) == 0
-    assert "Annotated 6 of 6 poses" in capsys.readouterr().out
-    assert main([*command, "--finished-only", "--seed", "1"]) == 2
 
 
 @pytest.mark.parametrize("damage", ["plan.json", "hands.npz", "skin.png"])
