@@ -57,19 +57,6 @@ def test_a_file_that_nobody_expects_is_refused_by_name(tmp_path, source):
     assert not list(tmp_path.glob("*.zip"))
 
 
-def test_a_copy_of_the_protocol_that_lies_in_the_source_is_refused(tmp_path, source):
-    (source / "core" / "protocol.py").write_text("an old one")
-    with pytest.raises(BuildError, match="put there by this script"):
-        build_extension.build(tmp_path, source)
-
-
-def test_a_pointer_of_git_lfs_is_no_asset(tmp_path, source):
-    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
-    (source / "assets" / "poses.json").write_text(pointer)
-    with pytest.raises(BuildError, match=r"poses\.json is a pointer of Git LFS"):
-        build_extension.build(tmp_path, source)
-
-
 def test_the_repository_that_blenders_tool_writes_names_the_zip(tmp_path):
     tool = build_extension.find_tool()
     if tool is None:

@@ -45,25 +45,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         make_folder(tmp_path / "in_the_way" / "out")
 
 
-def test_files_written_at_the_same_time_leave_the_umask_of_the_process_alone(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(os, "umask", None)  # whoever changes it changes it for all threads
-    with writing(tmp_path / "a.txt") as one, writing(tmp_path / "a.txt") as other:
-        assert one != other
-        one.write_text("one")
-        other.write_text("other")
-    assert (tmp_path / "a.txt").read_text() == "one"  # whoever comes last
-
-
-def test_a_file_is_synced_through_a_handle_that_may_write(tmp_path: Path, monkeypatch) -> None:
-    fcntl = pytest.importorskip("fcntl")
-    modes: list[int] = []
-    # Windows refuses to sync what is open for reading only
-    monkeypatch.setattr(os, "fsync", lambda handle: modes.append(fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_ACCMODE))
-    with writing(tmp_path / "a.txt") as temporary:
-        temporary.write_text("")
-    assert modes == [os.O_RDWR]
-
-
 def test_finished_files_have_the_usual_rights(tmp_path: Path) -> None:
     with writing(tmp_path / "a.txt") as temporary:
         temporary.write_text("")

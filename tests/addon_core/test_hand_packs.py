@@ -62,28 +62,6 @@ def test_a_hand_of_which_a_file_is_damaged_is_left_out_and_the_one_of_its_name_s
     }
 
 
-def test_an_encrypted_zip_is_refused(tmp_path, folder):
-    pack = write_pack(tmp_path / "pack.zip", {"child.jghand": hand(tmp_path)})
-    content = bytearray(pack.read_bytes())
-    content[6] |= 1  # the flag in the local header, and the one in the directory
-    content[content.index(b"PK\x01\x02") + 8] |= 1
-    pack.write_bytes(content)
-    with pytest.raises(JGHandFailure) as refused:
-        unpack(pack, folder)
-    assert refused.value.kind == "bad_pack"
-
-
-def test_a_file_whose_end_is_missing_is_no_hand(tmp_path, folder):
-    import json
-    import struct
-
-    about = {"__metadata__": {"jghand": json.dumps({"name": "a", "gaussians": 7})}}
-    header = json.dumps({**about, "uvd": {"dtype": "F32", "shape": [25], "data_offsets": [0, 100]}}).encode()
-    for name, kept in (("whole", 100), ("cut", 99)):
-        (folder / f"{name}.jghand").write_bytes(struct.pack("<Q", len(header)) + header + bytes(kept))
-    assert [one.name for one in hands_in([folder])] == ["whole"]
-
-
 def test_nothing_is_written_beside_the_folder_of_hands(tmp_path, folder):
     whole = hand(tmp_path)
     files = {"../out.jghand": whole, "/tmp/root.jghand": whole, "in/side.jghand": whole, "Read Me.jghand": whole}

@@ -10,7 +10,6 @@ import sys
 
 import pytest
 
-from jghand_engine.cli import main
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.progress_json import JsonLines, JsonProgress, JsonTraining, json_lines
@@ -84,17 +83,6 @@ def test_a_full_disk_is_known_behind_the_engines_own_error(tmp_path):
     assert told(stream)[0]["kind"] == "disk_full"
 
 
-class Gone(io.StringIO):
-    """A pipe whose reader has ended."""
-
-    def write(self, text):
-        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
-
-
-def test_nobody_who_reads_along_is_no_reason_to_fail():
-    JsonLines(Gone()).note("Preview")
-
-
 def test_the_end_of_standard_input_stops_a_command_as_ctrl_c_does(tmp_path):
     words = ["export", "--poses", "open,fist,point,open", "--avatar", "painted", "--out", str(tmp_path / "usd")]
     command = [sys.executable, "-I", "-m", "jghand_engine", *words, "--progress-json"]
@@ -102,13 +90,3 @@ def test_the_end_of_standard_input_stops_a_command_as_ctrl_c_does(tmp_path):
     assert done.returncode == 130
     assert json.loads(done.stderr.splitlines()[-1])["kind"] == "canceled"
     assert not (tmp_path / "usd" / "hand.usda").exists()
-
-
-def test_a_stop_that_comes_before_the_command_has_begun_is_one_too(tmp_path, monkeypatch, capsys):
-    def interrupted():
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("jghand_engine.service.server.take_stdin", interrupted)
-    assert main(["export", "--poses", "open", "--out", str(tmp_path / "usd"), "--progress-json"]) == 130
-    assert json.loads(capsys.readouterr().err)["kind"] == "canceled"
-    assert json_lines() is None

@@ -4,7 +4,6 @@ the engine does. In a browser it is tried by scripts/check_web_page.py."""
 from __future__ import annotations
 
 import base64
-import errno
 import gzip
 import json
 import re
@@ -21,7 +20,6 @@ import torch
 from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
-from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.builtin import load_avatar_called
@@ -29,7 +27,7 @@ from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.color import linear_to_srgb
-from jghand_engine.errors import DiskFullError, InputError, RetryError
+from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.web import page as web
 from jghand_engine.export.web.hand import turned_light, with_cheap_correctives
 from jghand_engine.export.web.page import WebOptions, WebView, export_web
@@ -146,25 +144,6 @@ def test_a_page_of_ours_is_replaced_and_other_files_stay(tmp_path):
     assert "Second" in (tmp_path / "index.html").read_text()
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert {path.name for path in tmp_path.iterdir()} == FILES | {"notes.txt"}
-
-
-@pytest.mark.parametrize("written", range(5))
-def test_an_export_that_the_disk_stopped_can_be_tried_again(tmp_path, monkeypatch, written):
-    synced = []
-
-    def full(path):
-        synced.append(path)
-        if len(synced) > written:
-            raise OSError(errno.ENOSPC, "no space")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "sync", full)
-        with pytest.raises(DiskFullError, match="try again"):
-            exported(tmp_path)
-    assert len(list(tmp_path.iterdir())) == written
-    assert not (tmp_path / "index.html").exists()
-    exported(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
 @pytest.mark.parametrize("name", ["index.html", "viewer.js", "LICENSES.txt"])

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
-import safetensors.torch
 import torch
 import trimesh
 
@@ -18,8 +16,6 @@ from jghand_engine.learn.canonical_points import (
     CanonicalPoints,
     bone_areas,
     place_points,
-    points_file,
-    shared_out,
     take_turns,
 )
 from jghand_engine.learn.options import PAPER_FAITHFUL
@@ -242,49 +238,6 @@ def test_points_are_placed_once_and_the_oldest_files_go(folder, placings, monkey
     place_points(load_template(), 30, **NUMBERS)
     assert placings == [10, 20, 30]
     assert len(list(folder.iterdir())) == 2
-
-
-def test_whatever_decides_the_points_is_in_the_name(folder, monkeypatch, tmp_path):
-    template = load_template()
-    moved = replace(template, vertices_m=template.vertices_m * (1 + 1e-12))
-    files = [points_file(template, {**NUMBERS, "count": 50}), points_file(moved, {**NUMBERS, "count": 50})]
-    files += [points_file(template, {**NUMBERS, "count": 50, name: 0.5}) for name in NUMBERS]
-    monkeypatch.setattr(canonical_points, "PACKAGE", tmp_path)
-    files.append(points_file(template, {**NUMBERS, "count": 50}))
-    (tmp_path / "hand").mkdir()
-    (tmp_path / "hand" / "joints.py").write_text("PARENTS = ()")
-    files.append(points_file(template, {**NUMBERS, "count": 50}))
-    assert len(set(files)) == len(files)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda content: b"",
-        lambda content: content[:-40],
-        lambda content: safetensors.torch.save({"normal": torch.zeros(50, 3)}),
-        lambda content: safetensors.torch.save({**safetensors.torch.load(content), "sigma_m": torch.zeros(49)}),
-    ],
-)
-def test_a_damaged_file_is_as_none_and_is_replaced(folder, placings, change):
-    place_points(load_template(), 50, **NUMBERS)
-    (file,) = folder.iterdir()
-    file.write_bytes(change(file.read_bytes()))
-    second = place_points(load_template(), 50, **NUMBERS)
-    assert same(place_points(load_template(), 50, **NUMBERS), second)
-    assert placings == [50, 50]
-
-
-def test_a_folder_that_cannot_be_written_is_no_trouble(folder, placings):
-    folder.write_text("a file is in the way")
-    place_points(load_template(), 50, **NUMBERS)
-    assert placings == [50]
-
-
-def test_shares_add_up():
-    for count in (20, 999, 60_000):
-        counts = shared_out(bone_areas(load_template()) ** 0.7, count)
-        assert counts.sum() == count
 
 
 def test_bone_areas_cover_the_whole_surface():

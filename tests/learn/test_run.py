@@ -175,15 +175,6 @@ def test_a_time_budget_ends_the_training_and_its_schedule(options):
     assert made.plans[-2:] == [267, 250], "with three quarters of the time, three quarters of the schedule are spent"
 
 
-def test_a_resumed_time_budget_keeps_its_plan(options):
-    clock = Clock()
-    options = replace(options, clock=clock.monotonic)
-    train(lambda: Timed(clock), replace(options, budget=Budget(seconds=0.390625)))
-    made = Timed(clock)
-    train(lambda: made, replace(options, start=Start.RESUME, budget=Budget(seconds=0.78125)))
-    assert made.plans[1] == 100, "half of the time is spent"
-
-
 def test_time_spent_counts_over_all_sessions(options):
     train(StandIn, options)
     spent = newest(options.work).state.seconds
@@ -247,20 +238,6 @@ def test_kill_9_at_any_moment_loses_at_most_one_interval(options, tmp_path):
     assert curve(options.work) == curve(straight.work)
     leftovers = [path.name for path in (options.work / "checkpoints").iterdir() if path.name.startswith(".")]
     assert not leftovers, "temporary files of killed saves are removed"
-
-
-def test_a_second_interrupt_ends_at_once(options):
-    class Twice(StandIn):
-        def step(self, number):
-            if number == 10:
-                os.kill(os.getpid(), signal.SIGINT)
-                os.kill(os.getpid(), signal.SIGINT)
-            return super().step(number)
-
-    with pytest.raises(KeyboardInterrupt):
-        train(Twice, options)
-    assert newest(options.work).state.step == 7
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 # ---- refusals --------------------------------------------------------------------------------------------------------

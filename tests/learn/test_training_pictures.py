@@ -176,11 +176,3 @@ def test_pictures_that_do_not_fit_are_read_again_the_longest_unused_first(tmp_pa
         pictures.view(samples[index])
     # c took the place of b, which nobody had looked at for longest
     assert "".join(loads) == "abcb"
-
-
-def test_one_picture_is_kept_even_when_it_is_larger_than_the_room(tmp_path, loads, monkeypatch):
-    monkeypatch.setattr(pictures_module, "PICTURE_CACHE_BYTES", 10)
-    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
-    pictures.view(sample)
-    pictures.view(sample)
-    assert loads == ["picture"]

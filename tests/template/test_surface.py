@@ -7,14 +7,11 @@ import pytest
 import trimesh
 
 from jghand_engine.errors import InputError
-from jghand_engine.template import closest
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface, closest_on_triangle
 from jghand_engine.template.layout import room_for_disk
 from jghand_engine.template.surface import (
     boundary_loop,
-    disk_uv,
-    edge_normals,
     enclosed_volume,
     face_normals,
     fan_faces,
@@ -123,22 +120,6 @@ def test_surfaces_without_exactly_one_opening_are_refused(hand):
         boundary_loop(np.delete(hand.faces, [0, 1500], axis=0))
 
 
-def test_an_open_chain_and_two_openings_are_not_one_loop(hand):
-    for faces, came in (
-        ([[0, 1, 2], [2, 3, 4]], "6 open edges"),  # two triangles that share a corner
-        ([[0, 1, 2], [3, 4, 5]], "several"),
-        # faces that share an edge in the same direction: a chain that ends, and one that runs into itself
-        ([[2, 0, 4], [1, 0, 2], [4, 0, 2]], "an open chain"),
-        ([[4, 0, 3], [2, 5, 4], [4, 5, 3], [3, 2, 4]], "an open chain"),
-    ):
-        with pytest.raises(InputError, match=f"one loop, got {came}"):
-            boundary_loop(np.array(faces))
-    skin = hand.faces[: hand.skin_face_count]
-    inside = next(k for k in range(len(skin)) if not set(skin[k]) & set(boundary_loop(skin)))
-    with pytest.raises(InputError, match="got several"):
-        boundary_loop(np.delete(skin, inside, axis=0))
-
-
 def test_closed_means_every_edge_once_in_each_direction():
     tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     assert is_closed(tetrahedron)
@@ -147,19 +128,6 @@ def test_closed_means_every_edge_once_in_each_direction():
     turned = tetrahedron.copy()
     turned[0] = turned[0, ::-1]
     assert not is_closed(turned)
-
-
-def test_a_fan_is_laid_out_as_a_disk_of_equal_pieces():
-    count, center, radius = 7, (0.4, 0.6), 0.2
-    corners = disk_uv(count, center, radius)
-    np.testing.assert_array_equal(corners[:, 2], [center] * count)
-    np.testing.assert_allclose(np.linalg.norm(corners[:, :2] - center, axis=2), radius, rtol=1e-14)
-    # the first corner of a face is the next face's second, one step of the circle further
-    np.testing.assert_array_equal(corners[:, 0], np.roll(corners[:, 1], -1, axis=0))
-    edge1, edge2 = corners[:, 0] - center, corners[:, 1] - center
-    sine = (edge2[:, 0] * edge1[:, 1] - edge2[:, 1] * edge1[:, 0]) / radius**2
-    np.testing.assert_allclose(sine, np.sin(2 * np.pi / count), rtol=1e-12)
-    np.testing.assert_allclose(corners[0, 1], [0.6, 0.6], rtol=1e-14)
 
 
 def test_volume_and_normals_of_a_box():
@@ -174,22 +142,6 @@ def test_volume_and_normals_of_a_box():
     assert (np.einsum("fc,fc->f", normals, outwards) > 0).all()
     # at a corner of a box the three planes weigh the same, however its sides are cut into triangles
     np.testing.assert_allclose(vertex_normals(vertices, faces), np.sign(vertices) / np.sqrt(3), atol=1e-15)
-
-
-def test_an_edge_s_normal_is_the_mean_of_its_two_faces(hand):
-    normals = face_normals(hand.vertices_m, hand.faces)
-    found = edge_normals(hand.faces, normals)
-    at_edge: dict[frozenset[int], np.ndarray] = {}
-    for face, corners in enumerate(hand.faces.tolist()):
-        for k in range(3):
-            edge = frozenset((corners[k], corners[(k + 1) % 3]))
-            at_edge[edge] = at_edge.get(edge, 0) + normals[face]
-    for face in range(0, len(hand.faces), 17):
-        for k in range(3):
-            both = at_edge[frozenset((int(hand.faces[face, k]), int(hand.faces[face, (k + 1) % 3])))]
-            np.testing.assert_allclose(found[face, k], both / np.linalg.norm(both), atol=1e-14)
-    alone = np.array([[0.0, 0, 1]])
-    np.testing.assert_array_equal(edge_normals(np.array([[0, 1, 2]]), alone), [[[0, 0, 1]] * 3])
 
 
 def test_normals_point_outwards(hand):
@@ -235,30 +187,3 @@ def test_a_full_layout_has_no_room():
     full = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]]], dtype=float)
     with pytest.raises(InputError, match="room"):
         room_for_disk(full)
-
-
-def test_a_point_that_is_nearly_as_far_from_everything_still_finds_its_closest():
-    """In the middle of a dented ball the nearest pieces by their centers are not the nearest faces."""
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
-    rng = np.random.default_rng(0)
-    vertices = np.asarray(ball.vertices) * rng.uniform(0.99, 1.01, (len(ball.vertices), 1))
-    surface = Surface(vertices, np.asarray(ball.faces, dtype=np.int64))
-    points = rng.normal(scale=1e-5, size=(50, 3))
-    count = len(ball.faces)
-    _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (50, 1, 1)))
-    distance = np.abs(surface.closest(points).signed_m)
-    np.testing.assert_allclose(distance, np.sqrt(squared.reshape(50, count).min(axis=1)), rtol=1e-13)
-
-
-def test_how_many_candidates_are_asked_for_does_not_change_the_closest_face(hand, monkeypatch):
-    """Not even where two faces are equally near, as all along an edge."""
-    rng = np.random.default_rng(0)
-    corners = hand.vertices_m[hand.faces[rng.integers(len(hand.faces), size=300)]]
-    points = np.concatenate([points_around(hand, 300), corners.mean(1), corners[:, :2].mean(1), corners[:, 0]])
-    found = []
-    for count in (2, 32, 500):
-        monkeypatch.setattr(closest, "CLOSEST_FIRST_CANDIDATES", count)
-        found.append(Surface(hand.vertices_m, hand.faces).closest(points))
-    for other in found[1:]:
-        for name in ("point_m", "face", "barycentric", "signed_m"):
-            np.testing.assert_array_equal(getattr(found[0], name), getattr(other, name))

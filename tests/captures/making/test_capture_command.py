@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from waiting import wait_until
 from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.making import person_skin, skin, worker
-from jghand_engine.captures.making import plan as plan_module
 from jghand_engine.captures.making.close_ups import CLOSE_PX, CLOSE_SAMPLES
 from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
@@ -213,16 +211,6 @@ def test_two_blenders_do_not_make_one_capture(copied, monkeypatch, capsys):
     assert contents(copied) == before
 
 
-def test_another_release_goes_on_with_a_capture_and_leaves_the_note_of_who_began_it(copied):
-    note = copied / "plan" / "made_by.json"
-    note.write_text(json.dumps({"Blender": "5.0.1", "JGHand": "0.0.1"}))
-    pictures(copied)[0].unlink()
-    before = note.read_bytes()
-    assert capture(copied) == 0
-    assert len(pictures(copied)) == 42
-    assert note.read_bytes() == before
-
-
 def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypatch, capsys, made):
     folder = tmp_path / "unfinished"
     monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "17")
@@ -243,14 +231,6 @@ def test_finished_only_begins_no_capture_in_a_mistyped_folder(tmp_path, capsys):
         assert f"--out {folder}" in error
         assert came in error
     assert [path.name for path in tmp_path.rglob("*")] == ["empty"]
-
-
-def test_the_seed_of_a_capture_may_be_larger_than_that_of_a_person(tmp_path, capsys):
-    words = ["capture", "--identity", "3", "--seed", str(2**31), "--finished-only", "--out", str(tmp_path / "none")]
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert "person" not in error
-    assert "no such folder" in error
 
 
 def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
@@ -287,16 +267,6 @@ def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_pa
     with pytest.raises(InputError, match=told):
         open_or_make(tmp_path, other)
     assert open_or_make(tmp_path, dataclasses.replace(begun, identity="adult_man")).description["cameras"] == 4
-
-
-def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):
-    monkeypatch.setattr(plan_module, "LOCK_WAIT_S", 0.05)
-    options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN)
-    (tmp_path / "plan").mkdir()
-    with locked(tmp_path / "plan" / "plan.lock"), pytest.raises(RetryError, match="start of a capture"):
-        open_or_make(tmp_path, options)
-    assert not list((tmp_path / "plan").glob("*.json"))
-    open_or_make(tmp_path, options)
 
 
 def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
@@ -466,19 +436,3 @@ def test_images_and_boxes_are_those_of_the_hand_whatever_its_forearm_does(person
     assert (seen <= size).all()
     # the forearm runs out of the image
     assert ((behind < 0) | (behind > size)).any()
-
-
-def test_the_mesh_of_many_poses_takes_the_memory_of_one(tmp_path, person_plan):
-    assert person_plan.person is not None
-    vertices_m, joints_m = (np.repeat(array[:1], 100, 0) for array in (person_plan.vertices_m, person_plan.joints_m))
-    tracemalloc.start()
-    try:
-        person_plan.person.write_mesh(tmp_path / "mesh.npy", vertices_m, joints_m)
-        most = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    mesh = np.load(tmp_path / "mesh.npy", mmap_mode="r")
-    assert mesh.shape == (100, 6994, 4)
-    np.testing.assert_array_equal(mesh[99], mesh[0])
-    # observed 3.1 MB, against 10 of the file
-    assert most < mesh.nbytes / 2
