@@ -47,7 +47,7 @@ def raster_sizes(job: RasterJob) -> dict[str, int]:
     n, pixels, tiles = job.count, job.width * job.height, job.tiles_x * job.tiles_y
     sizes = {"position": 12 * n, "sigma": 4 * n, "covariance": 24 * n, "opacity": 4 * n, "rgb": 12 * n}
     sizes |= {f"{name}_gradient": size for name, size in sizes.items()}
-    sizes |= {"projected": 64 * n, "records": 64 * n, "projected_rects": 8 * n, "rects": 8 * n, "slots": 4 * n}
+    sizes |= {"records": 64 * n, "rects": 8 * n}
     sizes |= {"sort_a": 8 * n, "sort_b": 8 * n, "order": 4 * n, "summaries": 16 * job.parts}
     sizes |= {"part_cursors": 4 * job.parts * (job.tiles_x + 1) * (job.tiles_y + 1), "tile_start": 4 * (tiles + 1)}
     sizes |= {"tile_list": 4 * job.list_capacity, "tile_work": 4 * tiles, "record_gradients": 4 * 64 * n}

@@ -28,7 +28,7 @@ class GpuBlend:
     def draw(
         self, records: np.ndarray, tile_start: np.ndarray, tile_list: np.ndarray, planes: np.ndarray, cuts: Cuts
     ) -> None:
-        """Draws into planes (5, H, W) float32. records (visible, 16) float32, tile_start (tiles + 1,) and tile_list
+        """Draws into planes (5, H, W) float32. records (Gaussians, 16) float32, tile_start (tiles + 1,) and tile_list
         (pairs,) int32 as native/raster.h has them; cuts: log2 of alpha_min, and t_stop.
 
         MemoryLimitError for arrays that the device does not hold, RetryError when it fails or was lost.

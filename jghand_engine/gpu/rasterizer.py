@@ -44,7 +44,7 @@ class GpuRasterizer(NativeRasterizer):
         job, arrays = self._job, self._arrays
         try:
             self._blend.draw(
-                arrays["records"][: job.visible],
+                arrays["records"],
                 arrays["tile_start"],
                 arrays["tile_list"][: job.pairs],
                 self._planes,

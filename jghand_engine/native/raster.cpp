@@ -15,10 +15,7 @@ bool make_lists(RasterJob& job) {
   Team& team = *job.team;
   share(team, 0, job.parts, [&](int32_t part) { project_part(job, part); });
   share(team, 1, 1, [&](int32_t) { sort_visible(job); });
-  share(team, 2, job.parts, [&](int32_t part) {
-    gather_part(job, part);
-    count_part(job, part);
-  });
+  share(team, 2, job.parts, [&](int32_t part) { count_part(job, part); });
   share(team, 3, 1, [&](int32_t) { lay_out_lists(job); });
   if (job.status != DONE) return false;
   share(team, 4, job.parts, [&](int32_t part) { fill_part(job, part); });

@@ -2,7 +2,6 @@
 //
 //   project   every Gaussian: center, conic, footprint in tiles, depth key; what cannot be seen is culled
 //   sort      the visible ones by camera depth, ties by index
-//   gather    records into that order: neighbors in a tile's list are then neighbors in memory
 //   bin       a list per 16 x 16 tile, in depth order
 //   blend     per tile, front to back, a 4 x 4 block of pixels per vector
 //   backward  the same walk with the gradient of the picture, then the chain rule to the inputs
@@ -60,23 +59,20 @@ struct RasterJob {
                           // the color that these parts have, as if none were seen from inside, through gaps between
                           // others. null: all of all. There is no backward pass of such a picture
   // scratch that forward leaves for backward
-  Record* projected;        // (count): in the order of the input
-  TileRect* projected_rects;
-  Record* records;          // (count): the visible ones, front to back; a Gaussian's place here is its slot
-  TileRect* rects;
-  int32_t* slots;           // (count): slot of a Gaussian, -1 when it is culled
+  Record* records;          // (count)
+  TileRect* rects;          // (count): of culled ones x1 is -1
   uint64_t* sort_a;         // (count)
   uint64_t* sort_b;         // (count)
-  int32_t* order;           // (count): Gaussian of a slot
+  int32_t* order;           // (count): the visible Gaussians, front to back
   PartSummary* summaries;   // (parts)
   int32_t* part_cursors;    // (parts, tiles_y + 1, tiles_x + 1)
   int32_t* tile_start;      // (tiles + 1): where each tile's list begins
-  int32_t* tile_list;       // (list_capacity): slots, front to back per tile
+  int32_t* tile_list;       // (list_capacity): Gaussians, front to back per tile
   int32_t* tile_work;       // (tiles): work done by blend, for sharing backward evenly; 0 where nothing is
   float* planes;            // (5, height, width): premultiplied R G B, alpha, sum of weight times depth
   // backward only
   const float* plane_gradients;       // (5, height, width)
-  RecordGradient* record_gradients;   // (GRADIENT_STRIPES, count), by slot
+  RecordGradient* record_gradients;   // (GRADIENT_STRIPES, count)
   float* position_gradient;           // (count, 3)
   float* sigma_gradient;              // (count); not written when there are covariances
   float* covariance_gradient;         // (count, 6); written when there are covariances
@@ -101,7 +97,6 @@ struct RasterJob {
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.
 void project_part(const RasterJob& job, int32_t part);
 void sort_visible(RasterJob& job);
-void gather_part(const RasterJob& job, int32_t part);
 void count_part(const RasterJob& job, int32_t part);
 void lay_out_lists(RasterJob& job);
 void fill_part(const RasterJob& job, int32_t part);
@@ -115,10 +110,10 @@ Stripes cut_stripes(const RasterJob& job);
 void blend_backward_stripe(const RasterJob& job, const Stripes& stripes, int32_t stripe);
 void chain_rule_part(const RasterJob& job, const Stripes& stripes, int32_t part);
 
-// Whether any tile of `rect` lies between tiles begin and end in memory order, or might: only such stripes have to be
+// Whether any tile of the `rect` of a visible Gaussian lies between tiles begin and end in memory order, or might: only such stripes have to be
 // cleared before, and added after, the backward pass.
 inline bool may_touch(const RasterJob& job, const TileRect& rect, int32_t begin, int32_t end) {
-  return rect.y0 * job.tiles_x + rect.x0 < end && rect.y1 * job.tiles_x + rect.x1 >= begin;
+  return rect.x1 >= 0 && rect.y0 * job.tiles_x + rect.x0 < end && rect.y1 * job.tiles_x + rect.x1 >= begin;
 }
 
 }  // namespace jg

@@ -120,8 +120,8 @@ Stripes cut_stripes(const RasterJob& job) {
 void blend_backward_stripe(const RasterJob& job, const Stripes& stripes, int32_t stripe) {
   RecordGradient* gradients = job.record_gradients + (int64_t)stripe * job.count;
   const int32_t begin = stripes.cut[stripe], end = stripes.cut[stripe + 1];
-  for (int64_t slot = 0; slot < job.visible; slot++)
-    if (may_touch(job, job.rects[slot], begin, end)) memset(gradients + slot, 0, sizeof *gradients);
+  for (int64_t i = 0; i < job.count; i++)
+    if (may_touch(job, job.rects[i], begin, end)) memset(gradients + i, 0, sizeof *gradients);
   const int squarings = squarings_for(job.log2_alpha_min);
   for (int32_t tile = begin; tile < end; tile++) {
     if (squarings == 3) walk_tile<3>(job, tile, gradients);

@@ -22,7 +22,7 @@ void count_part(const RasterJob& job, int32_t part) {
   memset(grid, 0, sizeof(int32_t) * pitch * (job.tiles_y + 1));
   const Range range = part_of(job.visible, part, job.parts);
   for (int64_t slot = range.begin; slot < range.end; slot++) {
-    const TileRect rect = job.rects[slot];
+    const TileRect rect = job.rects[job.order[slot]];
     int32_t *top = grid + rect.y0 * pitch, *below = grid + (rect.y1 + 1) * pitch;
     top[rect.x0]++, top[rect.x1 + 1]--, below[rect.x0]--, below[rect.x1 + 1]++;
   }
@@ -62,9 +62,10 @@ void fill_part(const RasterJob& job, int32_t part) {
   int32_t *grid = grid_of(job, part), *list = job.tile_list;
   const Range range = part_of(job.visible, part, job.parts);
   for (int64_t slot = range.begin; slot < range.end; slot++) {
-    const TileRect rect = job.rects[slot];
+    const int32_t gaussian = job.order[slot];
+    const TileRect rect = job.rects[gaussian];
     for (int32_t y = rect.y0; y <= rect.y1; y++)
-      for (int32_t x = rect.x0; x <= rect.x1; x++) list[grid[y * pitch + x]++] = (int32_t)slot;
+      for (int32_t x = rect.x0; x <= rect.x1; x++) list[grid[y * pitch + x]++] = gaussian;
   }
 }
 

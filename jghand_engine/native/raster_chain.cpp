@@ -9,27 +9,14 @@ struct RecordGradients {
   vf m, mx, my, mxx, mxy, myy, r, g, b, z;
 };
 
-// Slots are scattered: asks for the rows of the Gaussians after these, so that they are there when their turn comes.
-JG_INLINE void prefetch_rows(const RasterJob& job, int64_t first) {
-  for (int64_t i = first; i < first + LANES && i < job.count; i++) {
-    const int64_t slot = job.slots[i];
-    if (slot < 0) continue;
-    __builtin_prefetch(job.rects + slot);
-    for (int stripe = 0; stripe < GRADIENT_STRIPES; stripe++)
-      __builtin_prefetch(&job.record_gradients[(int64_t)stripe * job.count + slot]);
-  }
-}
-
 JG_INLINE RecordGradients gather(const RasterJob& job, const Stripes& stripes, int64_t first, int n, vi& seen) {
   vf rows[LANES] = {};
   for (int lane = 0; lane < n; lane++) {
-    const int64_t slot = job.slots[first + lane];
-    seen[lane] = slot < 0 ? 0 : -1;
-    if (slot < 0) continue;
-    const TileRect rect = job.rects[slot];
+    const TileRect rect = job.rects[first + lane];
+    seen[lane] = rect.x1 < 0 ? 0 : -1;
     for (int stripe = 0; stripe < GRADIENT_STRIPES; stripe++)
       if (may_touch(job, rect, stripes.cut[stripe], stripes.cut[stripe + 1]))
-        rows[lane] += load(&job.record_gradients[(int64_t)stripe * job.count + slot].m);
+        rows[lane] += load(&job.record_gradients[(int64_t)stripe * job.count + first + lane].m);
   }
   transpose(rows);
   return {rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9]};
@@ -138,7 +125,6 @@ void chain_rule_range(const RasterJob& job, const Stripes& stripes, int32_t part
   for (int64_t i = range.begin; i < range.end; i += LANES) {
     const int n = range.end - i < LANES ? (int)(range.end - i) : LANES;
     vi seen = {};
-    prefetch_rows(job, i + LANES);
     const RecordGradients grad = gather(job, stripes, i, n, seen);
     Shapes shapes, d_shapes;
     load_shapes(job, i, n, shapes);

@@ -53,15 +53,15 @@ JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inpu
   memcpy((void*)out, rows, n * sizeof(Record));
 }
 
-// The tiles that the box u +- rx, v +- ry of a visible Gaussian reaches; of a culled one it may be anything. Clamped
-// before the conversion: floats beyond int range are undefined.
-JG_INLINE void store_rects(TileRect* out, int n, const RasterJob& job, vf u, vf v, vf rx, vf ry) {
+// The tiles that the box u +- rx, v +- ry of a visible Gaussian reaches. Clamped before the conversion: floats beyond int
+// range are undefined.
+JG_INLINE void store_rects(TileRect* out, int n, const RasterJob& job, vi seen, vf u, vf v, vf rx, vf ry) {
   const vf right = all((float)(job.width - 1)), bottom = all((float)(job.height - 1));
   auto tile = [](vf px, vf last) __attribute__((always_inline)) {
     return __builtin_convertvector(min(max(px, vf{}), last) * (1.0f / TILE_PX), vi);
   };
   const vi x0 = tile(u - rx, right), x1 = tile(u + rx, right), y0 = tile(v - ry, bottom), y1 = tile(v + ry, bottom);
-  const vi x = x0 | x1 << 16, y = y0 | y1 << 16;
+  const vi x = seen ? x0 | x1 << 16 : all(-1), y = y0 | y1 << 16;
   int32_t xs[LANES], ys[LANES];
   store(xs, x), store(ys, y);
   for (int i = 0; i < n; i++) {
@@ -75,7 +75,6 @@ void project_range(const RasterJob& job, int32_t part) {
   const Range range = part_of(job.count, part, job.parts);
   uint64_t* keys = job.sort_a + range.begin;
   PartSummary summary = {0, 0, UINT32_MAX, 0};
-  memset(job.slots + range.begin, -1, sizeof(int32_t) * (range.end - range.begin));
   for (int64_t i = range.begin; i < range.end; i += LANES) {
     const int n = range.end - i < LANES ? (int)(range.end - i) : LANES;
     const Inputs in = load_inputs(job, i, n);
@@ -93,8 +92,8 @@ void project_range(const RasterJob& job, int32_t part) {
     const vi seen = present & valid & in_front & sized & (k > 0) & on_picture;
     summary.invalid += __builtin_popcount(bit_mask(present & (~valid | (in_front & ~sized))));
 
-    store_records(job.projected + i, n, p, in, u, v, log2_opacity, reach * (max(p.a, p.c) + abs(p.b)));
-    store_rects(job.projected_rects + i, n, job, u, v, rx, ry);
+    store_records(job.records + i, n, p, in, u, v, log2_opacity, reach * (max(p.a, p.c) + abs(p.b)));
+    store_rects(job.rects + i, n, job, seen, u, v, rx, ry);
     uint32_t depth_bits[LANES];  // z > 0: the bit pattern orders like the value
     memcpy(depth_bits, &p.z, sizeof depth_bits);
     for (uint32_t mask = bit_mask(seen); mask; mask &= mask - 1) {

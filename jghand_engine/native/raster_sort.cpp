@@ -58,16 +58,4 @@ void sort_visible(RasterJob& job) {
   }
 }
 
-void gather_part(const RasterJob& job, int32_t part) {
-  const Range range = part_of(job.visible, part, job.parts);
-  const int64_t ahead = 16;  // records on their way from memory at once
-  for (int64_t slot = range.begin; slot < range.end; slot++) {
-    if (slot + ahead < range.end) __builtin_prefetch(job.projected + job.order[slot + ahead]);
-    const int32_t gaussian = job.order[slot];
-    job.records[slot] = job.projected[gaussian];
-    job.rects[slot] = job.projected_rects[gaussian];
-    job.slots[gaussian] = (int32_t)slot;
-  }
-}
-
 }  // namespace jg

@@ -47,7 +47,7 @@ class _Job(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb", "front")),
-        *((name, ctypes.c_void_p) for name in ("projected", "projected_rects", "records", "rects", "slots")),
+        *((name, ctypes.c_void_p) for name in ("records", "rects")),
         *((name, ctypes.c_void_p) for name in ("sort_a", "sort_b", "order", "summaries")),
         *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
         *((name, ctypes.c_void_p) for name in ("plane_gradients", "record_gradients")),
@@ -141,6 +141,8 @@ class NativeRasterizer:
         self._job.team = self._team.ctypes.data
         self._job.z_near, self._job.alpha_max = contract.Z_NEAR_M, contract.ALPHA_MAX
         self._arrays: dict[str, np.ndarray] = {}
+        # Gaussians, tiles along x and y that there is room for
+        self._reserved: tuple[int, int, int] | None = None
         self._prepared: GaussianArrays | None = None  # what is being drawn
         self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
         self._planes: np.ndarray | None = None
@@ -277,14 +279,14 @@ class NativeRasterizer:
 
     def _reserve_scratch(self) -> None:
         job = self._job
+        if self._reserved == (job.count, job.tiles_x, job.tiles_y):
+            return
+        self._reserved = None
         n, tiles = job.count, job.tiles_x * job.tiles_y
         job.parts = _PARTS_PER_THREAD * self.threads
         shapes = {
-            "projected": ((n, _RECORD_FLOATS), np.float32),
-            "projected_rects": ((n, 4), np.int16),
             "records": ((n, _RECORD_FLOATS), np.float32),
             "rects": ((n, 4), np.int16),
-            "slots": ((n,), np.int32),
             "sort_a": ((n,), np.uint64),
             "sort_b": ((n,), np.uint64),
             "order": ((n,), np.int32),
@@ -297,10 +299,11 @@ class NativeRasterizer:
             setattr(job, name, self._array(name, shape, dtype).ctypes.data)
         if not job.list_capacity:
             self._reserve_list(n)
+        self._reserved = job.count, job.tiles_x, job.tiles_y
 
     def _reserve_list(self, pairs: int) -> None:
         """Room for `pairs` entries and a quarter more, so that a moving hand does not ask again every frame."""
-        self._job.list_capacity = 0  # should there be no memory: the old list is gone
+        self._job.list_capacity, self._reserved = 0, None  # should there be no memory: the old list is gone
         capacity = min(pairs + pairs // 4 + 1024, contract.MAX_PAIRS)
         self._job.tile_list = self._array("tile_list", (capacity,), np.int32).ctypes.data
         self._job.list_capacity = capacity
