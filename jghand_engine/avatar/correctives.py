@@ -225,6 +225,8 @@ class CorrectiveChange:
 
     def __init__(self, net: Correctives | None) -> None:
         self._net, self._features = net, None if net is None else PoseFeatures(net.angles)
+        # the angles that were asked about last, and what `_numbers` says of them
+        self._known: tuple[np.ndarray, np.ndarray] | None = None
         if isinstance(net, PoseNetwork):
             into, middle, out = (net.weights[f"{name}.weight"] for name in ("angles_in", "middle", "out"))
             self._into = into.T.astype(np.float64)
@@ -242,7 +244,11 @@ class CorrectiveChange:
         """Of offsets, meters, and of any channel of the shade, between two poses of angles (37,)."""
         if self._features is None or np.array_equal(before_rad, after_rad):
             return 0.0, 0.0
-        change = self._numbers(after_rad) - self._numbers(before_rad)
+        before = self._known
+        if before is None or not np.array_equal(before[0], before_rad):
+            before = before_rad, self._numbers(before_rad)
+        self._known = after_rad.copy(), self._numbers(after_rad)
+        change = self._known[1] - before[1]
         most = float(np.linalg.norm(change, axis=1).max())
         return self._slope_m * most, self._shade_slope * most
 

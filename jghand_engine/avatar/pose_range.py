@@ -71,10 +71,13 @@ def outside(angles_rad: np.ndarray, limits_rad: np.ndarray) -> list[OutOfRange]:
     """The same from angles (..., 15, 2) and `trained_range`. An angle that is not finite is not outside."""
     angles = angles_rad.reshape(-1, 15, 2)
     low, high = limits_rad
+    tolerance_rad = math.radians(POSE_RANGE_TOLERANCE_DEG)
+    if not ((angles < low - tolerance_rad) | (angles > high + tolerance_rad)).any():
+        return []
     beyond = np.nan_to_num(np.maximum(low - angles, angles - high), nan=-np.inf)
     worst = beyond.argmax(0)
     found = []
-    for bone, kind in np.argwhere(beyond.max(0) > math.radians(POSE_RANGE_TOLERANCE_DEG)):
+    for bone, kind in np.argwhere(beyond.max(0) > tolerance_rad):
         frame = int(worst[bone, kind])
         found.append(
             OutOfRange(

@@ -129,8 +129,13 @@ class Poser:
         self._team, self._gloss_team = new_team(), new_team()
         self.teams = [self._team, self._gloss_team]
         self._arrays = skin_arrays(avatar, blocks)
-        self._skin = skin_task(blocks)
-        set_pointers(self._skin, self._arrays)
+        self._skin = task = skin_task(blocks)
+        set_pointers(task, self._arrays)
+        rows, covariance = blocks.rows, self.into.covariance_m2
+        task.position = address(self.into.position_m, np.float32, "position_m", (rows, 3), writable=True)
+        task.sigma = address(self.into.sigma_m, np.float32, "sigma_m", (rows,), writable=True)
+        if covariance is not None:
+            task.covariance = address(covariance, np.float32, "covariance_m2", (rows, 6), writable=True)
         _check_size(library, library.call.jg_skin_task_bytes(), SkinTask)
         self._light = None if learned is None else _Light(library, avatar, learned, blocks, limits)
         # what the task points to, and the pose that stands
@@ -154,13 +159,8 @@ class Poser:
         InputError names an array that the kernel cannot read or write.
         """
         linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
-        task, into, rows, covariance = self._skin, self.into, self.blocks.rows, self.into.covariance_m2
+        task = self._skin
         task.linear_offset = address(linear_offset, np.float32, "linear_offset", (self._maps, 3, 4))
-        task.position = address(into.position_m, np.float32, "position_m", (rows, 3), writable=True)
-        task.sigma = address(into.sigma_m, np.float32, "sigma_m", (rows,), writable=True)
-        task.covariance = (
-            None if covariance is None else address(covariance, np.float32, "covariance_m2", (rows, 6), writable=True)
-        )
         task.shift = tuple(shift_m)
         # finite for a hand without size
         inverse_scale = 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
@@ -168,7 +168,7 @@ class Poser:
         if self._light is not None:
             self._light.task.skin = task
             self._light.prepare_scene(light, bones)
-            self._light.prepare(bones, inverse_scale, into, others, keep_correctives=keep_correctives)
+            self._light.prepare(bones, self.into, others, keep_correctives=keep_correctives)
         self._stands, self._eye_m = (linear_offset, bones, others), None
         self._team.fill(0)
 
@@ -241,15 +241,7 @@ class _Light:
         if self._scene is not None:
             self._scene.prepare(light or SceneLight(), bones, keep_pose=keep_pose)
 
-    def prepare(
-        self,
-        bones: Bones,
-        inverse_scale: float,
-        into: GaussianArrays,
-        others: Capsules | None,
-        *,
-        keep_correctives: bool,
-    ) -> None:
+    def prepare(self, bones: Bones, into: GaussianArrays, others: Capsules | None, *, keep_correctives: bool) -> None:
         task, front = self.task, into.front
         task.rgb = address(into.rgb, np.float32, "rgb", (self._rows, 3), writable=True)
         task.front = None if front is None else address(front, np.float32, "front", (self._rows,), writable=True)

@@ -122,7 +122,7 @@ _FLAG_SENTENCES = {
 
 def describe_flags(flags: int) -> list[str]:
     """Sentences for the bits of `flags`."""
-    return [sentence for flag, sentence in _FLAG_SENTENCES.items() if flags & flag]
+    return [sentence for flag, sentence in _FLAG_SENTENCES.items() if flags & flag] if flags else []
 
 
 @dataclass(frozen=True)

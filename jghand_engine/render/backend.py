@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 from collections.abc import Sequence
@@ -325,7 +326,8 @@ class _Work:
 
     def report_to(self, report: FrameReport, first: str, last: str) -> None:
         """Writes the stages into the report; `first` is what was done to the skins, `last` what the shade call did."""
-        skin_ms, gloss_ms, raster_ms, detail_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
+        steps = itertools.pairwise(self._times)
+        skin_ms, gloss_ms, raster_ms, detail_ms, shade_ms = (1e3 * (end - start) for start, end in steps)
         if self._skins:
             report.ran(first, skin_ms)
         if self._shining:

@@ -112,6 +112,11 @@ class Camera:
         away_m = PARALLEL_EYE_M if self.orthographic else 0.0
         return -(rotation.T @ offset_m) - away_m * rotation[2]
 
+    @property
+    def pinhole(self) -> Camera:
+        """It without its lens."""
+        return self if self.lens is None else replace(self, lens=None)
+
     def px_per_meter(self, depth_m: float) -> float:
         """How large a meter is on the image at a depth, pixels, along the axis on which it is larger."""
         return max(self.fx, self.fy) / (1.0 if self.orthographic else depth_m)
@@ -136,6 +141,8 @@ class Camera:
 
     def part(self, left: int, top: int, width: int, height: int) -> Camera:
         """The camera of a rectangle of the image, pixels."""
+        if (left, top, width, height) == (0, 0, self.width, self.height):
+            return self
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def project(self, points_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

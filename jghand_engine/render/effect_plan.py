@@ -152,6 +152,8 @@ class EffectPlan:
 
     def with_averages(self, decisions: Sequence[Decision], exposures: int) -> EffectPlan:
         """The plan of one image with those of the mean that it is a part of."""
+        if not decisions and exposures == self.exposures:
+            return self
         changed = {one.effect: one for one in decisions}
         merged = tuple(changed.get(one.effect, one) for one in self.decisions)
         return replace(self, decisions=merged, exposures=exposures)

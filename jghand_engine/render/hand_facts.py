@@ -65,10 +65,12 @@ class HandFacts:
     def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
         """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
         may be from its skinned place."""
-        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
-        # a bone that is longer than the hand's scale says stretches the offsets along it
-        longest = float(np.linalg.norm(bones.linear_offset[:JOINT_COUNT, :, :3] @ self._frames, axis=1).max())
-        return seen * max(bones.scale, 1.0), self._offset_m * max(longest, 1.0)
+        seen, longest = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m, 1.0
+        if self._offset_m:
+            # a bone that is longer than the hand's scale says stretches the offsets along it
+            stretched = bones.linear_offset[:JOINT_COUNT, :, :3] @ self._frames
+            longest = max(math.sqrt(np.einsum("ijk,ijk->ik", stretched, stretched).max()), 1.0)
+        return seen * max(bones.scale, 1.0), self._offset_m * longest
 
     def corners_m(self, maps: np.ndarray) -> np.ndarray:
         """(K, 3) points relative to the hand's root whose hull holds every skinned place. maps: of `Bones`"""

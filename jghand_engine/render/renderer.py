@@ -149,7 +149,7 @@ class SceneRenderer:
         InputError as of `render`, for moments of different sizes, or weights that are none.
         """
         check_moments(moments, weights)
-        started, camera = time.perf_counter(), replace(middle(moments).camera, lens=None)
+        started, camera = time.perf_counter(), middle(moments).camera.pinhole
         # what is drawn may be the hand's box alone
         check_image_size(camera.width, camera.height)
         moments = [replace(moment, hands=self._checked(moment.hands)) for moment in moments]
@@ -217,7 +217,7 @@ class SceneRenderer:
         if self._bones is None:
             self._bones = [bone_numbers(avatar) for avatar in self._avatars]
         assert self._posed is not None
-        canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, contract.ALPHA_MIN)
+        canvas = self._canvas(self._posed, camera.pinhole, 0.0, contract.ALPHA_MIN)
         return self._backend.part_map(canvas, self._bones)
 
     def _checked(self, hands: Sequence[Hand]) -> list[HandPose]:
@@ -331,8 +331,7 @@ class SceneRenderer:
         settings = self.settings
         # normals are those of the depth
         depth = settings.depth or settings.normals
-        canvas = self._canvas(posed, camera, plan.strength, settings.alpha_min, depth=depth)
-        canvas = replace(canvas, detail=plan.detail)
+        canvas = self._canvas(posed, camera, plan.strength, settings.alpha_min, depth=depth, detail=plan.detail)
         poses = None if posed.moved_m is not None else posed.poses
         keeps = poses is None and not settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # an image that fails half way may leave the backend with half of these Gaussians: then the next one poses anew
@@ -350,11 +349,18 @@ class SceneRenderer:
         return weights
 
     def _canvas(
-        self, posed: _Posed, camera: Camera, strength: float, alpha_min: float, *, depth: bool = False
+        self,
+        posed: _Posed,
+        camera: Camera,
+        strength: float,
+        alpha_min: float,
+        *,
+        depth: bool = False,
+        detail: tuple[float, ...] = (),
     ) -> Canvas:
         style, at_origin = self._shadow_style(strength) if strength > 0 else None, _at_origin(posed, camera)
         near_m = float(at_origin.camera_from_world[2, 3])
-        return Canvas(at_origin, near_m, style, alpha_min, depth, self.light)
+        return Canvas(at_origin, near_m, style, alpha_min, depth, self.light, detail)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""

@@ -74,6 +74,8 @@ class FrameReport:
 
 def summed(reports: Sequence[FrameReport], plan: EffectPlan | None) -> FrameReport:
     """One receipt of all images of a mean: times are added, notes said once, the rest is that of the last one."""
+    if len(reports) == 1:
+        return replace(reports[0], plan=plan)
     notes = dict.fromkeys(note for report in reports for note in report.notes)
     whole = replace(reports[-1], stages={}, notes=list(notes), plan=plan)
     for report in reports:
