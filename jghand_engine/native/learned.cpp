@@ -90,12 +90,7 @@ void gloss_block(const LearnedTask& t, int32_t block) {
   make_unit(eye, t.length2_min);
   const vf facing = dot(n, eye);
   for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
-  for (int k = 0; k < t.lobes; k++) {
-    const float* lobe = t.lobe + LOBE * k;
-    const vf cosine = mirrored[0] * lobe[0] + mirrored[1] * lobe[1] + mirrored[2] * lobe[2];
-    const vf strength = exp2((cosine - 1.f) * lobe[3]);
-    for (int i = 0; i < 3; i++) lobes[i] += strength * lobe[4 + i];
-  }
+  add_lobes(t.lobe, t.lobes, mirrored, lobes);
   const vf grazing = 1.f - min(max(facing, vf{}), all(1.f)), square = grazing * grazing;
   const vf shine = load(t.look + LOOK * row + LANES * 6) * (1.f + t.rim * (square * square * grazing));
   for (int i = 0; i < 3; i++) rgb[i] += shine * lobes[i];

@@ -131,4 +131,13 @@ JG_INLINE void harmonics(const vf n[3], vf out[HARMONICS]) {
   memcpy(out, values, sizeof values);
 }
 
+// What lights in lobes (count, LOBE) shine from sixteen directions; less than 2^-31 of one is not seen.
+JG_INLINE void add_lobes(const float* lobe, int32_t count, const vf direction[3], vf rgb[3]) {
+  for (int32_t k = 0; k < count; k++, lobe += LOBE) {
+    const vf cosine = direction[0] * lobe[0] + direction[1] * lobe[1] + direction[2] * lobe[2];
+    const vf strength = exp2_of_negative<5>(max((cosine - 1.f) * lobe[3], all(-31.f)));
+    for (int i = 0; i < 3; i++) rgb[i] += strength * lobe[4 + i];
+  }
+}
+
 }  // namespace jg

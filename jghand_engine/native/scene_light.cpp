@@ -18,7 +18,6 @@ constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, 
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
-constexpr float LOBE_EXPONENT_MIN = -31.f;                // of 2: less of a lobe is not seen
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
 constexpr float HIDDEN_MIN = 1e-9f;                       // sum of cosines, as a divisor
 constexpr float WEIGHT_MIN = 1e-6f;                       // of skin that faces as hidden skin does
@@ -397,12 +396,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
   if (s.lobes) {
     for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
     vf lobes[3] = {};
-    for (int j = 0; j < s.lobes; j++) {
-      const float* lobe = s.lobe + LOBE * j;
-      const vf cosine = mirrored[0] * lobe[0] + mirrored[1] * lobe[1] + mirrored[2] * lobe[2];
-      const vf strength = exp2_of_negative<5>(max((cosine - 1.f) * lobe[3], all(LOBE_EXPONENT_MIN)));
-      for (int i = 0; i < 3; i++) lobes[i] += strength * lobe[4 + i];
-    }
+    add_lobes(s.lobe, s.lobes, mirrored, lobes);
     // how much of an even light GGX mirrors: Karis, "Physically Based Shading on Mobile", 2014
     const vf r0 = 1.f - rough, r1 = 0.0425f - 0.0275f * rough, r2 = 1.04f - 0.572f * rough, r3 = 0.022f * rough - 0.04f;
     const vf base = min(r0 * r0, exp2(-9.28f * cosine_eye)) * r0 + r1;
