@@ -17,8 +17,9 @@ from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS
 from jghand_engine.template.texture import sample_bilinear
 
-# pictures from which on a Gaussian counts as seen, and no more than so many count
-SEEN, SEEN_MOST = 0.3, 3.0
+# pictures from which on a Gaussian counts as seen, or so much of what the best tenth has if that is less; no more than
+# so many count. A few pictures of many are bent fingers behind an outline that does not fit: a wall, or another finger
+SEEN, SEEN_PART, BEST_PART, SEEN_MOST = 2.0, 0.1, 0.9, 3.0
 # how far components may go from the mean, against how far they fit: variance of what no component holds. A shift of
 # each channel, which the strength and the white of the light leave open, is hardly held
 FIT_VARIANCE, SHIFT_SPREAD = 0.02, 10.0
@@ -45,7 +46,7 @@ class SkinPrior:
 
     def fitted(self, log_albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """(N, 3) the skin that is most likely, where (N,) pictures show some of it."""
-        count, known = len(self.components), seen > SEEN
+        count, known = len(self.components), seen > seen_from(seen)
         if not known.any():
             return self.mean
         weight = np.sqrt(np.minimum(seen[known], SEEN_MOST))[:, None, None]
@@ -58,9 +59,15 @@ class SkinPrior:
         return self.mean + np.tensordot(amount[:count], self.components, 1) + amount[count:]
 
 
+def seen_from(seen: np.ndarray) -> float:
+    """Pictures from which on one of (N,) Gaussians counts as seen."""
+    return min(SEEN, SEEN_PART * float(np.quantile(seen, BEST_PART)))
+
+
 def whole_skin(avatar: HandAvatar, albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(N, 3) the albedo everywhere. albedo: (N, 3), where it was seen · seen: (N,) in pictures"""
-    place_m, known = avatar.position_m.astype(np.float64), seen > SEEN
+    least = seen_from(seen)
+    place_m, known = avatar.position_m.astype(np.float64), seen > least
     log_albedo = _like_its_neighbors(np.log(albedo.astype(np.float64)), seen, place_m)
     likely = SkinPrior.at(avatar).fitted(log_albedo, seen)
     if not known.any():
@@ -70,7 +77,7 @@ def whole_skin(avatar: HandAvatar, albedo: np.ndarray, seen: np.ndarray) -> np.n
     weight = np.exp(-np.square(distance_m / NEAR_M)) + 1e-9
     spread = (weight[..., None] * lacking[nearest]).sum(1) / weight.sum(1, keepdims=True)
     rest = likely + np.exp(-np.square(distance_m[:, :1] / FADE_M)) * spread
-    share = np.where(known, seen / (seen + SEEN), 0)[:, None]
+    share = np.where(known, np.square(seen) / (np.square(seen) + least**2 + 1e-9), 0)[:, None]
     return np.exp(share * log_albedo + (1 - share) * rest)
 
 
