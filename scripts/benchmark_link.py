@@ -92,7 +92,8 @@ def picture(turn: int, outputs: tuple[str, ...] = ("rgba_u8",)):
     view = np.eye(4)
     view[2, 3] = 0.45
     hand = HandInSpace("right", joints, np.eye(4))
-    return picture_request(Pinhole(width, height, 900, 900, width / 2, height / 2, view), [hand], outputs=outputs)
+    pinhole = Pinhole(width, height, 900, 900, width / 2, height / 2, view)
+    return picture_request(pinhole, [hand], preset="viewport", outputs=outputs)
 
 
 class Player:

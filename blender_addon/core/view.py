@@ -173,7 +173,7 @@ def picture_request(
     hands: Sequence[HandInSpace],
     *,
     outputs: Sequence[str],
-    preset: str = "viewport",
+    preset: str,
     budget_ms: float | None = None,
     light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
@@ -189,7 +189,7 @@ def moments_request(
     moments: Sequence[Moment],
     *,
     outputs: Sequence[str],
-    preset: str = "viewport",
+    preset: str,
     budget_ms: float | None = None,
     light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:

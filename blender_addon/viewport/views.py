@@ -344,6 +344,7 @@ def _ask(view: View, ask: pacing.Ask) -> None:
         pinhole,
         view.hands,
         outputs=_OUTPUTS if view.light is None else _LIT_OUTPUTS,
+        preset=ask.quality.preset,
         budget_ms=ask.quality.budget_ms,
         light=view.light,
     )

@@ -227,7 +227,9 @@ def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
     assert light.left.shape == (1, 1, stand_in.POINTS)
     assert left_of_it[towards & (points[:, 1] < 0.095)].max() == 0
     assert left_of_it[points[:, 1] > 0.105].min() == 255
-    header, arrays = picture_request(Pinhole(16, 16, 20, 20, 8, 8, np.eye(4)), seen, outputs=["rgba_f32"], light=light)
+    header, arrays = picture_request(
+        Pinhole(16, 16, 20, 20, 8, 8, np.eye(4)), seen, preset="draft", outputs=["rgba_f32"], light=light
+    )
     assert arrays["left"].shape == light.left.shape
     assert arrays["left_at"].shape == (stand_in.POINTS, 3)
     before = light.key

@@ -324,6 +324,21 @@ def test_whatever_changes_the_picture_is_asked_for(link, extension, change):
     assert len(view.pace.asks) == len(before) + 1
 
 
+def test_a_view_is_drawn_with_the_quality_of_its_scene(link, extension, monkeypatch):
+    context = extension
+    context.scene.jghand.viewport_preset = "reference"
+    context.scene.jghand.sharpen_when_still = False
+    asked, ask = [], link.ask
+
+    def noted(slot, header, *more, **options):
+        asked.append(header["settings"]["preset"])
+        ask(slot, header, *more, **options)
+
+    monkeypatch.setattr(link, "ask", noted)
+    wait_for(context, view_on(context, add_hand(context)))
+    assert asked[-1] == "reference"
+
+
 def test_the_timer_rests_once_everything_is_there(link, extension):
     context = extension
     context.scene.jghand.sharpen_when_still = False
