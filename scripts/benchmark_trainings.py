@@ -203,8 +203,8 @@ def draw_figure(cells: Sequence[Cell]) -> Figure:
             axes.xaxis.set_major_formatter(lambda value, _position: f"{value:g}")
             axes.xaxis.set_minor_formatter(lambda value, _position: f"{value:g}" if f"{value:g}"[0] in "235" else "")
             axes.set_xlabel(text, fontsize=10)
-            axes.set_ylabel("PSNR, dB", fontsize=10)
-            title(axes, f"Held-out pictures against {text}")
+            axes.set_ylabel("PSNR of held-out pictures, dB", fontsize=10)
+            title(axes, f"Against {text}")
         axes.legend(fontsize=9, frameon=False, labelcolor=INK)
     return figure
 
