@@ -51,7 +51,8 @@ def test_the_light_of_a_film_is_found_but_for_its_strength(seen):
     # the hand never shows what falls on it from behind: skin that faces away from the camera is not seen
     towards = normal[:, 2] > -0.3
 
-    assert np.sqrt(np.mean((ratio[towards] - 1) ** 2)) < 0.1
+    error = np.sqrt(np.mean((ratio[towards] - 1) ** 2))
+    assert error < 0.075, "seen: 0.06; 0.09 where nothing is known of what turns away"
 
 
 def test_what_is_bent_counts_where_a_picture_shows_much_of_it():
