@@ -20,7 +20,7 @@ from . import folders, preferences
 from .export import ops as export_ops
 from .export import panel as export_panel
 from .export import usd_hook
-from .hand import controls, family, ops_motion, ops_pose, stand_ins
+from .hand import family, ops_motion, ops_pose, stand_ins
 from .hand import ops as hand_ops
 from .hand import panel as hand_panel
 from .hand import properties as hand_properties
@@ -45,7 +45,7 @@ WITH_CLASSES = (
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
     *(preferences, hand_properties, family, scene_properties, runtime, usd_hook, train_panel),
-    *(folders, handlers, rendering, render_engine, preview, command, hand_ops, ops_motion, controls, stand_ins),
+    *(folders, handlers, rendering, render_engine, preview, command, hand_ops, ops_motion, stand_ins),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(
     [each for module in WITH_CLASSES for each in module.CLASSES]

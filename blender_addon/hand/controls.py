@@ -13,11 +13,9 @@ inverse kinematics for the whole finger, which has the same limits as properties
 from __future__ import annotations
 
 from collections.abc import Container, Generator, Iterator, Sequence
-from typing import Any
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from mathutils import Vector
 
 from ..core import controls
@@ -51,8 +49,6 @@ COLLECTION = "JGHand Controls"
 TIP_COLLECTION = "JGHand Tips"
 # the constraint that keeps a control itself in its range
 RANGE = "JGHand Range"
-# custom property of hands of earlier versions whose layer was muted: the paths of the rules that were off before it
-_RULES_OFF = "jghand_rules_off"
 # what single precision leaves of the other axis where a control is turned in the view: 0.00004 degrees were seen
 _ROUNDING_RAD = 2e-6
 # what was changed and may be keyed: a bone or a constraint, and its property
@@ -411,17 +407,3 @@ def _rings(planes: list, radius: float) -> tuple[list[tuple[float, float, float]
         points += [tuple(map(float, point)) for point in ring]
         edges += [(start + at, start + (at + 1) % _CORNERS) for at in range(_CORNERS)]
     return points, edges
-
-
-@persistent
-def on_load(*_: Any) -> None:
-    """Joint limits that were off before an earlier version muted their layer are off by their influence."""
-    for hand in bpy.data.objects:
-        if hand.pose is not None and hand.is_editable and _RULES_OFF in hand:
-            off = str(hand.pop(_RULES_OFF)).splitlines()
-            for rule in rules_of(hand):
-                if rule.name == LIMIT and rule.path_from_id() in off:
-                    rule.influence = 0.0
-
-
-APP_HANDLERS = (("load_post", on_load),)

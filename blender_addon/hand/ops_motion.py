@@ -398,14 +398,6 @@ class TrackVideo(KeysFile, bpy.types.Operator):
     placement: bpy.props.EnumProperty(
         name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS, default="IN_PLACE"
     )
-    # what presets and scripts of the time before `placement` set; `draw` does not show it
-    in_place: bpy.props.BoolProperty(
-        name="In Place",
-        description='The same as the placement "In Place"',
-        get=lambda self: self.placement == "IN_PLACE",
-        set=lambda self, wanted: setattr(self, "placement", "IN_PLACE" if wanted else self.placement),
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True
     )

@@ -221,21 +221,6 @@ def test_joint_limits_that_were_off_stay_off_when_the_controls_are_on_again(cont
     np.testing.assert_allclose(joints_of(context, hand), limited, atol=EXACT_M)
 
 
-def test_limits_that_an_earlier_version_had_off_under_a_muted_layer_stay_off(extension, tmp_path):
-    hand = controlled_hand(extension, "right")
-    off = [rule for rule in controls.rules_of(hand) if rule.name == controls.LIMIT][1:]
-    hand["jghand_rules_off"] = "\n".join(rule.path_from_id() for rule in off)
-    controls.mute_controls(hand, True)
-    path, name, bones = str(tmp_path / "earlier.blend"), hand.name, len(off)
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.open_mainfile(filepath=path)
-    hand = bpy.data.objects[name]
-    assert "jghand_rules_off" not in hand
-    controls.mute_controls(hand, False)
-    influences = [rule.influence for rule in controls.rules_of(hand) if rule.name == controls.LIMIT]
-    assert influences == [1.0] + bones * [0.0]
-
-
 def test_hands_that_share_their_bones_part_before_one_gets_controls(context):
     hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
     twin = hand.copy()

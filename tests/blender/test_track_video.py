@@ -223,13 +223,6 @@ def test_an_avatar_that_was_trained_anew_is_a_reason_to_look_again(extension, en
         assert (engine / "asked.json").exists()
 
 
-def test_in_place_of_older_scripts_and_presets_is_the_placement(extension, engine, video):
-    joints = leave(engine, "right")
-    chosen = {"placement": "FROM_HAND", "in_place": True}
-    assert bpy.ops.jghand.track_video(filepath=str(video), **chosen) == {"FINISHED"}
-    check_keys(extension.scene, hands_of(extension.scene)["right"], joints - joints[:, :1])
-
-
 @pytest.mark.parametrize("online", [False, True])
 def test_networks_are_downloaded_only_where_blender_may_go_online(extension, engine, video, monkeypatch, online):
     app = SimpleNamespace(online_access=online)
