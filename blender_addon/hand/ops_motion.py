@@ -29,18 +29,20 @@ from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import armature, controls, framing, motion
 from .motion import WantedMotion
-from .motion_files import FPS_MAX, MotionFile, read_motion
-from .motion_jobs import (
+from .motion_files import (
     FETCH,
+    FPS_MAX,
     MOTION_FIELDS,
     MOTION_SUFFIXES,
     ORDERS,
     VIDEO_FIELDS,
     VIDEO_SUFFIXES,
     WANTS_HAND,
+    MotionFile,
     TrackedFilm,
     near_hand,
     read_converted,
+    read_motion,
     read_tracked,
     words,
 )

@@ -14,7 +14,7 @@ from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
 from ..hand import avatar_files
-from ..hand.motion_jobs import FETCH, VIDEO_SUFFIXES, option_words
+from ..hand.motion_files import FETCH, VIDEO_SUFFIXES, option_words
 from ..hand.properties import HANDS as SIDES
 from ..hand.seen_hands import HANDS
 from ..ops import REGISTERED, FromFile, missing

@@ -13,8 +13,8 @@ import pytest
 from blender_addon.core import panel_text
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import motion_files, motion_jobs
-from blender_addon.hand.motion_jobs import WANTS_HAND, read_converted, words
+from blender_addon.hand import motion_files
+from blender_addon.hand.motion_files import WANTS_HAND, read_converted, words
 
 ROOT = Path(__file__).resolve().parents[2]
 SAID = {"order": "standard", "unit": "m", "fps": 25.0, "handedness": "left"}
@@ -111,8 +111,8 @@ def engine_sentences(folder: str) -> list[str]:
 @pytest.mark.parametrize(
     ("folder", "fields", "said"),
     [
-        ("motion", motion_jobs.MOTION_FIELDS, '"Frame Rate" plays its frames without their times.'),
-        ("track", motion_jobs.VIDEO_FIELDS, "Cut it into shorter ones."),
+        ("motion", motion_files.MOTION_FIELDS, '"Frame Rate" plays its frames without their times.'),
+        ("track", motion_files.VIDEO_FIELDS, "Cut it into shorter ones."),
     ],
 )
 def test_what_the_renderer_says_names_blenders_fields_and_no_option(folder, fields, said):
@@ -133,14 +133,14 @@ def test_what_openpose_has_to_do_is_read_in_blender(tmp_path, person, advice):
     path.write_text(json.dumps({"version": 1.3, "people": [person]}))
     with pytest.raises(reading.InputError) as caught:
         reading.read_motion_file(path)
-    detail = panel_text.in_blenders_words(str(caught.value), motion_jobs.MOTION_FIELDS)
+    detail = panel_text.in_blenders_words(str(caught.value), motion_files.MOTION_FIELDS)
     assert advice in panel_text.in_blenders_words(detail)
 
 
 def test_fields_are_named_in_quotes_and_paths_stay_as_they_are():
     text = "motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with --hand right or --hand left."
     wanted = 'motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with "Hand".'
-    assert panel_text.in_blenders_words(text, motion_jobs.MOTION_FIELDS) == wanted
+    assert panel_text.in_blenders_words(text, motion_files.MOTION_FIELDS) == wanted
 
 
 def test_the_renderers_notes_name_blenders_fields(tmp_path):
@@ -148,13 +148,3 @@ def test_the_renderers_notes_name_blenders_fields(tmp_path):
     note = "Its unit is not declared: 190 look like millimeters; --unit sets another."
     (tmp_path / "figures.json").write_text(json.dumps({"notes": [note]}))
     assert read_converted(tmp_path).notes == (note.replace("--unit", '"Unit"'),)
-
-
-@pytest.mark.parametrize("figures", [None, "", "[]", '{"notes": 5}'])
-def test_an_answer_that_is_none_is_a_failure(tmp_path, figures):
-    motion_files.write_motion(tmp_path / "motion.npz", motion_files.MotionFile(motion_m(), 25.0, "left"))
-    if figures is not None:
-        (tmp_path / "figures.json").write_text(figures)
-    with pytest.raises(JGHandFailure) as caught:
-        read_converted(tmp_path)
-    assert caught.value.kind == "bad_motion"

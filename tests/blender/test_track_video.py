@@ -17,8 +17,7 @@ from blender_addon import ops as common
 from blender_addon.core.controls import HAND_CONTROL
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls, ops_motion
-from blender_addon.hand.motion_files import MotionFile, write_motion
-from blender_addon.hand.motion_jobs import words
+from blender_addon.hand.motion_files import MotionFile, words, write_motion
 from blender_addon.ops import InTurns
 from blender_addon.renderer import jobs as renderer_jobs
 from blender_addon.renderer import runtime

@@ -15,7 +15,7 @@ from blender_addon.core import bone_maps, lamps, posing, stand_in
 from blender_addon.core import controls as control_numbers
 from blender_addon.core import joints as extension
 from blender_addon.errors import ADVICE
-from blender_addon.hand import motion_files, motion_jobs
+from blender_addon.hand import motion_files
 from jghand_engine.avatar.avatar import FOREARM_WAY
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX
 from jghand_engine.avatar.light_records import RECORDS_MAX
@@ -42,7 +42,7 @@ def test_joints_have_the_same_names_in_the_same_order():
 
 
 def test_orders_that_can_be_chosen_are_those_of_the_engine():
-    assert {name for name, _ in motion_jobs.ORDERS} == set(JointOrder)
+    assert {name for name, _ in motion_files.ORDERS} == set(JointOrder)
 
 
 def test_joints_have_the_same_parents():
