@@ -51,17 +51,6 @@ class BoneMap:
     def complete(self) -> bool:
         return all(source is not None for source in self.sources)
 
-    def with_source(self, joint: str, source: JointSource | None) -> BoneMap:
-        """The map with one joint changed by hand; its sentences follow. JGHandFailure (bad_bone_map): no such joint."""
-        if joint not in NAMES:
-            raise JGHandFailure("bad_bone_map", f"there is no joint {joint!r}")
-        place = NAMES.index(joint)
-        sources = (*self.sources[:place], source, *self.sources[place + 1 :])
-        kept = [text for text in self.missing if text.split(" ", 1)[0] != joint]
-        if source is None:
-            kept.append(f"{joint} has no bone.")
-        return BoneMap(self.handedness, sources, self.convention, tuple(kept), self.notes)
-
     def as_json(self) -> str:
         """For a property of the armature: {"handedness": …, "joints": {"wrist": ["hand.R", "head"], …}}."""
         joints = {
@@ -95,7 +84,6 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
 
     tails: whether the tip of a finger may be the tail of its last bone; objects have no tail.
     """
-    check_side(handedness)
     index = conventions.indexed(sorted(names))
     found = [
         _candidate(convention, bones, handedness, tails=tails)
@@ -103,7 +91,7 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
         for bones in conventions.sets_among(index, convention, handedness)
         if convention.says_side or _may_be(bones.prefix, handedness)
     ]
-    best = max((candidate.score for candidate in found), default=0)
+    best = max((score for _, score in found), default=0)
     if best < RECOGNIZED_MIN:
         known = ", ".join(convention.title for convention in conventions.CONVENTIONS)
         return Recognition(
@@ -112,9 +100,9 @@ def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
             (f"No bones of a {handedness} hand were recognized. Known names: {known}. Choose the bones by hand.",),
         )
     unique: dict[tuple[JointSource | None, ...], BoneMap] = {}
-    for candidate in found:
-        if candidate.score == best:
-            unique.setdefault(candidate.bone_map.sources, candidate.bone_map)
+    for bone_map, score in found:
+        if score == best:
+            unique.setdefault(bone_map.sources, bone_map)
     maps = tuple(unique.values())
     if len(maps) == 1:
         only = maps[0]
@@ -130,7 +118,8 @@ def from_json(text: str) -> BoneMap:
         sources = {name: JointSource(str(bone), str(end)) for name, (bone, end) in joints.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise JGHandFailure("bad_bone_map", f"not readable: {error}") from error
-    check_side(handedness)
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
     unknown = [name for name in sources if name not in NAMES]
     if unknown:
         raise JGHandFailure("bad_bone_map", f"no joints of a hand: {', '.join(unknown)}")
@@ -142,27 +131,14 @@ def from_json(text: str) -> BoneMap:
 
 def by_hand(handedness: str, sources: Sequence[JointSource | None]) -> BoneMap:
     """A map from 21 sources, standard order."""
-    if len(sources) != len(NAMES):
-        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} joints, got {len(sources)}")
     missing = tuple(f"{name} has no bone." for name, source in zip(NAMES, sources, strict=True) if source is None)
     return BoneMap(handedness, tuple(sources), missing=missing)
 
 
-def check_side(handedness: str) -> None:
-    """JGHandFailure (bad_bone_map) for what is no hand's side."""
-    if handedness not in HANDEDNESSES:
-        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
-
-
-@dataclass(frozen=True)
-class _Candidate:
-    bone_map: BoneMap
-    score: int
-
-
 def _candidate(
     convention: conventions.Convention, bones: conventions.NamedSet, handedness: str, *, tails: bool
-) -> _Candidate:
+) -> tuple[BoneMap, int]:
+    """What a set of names means, and how many of the joints that count it has."""
     sources: list[JointSource | None] = []
     missing, from_tails, notes = [], [], []
     for place, (joint, names) in enumerate(zip(NAMES, bones.bones, strict=True)):
@@ -187,7 +163,7 @@ def _candidate(
         used = f"those with {bones.prefix.upper()}- are used"
         notes.append(f"The rig has these bones several times ({also} too): {used}.")
     bone_map = BoneMap(handedness, tuple(sources), convention.title, tuple(missing), tuple(notes))
-    return _Candidate(bone_map, sum(sources[place] is not None for place in conventions.NEEDED))
+    return bone_map, sum(sources[place] is not None for place in conventions.NEEDED)
 
 
 def _may_be(prefix: str, handedness: str) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..core import poses
+from ..core import bone_maps, poses
 from ..core.joints import FINGERS, RIGHT
 from ..versions import path_options
 from . import sources, stand_ins
@@ -50,11 +50,11 @@ def _set_bone(row: JGHandJoint, bone: str) -> None:
 
 
 def _end(row: JGHandJoint) -> int:
-    return sources.end_of(row.id_data, row.name)
+    return bone_maps.ENDS.index(sources.end_of(row.id_data, row.name))
 
 
 def _set_end(row: JGHandJoint, place: int) -> None:
-    sources.set_end(row.id_data, row.name, place)
+    sources.set_end(row.id_data, row.name, bone_maps.ENDS[place])
 
 
 def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:

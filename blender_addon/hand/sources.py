@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ..core import bone_maps
-from ..core.bone_maps import ENDS, HEAD, BoneMap, JointSource, Recognition
+from ..core.bone_maps import HEAD, BoneMap, JointSource, Recognition
 from ..core.joints import NAMES
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
@@ -23,8 +23,8 @@ from . import armature
 
 
 def recognize(rig: bpy.types.Object, handedness: str) -> Recognition:
-    """The bones of one hand in an armature, by their names. JGHandFailure (not_a_hand): no armature."""
-    return bone_maps.recognize(_bones(rig).keys(), handedness)
+    """The bones of one hand in an armature, by their names."""
+    return bone_maps.recognize(rig.data.bones.keys(), handedness)
 
 
 def recognize_objects(objects: Sequence[bpy.types.Object], handedness: str) -> Recognition:
@@ -40,7 +40,6 @@ def objects_of(bone_map: BoneMap, objects: Sequence[bpy.types.Object]) -> list[b
 
 def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
     """Makes a foreign armature a hand, or two, one call each; it may still miss joints."""
-    _bones(rig)
     name = armature.MAP_PROPERTIES[bone_map.handedness]
     rig[name] = bone_map.as_json()
     rig.id_properties_ui(name).update(description=f"Bones of the {bone_map.handedness} hand, as JGHand reads them")
@@ -48,10 +47,7 @@ def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
 
 
 def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object], handedness: str) -> None:
-    """Makes an object (an empty) stand for a hand of 21 objects, standard order. JGHandFailure: bad_bone_map."""
-    if len(objects) != len(NAMES) or len(set(objects)) != len(NAMES):
-        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} different objects, got {len(set(objects))}")
-    bone_maps.check_side(handedness)
+    """Makes an object (an empty) stand for a hand of 21 objects, standard order."""
     for name, thing in zip(NAMES, objects, strict=True):
         holder[armature.OBJECT_PROPERTIES[name]] = thing
     holder[armature.HANDEDNESS_PROPERTY] = handedness
@@ -109,11 +105,9 @@ def read_mapped(
 ) -> HandInSpace:
     """The 21 joints of the *evaluated* foreign armature (constraints, drivers and IK included), in meters.
 
-    Raises JGHandFailure: not_a_hand, zero_scale, hidden, bad_bone_map (a joint without a bone).
+    Raises JGHandFailure: zero_scale, hidden, bad_bone_map (a joint without a bone).
     """
     evaluated = armature.evaluated_object(rig, depsgraph)
-    if evaluated.pose is None:
-        raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
     bones = evaluated.pose.bones
     sources = whole_sources(bone_map, bones)
     ends = {}
@@ -134,21 +128,13 @@ def read_objects(
     """The hand whose 21 joints are the origins of objects, standard order; hand space lies at the wrist, unturned.
 
     Only places count: a joint's own rotation and scale mean nothing; an instance's turn and mirror the hand.
-    Raises JGHandFailure: hidden, zero_scale, bad_bone_map.
+    Raises JGHandFailure: hidden, zero_scale.
     """
-    if len(objects) != len(NAMES):
-        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} objects, got {len(objects)}")
     places = [armature.evaluated_object(thing, depsgraph).matrix_world.translation for thing in objects]
     joints = np.array(places, dtype=np.float64)
     at_wrist = np.eye(4)
     at_wrist[:3, 3] = joints[0]
     return armature.in_hand_space(placed @ at_wrist, joints - joints[0], handedness, objects[0].name, depsgraph.scene)
-
-
-def _bones(rig: bpy.types.Object) -> bpy.types.ArmatureBones:
-    if not isinstance(rig.data, bpy.types.Armature):
-        raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
-    return rig.data.bones
 
 
 def whole_sources(bone_map: BoneMap, known: Container[str]) -> list[JointSource]:
@@ -186,34 +172,32 @@ def bone_of(rig: bpy.types.Object, joint: str) -> str:
 
 def set_bone(rig: bpy.types.Object, joint: str, bone: str) -> None:
     """Gives a joint a bone; "" takes it away."""
-    _change(rig, joint, JointSource(bone, _end(rig, joint)) if bone else None)
+    _change(rig, joint, JointSource(bone, end_of(rig, joint)) if bone else None)
 
 
-def end_of(rig: bpy.types.Object, joint: str) -> int:
-    """Which end of the bone, as a place in `bone_maps.ENDS`."""
-    return ENDS.index(_end(rig, joint))
-
-
-def set_end(rig: bpy.types.Object, joint: str, place: int) -> None:
-    """Takes the other end of a joint's bone; without a bone nothing happens."""
-    source = _source(rig, joint)
-    if source is not None:
-        _change(rig, joint, JointSource(source.bone, ENDS[place]))
-
-
-def _end(rig: bpy.types.Object, joint: str) -> str:
+def end_of(rig: bpy.types.Object, joint: str) -> str:
+    """Which end of the bone: one of `bone_maps.ENDS`."""
     source = _source(rig, joint)
     return source.end if source is not None else HEAD
 
 
+def set_end(rig: bpy.types.Object, joint: str, end: str) -> None:
+    """Takes the other end of a joint's bone; without a bone nothing happens."""
+    bone = bone_of(rig, joint)
+    if bone:
+        _change(rig, joint, JointSource(bone, end))
+
+
 def _source(rig: bpy.types.Object, joint: str) -> JointSource | None:
     bone_map = shown_map(rig)
-    return bone_map.sources[NAMES.index(joint)] if bone_map is not None and joint in NAMES else None
+    return bone_map.sources[NAMES.index(joint)] if bone_map is not None else None
 
 
 def _change(rig: bpy.types.Object, joint: str, source: JointSource | None) -> None:
-    bone_map = shown_map(rig) or bone_maps.by_hand(rig.jghand.map_hand, [None] * len(NAMES))
-    store_map(rig, bone_map.with_source(joint, source))
+    before = shown_map(rig)
+    sources: list[JointSource | None] = [None] * len(NAMES) if before is None else list(before.sources)
+    sources[NAMES.index(joint)] = source
+    store_map(rig, bone_maps.by_hand(rig.jghand.map_hand, sources))
 
 
 @lru_cache(maxsize=16)
