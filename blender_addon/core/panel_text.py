@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panels say, as plain text: the renderer's state, a picture's receipt, a bone map. Does not use bpy.
 
-A receipt is a `FrameReport.as_dict()` of the engine as it came over the wire; it may be of another version, so nothing
-in it is taken for granted. Every sentence is made from a template that goes through `translate`. Tooltips have no
-final full stop, as Blender's have none.
+A receipt is a `FrameReport.as_dict()` of the engine as it came over the wire. Every sentence is made from a
+template that goes through `translate`. Tooltips have no final full stop, as Blender's have none.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -178,10 +176,10 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
 
 def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, translate: Translate = str) -> ReceiptText:
     """The lines of a receipt. budget_ms: what a picture was allowed to take, None without a budget."""
-    total_ms = _number(report.get("total_ms"))
+    total_ms = report["total_ms"]
     return ReceiptText(
         _total(report, total_ms, budget_ms, translate),
-        tuple(_stage(stage, total_ms, translate) for stage in _mappings(report.get("stages"))),
+        tuple(_stage(stage, total_ms, translate) for stage in report["stages"]),
         warnings(report, translate),
     )
 
@@ -228,12 +226,11 @@ def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
 
 
 def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, translate: Translate) -> Line:
-    drawn, posed = (int(_number(report.get(name))) for name in ("visible_gaussians", "gaussians"))
     tip = translate("{drawn:,} of {posed:,} splats, drawn by {backend} on {threads} threads").format(
-        drawn=drawn,
-        posed=posed,
-        backend=str(report.get("backend", "")) or "?",
-        threads=int(_number(report.get("threads"), 1)),
+        drawn=report["visible_gaussians"],
+        posed=report["gaussians"],
+        backend=report["backend"],
+        threads=report["threads"],
     )
     if budget_ms is None:
         return Line(translate("Last Frame"), milliseconds(total_ms), 1.0, tip)
@@ -244,18 +241,19 @@ def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, 
 
 
 def _stage(stage: Mapping[str, Any], total_ms: float, translate: Translate) -> Line:
-    name = str(stage.get("name", "?"))
-    label, spent_ms = translate(STAGES.get(name, name.capitalize())), _number(stage.get("milliseconds"))
+    name: str = stage["name"]
+    spent_ms = stage["milliseconds"]
+    label = translate(STAGES.get(name, name.capitalize()))
     part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
-    return Line(label, milliseconds(spent_ms), part, str(stage.get("reason") or ""))
+    return Line(label, milliseconds(spent_ms), part, stage["reason"])
 
 
 def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Line, ...]:
     """What an artist should look at in the last picture, the joint out of its trained range first; by the names of the
     hands where there are several (`HANDS` of the report)."""
     outside, others = [], []
-    for note in (str(note) for note in report.get("notes") or ()):
-        of, note = _hand_of(note, report.get(HANDS) or ())
+    for note in report.get("notes", ()):
+        of, note = _hand_of(note, report.get(HANDS, ()))
         match = _OUTSIDE.fullmatch(note)
         if match is None:
             others.append(Line(f"{of}{note.rstrip('.')}", tip=note.rstrip("."), good=False))
@@ -266,7 +264,7 @@ def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Lin
         )
         tip = translate("{note}. Such a pose was in no image that the avatar learned from, so its skin is a guess")
         outside.append(Line(text, tip=tip.format(note=note), good=False))
-    invalid = int(_number(report.get("invalid_gaussians")))
+    invalid = report.get("invalid_gaussians", 0)
     if invalid:
         text = translate("{count} splats could not be drawn").format(count=invalid)
         others.append(Line(text, tip=translate("Their numbers are not finite: the avatar may be damaged"), good=False))
@@ -306,12 +304,3 @@ def _used_twice(sources: Sequence[Any]) -> list[str]:
             twice.append(f"{seen[place]} = {name}")
         seen.setdefault(place, name)
     return twice
-
-
-def _mappings(values: Any) -> list[Mapping[str, Any]]:
-    return [value for value in values if isinstance(value, Mapping)] if isinstance(values, list | tuple) else []
-
-
-def _number(value: Any, otherwise: float = 0.0) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if is_number else otherwise

@@ -39,7 +39,7 @@ RECEIPT = {
     "gaussians": 60000,
     "visible_gaussians": 51000,
     "notes": ["index1 flexion 105°: 12° outside the 0° to 93° that was trained"],
-    "stages": [{"name": "skin", "ran": True, "milliseconds": 3.6}],
+    "stages": [{"name": "skin", "ran": True, "milliseconds": 3.6, "reason": "exact"}],
 }
 
 
