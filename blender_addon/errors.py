@@ -157,7 +157,6 @@ ADVICE = {
         TRY_AGAIN,
     ),
     "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand", BAD_INPUT),
-    "no_pose": Advice("There is no pose of this name", "Choose one of the list", BAD_INPUT),
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
     "no_camera": Advice(
         "The scene has no camera", 'Press "Add Hand Camera", or choose one in Scene Properties', BAD_INPUT

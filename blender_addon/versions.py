@@ -117,11 +117,11 @@ def literal_path(path: Path) -> str:
     return text.replace("{", "{{").replace("}", "}}")
 
 
-def path_options(*more: str) -> set[str]:
+def path_options() -> set[str]:
     """Options of a property that is a path and may begin with `//`; 4.5 takes that for granted where it knows no
     option for it."""
     known = "is_path_supports_blend_relative" in bpy.types.StringProperty.bl_rna.properties
-    return {*more, *({"PATH_SUPPORTS_BLEND_RELATIVE"} if known else ())}
+    return {"PATH_SUPPORTS_BLEND_RELATIVE"} if known else set()
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:

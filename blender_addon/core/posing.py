@@ -15,7 +15,6 @@ import numpy as np
 from ..errors import JGHandFailure
 from .joints import (
     ELBOW_RIGHT_M,
-    HANDEDNESSES,
     INDEX,
     LEFT,
     MIDDLE,
@@ -58,7 +57,6 @@ def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarr
     like_m: (F, 21, 3) joints of a motion, meters; the rest hand then has its median bone lengths, so that a motion
     with constant lengths is keyed by rotations (and the place of the knuckles in the palm) alone.
     """
-    check_handedness(handedness)
     joints = np.array(REST_RIGHT_M)
     if handedness == LEFT:
         joints = joints * (-1.0, 1.0, 1.0)
@@ -76,7 +74,6 @@ def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarr
 
 def rest_matrices(joints: np.ndarray, handedness: str) -> np.ndarray:
     """(21, 3) joints of a rest pose -> (21, 4, 4) bone matrices: columns x, y, z, head; any unit."""
-    check_handedness(handedness)
     joints = checked_joints(joints[None])[0]
     _check_bones(joints)
     palm = palm_axes(joints[None], handedness)[0]
@@ -247,12 +244,6 @@ def polar_rotation(linear: np.ndarray) -> np.ndarray:
     """The rotation nearest to a (3, 3) matrix with positive determinant (polar decomposition)."""
     left, _, right = np.linalg.svd(linear)
     return left @ right
-
-
-def check_handedness(handedness: str) -> None:
-    """JGHandFailure (not_a_hand) for what is no hand's side."""
-    if handedness not in HANDEDNESSES:
-        raise JGHandFailure("not_a_hand", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
 
 
 def _check_bones(joints: np.ndarray) -> None:

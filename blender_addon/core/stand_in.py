@@ -169,7 +169,7 @@ def _points(count: int) -> tuple[np.ndarray, np.ndarray]:
 @cache
 def _template(handedness: str, forearm: bool = False) -> tuple[Surface, np.ndarray, np.ndarray]:
     """The template's hand, meters, its (21, 4, 4) rest matrices, and the shares (V, 6) of the palm and the metacarpals
-    in what follows the wrist. JGHandFailure (not_a_hand): another handedness."""
+    in what follows the wrist."""
     package = Path(__file__).parents[1]
     built = package / "assets" / _NAME
     path = built if built.is_file() else package.parent / "jghand_engine" / "assets" / _NAME

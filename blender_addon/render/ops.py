@@ -31,10 +31,7 @@ class UseEngine(Reporting, bpy.types.Operator):
         return True
 
     def run(self, context: bpy.types.Context) -> None:
-        try:
-            context.scene.render.engine = ENGINE
-        except TypeError as error:  # Blender knows no engine of that name
-            raise JGHandFailure("internal", str(error)) from error
+        context.scene.render.engine = ENGINE
         context.scene.render.use_lock_interface = True
         hands = armature.hands_at_any_frame(context.view_layer)
         if context.scene.camera is None and hands:

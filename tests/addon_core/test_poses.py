@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from build_pose_table import joints_of
 
 from blender_addon.core import poses
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
-from blender_addon.errors import JGHandFailure
 
 MOVING = [name for place, name in enumerate(NAMES) if place != WRIST and place not in TIPS]
 
@@ -56,23 +53,3 @@ def test_knuckles_of_a_fist_draw_together_and_those_of_an_open_hand_stay():
     assert fist["pinky1"][0] > 0.05
     assert fist["pinky1"][2] > 0.05
     assert poses.pose_named("fist", LEFT).knuckles["index1"][0] == -fist["index1"][0]
-
-
-def test_a_pose_that_is_not_there_is_refused_with_the_list():
-    with pytest.raises(JGHandFailure, match="fist"):
-        poses.pose_named("nothing", RIGHT)
-    with pytest.raises(JGHandFailure, match="both"):
-        poses.all_poses("both")
-
-
-def test_a_broken_table_is_told(tmp_path, monkeypatch):
-    for text in ("", "{}", json.dumps([])):
-        path = tmp_path / "poses.json"
-        path.write_text(text)
-        monkeypatch.setattr(poses, "TABLE", path)
-        poses._entries.cache_clear()
-        with pytest.raises(JGHandFailure) as caught:
-            poses.all_poses(RIGHT)
-        assert caught.value.kind == "bad_file"
-    monkeypatch.undo()
-    poses._entries.cache_clear()

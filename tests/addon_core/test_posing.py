@@ -166,12 +166,6 @@ def test_a_rest_pose_with_a_bone_of_no_length_is_refused():
         posing.rest_matrices(joints, RIGHT)
 
 
-def test_the_handedness_must_be_known():
-    for call in (posing.rest_joints_m, lambda h: posing.rest_matrices(posing.rest_joints_m(RIGHT), h)):
-        with pytest.raises(JGHandFailure, match="both"):
-            call("both")
-
-
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
 def test_the_palm_in_whose_axes_a_forearm_turns_is_the_engines(handedness):
     """A right angle about an axis of the palm is one about that of the engine's frame, mirrored for a left hand."""
