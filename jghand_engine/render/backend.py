@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -135,7 +134,6 @@ class Backend:
                 library, [DetailedHand.of(avatars[place], detail_powers[place]) for place in self._detailed]
             )
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
-        self._rgba, self._depth = _Results(), _Results()
         self.light: SceneLight | None = None
 
     def draw(
@@ -170,8 +168,8 @@ class Backend:
         detail = self._detail if canvas.detail and not keep_image else None
         if detail is not None:
             detail.prepare(self._planes, camera, [canvas.detail[place] for place in self._detailed])
-        rgba = self._rgba.of(camera.height, camera.width, 4)
-        depth_m = self._depth.of(camera.height, camera.width) if canvas.depth else None
+        rgba = np.empty((camera.height, camera.width, 4), np.float32)
+        depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
         work = _Work(
@@ -194,7 +192,6 @@ class Backend:
         """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""
         self._rasterizer, self._shade = self._new_rasterizer(), None
         self._planes = aligned_zeros((PLANES, 0, 0))
-        self._rgba, self._depth = _Results(), _Results()
 
     def mean(self, width: int, height: int, *, linear: bool) -> LinearMean:
         """A mean of images of that size, empty. linear: whether they are scene-linear"""
@@ -229,23 +226,6 @@ class Backend:
             self._shade = None  # the old buffers first: both together may not fit
             self._shade = NativeShade(self._library, width, height)
         return self._shade
-
-
-class _Results:
-    """Arrays for images. One that nobody holds any more is filled again: new memory is cleared page by page by the
-    system, which takes as long as drawing does. Two are kept, for who still has the last image."""
-
-    def __init__(self) -> None:
-        self._arrays: list[np.ndarray] = []
-
-    def of(self, *shape: int) -> np.ndarray:
-        for array in self._arrays:
-            # held by the list, by the variable and by the call
-            if array.shape == shape and sys.getrefcount(array) <= 3:
-                return array
-        self._arrays = [array for array in self._arrays[-1:] if array.shape == shape]
-        self._arrays.append(np.empty(shape, np.float32))
-        return self._arrays[-1]
 
 
 def _has_ellipsoids(avatar: HandAvatar) -> bool:
