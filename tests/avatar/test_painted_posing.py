@@ -97,11 +97,8 @@ def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: L
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
     poser = Poser(library, avatar)
     bones = avatar.skeleton().bones(avatar.canonical_joints_m)
-    good, rows = poser.into, poser.blocks.rows
-    poser.into = replace(good, **{name: make(rows)})
     with pytest.raises(InputError, match=f"{name}.*{wanted}"):
-        poser.prepare(bones, np.zeros(3))
-    poser.into = good
+        Poser(library, avatar, replace(poser.into, **{name: make(poser.blocks.rows)}))
     with pytest.raises(InputError, match="linear_offset"):
         poser.prepare(replace(bones, linear_offset=bones.linear_offset[:20]), np.zeros(3))
 
