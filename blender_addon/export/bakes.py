@@ -178,10 +178,11 @@ def _moved_at(hand: BakedHand, folder: Path, frame: float, now: HandInSpace) -> 
         baked = _motion(motion, motion.stat().st_mtime_ns)
     except OSError as error:
         raise JGHandFailure("no_bake", f"{motion}: {error.strerror or error}") from error
-    ends = (now.forearm_turn, None if baked.forearm is None else baked.forearm[place])
-    # a quaternion and its negative are the same turn
-    here, there = (np.array((1.0, 0.0, 0.0, 0.0) if turn is None else turn) for turn in ends)
-    turned = abs(here @ there) < _SAME_TURN
+    turned = False
+    if baked.forearm is not None:  # without, neither bone nor avatar had a forearm
+        here = np.array((1.0, 0.0, 0.0, 0.0)) if now.forearm_turn is None else now.forearm_turn
+        # a quaternion and its negative are the same turn
+        turned = abs(here @ baked.forearm[place]) < _SAME_TURN
     return bool(turned or np.abs(baked.joints_m[place] - now.joints_world_m).max() > _MOVED_M)
 
 
