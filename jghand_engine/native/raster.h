@@ -110,8 +110,8 @@ Stripes cut_stripes(const RasterJob& job);
 void blend_backward_stripe(const RasterJob& job, const Stripes& stripes, int32_t stripe);
 void chain_rule_part(const RasterJob& job, const Stripes& stripes, int32_t part);
 
-// Whether any tile of the `rect` of a visible Gaussian lies between tiles begin and end in memory order, or might: only such stripes have to be
-// cleared before, and added after, the backward pass.
+// Whether any tile of the `rect` of a visible Gaussian lies between tiles begin and end in memory order, or might: only
+// such stripes have to be cleared before, and added after, the backward pass.
 inline bool may_touch(const RasterJob& job, const TileRect& rect, int32_t begin, int32_t end) {
   return rect.x1 >= 0 && rect.y0 * job.tiles_x + rect.x0 < end && rect.y1 * job.tiles_x + rect.x1 >= begin;
 }

@@ -74,8 +74,6 @@ void blend_with(const RasterJob& job, int32_t index) {
   }
 }
 
-}  // namespace
-
 template <bool FRONT>
 void blend(const RasterJob& job, int32_t tile) {
   switch (squarings_for(job.log2_alpha_min)) {
@@ -84,6 +82,8 @@ void blend(const RasterJob& job, int32_t tile) {
     default: return blend_with<5, FRONT>(job, tile);
   }
 }
+
+}  // namespace
 
 void blend_tile(const RasterJob& job, int32_t tile) {
   if (job.front) return blend<true>(job, tile);

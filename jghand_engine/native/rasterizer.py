@@ -229,6 +229,10 @@ class NativeRasterizer:
         """Gradients of the Gaussians of the last `forward`, from dL/d(planes) (5, H, W) float32. Culled ones get 0."""
         if self._inputs is None or self._planes is None:
             raise InputError("backward pass", wanted="a forward pass before it", came="none")
+        if self._inputs.front is not None:
+            raise InputError(
+                "backward pass", wanted="Gaussians without `front`", came="a picture whose gaps are filled"
+            )
         n = len(self._inputs)
         self._job.plane_gradients = address(plane_gradients, np.float32, "plane_gradients", self._planes.shape)
         records = self._array("record_gradients", (contract.GRADIENT_STRIPES, n, _RECORD_FLOATS), np.float32)

@@ -1,5 +1,5 @@
 """Does the library compute what it should on this very machine? A tiny image with known sums, one
-of ellipsoids, two posed blocks of Gaussians and one hand, in two milliseconds.
+of ellipsoids, two posed blocks of Gaussians, one hand and the mean of two images, in two milliseconds.
 
 It guards against what no test of ours can see: a processor that misreports its abilities, a damaged file, another
 compiler's mistake.
@@ -13,12 +13,13 @@ from functools import partial
 
 import numpy as np
 
+from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import RetryError
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.detail_task import DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
-from jghand_engine.native.mean import MeanTask
+from jghand_engine.native.mean import MeanTask, NativeMean
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View, job_bytes
 from jghand_engine.native.scene_light_task import SceneLightTask
 from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
@@ -86,6 +87,7 @@ def check(library: Library) -> None:
     _check_skin(library)
     _check_trained_skin(library)
     _check_bones(library)
+    _check_mean(library)
 
 
 def _check_raster_and_shadow(library: Library) -> None:
@@ -243,6 +245,26 @@ def _check_bones(library: Library) -> None:
     for ends, wanted in ((canonical[parents], joints[parents]), (canonical[1:], joints[1:])):
         came = (bones[:, :, :3] @ ends[:, :, None])[..., 0] + bones[:, :, 3]
         _compare(library, "ends of bones", came.ravel(), (wanted - joints[0]).ravel())
+
+
+def _check_mean(library: Library) -> None:
+    """Two images with a row of odd length, one of them a part of the other, and colors beyond 1."""
+    index, weights = np.arange(2 * 3 * 7 * 4).reshape(2, 3, 7, 4), (0.25, 0.75)
+    straight, alpha = 1.5 * _spread(index, 0.62)[..., :3], 0.1 + 0.9 * _spread(index, 0.43)[..., 3:]
+    alpha[:, 1, 2], alpha[1, 0], alpha[1, :, :2] = 0, 0, 0
+    images = np.concatenate([straight * alpha, alpha], -1).astype(np.float32)
+    depth_m = np.where(alpha[..., 0] > 0, 0.5 + 0.1 * _spread(index[..., 0], 0.7), 0).astype(np.float32)
+    mean = NativeMean(library, 1, 7, 3)
+    mean.add(images[0], depth_m[0], 0, 0, weights[0])
+    mean.add(np.ascontiguousarray(images[1, 1:, 2:]), np.ascontiguousarray(depth_m[1, 1:, 2:]), 2, 1, weights[1])
+    rgba, seen_m = mean.finish()
+    shares = alpha * np.reshape(weights, (2, 1, 1, 1))
+    covered = shares.sum(0)
+    safe = np.maximum(covered, 1e-9)
+    color = linear_to_srgb((srgb_to_linear(straight) * shares).sum(0) / safe) * covered
+    _compare(library, "a mean in linear light", rgba, np.concatenate([color, covered], -1))
+    wanted_m = np.where(covered > contract.DEPTH_ALPHA_MIN, (depth_m[..., None] * shares).sum(0) / safe, 0)
+    _compare(library, "a mean depth", seen_m, wanted_m[..., 0])
 
 
 def _spread(i: np.ndarray, step: float) -> np.ndarray:

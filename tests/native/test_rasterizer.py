@@ -95,6 +95,13 @@ def test_pixels_have_the_color_of_what_is_seen_of_them_from_outside():
     assert np.array_equal(drawn[3:], plain[3:])
 
 
+def test_gradients_of_filled_gaps_are_refused():
+    arrays, one = hand_arrays(20), rasterizer()
+    planes = one.forward(replace(arrays, front=np.ones(20, np.float32)), view_for(8, 8))
+    with pytest.raises(InputError, match="without `front`"):
+        one.backward(np.ones_like(planes))
+
+
 def test_through_a_gap_the_far_side_is_not_seen():
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-0.02, 0.02, 41)]))
     gap = np.hypot(x, y) < 0.003
