@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jghand_engine import __version__
+from jghand_engine.captures.image_files import probe_image
 from jghand_engine.cli.console import progress
 from jghand_engine.errors import InputError
 from jghand_engine.export.frame_folder import Outcome, Shard
@@ -95,12 +96,13 @@ class FrameWriter:
         indices = shard.indices(total)
         with progress(self.files.text, len(indices)) as bar:
             for index in indices:
-                # a file has its name when it is whole, and a picture when its maps are there
-                if shard.skip_existing and self.files.path(index).exists():
+                there = shard.skip_existing and self.files.path(index).exists()
+                if there and self._is_whole(index):
                     outcome.kept += 1
                 else:
                     self.write(index)
                     outcome.made += 1
+                    outcome.broken += there
                 bar.advance(bar.task_ids[0])
         outcome.complete = all(self.files.path(index).exists() for index in range(total))
         return outcome
@@ -111,6 +113,15 @@ class FrameWriter:
             for index in range(len(self.hands)):
                 yield flatten(premultiplied(read_png(self.files.path(index))), VIDEO_BACKGROUND)
                 bar.advance(bar.task_ids[0])
+
+    def _is_whole(self, index: int) -> bool:
+        """Whether picture and maps are there, undamaged."""
+        path = self.files.path(index)
+        try:
+            probe_image(path)
+        except InputError:
+            return False
+        return self.passes is None or self.passes.is_whole(path)
 
 
 def render_stamp(

@@ -66,8 +66,8 @@ class Render:
     folder, and a folder with pictures of another render is refused. All parts together are, byte for byte, what one
     run makes (docs/SCALE.md)."""
     skip_existing: bool = False
-    """Keep the pictures that this very command has made before, of whatever shard; make the missing ones. A folder with
-    pictures of another render is refused."""
+    """Keep the pictures that this very command has made before, of whatever shard; make the missing and the broken
+    ones. A folder with pictures of another render is refused."""
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: ShownAvatarOptions = field(default_factory=ShownAvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)

@@ -34,3 +34,21 @@ def exr_package() -> Any:
             remedy=install_extra("formats"),
         ) from error  # fmt: skip
     return OpenEXR
+
+
+def probe_exr(path: Path, size_px: tuple[int, int]) -> None:
+    """InputError unless `path` is a whole EXR file of (width, height) pixels, and where the package is missing.
+
+    An EXR has no checksums: single changed bytes may pass.
+    """
+    package = exr_package()
+    try:
+        # the size first: a broken one may claim more than there is memory
+        with package.File(str(path), header_only=True) as content:
+            (left, top), (right, bottom) = (corner.tolist() for corner in content.header()["dataWindow"])
+        if (right - left + 1, bottom - top + 1) != size_px:
+            raise InputError(f"{path}", wanted=f"{size_px[0]} x {size_px[1]} pixels", came="another size")
+        with package.File(str(path)) as content:
+            content.channels()  # of a damaged file the package keeps no part, and says so only here
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"cannot read {path}", came=str(error)[:200] or type(error).__name__) from error

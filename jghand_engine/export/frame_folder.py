@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, writing
 
 STAMP = "made_from.json"
+# seconds in which another process has written the stamp that it has created
+STAMP_WAIT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -46,15 +49,18 @@ class Outcome:
 
     made: drawn now
     kept: there already
+    broken: of those that were drawn, how many were there, but damaged
     complete: whether all frames are there now, those of the other shards too
     """
 
     made: int = 0
     kept: int = 0
+    broken: int = 0
     complete: bool = False
 
     def sentence(self) -> str:
         text = f"{self.made} drawn" + (f", {self.kept} there already" if self.kept else "")
+        text += f", {self.broken} of the drawn ones were there, but broken" if self.broken else ""
         return text + ("." if self.complete else "; others are still missing.")
 
 
@@ -81,7 +87,9 @@ def settle_folder(folder: Path, stamp: Mapping[str, str], paths: Sequence[Path],
     found = _read_stamp(path)
     old = [] if found == stamp else [frame for frame in paths if frame.exists()]
     if shard.is_shared:
-        if found != stamp and (old or found is not None):
+        if not old and found is None:
+            found = _put_stamp(path, stamp)
+        if found != stamp:
             names = [name for name in {**stamp, **(found or {})} if (found or {}).get(name) != stamp.get(name)]
             raise InputError(
                 f"--out {folder}",
@@ -90,15 +98,28 @@ def settle_folder(folder: Path, stamp: Mapping[str, str], paths: Sequence[Path],
                 remedy="Give all shards the same files and options, or choose another --out; a run without --shard and "
                 "--skip-existing replaces what is there.",
             )
-    else:
-        for frame in (*old, *folder.glob(".frame_*.png")):
-            try:
-                frame.unlink(missing_ok=True)
-            except OSError as error:
-                raise file_error(frame, error) from error
-    if found != stamp:
-        with writing(path) as temporary:
-            temporary.write_text(json.dumps(dict(stamp), indent=2) + "\n", encoding="utf-8")
+        return
+    for frame in (*old, *folder.glob(".frame_*.png")):
+        try:
+            frame.unlink(missing_ok=True)
+        except OSError as error:
+            raise file_error(frame, error) from error
+    with writing(path) as temporary:
+        temporary.write_text(json.dumps(dict(stamp), indent=2) + "\n", encoding="utf-8")
+
+
+def _put_stamp(path: Path, stamp: Mapping[str, str]) -> Mapping[str, str] | None:
+    """Writes the stamp unless another process does so at the same moment; gives what stands there then."""
+    try:
+        with path.open("x", encoding="utf-8") as stream:
+            stream.write(json.dumps(stamp, indent=2) + "\n")
+        return stamp
+    except FileExistsError:
+        # whoever made it may not have written it yet
+        time.sleep(STAMP_WAIT_S)
+        return _read_stamp(path)
+    except OSError as error:
+        raise file_error(path, error) from error
 
 
 def _read_stamp(path: Path) -> dict[str, str] | None:

@@ -20,7 +20,7 @@ from jghand_engine import __version__
 from jghand_engine.captures.image_files import image_texts
 from jghand_engine.errors import InputError
 from jghand_engine.export.cameras import COLMAP_FILES, Shot, write_colmap, write_transforms
-from jghand_engine.export.exr import exr_package, write_exr
+from jghand_engine.export.exr import exr_package, probe_exr, write_exr
 from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
 from jghand_engine.files import file_error, writing
 from jghand_engine.hand.joints import STANDARD_NAMES
@@ -82,6 +82,16 @@ class PassWriter:
             except OSError as error:
                 raise file_error(path, error) from error
         self._withdrawn = True
+
+    def is_whole(self, picture: Path) -> bool:
+        """Whether the maps of a picture are there too, undamaged."""
+        if not self._maps:
+            return True
+        try:
+            probe_exr(self.path(picture), (self._camera.width, self._camera.height))
+        except InputError:
+            return False
+        return True
 
     def path(self, picture: Path) -> Path:
         """The file of the maps of a picture."""

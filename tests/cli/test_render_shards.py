@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,8 @@ import pytest
 from jghand_engine.captures.image_files import probe_image
 from jghand_engine.cli import main
 from jghand_engine.cli.frame_files import FrameWriter
-from jghand_engine.export.frame_folder import STAMP
+from jghand_engine.errors import InputError
+from jghand_engine.export.frame_folder import STAMP, Shard, settle_folder
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
@@ -98,7 +101,7 @@ def test_a_second_run_draws_nothing_and_touches_nothing(half, capsys, tmp_path):
     assert render(half, "--shard", "1/2", "--skip-existing", "--json", str(figures)) == 0
     assert "0 drawn, 5 there already; others are still missing" in capsys.readouterr().out
     told = json.loads(figures.read_text())
-    assert (told["made"], told["kept"], told["complete"]) == (0, 5, False)
+    assert (told["made"], told["kept"], told["broken"], told["complete"]) == (0, 5, 0, False)
     assert {path: path.stat().st_mtime_ns for path in half.glob("*.png")} == times
 
 
@@ -119,6 +122,14 @@ def test_a_shard_without_skip_existing_replaces_its_own_pictures_whatever_they_a
     assert render(half, "--shard", "2/2") == 0
     assert "5 drawn." in capsys.readouterr().out
     assert contents(half) == whole
+
+
+def test_of_two_different_renders_that_begin_together_in_an_empty_folder_one_is_refused(tmp_path):
+    """Such as of a machine that still has an older motion."""
+    with ThreadPoolExecutor() as pool:
+        begun = [pool.submit(settle_folder, tmp_path, {"motion": name}, [], Shard(1, 2)) for name in "ab"]
+    assert sum(isinstance(one.exception(), InputError) for one in begun) == 1
+    assert all(one.exception() is None or isinstance(one.exception(), InputError) for one in begun)
 
 
 def test_a_plain_run_that_is_stopped_leaves_no_picture_that_a_later_one_would_keep(half, whole, monkeypatch):
@@ -154,6 +165,18 @@ def test_frames_have_their_numbers_in_the_motion_and_do_not_replace_others(tmp_p
 def test_one_run_finishes_what_shards_began(half, whole, capsys):
     assert render(half, "--skip-existing") == 0
     assert "5 drawn, 5 there already." in capsys.readouterr().out
+    assert contents(half) == whole
+
+
+def test_half_written_and_damaged_pictures_are_made_again_and_no_others(half, whole, capsys):
+    paths = sorted(half.glob("*.png"))
+    paths[0].write_bytes(whole[paths[0].name][:-30])
+    paths[1].write_bytes(b"")
+    damaged = bytearray(whole[paths[2].name])
+    damaged[damaged.rindex(b"IDAT") + 9] ^= 0xFF
+    paths[2].write_bytes(bytes(damaged))
+    assert render(half, "--skip-existing") == 0
+    assert "8 drawn, 2 there already, 3 of the drawn ones were there, but broken." in capsys.readouterr().out
     assert contents(half) == whole
 
 
@@ -210,6 +233,21 @@ def test_ground_truth_of_shards_is_that_of_one_run(tmp_path, passes):
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
+def test_a_picture_whose_maps_are_missing_or_broken_is_made_again(tmp_path):
+    pytest.importorskip("OpenEXR", reason="the extra formats is not installed")
+    words = (*SMALL, "--frames", "4:6", "--passes", "depth,joints")
+    assert render(tmp_path, *words) == 0
+    before = contents(tmp_path)
+    (tmp_path / "passes" / "frame_00004.exr").unlink()
+    (tmp_path / "passes" / "frame_00005.exr").write_bytes(before["passes/frame_00005.exr"][:-100])
+    # whole, but of another size
+    assert main(["render", *words, "--size", "32x24", "--out", str(tmp_path / "other")]) == 0
+    shutil.move(tmp_path / "other" / "passes" / "frame_00006.exr", tmp_path / "passes" / "frame_00006.exr")
+    shutil.rmtree(tmp_path / "other")
+    assert render(tmp_path, *words, "--skip-existing") == 0
+    assert contents(tmp_path) == before
+
+
 # ---- workers ---------------------------------------------------------------------------------------------------------
 
 
@@ -240,7 +278,7 @@ def test_a_killed_worker_loses_at_most_the_picture_that_it_was_at(tmp_path):
     figures = tmp_path / "figures.json"
     assert main(["render", *MANY, "--out", str(out), "--json", str(figures)]) == 0
     told = json.loads(figures.read_text())
-    assert (told["kept"], told["complete"]) == (len(names), True)
+    assert (told["kept"], told["broken"], told["complete"]) == (len(names), 0, True)
     assert main(["render", *MANY[:-1], "--out", str(tmp_path / "whole")]) == 0
     left = {name for name in there if name.startswith(".frame_")}
     assert {name: content for name, content in contents(out).items() if name not in left} == contents(
