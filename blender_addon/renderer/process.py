@@ -48,7 +48,7 @@ def engine_command(
     on_gpu: bool = False,
 ) -> tuple[str, ...]:
     """The command that starts the engine as a service; as `engine_program`. on_gpu: one that draws on the graphics
-    card, and on nothing else."""
+    card, and refuses to start without one."""
     words = (*engine_program(python, checkout=checkout, environment=environment), "serve")
     return (*words, "--backend", "gpu") if on_gpu else words
 
