@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jghand_engine.cli.console import say, say_table
+from jghand_engine.native.rasterizer import DRAWN_HERE
 from jghand_engine.render.report import EffectSums
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ class Timings:
         self._stages: dict[str, list[float]] = {}
         self._totals: list[float] = []
         self._backends: dict[str, None] = {}
+        self._fallbacks: list[str] = []
         self._others: dict[str, list[float]] = {}
 
     @property
@@ -35,8 +37,8 @@ class Timings:
 
     @property
     def backend(self) -> str:
-        """What drew: a native variant or torch, the slow reference; several with commas."""
-        return ", ".join(self._backends)
+        """What drew: a native variant or torch, the slow reference; several with " and "."""
+        return " and ".join(self._backends)
 
     def add(self, report: dict[str, Any]) -> None:
         """Adds one `FrameReport.as_dict()`."""
@@ -45,6 +47,7 @@ class Timings:
         self._totals.append(report["total_ms"])
         if report.get("backend"):
             self._backends[report["backend"]] = None
+        self._fallbacks += [note for note in report.get("notes", ()) if note.startswith(DRAWN_HERE)]
 
     def add_ms(self, name: str, milliseconds: float) -> None:
         """Adds one measurement that is no part of the frame, as writing a file."""
@@ -68,6 +71,8 @@ class Timings:
         """Prints `figures` as a table. What drew is added to the title: the slow fallback must be seen."""
         drawn = f", drawn by backend {self.backend}" if self.backend else ""
         say_table(title + drawn, ("stage", "median ms", "p95 ms", "ran"), self._rows())
+        if self._fallbacks:
+            say(f"{len(self._fallbacks)} of {self.frames} {self._fallbacks[0]}")
 
     def _rows(self) -> list[tuple[str, ...]]:
         rows: list[tuple[str, ...]] = []

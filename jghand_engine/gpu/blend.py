@@ -41,7 +41,10 @@ class GpuBlend:
         try:
             with device.turn:
                 self._draw({"records": records, "tile_start": tile_start, "tile_list": tile_list}, planes, cuts)
-        except wgpu.GPUError as error:
+        except wgpu.GPUOutOfMemoryError as error:  # the next picture may be smaller
+            self._buffers.clear()
+            raise MemoryLimitError(f"picture on {device.name}: {_last_line(error)}") from error
+        except (wgpu.GPUError, wgpu.GPUPipelineError, RuntimeError) as error:  # the last for maps that fail
             self._buffers.clear()
             forget(device)
             raise RetryError(f"{device.name} stopped drawing: {_last_line(error)}") from error
@@ -73,10 +76,12 @@ class GpuBlend:
         handle.queue.submit([encoder.finish()])
         read.map_sync(MapMode.READ, 0, planes.nbytes)
         try:
-            pixels = np.frombuffer(read.read_mapped(0, planes.nbytes, copy=False), np.float32)
-            np.copyto(planes, pixels.reshape(planes.shape))
+            # in one expression: nothing may hold that memory when it goes
+            np.copyto(
+                planes,
+                np.frombuffer(read.read_mapped(0, planes.nbytes, copy=False), np.float32).reshape(planes.shape),
+            )
         finally:
-            del pixels  # before its memory goes
             read.unmap()
 
     def _buffer(self, name: str, size: int, usage: int) -> Any:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import sys
+import weakref
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from jghand_engine.errors import JGHandError, RetryError
 from jghand_engine.files import cache_folder, writing
@@ -19,7 +24,7 @@ from jghand_engine.native.rasterizer import NativeRasterizer
 
 # of a pixel, between the device's picture of the self-test and the kernel's
 _TOLERANCE = 1e-4
-_checked: set[str] = set()
+_checked: weakref.WeakSet[Device] = weakref.WeakSet()
 
 
 def device_for(backend: str, library: Library) -> Device | None:
@@ -27,7 +32,7 @@ def device_for(backend: str, library: Library) -> Device | None:
 
     "gpu" wants one: InputError where there is none, RetryError where it draws something else than the kernel. "auto",
     without another name in JGHAND_BACKEND, takes the one that `remember` was told to be faster, and says on stderr why
-    it cannot be had.
+    it cannot be had, once.
     """
     named = os.environ.get("JGHAND_BACKEND", "").strip() if backend == "auto" else backend
     if named == GPU:
@@ -35,11 +40,15 @@ def device_for(backend: str, library: Library) -> Device | None:
     if named not in ("", "auto") or not (faster := remembered()):
         return None
     try:
-        device = working_device(library)
+        return working_device(library, faster)
     except JGHandError as error:
-        print(f"jghand: drawing with the processor: {error}", file=sys.stderr)
+        _say_once(f"jghand: drawing with the processor: {error}")
         return None
-    return device if device.name == faster else None
+
+
+@functools.cache
+def _say_once(sentence: str) -> None:
+    print(sentence, file=sys.stderr)
 
 
 def new_rasterizer(library: Library, threads: int, device: Device | None) -> NativeRasterizer:
@@ -70,20 +79,22 @@ def _memory() -> Path:
     return cache_folder() / "gpu.json"
 
 
-def working_device(library: Library) -> Device:
-    """The device to draw on, once it has drawn the self-test's picture. InputError, RetryError as of `device_for`."""
-    device = open_device()
-    if device.name not in _checked:
+def working_device(library: Library, named: str = "") -> Device:
+    """The device to draw on, once it has drawn the self-test's picture; only the one of that name, if given.
+    InputError, RetryError as of `device_for`."""
+    device = open_device(named)
+    if device not in _checked:
         _check(library, device)
-        _checked.add(device.name)
+        _checked.add(device)
     return device
 
 
 def _check(library: Library, device: Device) -> None:
     """RetryError where the device does not draw the self-test's picture."""
-    on_device = GpuRasterizer(library, 1, device)
+    on_device, sample = GpuRasterizer(library, 1, device), selftest.sample_gaussians()
+    front = (np.arange(len(sample)) % 3 / 2).astype(np.float32)
     drawn, wanted = (
-        one.forward(selftest.sample_gaussians(), selftest.sample_view())
+        one.forward(replace(sample, rgb=sample.rgb * front[:, None], front=front), selftest.sample_view())
         for one in (on_device, NativeRasterizer(library, 1))
     )
     if on_device.fell_back:

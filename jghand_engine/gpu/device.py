@@ -11,7 +11,7 @@ import threading
 from dataclasses import dataclass, field
 from typing import Any
 
-from jghand_engine.errors import InputError, install_extra
+from jghand_engine.errors import InputError, JGHandError, RetryError, install_extra
 
 # names a part of an adapter's summary, or any adapter, software too
 ADAPTER_VARIABLE, ANY = "JGHAND_GPU", "any"
@@ -22,6 +22,8 @@ _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 _SOFTWARE = "CPU"
 # how large arrays may be is all that is asked for beyond what every WebGPU device has
 _SIZE_LIMITS = ("max-buffer-size", "max-storage-buffer-binding-size")
+# sizes of arrays are multiples of it, bytes: a vec4f of the shader
+_BLOCK = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,8 @@ class Device:
 
 _open: dict[str, Device] = {}
 _opening = threading.Lock()
+# where wgpu was loaded first: what a child made by fork has of it hangs
+_home: list[int] = []
 
 
 def is_installed() -> bool:
@@ -50,14 +54,23 @@ def is_installed() -> bool:
     return importlib.util.find_spec("wgpu") is not None
 
 
-def open_device() -> Device:
-    """The device to draw on, opened once. InputError where there is none, with what was seen."""
+def open_device(named: str = "") -> Device:
+    """The device to draw on, opened once; only the one of that name, if given. InputError where there is none, with
+    what was seen; RetryError where it cannot be opened, or this process was forked from one that looked for devices."""
+    if _home and _home[0] != os.getpid():  # before the lock, which somebody may have held
+        raise RetryError("backend gpu", wanted="the process that looked for graphics cards first", came="a fork of it")
     wanted = os.environ.get(ADAPTER_VARIABLE, "").strip().lower()
     with _opening:
-        device = _open.get(wanted)
-        if device is None or device.process != os.getpid():
-            device = _open[wanted] = _opened(_choose(wanted))
-        return device
+        if wanted not in _open:
+            try:
+                _open[wanted] = _opened(_choose(wanted), named)
+            except JGHandError:
+                raise
+            except Exception as error:  # whatever loading wgpu, its drivers and its answers raise
+                raise RetryError("backend gpu", wanted="a device that opens", came=str(error) or repr(error)) from error
+        elif named:
+            _check_name(_open[wanted].name, named)
+        return _open[wanted]
 
 
 def forget(device: Device) -> None:
@@ -70,6 +83,8 @@ def forget(device: Device) -> None:
 def _choose(wanted: str) -> Any:
     try:
         import wgpu
+
+        _home[:] = [os.getpid()]
     except ImportError as error:
         raise InputError("backend gpu: the package wgpu is missing", remedy=install_extra("gpu")) from error
     adapters = [one for one in wgpu.gpu.enumerate_adapters_sync() if one.info["backend_type"] in _INTERFACES]
@@ -90,6 +105,14 @@ def _choose(wanted: str) -> Any:
     )
 
 
-def _opened(adapter: Any) -> Device:
+def _opened(adapter: Any, named: str = "") -> Device:
+    if named:
+        _check_name(adapter.summary, named)
     limits = {name: adapter.limits[name] for name in _SIZE_LIMITS}
-    return Device(adapter.request_device_sync(required_limits=limits), adapter.summary, min(limits.values()))
+    largest = min(limits.values()) // _BLOCK * _BLOCK
+    return Device(adapter.request_device_sync(required_limits=limits), adapter.summary, largest)
+
+
+def _check_name(name: str, named: str) -> None:
+    if name != named:
+        raise InputError("graphics card", wanted=f"{named}, which jghand bench measured", came=name)

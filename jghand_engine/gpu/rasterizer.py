@@ -14,7 +14,7 @@ from jghand_engine.errors import InputError, MemoryLimitError, RetryError
 from jghand_engine.gpu.blend import GpuBlend
 from jghand_engine.gpu.device import Device
 from jghand_engine.native.binding import Library
-from jghand_engine.native.rasterizer import Gradients, NativeRasterizer
+from jghand_engine.native.rasterizer import DRAWN_HERE, Gradients, NativeRasterizer
 from jghand_engine.native.threads import shared_pool
 
 
@@ -29,7 +29,10 @@ class GpuRasterizer(NativeRasterizer):
         self._blend: GpuBlend | None = GpuBlend(device)
 
     def run(self, _thread: int = 0) -> None:
-        """Lists of what was prepared, together with the other threads of a pool."""
+        """Lists of what was prepared, together with the other threads of a pool; the picture, too, without a device."""
+        if self._blend is None:
+            super().run(_thread)
+            return
         self.library.call.jg_raster_lists(ctypes.addressof(self._job))
 
     def finished(self) -> bool:
@@ -39,7 +42,7 @@ class GpuRasterizer(NativeRasterizer):
         assert self._planes is not None
         self.fell_back = ""
         if self._blend is None:
-            self._draw_here("the graphics card failed before")
+            self.fell_back = f"{DRAWN_HERE}: the graphics card failed before"
             return True
         job, arrays = self._job, self._arrays
         try:
@@ -62,7 +65,7 @@ class GpuRasterizer(NativeRasterizer):
         raise InputError("backward pass", wanted="a backend of the processor", came="gpu")
 
     def _draw_here(self, why: str) -> None:
-        self.fell_back = f"drawn by the processor: {why}"
+        self.fell_back = f"{DRAWN_HERE}: {why}"
         self._job.keeps_empty = 0  # the device did not write down which tiles it left empty
         shared_pool(self.threads).run(super().run)
         self._team.fill(0)

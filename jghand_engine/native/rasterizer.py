@@ -20,6 +20,8 @@ from jghand_engine.native.threads import shared_pool
 PLANES = 5  # premultiplied R G B, alpha, sum of weight times depth
 _RECORD_FLOATS = 16
 _LIST_TOO_SMALL, _TOO_MANY_PAIRS = 1, 2
+# how a note begins that tells of an image which another backend was asked for
+DRAWN_HERE = "drawn by the processor"
 # items per thread of the steps over Gaussians: enough that a thread that starts late does not hold up the others
 _PARTS_PER_THREAD = 4
 

@@ -185,6 +185,7 @@ class Backend:
         report.visible_gaussians = self._rasterizer.visible
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
         if self._rasterizer.fell_back:
+            report.backend = self._library.variant
             report.notes.append(self._rasterizer.fell_back)
         return rgba, depth_m
 

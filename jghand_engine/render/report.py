@@ -27,7 +27,7 @@ class FrameReport:
     visible_gaussians: drawn
     gaussians:         posed
     notes:             what was unusual about the hand
-    backend:           the variant of the kernels
+    backend:           the variant of the kernels, and the graphics card if one drew it
     threads:           how many drew
     tier:              which correctives were used, in words; empty without any
     plan:              which effects were decided to run

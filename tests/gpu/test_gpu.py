@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -45,11 +47,19 @@ def kernels():
 def memory(monkeypatch, tmp_path):
     monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path))
     monkeypatch.delenv("JGHAND_BACKEND", raising=False)
+    choice._say_once.cache_clear()
     return tmp_path / "gpu.json"
 
 
 def sample(rasterizer: NativeRasterizer) -> np.ndarray:
     return rasterizer.forward(selftest.sample_gaussians(), selftest.sample_view()).copy()
+
+
+def failing(error: Exception):
+    def fail(*_, **__):
+        raise error
+
+    return fail
 
 
 def subject_of(avatar, width=120, height=80):
@@ -179,6 +189,42 @@ def test_a_picture_too_large_for_the_device_is_drawn_by_the_kernel_and_the_next_
     assert not rasterizer.fell_back
 
 
+def test_what_the_bindings_raise_is_a_failure_of_the_device(opened, kernels, monkeypatch):
+    """A map that fails is a RuntimeError; memory that cannot be read after it is one, too."""
+    from wgpu.backends.wgpu_native import GPUBuffer
+
+    wanted = sample(NativeRasterizer(kernels, 1))
+    for name in ("map_sync", "read_mapped"):
+        with monkeypatch.context() as broken:
+            broken.setattr(GPUBuffer, name, failing(RuntimeError("Could not map buffer")))
+            rasterizer = GpuRasterizer(kernels, 1, device.open_device())
+            assert np.array_equal(sample(rasterizer), wanted)
+            assert "stopped drawing: Could not map buffer" in rasterizer.fell_back
+
+
+def test_a_picture_without_room_on_the_device_leaves_the_next_one_to_it(opened, kernels, monkeypatch):
+    wgpu = pytest.importorskip("wgpu")
+    rasterizer = GpuRasterizer(kernels, 1, opened)
+    with monkeypatch.context() as full:
+        full.setattr(type(opened.handle), "create_buffer", failing(wgpu.GPUOutOfMemoryError("no room")))
+        assert np.array_equal(sample(rasterizer), sample(NativeRasterizer(kernels, 1)))
+        assert "no room" in rasterizer.fell_back
+    sample(rasterizer)
+    assert not rasterizer.fell_back
+    assert device.open_device() is opened
+
+
+def test_the_kernel_draws_in_one_walk_after_the_device_failed(opened, kernels, monkeypatch):
+    rasterizer = GpuRasterizer(kernels, 1, opened)
+    opened.handle.destroy()
+    sample(rasterizer)
+    drawn = []
+    monkeypatch.setattr(NativeRasterizer, "run", lambda self, thread=0, run=NativeRasterizer.run: (
+        drawn.append(thread), run(self, thread)))  # fmt: skip
+    sample(rasterizer)
+    assert len(drawn) == 1
+
+
 def test_a_frame_tells_that_the_processor_drew_it(opened):
     avatar = load_builtin(handedness=Handedness.RIGHT)
     subject = subject_of(avatar, 60, 40)
@@ -187,12 +233,26 @@ def test_a_frame_tells_that_the_processor_drew_it(opened):
     frame = renderer.render(subject.poses[0], subject.camera)
     assert frame.rgba[..., 3].max() > 0.9
     assert any("drawn by the processor" in note for note in frame.report.notes)
+    assert frame.report.backend == native_library.load().variant
 
 
 def test_a_device_of_another_process_is_not_used(opened, kernels):
     rasterizer = GpuRasterizer(kernels, 1, replace(opened, process=-1))
     assert np.array_equal(sample(rasterizer), sample(NativeRasterizer(kernels, 1)))
     assert "another process" in rasterizer.fell_back
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_process_is_told_and_does_not_hang(opened):
+    child = os.fork()
+    if child == 0:
+        signal.alarm(60)  # ends it where it hangs
+        try:
+            device.open_device()
+        except RetryError as error:
+            os._exit(7 if "fork" in str(error) else 1)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
 
 
 # ---- which one ------------------------------------------------------------------------------------------------------
@@ -220,6 +280,22 @@ def test_software_is_taken_only_when_it_is_asked_for(monkeypatch):
         device._choose("")
 
 
+def test_a_device_that_does_not_open_is_told(opened, memory, kernels, monkeypatch, capfd):
+    choice.remember(opened, gpu_ms=1.0, processor_ms=2.0)
+    monkeypatch.setattr(type(device._choose(device.ANY)), "request_device_sync", failing(RuntimeError("device lost")))
+    device.forget(opened)
+    with pytest.raises(RetryError, match="device lost"):
+        device.open_device()
+    assert choice.device_for("auto", kernels) is None
+    assert "device lost" in capfd.readouterr().err
+
+
+def test_the_largest_array_is_whole_blocks(monkeypatch):
+    limits = dict.fromkeys(device._SIZE_LIMITS, 20_483)
+    adapter = SimpleNamespace(limits=limits, summary="a card", request_device_sync=lambda **_: None)
+    assert device._opened(adapter).largest == 20_480
+
+
 def test_without_the_package_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "wgpu", None)
     monkeypatch.setattr(device, "_open", {})
@@ -228,11 +304,21 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
 
 
 def test_a_device_that_draws_something_else_is_refused(monkeypatch, opened, kernels):
-    monkeypatch.setattr(choice, "_checked", set())
     right = GpuRasterizer.forward
     monkeypatch.setattr(GpuRasterizer, "forward", lambda self, *given: right(self, *given) + 0.01)
     with pytest.raises(RetryError, match="self-test"):
         choice.working_device(kernels)
+
+
+def test_a_device_that_was_opened_anew_is_tested_again(opened, kernels, monkeypatch):
+    tested = []
+    monkeypatch.setattr(choice, "_check", lambda _, device: tested.append(device))
+    for _ in range(2):
+        choice.working_device(kernels)
+    assert tested == [opened]
+    device.forget(opened)
+    assert choice.working_device(kernels) is not opened
+    assert len(tested) == 2
 
 
 def test_auto_takes_the_card_only_after_it_was_measured_faster(memory, opened, kernels):
@@ -258,6 +344,16 @@ def test_auto_draws_with_the_processor_where_the_remembered_card_is_gone(memory,
     monkeypatch.setenv(device.ADAPTER_VARIABLE, "no such card")
     assert choice.device_for("auto", kernels) is None
     assert "drawing with the processor" in capfd.readouterr().err
+
+
+def test_auto_opens_no_other_card_than_the_remembered_one_and_says_so_once(memory, opened, kernels, capfd, monkeypatch):
+    choice.remember(replace(opened, name="another card"), gpu_ms=1.0, processor_ms=2.0)
+    for _ in range(2):
+        assert choice.device_for("auto", kernels) is None
+    device.forget(opened)
+    monkeypatch.setattr(type(device._choose(device.ANY)), "request_device_sync", None)
+    assert choice.device_for("auto", kernels) is None
+    assert capfd.readouterr().err.count("wanted another card") == 1
 
 
 def test_the_variable_of_the_kernels_names_the_card_too(memory, opened, kernels, monkeypatch):
