@@ -30,6 +30,7 @@ from bundled_engine import PLATFORMS
 
 from jghand_engine.native import binding, build, library, selftest
 from jghand_engine.native.learned_tasks import LearnedTask
+from jghand_engine.native.mean import MeanTask
 from jghand_engine.native.rasterizer import _Job as RasterJob
 from jghand_engine.native.tasks import ShadeTask, SkinTask
 
@@ -75,6 +76,12 @@ def shade_sizes(task: ShadeTask) -> dict[str, int]:
     return sizes | {"depth": padded, "visibility": 4 * pixels, "rgba": 16 * pixels, "depth_out": 4 * pixels}
 
 
+def mean_sizes(task: MeanTask) -> dict[str, int]:
+    image, sums = task.width * task.height, (task.height - 1) * task.stride + task.width
+    sizes = {"rgba": 16 * image, "depth": 4 * image}
+    return sizes | {"sum": 16 * sums, "depth_sum": 4 * sums, "depth_weight": 4 * sums}
+
+
 def depth_start(task: ShadeTask) -> int:
     """Bytes from the beginning of the padded plane to where the task points."""
     columns = (task.stride - -(-task.width // 16) * 16) // 2
@@ -94,6 +101,7 @@ class Structure:
 _GRADIENTS = {f"{name}_gradient": FLOAT for name in ("position", "sigma", "covariance", "opacity", "rgb")}
 _RASTER = Structure(RasterJob, raster_sizes, {"planes": FLOAT})
 _POSED = {"skin.position": FLOAT, "skin.sigma": FLOAT, "matt": FLOAT}
+_MEAN = Structure(MeanTask, mean_sizes, {"rgba": FLOAT, "depth": FLOAT})
 _LEARNED = Structure(LearnedTask, learned_sizes, _POSED)
 # arguments of each call: bytes and what they are, or a structure
 CALLS: dict[str, tuple[tuple[int, int] | Structure, ...]] = {
@@ -103,6 +111,11 @@ CALLS: dict[str, tuple[tuple[int, int] | Structure, ...]] = {
     "jg_skin": ((TEAM_BYTES, 0), Structure(SkinTask, skin_sizes, {"position": FLOAT, "sigma": FLOAT})),
     "jg_learned_pose": ((TEAM_BYTES, 0), _LEARNED),
     "jg_learned_gloss": ((TEAM_BYTES, 0), replace(_LEARNED, results={"rgb": FLOAT})),
+    "jg_mean_add": (
+        (TEAM_BYTES, 0),
+        replace(_MEAN, results=dict.fromkeys(("sum", "depth_sum", "depth_weight"), FLOAT)),
+    ),
+    "jg_mean_finish": ((TEAM_BYTES, 0), _MEAN),
 }
 # matrices, scale and angles of the bones; the skeleton's size is the library's
 _BONES = ((0, 0), (8 * 63, 0), (8 * 252, DOUBLE), (8, DOUBLE), (8 * 37, DOUBLE))

@@ -246,7 +246,7 @@ def test_on_a_processor_too_old_for_every_variant_one_sentence_says_so(fresh, mo
 
 
 @native_only
-@pytest.mark.parametrize("name", ["jg_raster_forward", "jg_shade", "jg_skin", "jg_bone_transforms"])
+@pytest.mark.parametrize("name", ["jg_raster_forward", "jg_shade", "jg_skin", "jg_bone_transforms", "jg_mean_add"])
 def test_the_self_test_notices_a_kernel_that_does_nothing(name, monkeypatch):
     loaded = library.load()
     selftest.check(loaded)
