@@ -174,14 +174,19 @@ class NativeRasterizer:
     ) -> np.ndarray:
         """Draws and returns planes (5, H, W) float32: premultiplied R G B, alpha, sum of weight times depth.
 
-        planes: where to draw; without it, this object's own memory, which the next image overwrites.
+        planes: where to draw; without it, this object's own memory, returned as read-only: the next image overwrites
+                it, except tiles that stay empty.
         InputError names a wrong array; MemoryLimitError when Gaussians cover more tiles than the lists can index.
         """
         drawn = self.prepare(gaussians, view, alpha_min=alpha_min, t_stop=t_stop, planes=planes)
         while True:
             shared_pool(self.threads).run(self.run)
             if self.finished():
-                return drawn
+                break
+        if planes is None:
+            drawn = drawn.view()
+            drawn.flags.writeable = False
+        return drawn
 
     def prepare(
         self,
@@ -193,7 +198,8 @@ class NativeRasterizer:
         planes: np.ndarray | None = None,
     ) -> np.ndarray:
         """The first half of `forward`, for who shares one call of a pool with other work: then every thread calls
-        `run`, and `finished` says whether the planes (returned here) are drawn or all has to be done again."""
+        `run`, and `finished` says whether the planes (returned here) are drawn or all has to be done again. Who writes
+        into them leaves zeros where nothing is drawn: tiles that stay empty are not cleared."""
         self._inputs = None  # no backward pass of an image that fails half way
         self._set_inputs(gaussians)
         self._set_view(view)

@@ -165,7 +165,8 @@ def test_a_device_that_is_lost_leaves_the_drawing_to_the_kernel(opened, kernels)
         assert np.array_equal(sample(rasterizer), wanted)
         assert why in rasterizer.fell_back
     assert device.open_device() is not opened
-    assert not np.array_equal(sample(GpuRasterizer(kernels, 1, device.open_device())), 0 * wanted)
+    again = sample(GpuRasterizer(kernels, 1, device.open_device()))
+    assert np.abs(again - wanted).max() < 1e-4
 
 
 def test_what_the_lost_device_drew_is_gone(opened, kernels):

@@ -70,6 +70,14 @@ def test_planes_can_be_drawn_into_memory_of_the_caller():
     assert np.array_equal(planes, rasterizer().forward(arrays, view))
 
 
+def test_a_picture_in_the_rasterizers_own_memory_can_only_be_read():
+    one, arrays, view = rasterizer(), hand_arrays(300), view_for(96, 64)
+    planes = one.forward(arrays, view)
+    with pytest.raises(ValueError, match="read-only"):
+        planes[:] = 1  # tiles that stay empty would keep it
+    assert np.array_equal(one.forward(arrays, view), rasterizer().forward(arrays, view))
+
+
 @pytest.mark.parametrize("between", [False, True])
 def test_tiles_that_become_empty_are_cleared(between: bool):
     arrays, one = hand_arrays(300), rasterizer()
