@@ -4,7 +4,7 @@
 
 The built-in hand learned from `jghand capture` of adult_woman and the usual person, in known light (train_builtin.py).
 Nobody else's pictures were learned: each hand is the trained one in another identity's shape, with the colors, the
-gloss and the detail of another person's maps (`captures/skin/other_person.py`). In OUT come NAME.jghand and NAME.png of
+gloss and the detail of another person's maps (`scripts/other_person.py`). In OUT come NAME.jghand and NAME.png of
 each, family.png with all of them, and jghand-hands.zip, which Blender's "Install Hands" takes. A hand that is there, of
 the same trained one, the same person and the same code, is kept; the maps of a person take minutes of one core, and are
 kept too.
@@ -24,7 +24,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import other_person
 import tyro
+from other_person import Somebody, as_person, other_detail, shading, somebody
 from PIL import Image
 
 from jghand_engine.avatar import BUILTIN
@@ -36,9 +38,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.validation import as_text
 from jghand_engine.captures.making.person_skin import MAP_PX
 from jghand_engine.captures.making.rig import load_identity
-from jghand_engine.captures.skin import other_person
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
-from jghand_engine.captures.skin.other_person import Somebody, as_person, other_detail, shading, somebody
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.export.pictures import flatten
 from jghand_engine.files import writing

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from motion_errors import MotionErrors, motion_errors
 from other_programs import put_into_page, table
 from PIL import Image
 
@@ -44,7 +45,6 @@ from jghand_engine.own.start import Start
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import preset
 from jghand_engine.track import CAMERA_ANGLE_DEG, mediapipe_hands
-from jghand_engine.track.motion_errors import MotionErrors, motion_errors
 from jghand_engine.track.video import open_video, read_frames
 
 # seconds of a film at which it shows what is to be photographed: palm, back, the thumb's side, a fist from both sides

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from motion_errors import motion_errors
 from shaped_films import FPS, PRIOR, Film, film
 
 from jghand_engine.errors import InputError
@@ -19,7 +20,6 @@ from jghand_engine.own.exact import begun, check_length, exact_poses
 from jghand_engine.own.film import Source
 from jghand_engine.own.hand_fit import Effort, FittedHand, HandFit
 from jghand_engine.own.start import Start
-from jghand_engine.track.motion_errors import motion_errors
 from jghand_engine.track.poses import JointChain, Poses
 
 BEST = np.arange(0, 12, 3)

@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
+from motion_errors import motion_errors
 from shaped_films import CANONICAL_M, PRIOR, film
 
 from jghand_engine.hand.orders import bone_lengths
@@ -21,7 +22,6 @@ from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
-from jghand_engine.track.motion_errors import motion_errors
 from jghand_engine.track.poses import Poses
 
 

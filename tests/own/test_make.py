@@ -10,6 +10,7 @@ from pathlib import Path
 import drawn_film
 import numpy as np
 import pytest
+from motion_errors import motion_errors
 from shaped_films import FOCAL_PX, FPS, HEIGHT, WIDTH, Film, film, poses_of
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -24,7 +25,6 @@ from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.own.start import Start
 from jghand_engine.track.detection import SeenHand
 from jghand_engine.track.hands_over_time import hands_over_time
-from jghand_engine.track.motion_errors import motion_errors
 from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
 
 COUNT, BAD = 13, 7

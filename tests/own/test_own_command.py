@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from films_of_bones import SCALE, SKIN, drawn_hands, film_of
+from motion_errors import motion_errors
 from tracking_samples import CAMERA, right_joints_m, seen
 
 from jghand_engine.avatar.builtin import load_builtin
@@ -29,7 +30,6 @@ from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.own.start import Start
 from jghand_engine.track import mediapipe_hands
 from jghand_engine.track.detection import HandDetector, SeenHand
-from jghand_engine.track.motion_errors import motion_errors
 from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 RIGHT = Handedness.RIGHT

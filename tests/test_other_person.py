@@ -5,14 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from detail_samples import detail_of, flat
-
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.detail import RATIO_STEPS, log_ratios, ratio_bytes
-from jghand_engine.avatar.file import load_avatar, save_avatar
-from jghand_engine.avatar.posing import Posing
-from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps
-from jghand_engine.captures.skin.other_person import (
+from other_person import (
     TEXTURE_STEP,
     Somebody,
     as_person,
@@ -22,6 +15,13 @@ from jghand_engine.captures.skin.other_person import (
     shading,
     somebody,
 )
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin, load_painted
+from jghand_engine.avatar.detail import RATIO_STEPS, log_ratios, ratio_bytes
+from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.avatar.posing import Posing
+from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness

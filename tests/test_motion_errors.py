@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from motion_errors import motion_errors
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import PARENTS, Handedness
@@ -9,7 +10,6 @@ from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.track.motion_errors import motion_errors
 
 FOCAL_PX = 500.0
 
