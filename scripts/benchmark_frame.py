@@ -20,9 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-
-from synthetic_hands import synthetic_hand
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
@@ -77,21 +75,10 @@ def painted_subject(width: int, height: int) -> Subject:
     return moving_subject("painted", load_painted(handedness=Handedness.RIGHT), width, height)
 
 
-def volume_subject(name: str, width: int, height: int) -> Subject:
-    """Volume A or B of RENDERING."""
-    hand = synthetic_hand(name)
-    return Subject(f"volume {name}", hand.avatar, hand.poses(200), hand.camera(width, height))
-
-
-def subjects(width: int, height: int) -> list[Subject]:
-    return [painted_subject(width, height), *(volume_subject(name, width, height) for name in "AB")]
-
-
 def whole_frame_cases(settings: RenderSettings) -> Iterator[Case]:
     """From joints to the finished picture, with stages, at every size."""
-    for width, height in SIZES:
-        for subject in subjects(width, height):
-            yield frame_case(subject, settings, "whole frame, 64 samples on every frame")
+    for size in SIZES:
+        yield frame_case(painted_subject(*size), settings, "whole frame, 64 samples on every frame")
     viewport = RenderSettings(threads=settings.threads)
     yield frame_case(painted_subject(*SIZES[0]), viewport, "whole frame, preset viewport (gated, 16 samples)")
 
@@ -133,17 +120,17 @@ def every_frame_shadowed(threads: int) -> RenderSettings:
 
 def raster_and_shadow_cases(library: Library, threads: int) -> Iterator[Case]:
     """Posed Gaussians to the finished picture, and the gradients back, one after the other as a frame does it."""
-    for width, height in SIZES:
-        for subject in subjects(width, height):
-            posed = _PosedScene(library, subject, threads)
-            for section, run in (
-                ("raster + shadow, 64 samples", posed.forward),
-                ("raster alone", posed.raster_alone),
-                ("backward of the raster", posed.backward),
-                ("backward of shadow, then of the raster", posed.both_backward),
-            ):
-                if (width == SIZES[0][0] and height == SIZES[0][1]) or run in (posed.forward, posed.raster_alone):
-                    yield Case(section, title_of(subject), run, threads=threads)
+    for size in SIZES:
+        subject = painted_subject(*size)
+        posed = _PosedScene(library, subject, threads)
+        runs = {"raster + shadow, 64 samples": posed.forward, "raster alone": posed.raster_alone}
+        if size == SIZES[0]:
+            runs |= {
+                "backward of the raster": posed.backward,
+                "backward of shadow, then of the raster": posed.both_backward,
+            }
+        for section, run in runs.items():
+            yield Case(section, title_of(subject), run, threads=threads)
 
 
 class _PosedScene:
@@ -214,15 +201,10 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
 
 def reference_cases(threads: int) -> Iterator[Case]:
     """The torch reference on the same pictures, with as many threads as torch was given."""
-    for subject in subjects(*SIZES[0]):
-        gaussians = posed_gaussians(subject)
-        yield Case(
-            "torch reference, raster + shadow, 64 samples",
-            title_of(subject),
-            lambda gaussians=gaussians, camera=subject.camera: reference_picture(gaussians, camera),
-            rounds=FEW,
-            threads=threads,
-        )
+    subject = painted_subject(*SIZES[0])
+    gaussians = posed_gaussians(subject)
+    section, run = "torch reference, raster + shadow, 64 samples", lambda: reference_picture(gaussians, subject.camera)
+    yield Case(section, title_of(subject), run, rounds=FEW, threads=threads)
 
 
 def posed_gaussians(subject: Subject) -> Gaussians:

@@ -25,7 +25,6 @@ def many_hands():
 
 @pytest.mark.parametrize(("swing", "mode"), MODES)
 # METHOD 2.11; worst observed over 100,000 hands 1.8e-4 and 3.4e-13, over as many clouds 4.5e-4 and 1.3e-12
-# (scripts/check_transform.py)
 @pytest.mark.parametrize(("dtype", "limit_mm"), [(torch.float32, 5e-4), (torch.float64, 2e-12)])
 def test_both_ends_of_every_bone_land_on_the_joints(swing, mode, dtype, limit_mm):
     transform = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT, swing=swing, scale_mode=mode)
@@ -64,12 +63,6 @@ def test_canonical_hand_maps_to_itself():
     assert (matrices - identity).abs().max() < 1e-14
 
 
-def test_canonical_hand_away_from_the_origin_maps_to_itself():
-    moved = CANONICAL + torch.tensor([0.3, -0.2, 0.7])
-    matrices = JointTransform(moved.numpy(), handedness=Handedness.RIGHT).bones(moved).matrices()
-    assert (matrices - torch.eye(3, 4, dtype=torch.float64)).abs().max() < 1e-14
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_left_hand_is_exactly_the_mirrored_right(dtype):
     joints = hands.sample(300, seed=9).to(dtype)
@@ -77,20 +70,6 @@ def test_left_hand_is_exactly_the_mirrored_right(dtype):
     left = JointTransform(CANONICAL_M, handedness=Handedness.LEFT).bones(hands.mirrored(joints)).matrices()
     mirror = torch.tensor([-1.0, 1.0, 1.0], dtype=dtype).reshape(3, 1)
     assert torch.equal(mirror * right, left)
-
-
-def test_forgotten_handedness_turns_the_skin_inside_out():
-    joints = hands.mirrored(hands.sample(300, seed=9))
-    frames = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT).frames(CANONICAL)
-    middle = (CANONICAL[1:] + CANONICAL[hands.STARTS[1:]]) / 2
-    skin = middle + 0.008 * frames.S[..., 0]
-
-    def placed(handedness):
-        matrices = JointTransform(CANONICAL_M, handedness=handedness).bones(joints).matrices()[:, 1:]
-        return (matrices[..., :3] * skin.unsqueeze(-2)).sum(-1) + matrices[..., 3]
-
-    apart_mm = 1e3 * (placed(Handedness.RIGHT) - placed(Handedness.LEFT)).norm(dim=-1).mean()
-    assert 15 < apart_mm < 17
 
 
 def test_moving_turning_and_scaling_the_hand_carries_the_matrices_along():
@@ -162,23 +141,6 @@ def test_batch_shapes_are_kept():
     assert single.scale.shape == ()
     assert (single.matrices() - flat.matrices()[0]).abs().max() < 1e-14
     assert transform.bones(joints[:0]).matrices().shape == (0, 21, 3, 4)
-
-
-def test_autocast_changes_nothing():
-    transform = JointTransform(CANONICAL_M, handedness=Handedness.RIGHT)
-    joints = hands.sample(50).float()
-    plain = transform.bones(joints)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        cast = transform.bones(joints)
-        assert torch.equal(plain.matrices(), cast.matrices())
-        assert torch.equal(plain.frames.angles, cast.frames.angles)
-        assert torch.equal(plain.frames.palm_p, cast.frames.palm_p)
-        assert torch.equal(plain.frames.palm_n, cast.frames.palm_n)
-
-
-def test_half_precision_joints_are_computed_in_single():
-    joints = hands.sample(5, shift_m=0.0).half()
-    assert JointTransform(CANONICAL_M, handedness=Handedness.RIGHT).bones(joints).linear.dtype == torch.float32
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
