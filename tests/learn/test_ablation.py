@@ -19,7 +19,6 @@ from jghand_engine.avatar.file import load_avatar
 from jghand_engine.avatar.lamp_rows import irradiance_at
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.captures.capture_folder import open_capture
-from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.errors import InputError
@@ -27,7 +26,7 @@ from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.skeleton import Transform
-from jghand_engine.learn.ablation import LiveHand, chosen_variants, light_categories
+from jghand_engine.learn.ablation import LiveHand, chosen_variants
 from jghand_engine.learn.known_light import lamps_in_world
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining
@@ -81,11 +80,6 @@ def test_the_transform_that_the_avatar_names_is_used(avatar, camera):
     assert top[0] + 3 < top[1], "without our transform the fingers stay short"
 
 
-def test_the_other_hand_is_refused(avatar, camera):
-    with pytest.raises(InputError, match="right"):
-        LiveHand(avatar, RenderSettings())(posed(avatar, "open"), Handedness.LEFT, camera)
-
-
 def test_variants_are_chosen_by_name_in_the_papers_order():
     options = TrainOptions()
     assert list(chosen_variants(options, ())) == list(ablations(options))
@@ -127,15 +121,6 @@ def test_an_ablation_leaves_a_table_figures_and_a_sheet(ablate, tmp_path):
     assert read_png(tmp_path / "out" / "isotropic_anisotropic.png").shape[1] > 1600
 
 
-def test_variants_of_known_light_share_the_first_part_of_their_training():
-    parts = [f"w/o {part}" for part in ("bounce", "shadows", "softness", "gloss", "lamps", "shadows and lamps")]
-    options = TrainOptions()
-    assert list(chosen_variants(options, (), known_light=True)) == ["shared", "one light", *parts, "full"]
-    assert list(chosen_variants(options, ("one light",), known_light=True)) == ["one light"]
-    with pytest.raises(InputError, match="one light, w/o bounce, "):
-        chosen_variants(options, ("shared",), known_light=True)
-
-
 def test_a_capture_in_known_light_gets_the_table_of_its_light(tmp_path, tiny, capsys, monkeypatch):
     """Rows that share the first part of their training, and pictures of each new kind of light."""
     hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(1000)
@@ -154,13 +139,6 @@ def test_a_capture_in_known_light_gets_the_table_of_its_light(tmp_path, tiny, ca
     assert len({one["means"]["all"]["psnr_box"] for one in variants.values()}) == len(variants)
     assert "| w/o shadows and lamps | " in (out / "ablation.md").read_text()
     assert read_png(out / "ablation.png").shape[0] > 6 * 264
-
-
-def test_known_light_without_held_out_pictures_is_told_before_anything_is_trained(tmp_path):
-    hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(1000)
-    capture = open_capture(write_lit_capture(tmp_path / "lit", hand))
-    with pytest.raises(InputError, match="take another --split"):
-        light_categories(split_capture(capture).all_learned(), 0)
 
 
 def test_lamps_in_the_world_light_the_middle_of_the_hand_as_before():
@@ -191,14 +169,6 @@ def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, t
     assert "options.seed: wanted 0" in err
     assert "--out" in err
     assert "--fresh" not in err, "which this command does not have"
-
-
-def test_a_kill_before_the_training_had_begun_does_no_harm(ablate, tmp_path):
-    work = tmp_path / "out" / "full"
-    work.mkdir(parents=True)
-    (work / "lock").touch()
-    code, _, err = ablate("--steps", 1, "--variants", "full")
-    assert code == 0, err
 
 
 @pytest.mark.parametrize(

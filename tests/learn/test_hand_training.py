@@ -92,15 +92,6 @@ def test_a_resumed_training_equals_an_uninterrupted_one_bit_for_bit(build, optio
     assert straight.out.read_bytes() == options.out.read_bytes()
 
 
-def test_it_learns_and_leaves_an_avatar(build, options):
-    outcome = train(build, options)
-    first = next(line["psnr"] for line in read_log(options.work / "log.jsonl") if "psnr" in line)
-    assert outcome.psnr > first
-    avatar = load_avatar(options.out)
-    assert len(avatar) == 1500
-    assert "index1 flexion" in avatar.info.pose_statistics
-
-
 @pytest.mark.parametrize("shadow", [False, True])
 def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, small_capture, tmp_path, shadow):
     """By the renderer that users have, from a file, in front of every camera; of bent fingers, where the shadow is."""

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import pytest
 from small_trainings import read_log
 
-from jghand_engine.errors import InputError
 from jghand_engine.learn.checkpoint import LoopState
 from jghand_engine.learn.log import Log, add_figures, take_means
 
@@ -26,25 +24,10 @@ def test_lines_after_the_step_and_half_written_ones_are_cut(tmp_path):
     assert path.read_text().count("\n") == 3
 
 
-@pytest.mark.parametrize("rubbish", ["[]", '{"step": "5"}', "\x00\xff"])
-def test_lines_that_are_no_records_are_cut(rubbish, tmp_path):
-    path = tmp_path / "log.jsonl"
-    path.write_text('{"step": 1}\n' + rubbish + "\n", encoding="utf-8")
-    Log(path).cut_after(10)
-    assert path.read_text() == '{"step": 1}\n'
-
-
 def test_figures_that_json_cannot_hold_are_null(tmp_path):
     path = tmp_path / "log.jsonl"
     Log(path).write(1, {"psnr": math.inf})
     assert read_log(path) == [{"step": 1, "psnr": None}]
-
-
-def test_a_log_that_cannot_be_written_is_named(tmp_path):
-    path = tmp_path / "log.jsonl"
-    path.mkdir()
-    with pytest.raises(InputError, match=r"log\.jsonl"):
-        Log(path).write(1, {})
 
 
 def test_means_are_taken_once():

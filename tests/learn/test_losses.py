@@ -9,7 +9,7 @@ from torch.nn import functional
 from jghand_engine.errors import InputError
 from jghand_engine.learn import losses
 from jghand_engine.learn import ssim as ssim_module
-from jghand_engine.learn.ssim import ssim, ssim_parts
+from jghand_engine.learn.ssim import ssim
 from jghand_engine.native.library import load
 from jghand_engine.native.ssim import NativeSsim
 
@@ -36,11 +36,6 @@ def plain_ssim(a, b):
 def test_ssim_is_the_formula():
     a, b = picture(), picture(seed=1)
     assert float(ssim(a, b)) == pytest.approx(float(plain_ssim(a, b)), abs=1e-14)
-
-
-def test_ssim_of_equal_pictures_is_one():
-    # worst observed 1e-7 in float32
-    assert float(ssim(picture(dtype=torch.float32), picture(dtype=torch.float32))) == pytest.approx(1, abs=1e-6)
 
 
 def test_ssim_has_the_gradient_of_the_formula():
@@ -86,13 +81,6 @@ def test_the_native_ssim_does_not_depend_on_threads_or_on_what_was_there_before(
             again, same = kernel.mean_and_gradient(*pair)
             assert again == kernel.mean(*pair) == value
             assert (same == gradient).all()
-
-
-def test_contrast_of_ssim_ignores_brightness():
-    a = 0.5 * picture()
-    value, contrast = ssim_parts(a, a + 0.3)
-    assert float(contrast.mean()) == pytest.approx(1, abs=1e-12)
-    assert float(value.mean()) < 0.95
 
 
 def test_a_black_picture_has_finite_gradients():
@@ -149,13 +137,6 @@ def test_offset_loss_is_length_over_hand_size():
     offset = torch.tensor([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
     # 5 mm and 0 mm, mean 2.5 mm, once for identity and twice as much for the pose; short of it by eps at most
     assert float(losses.offset_loss(offset, 2 * offset, hand_size_m=0.1)) == pytest.approx(0.075, abs=2e-4)
-
-
-def test_offset_loss_does_not_depend_on_the_unit():
-    offset = 1e-3 * picture()[0]
-    meters = losses.offset_loss(offset, hand_size_m=0.18)
-    bigger = losses.offset_loss(1000 * offset, hand_size_m=180.0)
-    assert float(bigger) == pytest.approx(float(meters), rel=0.02)  # the smooth part is 10 um of some 0.7 mm
 
 
 def test_offset_loss_agrees_with_finite_differences():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-
 import numpy as np
 import pytest
 import torch
@@ -67,15 +65,6 @@ def test_st_lpips_has_a_finite_gradient_on_black_too(st_lpips):
     assert torch.isfinite(black.grad).all()
 
 
-def test_without_its_package_there_is_no_st_lpips_and_a_sentence_says_so(monkeypatch):
-    def missing(name):
-        raise perceptual.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(perceptual.metadata, "files", missing)
-    assert perceptual.st_lpips() is None
-    assert "pip install" in perceptual.ST_LPIPS_MISSING
-
-
 def test_a_training_takes_the_users_trunk_instead_of_the_stand_in(alex, tmp_path, monkeypatch):
     trunk, heads = alex
     for name, tensors in (("alexnet.pth", trunk), ("heads.pth", heads)):
@@ -87,20 +76,6 @@ def test_a_training_takes_the_users_trunk_instead_of_the_stand_in(alex, tmp_path
     assert float(metric.distance(a, b)) == float(perceptual.lpips_of(trunk, heads, "alex").distance(a, b))
     with pytest.raises(InputError, match="--lpips-trunk: wanted a preset that learns by LPIPS"):
         train_options("default", 0, lpips_trunk=tmp_path / "alexnet.pth")
-
-
-def test_a_trunk_is_asked_for_only_by_the_command_that_takes_one(monkeypatch, capsys):
-    """`ablate` has no --lpips-trunk."""
-    monkeypatch.setattr(perceptual, "st_lpips", lambda _device=None: object())
-    train_options("paper-faithful", 0)
-    said = capsys.readouterr().out
-    assert "ST-LPIPS" in said
-    assert "--lpips-trunk" not in said
-
-
-def test_lpips_refuses_a_trunk_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        perceptual.lpips(tmp_path / "vgg16.pth")
 
 
 def test_lpips_is_the_published_formula(alex):
@@ -136,28 +111,6 @@ def test_pictures_that_no_network_can_halve_are_refused(alex):
         metric.distance(picture(31), picture(31))
     with pytest.raises(InputError, match="one shape"):
         metric.distance(picture(64), picture(65))
-
-
-@pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x03\x04 broken"])
-def test_a_damaged_file_of_weights_is_bad_input(tmp_path, content):
-    path = tmp_path / "trunk.pth"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="file of tensors"):
-        perceptual._load_tensors(path)
-
-
-def test_a_file_that_would_run_code_is_refused(tmp_path):
-    path, proof = tmp_path / "trunk.pth", tmp_path / "ran"
-    torch.save({"weight": torch.zeros(2)}, path)
-    hostile = f"cos\nsystem\n(Vtouch {proof}\ntR.".encode()
-    with zipfile.ZipFile(path) as archive:
-        entries = {name: archive.read(name) for name in archive.namelist()}
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, data in entries.items():
-            archive.writestr(name, hostile if name.endswith("data.pkl") else data)
-    with pytest.raises(InputError, match="file of tensors"):
-        perceptual._load_tensors(path)
-    assert not proof.exists()
 
 
 def test_a_file_of_something_else_than_tensors_is_refused(tmp_path):

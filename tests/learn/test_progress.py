@@ -4,29 +4,13 @@ from __future__ import annotations
 
 import io
 
-import pytest
 from rich.console import Console
 
 from jghand_engine.learn.checkpoint import LoopState
-from jghand_engine.learn.progress import Status, display, duration
+from jghand_engine.learn.progress import Status, display
 from jghand_engine.learn.schedule import Budget, Every, Timer
 
 STATUS = Status(120, 4000, loss=0.01234, psnr=31.456, gaussians=15000, steps_per_s=2.5, seconds_left=1552)
-
-
-def test_a_status_is_one_line():
-    assert (
-        STATUS.sentence()
-        == "step 120 of 4000 · loss 0.0123 · fixed views 31.46 dB · 15000 Gaussians · 2.50 steps/s · 26 min left"
-    )
-    assert Status(0, 10).sentence() == "step 0 of 10"
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(7.4, "7 s"), (59.9, "1 min"), (90, "2 min"), (3599, "1 h 00 min"), (7500, "2 h 05 min")]
-)
-def test_durations_read_well(seconds, text):
-    assert duration(seconds) == text
 
 
 def test_without_a_terminal_there_are_plain_lines_now_and_then():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import random
 import signal
@@ -89,29 +88,6 @@ def test_a_log_line_averages_the_steps_since_the_last(options):
 
 
 # ---- going on --------------------------------------------------------------------------------------------------------
-
-
-def test_a_stopped_training_that_goes_on_equals_an_uninterrupted_one_bit_for_bit(options, tmp_path):
-    straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
-    train(StandIn, straight)
-    assert not train(lambda: Stops(23), options).finished
-    assert newest(options.work).state.step == 24, "the step is finished, then a checkpoint is written"
-    assert not options.out.exists()
-    assert not train(lambda: Stops(41), replace(options, start=Start.RESUME)).finished
-    assert train(StandIn, replace(options, start=Start.RESUME)).finished
-    assert same_state(newest(straight.work), newest(options.work))
-    assert curve(straight.work) == curve(options.work)
-    assert straight.out.read_bytes() == options.out.read_bytes()
-
-
-def test_the_same_seed_gives_the_same_losses(options, tmp_path):
-    again = replace(options, work=tmp_path / "again", out=tmp_path / "again.jghand")
-    other = replace(options, work=tmp_path / "other", out=tmp_path / "other.jghand")
-    train(StandIn, options)
-    train(StandIn, again)
-    train(lambda: StandIn(seed=1), other)
-    assert curve(options.work) == curve(again.work)
-    assert curve(options.work) != curve(other.work)
 
 
 def test_a_finished_training_can_be_given_more_steps(options):
@@ -280,16 +256,6 @@ def test_fresh_removes_only_what_trainings_leave(options):
     assert not (options.work / "pictures" / "step_00000060.png").exists()
 
 
-def test_somebody_elses_output_is_not_overwritten(options):
-    options.out.write_text("somebody's hand")
-    with pytest.raises(InputError, match="--overwrite"):
-        train(never, options)
-    assert options.out.read_text() == "somebody's hand"
-    train(StandIn, replace(options, overwrite=True))
-    assert len(load_avatar(options.out)) == 50
-    assert train(StandIn, replace(options, start=Start.FRESH)).finished, "its own may be replaced"
-
-
 def test_two_trainings_do_not_share_a_folder(options):
     options.work.mkdir()
     with locked(options.work / "lock"), pytest.raises(RetryError, match=f"process {os.getpid()}"):
@@ -320,22 +286,3 @@ def test_going_on_with_another_model_names_the_tensor(options):
     train(StandIn, options)
     with pytest.raises(InputError, match=r"first\.log_sigma: wanted float32 \(7, 6\), got float32 \(6, 6\)"):
         train(Larger, replace(options, start=Start.RESUME))
-
-
-def test_a_full_disk_is_a_clear_error_and_the_last_checkpoint_stays(options, monkeypatch):
-    class FillsTheDisk(StandIn):
-        def step(self, number):
-            if number == 20:
-
-                def full(*_):
-                    raise OSError(errno.ENOSPC, "No space left on device")
-
-                monkeypatch.setattr(files, "sync", full)
-            return super().step(number)
-
-    with pytest.raises(RetryError, match="disk is full"):
-        train(FillsTheDisk, options)
-    monkeypatch.undo()
-    assert newest(options.work).state.step == 14
-    assert not [path for path in (options.work / "checkpoints").iterdir() if path.name.startswith(".")]
-    assert train(StandIn, replace(options, start=Start.RESUME)).finished

@@ -4,7 +4,6 @@ import math
 
 import pytest
 import torch
-from hand import sampled_hands as hands
 
 from jghand_engine.hand.skeleton import SWING_POLE, SWING_TURN_COSINE, swing_pole
 from jghand_engine.learn import rotations as rot
@@ -25,17 +24,6 @@ def _perpendicular(a, seed=1):
 def _orthonormality(matrix):
     flat = matrix.flatten(2).permute(2, 0, 1)
     return (flat @ flat.transpose(-1, -2) - torch.eye(3, dtype=matrix.dtype)).abs().max()
-
-
-def test_products_are_the_usual_ones():
-    a, b = (hands.random_rotations(50, torch.Generator().manual_seed(k)) for k in (0, 1))
-    first, second = (m.permute(1, 2, 0) for m in (a, b))
-    v, w = _units(50), _units(50, 1)
-    assert (rot.mat_mul(first, second).permute(2, 0, 1) - a @ b).abs().max() < 1e-15
-    assert (rot.mat_vec(first, v).T - (a @ v.T[..., None])[..., 0]).abs().max() < 1e-15
-    assert (rot.transposed_mat_vec(first, v).T - (a.mT @ v.T[..., None])[..., 0]).abs().max() < 1e-15
-    assert (rot.cross(v, w) - torch.linalg.cross(v, w, dim=0)).abs().max() < 1e-15
-    assert (rot.outer(v, w).permute(2, 0, 1) - v.T[:, :, None] * w.T[:, None]).abs().max() < 1e-15
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,8 @@ from picture_sets import LEFT, recorded, write_set
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.masks import template_mask
-from jghand_engine.errors import InputError
 from jghand_engine.learn import sheets
 from jghand_engine.learn.evaluate import measure_pictures
-from jghand_engine.learn.sheets import SHEET_STEPS_BETWEEN
 
 
 @pytest.fixture(scope="module")
@@ -58,19 +56,6 @@ def test_poses_show_each_pose_once(capture):
     assert len({sample.camera_name for sample in chosen}) == 3
 
 
-def test_views_have_a_row_for_each_pose_and_a_column_for_each_camera(capture):
-    sheet = sheets.view_sheet(sheets.varied_samples(capture.samples, 3), draw, "title")
-    assert rows_and_columns(sheet)[1] == len(sheets.VIEWS)
-
-
-def test_poses_in_between_have_a_row_for_each_avatar(capture):
-    pairs = sheets.pairs_of(capture.samples, 1)
-    one = sheets.between_sheet(pairs, {"a": draw}, "title")
-    two = sheets.between_sheet(pairs, {"a": draw, "b": draw}, "title")
-    assert rows_and_columns(one)[1] == SHEET_STEPS_BETWEEN + 2
-    assert two.shape[0] > 1.7 * one.shape[0] - 100
-
-
 def test_the_ends_of_a_way_are_the_poses_and_the_wrist_stays(capture):
     first, second = capture.samples[0], capture.by_pose()[capture.poses[1]][0]
     hands = sheets.hands_between(first, second, np.linspace(0, 1, 6))
@@ -81,22 +66,3 @@ def test_the_ends_of_a_way_are_the_poses_and_the_wrist_stays(capture):
         return np.linalg.norm(joints_m[:, None] - joints_m[None], axis=-1)
 
     np.testing.assert_allclose(gaps(hands[-1]), gaps(second.joints_m), atol=1e-9)  # worst observed 2e-16
-
-
-def test_a_hand_turned_as_a_whole_stays_where_the_first_one_is(capture):
-    """The way between two poses is that of the fingers: a turn of the second hand in the room changes nothing."""
-    first, second = capture.samples[0], capture.by_pose()[capture.poses[1]][0]
-    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
-    turn *= np.sign(np.linalg.det(turn))
-    turned = type(second)(**{**vars(second), "joints_m": second.joints_m @ turn.T + 0.3})
-    parts = np.linspace(0, 1, 3)
-    plain, other = (sheets.hands_between(first, sample, parts) for sample in (second, turned))
-    np.testing.assert_allclose(plain, other, atol=1e-9)  # worst observed 3e-16
-
-
-def test_no_pose_is_used_twice_and_one_pose_is_not_enough(capture):
-    pairs = sheets.pairs_of(capture.samples, 5)
-    used = [sample.pose for pair in pairs for sample in pair]
-    assert len(used) == len(set(used)) == 2
-    with pytest.raises(InputError, match="at least two"):
-        sheets.pairs_of(capture.samples[:1], 1)

@@ -19,16 +19,10 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.ablation import LiveHand
 from jghand_engine.learn.baselines import HaloLikeTransform
-from jghand_engine.learn.model import SHADOW_GAIN_RANGE
 from jghand_engine.learn.options import PAPER_FAITHFUL, LossWeights, TrainOptions, Transform
-from jghand_engine.learn.planes import roughness
-from jghand_engine.learn.rasterize import rasterize
-from jghand_engine.learn.shadow import darken
-from jghand_engine.learn.skinning import seen_from
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.settings import RenderSettings
-from jghand_engine.render.shadow import ShadowStyle
 
 EVERYTHING = LossWeights(l1=1.0, ssim=0.2, perceptual=0.3, mask=0.2, offset=0.1, roughness=1e-2, angle_roughness=1e-2)
 
@@ -68,18 +62,6 @@ def test_what_a_step_draws_follows_from_seed_and_number(build):
     other = build()
     assert [drawn(other, range(number, number + 1))[0] for number in reversed(range(24))] == straight[::-1]
     assert drawn(build(replace(SMALL, seed=1)), range(24)) != straight
-
-
-def test_every_pose_comes_once_in_every_round(build):
-    training = build()
-    orders = []
-    for turn in range(12):
-        steps = [training._draw(3 * turn + place) for place in range(3)]
-        assert all(len({sample.pose for sample in step}) == 1 for step in steps)
-        orders.append(tuple(step[0].frame for step in steps))
-        assert sorted(orders[-1]) == [0, 1, 2]
-    # in a new order each time
-    assert len(set(orders)) > 3
 
 
 def test_pictures_of_a_step_are_of_different_cameras_and_all_cameras_have_their_turn(build):
@@ -193,19 +175,6 @@ def test_the_rates_of_a_short_plan_rise_within_a_twentieth_of_it_and_fall_the_le
     assert rates(training, 24)[0] == pytest.approx(2e-3 * 0.5, rel=0.05)
 
 
-def test_planes_radii_and_light_learn_at_the_faster_rate(build):
-    training = build()
-    names = {id(parameter): name for name, parameter in training.hand.named_parameters()}
-    slow, fast = ({names[id(p)] for p in group["params"]} for group in training._optimizer.param_groups)
-    assert fast == {
-        "log_sigma", "planes.uv.texels", "planes.ud.texels", "planes.vd.texels", "pose_net.angles.planes",
-        "irradiance", "lobe_direction", "lobe_log_sharpness", "lobe_raw_rgb", "raw_rim",
-        "raw_lamps", "raw_bounced", "raw_shadow_gain", "raw_shadow_tint",
-    }  # fmt: skip
-    assert slow | fast == set(names.values())
-    assert not slow & fast
-
-
 def test_octaves_of_the_encoding_come_in_one_after_the_other(build):
     """Of octaves (2, 2, 1), from 0.1 to 0.5 of the training: the first by 0.3, the second from there."""
     training = build(scheduled(waves=(0.1, 0.5)))
@@ -312,19 +281,6 @@ def test_errors_of_the_joints_reach_the_pose_network_alone(build, samples):
     assert torch.equal(*bare)
 
 
-def test_texels_that_no_pose_touches_are_smoothed(build):
-    """They would stay as random as they began, and a pose beside those that were learned would tremble."""
-
-    def rough(weight: float) -> float:
-        training = build(replace(SMALL, loss=replace(SMALL.loss, angle_roughness=weight)), moved=False)
-        training.plan(60)
-        for number in range(60):
-            training.step(number)
-        return float(roughness(training.hand.pose_net.angles.planes.detach()))
-
-    assert rough(1e-4) < 0.5 * rough(0.0)
-
-
 # ---- the update ------------------------------------------------------------------------------------------------------
 
 
@@ -379,38 +335,6 @@ def test_the_shadow_of_a_small_hand_comes_with_the_same_poses_as_that_of_a_large
         joints_m = named_pose(name, canonical_m, handedness=Handedness.RIGHT)
         for scale in (0.5, 1.0, 2.0):
             assert training._new_posed_bones(scale * joints_m).shadow == pytest.approx(strength, abs=1e-6)
-
-
-def test_the_shadow_darkens_by_strength_and_tint(build, samples):
-    """Of a fist; twice the learned gain is the square of the visibility."""
-    training = build()
-    posed, view = training._posed_bones(samples[3]), training._pictures.view(samples[3])
-
-    def picture(gain: float, tint: float, strength: float) -> torch.Tensor:
-        with torch.no_grad():
-            low, high = SHADOW_GAIN_RANGE
-            training.hand.raw_shadow_gain.copy_(torch.logit(torch.tensor(math.log(gain / low, high / low))))
-            training.hand.raw_shadow_tint.fill_(math.log(tint / (1 - tint)) if tint < 1 else math.inf)
-            avatar = training._live()
-            skin, _ = training._pose(avatar, posed, 1.0)
-            return training._draw_view(avatar, skin, strength, view.camera)[0]
-
-    bare = picture(4.0, 1.0, 0.0)
-    lit = bare > 0.05
-    one, two = (picture(gain, 1.0, 1.0)[lit] / bare[lit] for gain in (4.0, 8.0))
-    assert 0.2 < float(one.min()) < 0.95
-    torch.testing.assert_close(two, one.square(), atol=2e-6, rtol=0)
-    part = picture(4.0, 0.5, 0.6)
-    torch.testing.assert_close(part[lit] / bare[lit], 1 - 0.3 * (1 - one), atol=1e-6, rtol=0)
-    # and it is the shadow that the finished avatar will have
-    with torch.no_grad():
-        avatar = training._live()
-        seen = seen_from(training._pose(avatar, posed, 1.0)[0], torch.from_numpy(view.camera.eye_m), avatar)
-        flat = rasterize(seen, view.camera, RenderSettings())
-        planes = torch.cat([flat.rgb.permute(2, 0, 1), flat.alpha[None], flat.depth_sum[None]])
-    style = ShadowStyle(samples=SMALL.shadow_samples, strength=0.6, gain=4.0, tint=(0.5, 0.5, 0.5))
-    # worst seen 1.2e-6
-    torch.testing.assert_close(part, darken(planes, view.camera, style).permute(1, 2, 0), atol=2e-6, rtol=0)
 
 
 def test_long_gradients_are_shortened(build):
@@ -492,18 +416,6 @@ def test_the_fixed_view_stands_beside_the_truth(build, samples):
     assert np.array_equal(truth, training._pictures.view(samples[0]).rgb.numpy())
     error = float(((truth.astype(np.float64) - ours) ** 2).mean())
     assert training.fixed_psnr() == pytest.approx(-10 * math.log10(error), abs=1e-4)
-
-
-def test_a_training_is_judged_by_the_mean_of_its_fixed_views(build, samples):
-    alone = []
-    for sample in samples[:2]:
-        training = build()
-        training._material = replace(training._material, judged=[sample])
-        alone.append(training.fixed_psnr())
-    both = build()
-    both._material = replace(both._material, judged=samples[:2])
-    assert alone[0] != pytest.approx(alone[1], abs=1e-3)
-    assert both.fixed_psnr() == pytest.approx(sum(alone) / 2, abs=1e-4)
 
 
 def test_what_is_shown_and_saved_early_is_what_is_being_learned(build, samples):

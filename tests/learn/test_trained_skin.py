@@ -177,17 +177,6 @@ def test_a_left_hand_is_the_mirror_image_in_everything_but_light(pose):
 # ---- maps, offsets, shade --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_maps_that_are_known_already_change_no_bit(dtype):
-    bones = bones_of(torch.from_numpy(joints_of("fist")).to(dtype))
-    maps = skin_maps(AVATAR.bone_weights, bones)
-    fresh, known = pose_skin(elliptic(), bones, correction()), pose_skin(elliptic(), bones, correction(), maps=maps)
-    for name in ("position_m", "sigma_m", "rgb", "covariance_m2"):
-        assert torch.equal(getattr(fresh.matt, name), getattr(known.matt, name))
-    assert torch.equal(normals(fresh), normals(known))
-    assert fresh.matt.position_m.dtype == dtype
-
-
 def test_maps_say_how_the_skin_moves():
     bones = bones_of(joints_of("fist"))
     maps = skin_maps(AVATAR.bone_weights, bones)
