@@ -75,6 +75,12 @@ def front_camera(width: int, height: int, focal_px: float) -> Camera:
     return Camera(width, height, focal_px, focal_px, width / 2, height / 2, np.eye(4))
 
 
+def oblong_camera(width: int, height: int) -> Camera:
+    """Wide, near, its middle beside the picture, pixels that are not square."""
+    view = camera_for(width, height, distance_m=0.15, eye_direction=(0.7, 0.4, -0.5))
+    return Camera(width, height, 40.0, 70.0, 10.0, height + 15.0, view.camera_from_world)
+
+
 def stretched(gaussians: Gaussians, *, aspect: float = 4.0, seed: int = 5) -> Gaussians:
     """The same Gaussians as ellipsoids: axes of sigma times 1/aspect .. aspect, turned at random."""
     generator = torch.Generator().manual_seed(seed)

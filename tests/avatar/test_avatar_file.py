@@ -13,12 +13,11 @@ import safetensors
 import safetensors.numpy
 from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
-from jghand_engine.avatar.avatar import SIGMA_MIN_M, HandAvatar, LearnedFrom
+from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.learned import Learned, Light, ShadowLook, SkinResponse
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.avatar.validation import as_text
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Swing, Transform, scale_exponent
@@ -125,17 +124,6 @@ def test_compact_storage_costs_what_its_table_says():
     assert np.abs(stored.bone_weights.sum(1, dtype=np.float64) - 1).max() < 1e-6
 
 
-def test_a_compact_file_is_small(tmp_path):
-    save_avatar(tmp_path / "hand.jghand", small_avatar(2000), storage=Storage.COMPACT)
-    assert (tmp_path / "hand.jghand").stat().st_size < 2000 * 39 + 4096
-
-
-def test_a_single_gaussian_survives(tmp_path):
-    avatar = small_avatar(1)
-    save_avatar(tmp_path / "one.jghand", avatar, storage=Storage.COMPACT)
-    assert same(load_avatar(tmp_path / "one.jghand"), stored_form(avatar, Storage.COMPACT))
-
-
 BAD = {
     "position_m": (float("nan"), "finite"),
     "sigma_m": (0.0, "radii"),
@@ -185,16 +173,6 @@ def test_what_could_not_be_loaded_again_is_not_saved(tmp_path, change, named):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_radius_that_rounds_out_of_its_limits_is_not_saved(tmp_path):
-    """Half precision moves a radius at the end of what is allowed beyond what is read."""
-    avatar = small_avatar()
-    sigma_m = np.full_like(avatar.sigma_m, SIGMA_MIN_M * (1 - 9.9e-4))
-    assert float(sigma_m.astype(np.float16)[0]) < SIGMA_MIN_M * (1 - 1e-3)
-    with pytest.raises(InputError, match=r"avatar for .*sigma_m"):
-        save_avatar(tmp_path / "bad.jghand", replace(avatar, sigma_m=sigma_m), storage=Storage.COMPACT)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_path):
     avatar = small_avatar()
     info = replace(avatar.info, name="手 · la main d'Ève", license="x" * 500)
@@ -226,17 +204,6 @@ def test_the_joints_of_a_hand_that_is_not_the_canonical_one_are_kept(tmp_path):
     flat = replace(avatar, own_joints_m=0 * avatar.canonical_joints_m)
     with pytest.raises(InputError, match="flat"):
         save_avatar(tmp_path / "flat.jghand", flat)
-
-
-def test_any_name_can_be_made_one_that_is_written():
-    assert as_text("two\nlines\x1b" + "x" * 600) == "twolines" + "x" * 492
-    assert as_text("手 · d'Ève") == "手 · d'Ève"
-
-
-def test_joints_in_millimeters_are_not_written(tmp_path):
-    avatar = small_avatar()
-    with pytest.raises(InputError, match=r"wrist to middle tip.*meters"):
-        save_avatar(tmp_path / "mm.jghand", replace(avatar, canonical_joints_m=1e3 * avatar.canonical_joints_m))
 
 
 def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
@@ -290,12 +257,6 @@ def test_a_network_of_any_shape_comes_back(tmp_path, shaded):
     avatar = trained_avatar(shape=shape)
     save_avatar(tmp_path / "hand.jghand", avatar)
     assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
-
-
-def test_saving_a_compact_trained_avatar_again_changes_nothing():
-    for seed in range(20):
-        once = stored_form((known_avatar if seed % 2 else trained_avatar)(500, seed), Storage.COMPACT)
-        assert same(stored_form(once, Storage.COMPACT), once)
 
 
 def test_compact_storage_of_what_was_learned_costs_what_its_table_says():
@@ -359,20 +320,8 @@ def test_what_no_training_can_give_is_not_written(tmp_path, change, named):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_weight_that_half_precision_cannot_hold_is_not_written(tmp_path):
-    avatar = trained_avatar()
-    avatar.learned.correctives.weights["out.weight"][0, 0] = 1e6
-    with pytest.raises(InputError, match=r"pose_net\.out\.weight"):
-        save_avatar(tmp_path / "bad.jghand", avatar, storage=Storage.COMPACT)
-
-
 @pytest.mark.parametrize("name", ["nothing.jghand", "no\0thing.jghand"])
 def test_a_missing_file_is_named_once(tmp_path, name):
     with pytest.raises(InputError, match="cannot read") as refused:
         load_avatar(tmp_path / name)
     assert str(refused.value).count(name) == 1
-
-
-def test_a_folder_is_no_avatar(tmp_path):
-    with pytest.raises(InputError, match="cannot read"):
-        load_avatar(tmp_path)

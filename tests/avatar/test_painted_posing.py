@@ -59,15 +59,6 @@ def test_posed_hand_is_shifted_last(library: Library):
     assert np.abs(far - near - np.array([0.5, -0.25, 2.0])).max() < 3e-7
 
 
-def test_native_skinning_gives_the_same_bits_from_any_number_of_threads(library: Library):
-    avatar = load_painted(handedness=Handedness.RIGHT)
-    joints = named_pose("fist", avatar.canonical_joints_m, handedness=Handedness.RIGHT)
-    one, two, three = (skinned(library, avatar, joints, threads) for threads in (1, 2, 3))
-    for other in (two, three):
-        assert np.array_equal(one[0], other[0])
-        assert np.array_equal(one[1], other[1])
-
-
 @pytest.mark.parametrize("count", [1, 15, 16, 17])
 def test_any_number_of_gaussians_can_be_skinned(library: Library, count: int):
     avatar = load_painted(handedness=Handedness.RIGHT)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -12,9 +10,7 @@ from small_hands import joints_of
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.posing import Posing
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
@@ -66,10 +62,3 @@ def test_frames_do_not_share_memory(library: Library):
     posing(joints_of("fist"))
     for now, before in zip((first.position_m, first.sigma_m, first.rgb), copies, strict=True):
         assert np.array_equal(now, before)
-
-
-def test_an_avatar_that_follows_the_joints_in_another_way_is_refused(library: Library):
-    avatar = small_avatar(20)
-    other = replace(avatar, info=replace(avatar.info, transform=Transform.HALO_LIKE))
-    with pytest.raises(InputError, match="transform"):
-        Posing(other, 1, library)

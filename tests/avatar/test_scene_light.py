@@ -40,7 +40,6 @@ from jghand_engine.learn.skinning import apply, posed_anchors, skin_maps
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import library as native_library
 from jghand_engine.native.scene_light_task import LampKind
-from jghand_engine.native.threads import shared_pool
 
 EYE_M = np.array([0.1, 0.25, 0.5])
 EVEN = World(np.broadcast_to(np.array([0.2, 0.5, 1.0], np.float32), (16, 32, 3)))
@@ -200,16 +199,6 @@ def test_lamps_among_the_fingers_cast_the_shadows_that_training_finds():
     assert np.abs(found - wanted).max() <= 1e-4 * wanted.max()
 
 
-def test_threads_do_not_change_a_bit():
-    bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
-    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=LIGHTS["all"])
-    shared_pool(4).run(lambda _thread: poser.run())
-    poser.prepare_gloss(EYE_M)
-    shared_pool(4).run(lambda _thread: poser.run_gloss())
-    rows = np.argsort(poser.blocks.order)
-    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, LIGHTS["all"]))
-
-
 def test_a_world_that_changes_is_seen_in_the_next_pose():
     bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
     for light in (LIGHTS["world"], SceneLight(world(3))):
@@ -362,15 +351,6 @@ def test_a_baked_light_turns_with_the_normal():
     assert up[:, 1].max() == pytest.approx(1, abs=0.02)
     assert np.abs(up[:, 0] - np.maximum(2 * up[:, 1], -1)).max() < 1e-3
     assert np.abs(up[:, 2] - 0.5 * up[:, 1]).max() < 1e-3
-
-
-def test_twice_the_light_is_twice_as_bright():
-    bones, light = bones_of(AVATAR), LIGHTS["all"]
-    lamps = tuple(replace(lamp, rgb=tuple(2 * c for c in lamp.rgb)) for lamp in light.lamps)
-    assert light.world is not None
-    double = SceneLight(replace(light.world, radiance=2 * light.world.radiance), lamps)
-    once, twice = (natively(AVATAR, bones, each) for each in (light, double))
-    assert np.abs(twice - 2 * once).max() < 1e-5 * twice.max()
 
 
 def test_hand_and_lights_that_turn_together_look_the_same():

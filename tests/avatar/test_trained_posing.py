@@ -199,16 +199,6 @@ def test_a_prefix_is_posed_with_its_own_correctives(library):
         check(avatar, bones, natively(library, avatar, bones))
 
 
-@pytest.mark.parametrize("name", ["network", "linear-13", "ellipsoids", "full width"])
-def test_native_skin_has_the_same_bits_from_any_number_of_threads(library, name):
-    avatar = KINDS[name]
-    bones = bones_of_hand(avatar, joints_of("pinch"))
-    one, *others = (natively(library, avatar, bones, threads=threads) for threads in (1, 2, 3))
-    for other in others:
-        for field in ("position_m", "sigma_m", "rgb", "covariance_m2"):
-            assert torch.equal(getattr(one, field), getattr(other, field)), field
-
-
 def test_gloss_follows_the_eye_and_leaves_nothing_behind(library):
     bones = bones_of_hand(AVATAR, joints_of("relaxed"))
     straight = natively(library, AVATAR, bones)

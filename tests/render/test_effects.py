@@ -99,17 +99,6 @@ def test_an_unknown_effect_is_refused_by_name(text: str):
         Choice.parse(text)
 
 
-def test_the_estimate_of_a_shadow_grows_with_its_samples_and_the_hand():
-    def estimate(samples: int, focal_px: float) -> float:
-        settings = replace(SMALL, shadow=ShadowMode.ALWAYS, shadow_samples=samples)
-        plan = plan_of(HandRenderer(RIGHT, settings).render(pose("fist"), camera(focal_px=focal_px)))
-        return plan[Effect.SHADOW].estimated_ms
-
-    assert estimate(32, 150.0) == pytest.approx(2 * estimate(16, 150.0))
-    assert estimate(16, 300.0) == pytest.approx(4 * estimate(16, 150.0), rel=0.01)
-    assert estimate(16, 150.0) > 0
-
-
 def test_every_effect_is_decided_about_once_and_has_a_line():
     frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera())
     decided = [decision.effect for decision in plan_of(frame).decisions]
@@ -355,14 +344,6 @@ def test_a_hand_that_flies_into_the_picture_is_blurred_there():
     assert HandRenderer(RIGHT, SMALL).render_moments(moments, EVEN).rgba.any()
 
 
-def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
-    avatar = ellipsoid_avatar(500)
-    bare = effects.strip_disabled(avatar, replace(SMALL, effects=Choice.parse("none"))).learned
-    assert bare is not None
-    assert bare.correctives is None
-    assert bare.cast is None
-
-
 def test_normals_come_without_depth():
     frame = HandRenderer(RIGHT, replace(SMALL, depth=False, normals=True)).render(pose("open"), camera())
     assert frame.normal is not None
@@ -555,22 +536,6 @@ def test_the_filter_fades_in_with_distance():
     assert float(steps.max()) < 0.03
 
 
-def test_maps_show_the_surface_and_whose_it_is():
-    settings = replace(SMALL, normals=True, ids=True, gaussians=20_000)
-    joints = [pose("flat"), pose("flat") + np.array([0.12, 0.0, 0.0])]
-    frame = SceneRenderer([RIGHT, RIGHT], settings).render(joints, camera(side_m=0.06, focal_px=250.0))
-    assert frame.normal is not None
-    assert frame.ids is not None
-    covered = frame.rgba[..., 3] > 0.9
-    length = np.linalg.norm(frame.normal, axis=-1)
-    assert np.allclose(length[covered], 1, atol=1e-4)
-    assert float(frame.normal[covered][:, 2].max()) <= 0.02  # towards the camera
-    assert set(np.unique(frame.ids)) == {0, 1, 2}
-    columns = np.arange(frame.ids.shape[1])
-    first, second = (np.average(columns, weights=(frame.ids == k).sum(0)) for k in (1, 2))
-    assert first < second
-
-
 def linear(frame: Frame) -> np.ndarray:
     """(H, W, 4) premultiplied, in linear light."""
     alpha = frame.rgba[..., 3:]
@@ -719,12 +684,3 @@ def test_the_receipt_of_a_mean_is_of_a_moment_that_shows_a_hand():
     assert frame.rgba.any()
     assert not frame.depth_m.any()
     assert "no hand is in the image" not in " ".join(frame.report.lines())
-
-
-def test_faster_hands_get_more_pictures():
-    counts = []
-    for shift_m in (0.001, 0.004, 0.016):
-        frame = HandRenderer(RIGHT, SMALL).render_moments(moving(shift_m, camera()), EVEN)
-        counts.append(plan_of(frame).exposures)
-    assert counts == sorted(counts)
-    assert counts[0] < counts[-1] <= 0.5 / blur.MOTION_ERROR_MAX

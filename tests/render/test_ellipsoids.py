@@ -24,6 +24,7 @@ from splat_scenes import (
     gradients_of,
     hand_gaussians,
     in_precision,
+    oblong_camera,
     planes_of,
     stretched,
 )
@@ -31,22 +32,14 @@ from splat_scenes import (
 from jghand_engine.errors import InputError
 from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.reference import rasterize_reference
-from jghand_engine.native import contract
-from jghand_engine.render.camera import Camera
 
 native = pytest.mark.parametrize("backend", NATIVE)
-drawing = pytest.mark.parametrize("backend", DRAWING)
 every_backend = pytest.mark.parametrize("backend", ["torch", *DRAWING])
 with_gradients = pytest.mark.parametrize("backend", ["torch", *NATIVE])
 
 
 def stretched_hand(count: int, *, aspect: float = 4.0, **options) -> Gaussians:
     return stretched(hand_gaussians(count, **options), aspect=aspect)
-
-
-def oblong_camera() -> Camera:
-    view = camera_for(96, 64, distance_m=0.15, eye_direction=(0.7, 0.4, -0.5))
-    return Camera(96, 64, 40.0, 70.0, 10.0, 80.0, view.camera_from_world)
 
 
 SCENES = {
@@ -57,52 +50,10 @@ SCENES = {
     "nearly opaque": lambda: (stretched_hand(3000, sigma_mm=(1.5, 2.5), opacity=(0.9, 1.0)), camera_for(96, 64)),
     "near": lambda: (stretched_hand(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.12)),
     "camera inside": lambda: (stretched_hand(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.02)),
-    "shifted, wide and oblong": lambda: (stretched_hand(1500, sigma_mm=(2, 5)), oblong_camera()),
+    "shifted, wide and oblong": lambda: (stretched_hand(1500, sigma_mm=(2, 5)), oblong_camera(96, 64)),
     "one pixel": lambda: (stretched_hand(300, sigma_mm=(5, 20), opacity=(0.02, 0.1)), camera_for(1, 1)),
     "odd size": lambda: (stretched_hand(501, sigma_mm=(2, 5)), camera_for(37, 19)),
 }
-
-
-# ---- the reference against the text ---------------------------------------------------------------------------------
-
-
-def contract_pixel(gaussians: Gaussians, camera: Camera, i: int, j: int) -> list[float]:
-    """R G B A D of a pixel as the contract says it, with the covariance on the picture as J R S R^T J^T + 0.3 I."""
-    matrix = torch.from_numpy(camera.camera_from_world)
-    position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
-    transmittance, sums = 1.0, [0.0] * 5
-    for n in torch.argsort(position[:, 2], stable=True).tolist():
-        x, y, z = position[n].tolist()
-        if z <= contract.Z_NEAR_M:
-            continue
-        rows = [[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]]
-        jacobian = torch.tensor(rows, dtype=torch.float64) @ matrix[:3, :3]
-        xx, xy, xz, yy, yz, zz = gaussians.covariance_m2[n]  # type: ignore[index]
-        world = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
-        ellipse = jacobian @ world @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64)
-        center = torch.tensor([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dtype=torch.float64)
-        away = torch.tensor([i + 0.5, j + 0.5], dtype=torch.float64) - center
-        alpha = float(gaussians.opacity[n]) * math.exp(-0.5 * float(away @ torch.linalg.solve(ellipse, away)))
-        if alpha < contract.ALPHA_MIN:
-            continue
-        weight = min(alpha, 0.999) * transmittance
-        transmittance -= weight
-        for channel, value in enumerate((*gaussians.rgb[n].tolist(), 1.0, z)):
-            sums[channel] += weight * value
-    return sums
-
-
-def test_every_pixel_is_what_the_contract_says():
-    gaussians = in_precision(stretched_hand(60, sigma_mm=(2, 12), opacity=(0.01, 1.0)), torch.float64)
-    camera = camera_for(15, 12)
-    planes = planes_of(rasterize_reference(gaussians, camera))
-    worst = max(
-        abs(float(planes[channel, j, i]) - value)
-        for j in range(camera.height)
-        for i in range(camera.width)
-        for channel, value in enumerate(contract_pixel(gaussians, camera, i, j))
-    )
-    assert worst <= 1e-12  # observed 2e-15
 
 
 def test_gradients_of_the_smooth_variant_agree_with_finite_differences():
@@ -132,13 +83,6 @@ def test_the_picture_agrees_with_the_reference(scene, backend):
     assert (got.visible_gaussians, got.invalid_gaussians) == (want.visible_gaussians, 0)
 
 
-@drawing
-@pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 129])
-def test_every_number_of_ellipsoids_agrees_with_the_reference(count, backend):
-    gaussians, camera = stretched_hand(count, sigma_mm=(1, 4)), camera_for(64, 48)
-    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
-
-
 # promised: relative L2 1e-3, cosine gap 1e-5, signed bias 1e-4. Worst observed over all scenes and variants when no
 # pixel stops early: 1.6e-4, 6.9e-5, 2.3e-9 and 5.1e-5; with the contract's early stop: 9.2e-4, 8.7e-4, 3.7e-7 and
 # 1.1e-4 (many layers of opaque needles: 5.1e-4, the stop cuts all their tails on the same side)
@@ -155,16 +99,6 @@ def test_gradients_agree_with_the_reference(scene, backend):
     assert_same_gradients(got, want, WHOLE, ELLIPSOID_NAMES)
     if backend != "torch" and scene != "needles":  # the reference never stops
         assert_same_gradients(gradients_of(gaussians, camera, backend=backend), want, STOPPED, ELLIPSOID_NAMES)
-
-
-@native
-def test_only_what_is_drawn_gets_a_gradient(backend):
-    leaves = in_precision(stretched_hand(50, sigma_mm=(2, 3)), torch.float32, grad=True)
-    draw(leaves, camera_for(40, 30), backend).alpha.sum().backward()
-    assert leaves.sigma_m.grad is None
-    assert leaves.covariance_m2 is not None
-    assert leaves.covariance_m2.grad is not None
-    assert leaves.covariance_m2.grad.shape == (50, 6)
 
 
 # ---- spheres as ellipsoids ------------------------------------------------------------------------------------------
@@ -194,20 +128,6 @@ def test_sigma_is_ignored_where_there_are_covariances(backend):
     got, want = draw(other, camera, backend), draw(gaussians, camera, backend)
     assert_same_bits(got, want)
     assert got.invalid_gaussians == 0
-
-
-@every_backend
-def test_turning_the_world_turns_covariances_with_it(backend):
-    gaussians, camera = stretched_hand(800, sigma_mm=(2, 4)), camera_for(64, 48)
-    turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
-    linear = turn.float().expand(len(gaussians), 3, 3)
-    full = gaussians.covariance_m2[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)  # type: ignore[index]
-    posed = (linear @ full @ linear.mT).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
-    turned = replace(gaussians, position_m=gaussians.position_m @ turn.float().T, covariance_m2=posed.contiguous())
-    matrix = camera.camera_from_world.copy()
-    matrix[:3, :3] = matrix[:3, :3] @ turn.T.numpy()
-    view = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, matrix)
-    assert_same_picture(draw(turned, view, backend), draw(gaussians, camera, backend), depth_scale_m=0.7)
 
 
 # ---- threads, order, culling ----------------------------------------------------------------------------------------

@@ -152,26 +152,6 @@ def test_the_same_pose_from_elsewhere_reflects_what_is_seen_from_there(settings)
     )
 
 
-def test_a_trained_hand_a_kilometer_away_looks_the_same(settings):
-    away = np.array([1000.0, -700.0, 300.0])
-    renderer, joints = HandRenderer(AVATAR, settings), joints_of("relaxed")
-    here, there = renderer.render(joints, camera()), renderer.render(joints + away, camera(away_m=tuple(away)))
-    error = np.abs(here.rgba - there.rgba).max(-1)
-    assert float((error > 2e-4).mean()) < 2e-3
-
-
-def test_frames_of_one_two_and_three_threads_have_the_same_bits():
-    joints, view = joints_of("pinch"), camera(size=(237, 161))
-    frames = [HandRenderer(AVATAR, replace(PLAIN, threads=n)).render(joints, view) for n in (1, 2, 3)]
-    assert all(np.array_equal(frames[0].rgba, other.rgba) for other in frames[1:])
-
-
-def test_a_prefix_of_a_trained_avatar_is_drawn(settings):
-    joints, view = joints_of("open"), camera()
-    frame = HandRenderer(AVATAR, replace(settings, gaussians=1000)).render(joints, view)
-    assert np.abs(frame.rgba - exact([AVATAR.prefix(1000)], [joints], view)).max() < 0.02
-
-
 # ---- the shadow ------------------------------------------------------------------------------------------------------
 
 

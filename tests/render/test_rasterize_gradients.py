@@ -19,10 +19,8 @@ from splat_scenes import (
     hand_gaussians,
     in_precision,
     joined,
-    planes_of,
+    oblong_camera,
 )
-
-from jghand_engine.render.camera import Camera
 
 native = pytest.mark.parametrize("backend", NATIVE)
 every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])
@@ -41,6 +39,7 @@ SCENES = {
     "one pixel": lambda: (hand_gaussians(300, sigma_mm=(5, 20), opacity=(0.02, 0.1)), camera_for(1, 1)),
     "coarse pictures": lambda: (replace(hand_gaussians(2000), pixel_m=2e-3), camera_for(128, 84, distance_m=0.15)),
     "odd size": lambda: (hand_gaussians(500, sigma_mm=(2, 5)), camera_for(37, 19)),
+    "shifted, wide and oblong": lambda: (hand_gaussians(1500, sigma_mm=(2, 5)), oblong_camera(96, 64)),
 }
 
 
@@ -50,43 +49,6 @@ def test_gradients_agree_with_the_reference(scene, backend):
     gaussians, camera = SCENES[scene]()
     want = gradients_of(gaussians, camera, dtype=torch.float64)
     assert_same_gradients(gradients_of(gaussians, camera, backend=backend), want, BOUNDS)
-
-
-@native
-def test_gradients_agree_for_a_shifted_wide_and_oblong_camera(backend):
-    gaussians = hand_gaussians(1500, sigma_mm=(2, 5))
-    view = camera_for(96, 64, distance_m=0.15, eye_direction=(0.7, 0.4, -0.5))
-    camera = Camera(96, 64, 40.0, 70.0, 10.0, 80.0, view.camera_from_world)
-    want = gradients_of(gaussians, camera, dtype=torch.float64)
-    assert_same_gradients(gradients_of(gaussians, camera, backend=backend), want, BOUNDS)
-
-
-@native
-@pytest.mark.parametrize("plane", range(5))
-def test_every_plane_has_its_own_right_gradient(plane, backend):
-    """Red, green, blue, alpha and depth one at a time: errors of one could hide behind another."""
-    gaussians, camera = hand_gaussians(800, sigma_mm=(2, 4)), camera_for(64, 48)
-    results = []
-    for dtype, name in ((torch.float64, "torch"), (torch.float32, backend)):
-        leaves = in_precision(gaussians, dtype, grad=True)
-        planes_of(draw(leaves, camera, name))[plane].square().sum().backward()
-        grads = [getattr(leaves, tensor).grad for tensor in NAMES]
-        results.append(
-            [
-                torch.zeros_like(getattr(leaves, NAMES[i])).double() if g is None else g.double()
-                for i, g in enumerate(grads)
-            ]
-        )
-    assert_same_gradients(results[1], results[0], BOUNDS)
-
-
-@native
-def test_a_capped_alpha_has_no_gradient_to_opacity_and_shape(backend):
-    leaves = in_precision(gaussians_from([[0, 0, 1.0]], [1e3], [1.0], [[1, 1, 1]]), torch.float32, grad=True)
-    draw(leaves, front_camera(3, 3, 10.0), backend).alpha.sum().backward()
-    for name in ("position_m", "sigma_m", "opacity"):
-        gradient = getattr(leaves, name).grad
-        assert float(gradient.abs().max()) == 0, name
 
 
 @native
@@ -151,16 +113,6 @@ def test_two_pictures_alive_at_once_keep_their_own_gradients(backend):
 
 
 @native
-def test_a_retained_graph_gives_the_same_gradient_twice(backend):
-    leaves = in_precision(hand_gaussians(300), torch.float32, grad=True)
-    loss = draw(leaves, camera_for(40, 30), backend).alpha.sum()
-    first = torch.autograd.grad(loss, leaves.opacity, retain_graph=True)
-    draw(hand_gaussians(700, seed=5), camera_for(40, 30), backend)  # may not disturb what the graph still needs
-    second = torch.autograd.grad(loss, leaves.opacity)
-    assert torch.equal(first[0], second[0])
-
-
-@native
 def test_an_input_changed_before_the_backward_pass_is_noticed(backend):
     leaves = in_precision(hand_gaussians(300), torch.float32, grad=True)
     loss = draw(leaves, camera_for(40, 30), backend).alpha.sum()
@@ -168,12 +120,3 @@ def test_an_input_changed_before_the_backward_pass_is_noticed(backend):
         leaves.sigma_m.mul_(2)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
-
-
-@native
-def test_only_the_wanted_gradients_are_given(backend):
-    hand = hand_gaussians(300)
-    hand.rgb.requires_grad_()
-    draw(hand, camera_for(40, 30), backend).rgb.sum().backward()
-    assert hand.rgb.grad is not None
-    assert hand.position_m.grad is None

@@ -22,7 +22,6 @@ from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
-from jghand_engine.render import backend as backend_module
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Decision, Effect
 from jghand_engine.render.effects import REUSE_SKIN_M, reusable
@@ -138,28 +137,6 @@ def test_hand_a_kilometer_away_loses_nothing(backend: str):
     error = np.abs(here.rgba - there.rgba).max(-1)
     assert float((error > 1.1e-4).mean()) < 1e-3  # observed 3e-4
     assert float(error.max()) < 0.04
-
-
-@pytest.mark.parametrize("size", [(1, 1), (1, 50), (17, 33), (640, 360)])
-def test_pictures_of_any_size(backend: str, size: tuple[int, int]):
-    view = camera(*size, focal_px=max(size))
-    frame = HandRenderer(RIGHT, replace(ALWAYS, backend=backend)).render(CANONICAL_M, view)
-    assert frame.rgba.shape == (size[1], size[0], 4)
-    assert frame.depth_m.shape == (size[1], size[0])
-    assert np.isfinite(frame.rgba).all()
-    assert np.isfinite(frame.depth_m).all()
-
-
-def test_hand_behind_the_camera_gives_an_empty_picture(backend: str):
-    view = camera(away_m=-0.5)
-    turned = view.camera_from_world.copy()
-    turned[[0, 2]] *= -1  # looks away from the hand
-    frame = HandRenderer(RIGHT, replace(ALWAYS, backend=backend)).render(
-        CANONICAL_M, replace(view, camera_from_world=turned)
-    )
-    assert (frame.rgba == 0).all()
-    assert (frame.depth_m == 0).all()
-    assert frame.report.visible_gaussians == 0
 
 
 def test_camera_inside_the_hand_gives_a_finite_picture(backend: str):
@@ -323,13 +300,6 @@ def test_gate_fades_the_shadow_and_says_the_score(backend: str):
     assert "shadow + compose" in fist.report.stages
 
 
-def test_tiny_hand_gets_no_shadow_pass(backend: str):
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend, shadow=ShadowMode.GATED))
-    frame = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera(focal_px=60.0))
-    assert "shadow + compose" not in frame.report.stages
-    assert decision(frame, Effect.SHADOW).reason.startswith("hand ")
-
-
 def test_a_picture_that_is_given_up_between_its_parts_harms_no_later_one(backend: str):
     settings, view = replace(ALWAYS, backend=backend), camera()
     poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in ("open", "fist")]
@@ -403,21 +373,6 @@ def test_renderer_works_on_after_a_refused_camera(backend: str):
         renderer.render(fist, too_large)
     # ... and neither is the one before
     assert np.array_equal(renderer.render(CANONICAL_M, view).rgba, first.rgba)
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_renderer_works_on_after_a_picture_that_failed_half_way(backend: str, error: type[BaseException], monkeypatch):
-    settings = replace(ALWAYS, gaussians=500, backend=backend)
-    renderer = HandRenderer(RIGHT, settings)
-    first, fist = renderer.render(CANONICAL_M, camera()), named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT)
-    with monkeypatch.context() as patch, pytest.raises(error):
-
-        def fail(self, *_arguments) -> None:
-            raise error
-
-        patch.setattr(backend_module._Work, "report_to", fail)  # after skin, raster and shade
-        renderer.render(fist, camera())
-    assert np.array_equal(renderer.render(CANONICAL_M, camera()).rgba, first.rgba)
 
 
 # ---- several hands --------------------------------------------------------------------------------------------------

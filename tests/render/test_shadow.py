@@ -37,12 +37,6 @@ def test_a_plane_is_not_darkened_at_any_tilt(normal: tuple[float, float, float])
     assert float(seen(plane(view, normal, 0.5), view).min()) > 0.996
 
 
-def test_a_sphere_is_not_darkened_up_to_its_silhouette():
-    view = camera(120, 120, 1000.0, off_center=3.0)
-    v = seen(sphere(view, (0.0, 0.0, 0.6), 0.03), view)
-    assert float(v.min()) > 0.997  # observed 0.9987
-
-
 def test_the_papers_own_form_is_the_mean_over_nearer_neighbors_and_knows_no_tangent_plane():
     """Beside a step of 30 mm half of the disc is nearer; a plane that faces the camera has the foot of the curve, a
     tilted one is dark all over, and the background, however it is stored, occludes nothing."""
