@@ -65,21 +65,6 @@ def test_cells_without_a_training_are_not_run_and_finished_ones_are_kept(trainin
     assert (tmp_path / "table" / "trainings.png").is_file()
 
 
-def test_a_training_that_was_killed_before_its_last_file_goes_on(trainings, tmp_path):
-    run, trained = trainings
-    # before the training's own first file, in which case there is nothing to go on with
-    work = tmp_path / "table" / "200_gaussians_0.5_minutes.training"
-    work.mkdir(parents=True)
-    assert run("--gaussians", "200") == 130
-    # after the avatar, before the number of steps
-    save_avatar(work.with_suffix(".jghand"), small_avatar(200))
-    assert run("--gaussians", "400") == 0, "an unfinished cell is not measured"
-    assert run("--gaussians", "200") == 0
-    assert [(count, start) for count, _, start in trained] == [
-        (200, Start.NEW), (400, Start.NEW), (200, Start.RESUME),
-    ]  # fmt: skip
-
-
 def test_the_headline_is_of_the_best_of_each_time():
     score = script.TruthScore(0.0, 0.1, 0.0, 0.0)
     figures = ((1.0, 10_000, 27.0), (1.0, 40_000, 26.0), (4.0, 40_000, 28.5))

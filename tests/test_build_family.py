@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import replace
 
 import build_family
@@ -10,9 +9,6 @@ import pytest
 from PIL import Image
 
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.file import load_avatar
-from jghand_engine.captures.making.rig import identity_names
-from jghand_engine.captures.skin.person import MONK_MELANIN
 from jghand_engine.hand.joints import Handedness
 
 HAND = load_painted(handedness=Handedness.RIGHT).prefix(50)
@@ -21,20 +17,6 @@ HAND = load_painted(handedness=Handedness.RIGHT).prefix(50)
 @pytest.fixture(autouse=True)
 def nothing_is_drawn(monkeypatch):
     monkeypatch.setattr(build_family, "thumbnail", lambda avatar: Image.new("RGBA", (8, 8)))
-
-
-def test_a_hand_is_made_again_only_when_it_is_of_something_else(tmp_path):
-    made = []
-
-    def make():
-        made.append(1)
-        return HAND
-
-    for stamp in ("one", "one", "other"):
-        file = build_family._kept(tmp_path / "child.jghand", stamp, make)
-    assert len(made) == 2
-    assert len(load_avatar(file)) == len(HAND)
-    assert file.with_suffix(".png").is_file()
 
 
 @pytest.fixture
@@ -67,29 +49,10 @@ def test_a_hand_that_is_not_made_in_this_run_is_not_carried(drafted):
     assert (build_family.HANDS / "child.jghand").is_file()
 
 
-def test_hands_are_made_again_by_other_code(drafted, monkeypatch):
-    build_family.main(replace(drafted, only=("child",)))
-    stamp = drafted.out / "child.stamp"
-    before = stamp.read_text()
-    monkeypatch.setattr(build_family, "code_sha256", lambda: "other")
-    build_family.main(replace(drafted, only=("child",)))
-    assert stamp.read_text() != before
-
-
 def test_a_hand_larger_than_eight_megabytes_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(build_family, "FILE_MAX_BYTES", 100)
     with pytest.raises(SystemExit, match="larger than"):
         build_family._kept(tmp_path / "child.jghand", "one", lambda: HAND)
-
-
-def test_a_pack_has_each_hand_beside_its_picture_and_is_the_same_twice(tmp_path):
-    file = build_family._kept(tmp_path / "child.jghand", "one", lambda: HAND)
-    packs = [tmp_path / "a.zip", tmp_path / "b.zip"]
-    for pack in packs:
-        build_family.pack([file], pack)
-    assert packs[0].read_bytes() == packs[1].read_bytes()
-    with zipfile.ZipFile(packs[0]) as archive:
-        assert archive.namelist() == ["child.jghand", "child.png"]
 
 
 def test_what_was_measured_is_told_to_be_of_the_trained_hand():
@@ -98,15 +61,3 @@ def test_what_was_measured_is_told_to_be_of_the_trained_hand():
     assert told.learned is not None
     assert told.learned.distilled is not None
     assert told.learned.distilled.measured_on.startswith("the hand that it was made from: held-out")
-
-
-def test_the_family_goes_over_ages_identities_and_the_tones_of_the_monk_scale():
-    identities, persons = zip(*build_family.FAMILY.values(), strict=True)
-    assert set(identities) == set(identity_names())
-    assert min(one.age for one in persons) == 0
-    assert max(one.age for one in persons) > 0.9
-    tones = {one.melanin for one in persons}
-    assert tones <= set(MONK_MELANIN)
-    assert {min(MONK_MELANIN), max(MONK_MELANIN)} <= tones
-    for person in persons:
-        person.check()

@@ -14,7 +14,6 @@ from jghand_engine.cli.console import progress
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.progress_json import JsonLines, JsonProgress, JsonTraining, json_lines
 from jghand_engine.errors import DiskFullError, InputError, RetryError
-from jghand_engine.files import file_error
 from jghand_engine.learn.progress import Status
 
 
@@ -69,18 +68,6 @@ def test_an_error_has_the_kind_that_the_service_gives_it(error, kind):
     (line,) = told(stream)
     assert (line["jghand"], line["kind"]) == ("error", kind)
     assert line["text"] == explain(error).sentence
-
-
-def test_a_full_disk_is_known_behind_the_engines_own_error(tmp_path):
-    try:
-        try:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        except OSError as error:
-            raise file_error(tmp_path, error) from error
-    except RetryError as error:
-        stream = io.StringIO()
-        JsonLines(stream).error(explain(error), error)
-    assert told(stream)[0]["kind"] == "disk_full"
 
 
 def test_the_end_of_standard_input_stops_a_command_as_ctrl_c_does(tmp_path):

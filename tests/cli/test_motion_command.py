@@ -148,15 +148,6 @@ def test_a_cut_between_frames_has_both_its_ends_at_another_rate(tmp_path):
     assert np.abs(read.joints_m[3] - motion.joints_m[2]).max() < 1e-7
 
 
-def test_a_gap_outside_of_the_cut_stops_nothing(tmp_path):
-    joints = samples.standard(samples.motion()).copy()
-    joints[4:7, 6] = np.nan
-    np.save(tmp_path / "a.npy", joints)
-    words = ("motion", tmp_path / "a.npy", "--hand", "right", "--out", tmp_path / "a.npz", "--on-missing", "stop")
-    assert run(*words, "--start", "0.1") == 2
-    assert run(*words, "--start", "0.3") == 0
-
-
 def test_the_axis_that_points_up_can_be_said(tmp_path, capsys):
     path = tmp_path / "a.bvh"
     samples.write_bvh(path, samples.rig(samples.motion(), scale=100))

@@ -88,12 +88,6 @@ def test_a_hand_that_hardly_moves_does_not_remember_earlier_frames(tmp_path, ava
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
-def test_more_shards_than_pictures_leave_some_with_nothing_to_do(tmp_path, capsys):
-    assert render(tmp_path, *SMALL, "--frames", "0-1", "--shard", "3/3") == 0
-    assert "0 drawn; others are still missing" in capsys.readouterr().out
-    assert not list(tmp_path.glob("*.png"))
-
-
 def test_a_second_run_draws_nothing_and_touches_nothing(half, capsys, tmp_path):
     times = {path: path.stat().st_mtime_ns for path in half.glob("*.png")}
     capsys.readouterr()
@@ -116,14 +110,6 @@ def test_a_shard_does_not_begin_among_pictures_of_another_render(half, capsys, w
     assert contents(half) == before
 
 
-def test_a_shard_without_skip_existing_replaces_its_own_pictures_whatever_they_are(half, whole, capsys):
-    assert render(half, "--skip-existing") == 0
-    (half / "frame_00001.png").write_bytes((half / "frame_00002.png").read_bytes())
-    assert render(half, "--shard", "2/2") == 0
-    assert "5 drawn." in capsys.readouterr().out
-    assert contents(half) == whole
-
-
 def test_of_two_different_renders_that_begin_together_in_an_empty_folder_one_is_refused(tmp_path):
     """Such as of a machine that still has an older motion."""
     with ThreadPoolExecutor() as pool:
@@ -144,28 +130,6 @@ def test_a_plain_run_that_is_stopped_leaves_no_picture_that_a_later_one_would_ke
     assert not list(half.glob("*.png"))
     assert render(half, "--camera", "back", "--skip-existing") == 0
     assert contents(half) != whole
-
-
-def test_a_plain_run_clears_away_what_killed_processes_left(half, whole):
-    (half / ".frame_00003.0123456789ab.png").write_bytes(b"half a picture")
-    assert render(half) == 0
-    assert contents(half) == whole
-
-
-def test_frames_have_their_numbers_in_the_motion_and_do_not_replace_others(tmp_path, capsys):
-    assert render(tmp_path, *SMALL, "--frames", "2:6:2") == 0
-    names = ["frame_00002.png", "frame_00004.png", "frame_00006.png"]
-    before = contents(tmp_path)
-    assert sorted(name for name in before if name.endswith(".png")) == names
-    assert render(tmp_path, *SMALL, "--frames", "8:9") == 2
-    assert "frame_00002.png to frame_00006.png" in " ".join(capsys.readouterr().err.split())
-    assert contents(tmp_path) == before
-
-
-def test_one_run_finishes_what_shards_began(half, whole, capsys):
-    assert render(half, "--skip-existing") == 0
-    assert "5 drawn, 5 there already." in capsys.readouterr().out
-    assert contents(half) == whole
 
 
 def test_half_written_and_damaged_pictures_are_made_again_and_no_others(half, whole, capsys):
@@ -206,19 +170,6 @@ def test_pictures_of_nobody_knows_what_are_refused_and_stay(half, capsys):
     assert render(half, "--skip-existing") == 2
     assert "frames of an unknown render" in capsys.readouterr().err
     assert contents(half) == before
-
-
-def test_without_skip_existing_everything_is_drawn_anew(half, whole, capsys):
-    (half / "frame_00000.png").write_bytes(b"something else")
-    assert render(half) == 0
-    assert contents(half) == whole
-    assert "10 pictures" in capsys.readouterr().out
-
-
-def test_a_video_is_made_when_all_shards_are_there(half, tmp_path):
-    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
-    assert render(half, "--skip-existing", "--video", str(tmp_path / "hand.mp4")) == 0
-    assert ffmpeg.count_frames_and_secs(str(tmp_path / "hand.mp4"))[0] == 10
 
 
 @pytest.mark.parametrize("passes", ["joints", "depth,normal,ids,alpha,joints"])
@@ -300,9 +251,3 @@ def test_two_workers_that_meet_make_what_one_makes(tmp_path):
     assert all(one["complete"] for one in told)
     assert main(["render", *MANY[:-1], "--out", str(tmp_path / "whole")]) == 0
     assert contents(out) == contents(tmp_path / "whole")
-
-
-def test_the_folder_says_what_its_pictures_are_made_from_in_nothing_but_digests(half):
-    stamp = json.loads((half / STAMP).read_text())
-    assert set(stamp) == {"JGHand", "avatar", "motion", "settings", "look", "choice of frames"}
-    assert all(len(value) == 16 for name, value in stamp.items() if name != "JGHand")

@@ -37,10 +37,3 @@ def test_what_is_ignored_stays_so(number):
         assert signal.getsignal(number) is signal.SIG_IGN
     finally:
         signal.signal(number, before)
-
-
-def test_a_handler_that_is_not_pythons_is_left_alone(monkeypatch):
-    monkeypatch.setattr(signal, "getsignal", lambda number: None)
-    monkeypatch.setattr(signal, "signal", lambda number, handler: pytest.fail("it could not be put back"))
-    with polite_kill_is_ctrl_c():
-        pass

@@ -222,14 +222,6 @@ def test_what_cannot_be_is_told_and_nothing_is_written(film, sees, right, tmp_pa
     assert film.read_bytes() == before
 
 
-@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
-def test_the_film_is_not_written_over_by_another_name_of_it_either(film, sees, right, tmp_path, capsys, link):
-    sees(right)
-    getattr(tmp_path / "other.mp4", link)(film)
-    assert track(film, tmp_path / "motion.npz", "--proof", str(tmp_path / "other.mp4")) == 2
-    assert "one that is read" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("options", "name"),
     [
@@ -250,26 +242,6 @@ def test_a_motion_that_is_there_stays_unless_it_shall_be_replaced(
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"precious"]
     sees(both)
     assert track(film, tmp_path / "motion.npz", *options, "--overwrite") == 0
-
-
-@pytest.mark.parametrize("option", ["--json", "--proof"])
-def test_a_folder_for_a_file_is_told_before_the_work(film, sees, right, tmp_path, capsys, option):
-    folder = tmp_path / "folder.mp4"
-    folder.mkdir()
-    sees(right)
-    assert track(film, tmp_path / "motion.npz", option, str(folder), "--overwrite") == 2
-    said = capsys.readouterr().err
-    assert f"{option} " in said
-    assert "replace" not in said, "with --overwrite neither"
-    assert list(tmp_path.iterdir()) == [folder]
-
-
-def test_one_picture_has_no_jitter_to_tell(film, sees, right, tmp_path, capsys):
-    sees(right)
-    assert track(film, tmp_path / "motion.npz", "--most", "1") == 0
-    said = capsys.readouterr().out
-    assert "seen in 1 of 1 frames: " in said
-    assert "nan" not in said
 
 
 def test_a_hand_that_is_hardly_ever_seen_is_told_and_not_written(
@@ -296,29 +268,11 @@ def test_that_it_is_not_sure_which_hand_it_is_is_told(film, sees, tmp_path, caps
     assert "is not sure (certainty 0." in capsys.readouterr().out
 
 
-def test_only_the_hand_that_is_wanted_is_fitted(film, sees, right, left, tmp_path, monkeypatch):
-    fitted = []
-    fit = module.track_hand
-    monkeypatch.setattr(module, "track_hand", lambda hand, *rest: fitted.append(hand.handedness) or fit(hand, *rest))
-    sees([a + b for a, b in zip(right, left, strict=True)])
-    assert track(film, tmp_path / "motion.npz", "--hand", "left") == 0
-    assert fitted == [Handedness.LEFT]
-
-
 def test_without_the_package_nothing_is_fetched(film, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "mediapipe", None)
     monkeypatch.setattr(mediapipe_hands, "fetch_model", lambda: pytest.fail("fetched"))
     assert track(film, tmp_path / "motion.npz", "--fetch-model") == 2
     assert "the package MediaPipe" in capsys.readouterr().err
-
-
-def test_two_hands_that_go_together_are_two_motions_that_hold_still(film, sees, right, left, tmp_path):
-    sees([a + b if k < 5 else [] for k, (a, b) in enumerate(zip(right, left, strict=True))])
-    assert track(film, tmp_path / "motion.npz") == 0
-    for side in Handedness:
-        motion = read_motion(tmp_path / f"motion_{side}.npz")
-        assert np.flatnonzero(motion.filled).tolist() == list(range(5, COUNT))
-        np.testing.assert_array_equal(motion.joints_m[5:], np.broadcast_to(motion.joints_m[4], (COUNT - 5, 21, 3)))
 
 
 def test_a_film_without_hands_is_told(film, sees, tmp_path, capsys):

@@ -13,7 +13,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from picture_sets import recorded, write_set
 from waiting import wait_until
 
 from jghand_engine.cli import main, train_many
@@ -155,26 +154,6 @@ def test_a_command_that_ends_lets_its_trainings_write_their_checkpoints(tmp_path
         assert "Stopping" in said
     wait_until(lambda: run(path, out) == 0, "the end of the training")
     assert "Resuming at step" in (out / "one.log").read_text()
-
-
-def test_a_stopped_training_ends_in_the_bits_of_one_that_nobody_stopped(tmp_path, monkeypatch, slow):
-    monkeypatch.setattr(train_many, "PROGRAM", TINY)
-    pictures = write_set(tmp_path / "set", recorded(frames=4, cameras=4))
-    one = TrainingJob("one", (str(pictures), "--steps", "8"), tmp_path)
-    stop = threading.Event()
-    thread = threading.Thread(target=one.train, args=(stop,))
-    thread.start()
-    wait_until((tmp_path / "one.log").is_file, "its log")
-    wait_for_step(tmp_path, 5)
-    stop.set()
-    thread.join(timeout=120)
-    assert not one.is_finished
-    monkeypatch.setenv("JGHAND_TINY_STEP_S", "0")
-    assert run_here([one], 1) == {"one": 0}
-    (tmp_path / "other").mkdir()
-    other = TrainingJob("one", one.words, tmp_path / "other")
-    assert run_here([other], 1) == {"one": 0}
-    assert (tmp_path / "one.jghand").read_bytes() == (tmp_path / "other" / "one.jghand").read_bytes()
 
 
 # ---- SLURM -----------------------------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.hand.skeleton import Transform
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template, load_template_with_forearm
 from jghand_engine.template.mesh import mirrored, skinned
@@ -424,14 +423,6 @@ def test_another_template_than_the_avatar_s_is_refused(tmp_path):
     other = type(avatar)(**{**vars(avatar), "canonical_joints_m": avatar.canonical_joints_m * 1.1})
     with pytest.raises(InputError, match="template"):
         export_usd(tmp_path, other, lively_motion(Handedness.RIGHT, 2))
-
-
-def test_an_avatar_that_follows_the_joints_in_another_way_is_refused(tmp_path):
-    avatar = small_avatar()
-    other = replace(avatar, info=replace(avatar.info, transform=Transform.HALO_LIKE))
-    with pytest.raises(InputError, match="transform"):
-        export_usd(tmp_path, other, lively_motion(Handedness.RIGHT, 2))
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"width_factor": 0.0}])

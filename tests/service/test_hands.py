@@ -90,13 +90,6 @@ def test_where_the_hands_own_space_is_does_not_matter(source, right):
     np.testing.assert_allclose(source.render(asked([elsewhere])).rgba, source.render(asked([right])).rgba, atol=1e-6)
 
 
-def test_a_left_hand_is_the_mirror_image_of_a_right_one(source, right):
-    left = replace(right, handedness="left", joints_m=right.joints_m * (-1, 1, 1))
-    mirrored = source.render(asked([left])).rgba[:, ::-1]
-    # worst observed 0.0075: roundings decide about a Gaussian at the cut-off, which is 1/64 in this preset
-    np.testing.assert_allclose(mirrored, source.render(asked([right])).rgba, atol=1 / 64)
-
-
 def test_the_nearer_of_two_hands_covers_the_other_whatever_their_order(source, right):
     nearer = replace(right, handedness="left", world_from_hand=np.eye(4))
     nearer.world_from_hand[2, 3] = 0.1
@@ -352,17 +345,6 @@ def test_a_long_picture_can_be_canceled_between_its_parts(source, right):
 
 
 # ---- settings -------------------------------------------------------------------------------------------------------
-
-
-def fist_of(hand: Hand) -> Hand:
-    from jghand_engine.avatar.builtin import load_painted
-    from jghand_engine.hand.kinematics import ArticulatedHand
-    from jghand_engine.hand.orders import from_level
-    from jghand_engine.hand.poses import named_angles
-
-    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m
-    joints = ArticulatedHand(canonical).joints(named_angles("fist")[None])[0]
-    return replace(hand, joints_m=from_level(joints, JointOrder.STANDARD))
 
 
 def test_a_budget_chooses_settings(source, right, monkeypatch):

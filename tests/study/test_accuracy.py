@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
 from jghand_engine.render.timing import Measurement, frame_case, measure
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants
-from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than, how_it_looks, left_out, pareto_front
+from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than, pareto_front
 from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Growth, Reach, growth_cases
 from jghand_engine.study.accuracy_measures import (
     Plan,
@@ -34,7 +33,6 @@ from jghand_engine.study.accuracy_variants import (
     linear_tiers,
     variants,
 )
-from jghand_engine.study.report import plain
 
 SMALL = (48, 32)
 SHORT = Reach((200, 400), ((24, 16), (48, 32)), (1, 2), (1, 5))
@@ -168,24 +166,6 @@ def test_the_front_has_nothing_that_is_both_slower_and_worse():
     assert pareto_front([(1, 5, "a"), (1, 6, "b"), (2, 6, "c")]) == ["b"]
 
 
-def test_words_say_what_one_sees():
-    assert how_it_looks(60, ["soft fingertips"]) == "looks the same"
-    assert how_it_looks(40, ["soft fingertips"]) == "nearly the same (soft fingertips)"
-    assert how_it_looks(33, ["thin edges", "soft fingertips"]) == "thin edges"
-    assert how_it_looks(25, ["soft fingertips"]) == "clearly soft fingertips"
-    assert how_it_looks(41, []) == "nearly the same (approximate creases)"
-    assert left_out(PRESETS["final"], 40_000) == {}
-    assert set(left_out(PRESETS["draft"], 40_000)) == {"Gaussians", "shadow", "blend"}
-    assert "Gaussians" not in left_out(PRESETS["draft"], 20_000)
-
-
-@needs_native
-def test_figures_are_plain_data(study):
-    content = json.loads(json.dumps(plain(study[1]), allow_nan=False))
-    assert {"rows", "growth", "machine"} <= set(content)
-    assert "crop" not in content["rows"][0]
-
-
 @needs_native
 def test_many_hands_are_all_in_the_picture():
     cases = list(growth_cases(small_avatar(60), SMALL, replace(PRESETS["viewport"], reuse=False), SHORT))
@@ -308,14 +288,6 @@ def test_a_preset_is_beaten_by_what_is_faster_by_more_than_times_vary():
         made_up(final, other).tables()[0].notes
     )
     assert faster_than(final, [final, row("other", 1, 69)]) is None
-
-
-def test_disturbed_times_are_marked():
-    quiet, busy = made_up(row("final", 10, 70)), made_up(row("final", 10, 70, disturbed=True))
-    assert not quiet.disturbed
-    assert busy.disturbed
-    assert "other work" in busy.tables()[0].markdown()
-    assert "10.0 ✗" in busy.tables()[0].markdown()
 
 
 def test_the_finger_tips_are_in_their_picture():

@@ -29,7 +29,6 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.lock import locked
 from jghand_engine.template.builtin import ASSETS, load_template
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -106,18 +105,6 @@ def test_whole_views_and_close_ups_have_sizes_of_their_own_and_a_close_up_sees_o
     ]  # fmt: skip
 
 
-def test_what_pictures_of_each_size_cost_is_told(copied, capsys):
-    whole, close_up = pictures(copied)[0], pictures(copied)[-1]
-    size = close_up.stat().st_size
-    whole.unlink()
-    close_up.unlink()
-    assert capture(copied, "--json", str(copied / "figures.json")) == 0
-    assert "384x384: 0.2 CPU seconds" in capsys.readouterr().out
-    by_size = json.loads((copied / "figures.json").read_text(encoding="utf-8"))["by_size"]
-    assert list(by_size) == ["32x48", "384x384"]
-    assert by_size["384x384"] == {"cpu_seconds_each": 0.2, "bytes_each": size}
-
-
 def test_the_split_keeps_poses_and_cameras_of_both_sizes_for_the_test(made):
     split = split_capture(open_capture(made))
     frames = {sample.frame for sample in split.train}
@@ -166,18 +153,6 @@ def test_missing_broken_and_foreign_pictures_are_made_again_and_no_others(copied
     assert "5 are broken or of another plan" in out
     assert "6 pictures" in out
     assert {path: path.read_bytes() for path in every} == before
-
-
-def test_a_stopped_capture_goes_on(tmp_path, monkeypatch, capsys, made):
-    monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "10")
-    assert capture(tmp_path / "stopped") == 3
-    error = capsys.readouterr().err
-    assert "the stand-in was told to fail" in error
-    assert "same command again" in error
-    assert len(pictures(tmp_path / "stopped")) == 10
-    monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
-    assert capture(tmp_path / "stopped") == 0
-    assert contents(tmp_path / "stopped") == contents(made)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -250,13 +225,6 @@ def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, mad
     assert 5 <= there < 42
     assert capture(folder) == 0
     assert contents(folder) == contents(made)
-
-
-def test_one_shard_is_made_by_one_process(copied, capsys):
-    with locked(copied / "plan" / "shard_1_of_2.lock"):
-        assert capture(copied, "--shard", "1/2") == 3
-        assert f"process {os.getpid()}" in capsys.readouterr().err
-        assert capture(copied, "--shard", "2/2") == 0
 
 
 def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_path):
