@@ -14,14 +14,11 @@ from golden_store import read
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.learned import Ellipsoid
-from jghand_engine.export.cameras import Shot, write_colmap, write_transforms
-from jghand_engine.export.splats.files import SplatOptions, export_splats
 from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.stage import Variant
 from jghand_engine.export.web.page import WebView, export_web
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.motion.files import write_motion
 from jghand_engine.render.blur import Moment, shutter_at
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
@@ -225,22 +222,8 @@ def usd(**options: Any) -> Callable[[Path, HandAvatar, PoseSequence], object]:
     return lambda folder, avatar, motion: export_usd(folder, avatar, motion, cameras, UsdOptions(**options))
 
 
-def splats(format: str, **options: Any) -> Callable[[Path, HandAvatar, PoseSequence], object]:
-    return lambda folder, avatar, motion: export_splats(folder, avatar, motion, SplatOptions(format, **options))
-
-
 def web(folder: Path, avatar: HandAvatar, motion: PoseSequence) -> None:
     export_web(folder, avatar, motion, WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21))
-
-
-def camera_files(folder: Path, _avatar: HandAvatar, _motion: PoseSequence) -> None:
-    shots = [Shot(f"{name}.png", VIEWS[name]) for name in ("front", "side", "cut", "odd")]
-    write_colmap(folder, shots)
-    write_transforms(folder / "transforms.json", shots)
-
-
-def motion_file(folder: Path, _avatar: HandAvatar, motion: PoseSequence) -> None:
-    write_motion(folder / "motion.npz", motion)
 
 
 EXPORTS: dict[str, dict[str, Export]] = {
@@ -249,15 +232,5 @@ EXPORTS: dict[str, dict[str, Export]] = {
         "usd-one-file": Export("builtin", LEFT, usd(package="usdc", radiance="linear")),
         "usd-zip": Export("painted", RIGHT, usd(package="usdz", default_variant=Variant.POINTS_SKINNED)),
     },
-    "splats": {
-        "ply": Export("builtin", RIGHT, splats("ply")),
-        "glb": Export("builtin", LEFT, splats("glb")),
-        "spz": Export("painted", RIGHT, splats("spz")),
-        "splat": Export("builtin", RIGHT, splats("splat", up="z")),
-    },
-    "others": {
-        "web": Export("builtin", LEFT, web),
-        "cameras": Export("builtin", RIGHT, camera_files),
-        "motion": Export("builtin", LEFT, motion_file),
-    },
+    "web": {"web": Export("builtin", LEFT, web)},
 }

@@ -1,5 +1,5 @@
-"""Exported files hold the numbers that they held: positions to a hundredth of a millimeter, colors to one step of 8
-bits, rounded formats to one of their steps (golden_decode.TOLERANCES)."""
+"""Stages and pages hold the numbers that they held: positions to a hundredth of a millimeter, colors to one step of 8
+bits (golden_decode.TOLERANCES). Splat files have the engine's numbers by tests/export."""
 
 from __future__ import annotations
 
