@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exact Light in the default scene: what stands before the lamp shades the hand, Esc ends it at any moment, and what it
-makes for its bakes is in no file and gone afterwards."""
+"""Exact Light in the default scene: what stands before the lamp shades the hand, and Esc ends it at any moment."""
 
 from __future__ import annotations
 
-import shutil
 import subprocess
-import threading
 
 import bpy
 import numpy as np
@@ -15,7 +12,6 @@ from in_blender.animator import close_other_windows, read
 
 SIZE = (240, 160)
 KINDS = ("scenes", "objects", "meshes", "materials", "collections", "images", "worlds", "lights", "node_groups")
-STAGE = "JGHand Light Probe"
 kept: dict[str, object] = {}
 
 
@@ -107,70 +103,6 @@ def _state() -> dict[str, object]:
         found["data", kind] = sorted((thing.name, thing.users) for thing in getattr(bpy.data, kind))
     found["selected"] = [thing.name for thing in bpy.context.view_layer.objects.selected]
     return found
-
-
-def step_what_is_saved_while_it_renders_has_no_stage(window):
-    engine, scene = window.module("render.engine").JGHandRenderEngine, bpy.context.scene
-    file, real, goes_on = window.out / "saved.blend", engine._ask, threading.Event()
-    bpy.ops.wm.save_as_mainfile(filepath=str(file))
-    before, names = file.stat().st_mtime_ns, _names_in(file)
-    engine._ask = lambda *given, **named: goes_on.wait(30) and real(*given, **named)
-    scene.render.use_lock_interface = False
-    try:
-        yield from window.point_at_view()
-        yield from window.key("F12")
-        yield lambda: any(made.name.startswith(STAGE) for made in bpy.data.objects)
-        yield 0.5
-        yield from window.key("ctrl+s")
-        yield lambda: file.stat().st_mtime_ns > before
-        assert bpy.app.is_job_running("RENDER")
-        assert any(made.name.startswith(STAGE) for made in bpy.data.objects)
-    finally:
-        goes_on.set()
-        engine._ask = real
-    yield lambda: not bpy.app.is_job_running("RENDER")
-    yield 1.0
-    close_other_windows(window)
-    assert _names_in(file) == names
-
-
-def step_a_keyed_sky_lights_each_frame_as_it_is_there(window):
-    """Its world is measured on the main thread while the render waits; Exact Light is off."""
-    scene, world = bpy.context.scene, bpy.data.worlds.new("Sky")
-    scene.world, scene.jghand.use_exact_light = world, False
-    bpy.data.objects["Light"].hide_render = bpy.data.objects["Cube"].hide_render = True
-    if world.node_tree is None:
-        world.use_nodes = True
-    sky = world.node_tree.nodes.new("ShaderNodeTexSky")
-    world.node_tree.links.new(sky.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"])
-    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.05
-    for frame, elevation in ((1, 0.2), (3, 1.0)):
-        sky.sun_elevation = elevation
-        sky.keyframe_insert("sun_elevation", frame=frame)
-    scene.frame_start, scene.frame_end = 1, 3
-    scene.render.filepath = str(window.out / "sky" / "####.png")
-    before, done = _state(), []
-    bpy.app.handlers.render_complete.append(lambda *_: done.append(True))
-    bpy.app.handlers.render_cancel.append(lambda *_: done.append(False))
-    yield from window.point_at_view()
-    yield from window.key("ctrl+F12")
-    yield lambda: done and not bpy.app.is_job_running("RENDER")
-    yield 1.0
-    window.picture("sky")
-    assert done == [True]
-    means = [read(frame).mean() for frame in sorted((window.out / "sky").glob("*"))]
-    assert means[0] < means[1] < means[2], means
-    close_other_windows(window)
-    yield 0.5
-    assert _state() == before
-
-
-def _names_in(file) -> dict[str, list[str]]:
-    """The data-blocks of a saved file."""
-    copy = file.with_suffix(".copy.blend")
-    shutil.copy(file, copy)
-    with bpy.data.libraries.load(str(copy)) as (there, _):
-        return {kind: sorted(getattr(there, kind)) for kind in KINDS}
 
 
 def _rendered(window, name: str):

@@ -75,30 +75,6 @@ def step_undo_brings_the_controls_back(window):
     assert controls.has_controls(bpy.data.objects["Right Hand"])
 
 
-def step_a_foreign_rig_shows_its_bones_and_what_is_missing(window):
-    data = bpy.data.armatures.new("Body")
-    rig = bpy.data.objects.new("Body", data)
-    bpy.context.scene.collection.objects.link(rig)
-    bpy.context.view_layer.objects.active = rig
-    words = [f"{f}{level}" for f in ("Thumb", "Index", "Middle", "Ring", "Pinky") for level in (1, 2, 3)]
-    with window.override():
-        bpy.ops.object.mode_set(mode="EDIT")
-        for place, word in enumerate(("", *words)):
-            bone = data.edit_bones.new(f"mixamorig:RightHand{word}")
-            bone.head, bone.tail = (0.01 * place, 0, 0), (0.01 * place, 0.03, 0)
-        bpy.ops.object.mode_set(mode="OBJECT")
-        bpy.ops.jghand.use_armature("INVOKE_DEFAULT", True)
-    rig.jghand.joints["index2"].bone = ""
-    window.redraw()
-    yield 2.0
-    window.picture("rig")
-    with window.override():
-        bpy.ops.jghand.fill_bone_map("INVOKE_DEFAULT", True)
-    yield 1.0
-    assert rig.jghand.joints["index2"].bone == "mixamorig:RightHandIndex2"
-    window.picture("rig_whole")
-
-
 def step_the_pose_library_is_installed_and_shown(window):
     hand = bpy.data.objects["Right Hand"]
     with window.override():
