@@ -53,13 +53,6 @@ def test_a_picture_starts_the_engine_and_comes():
         assert link.status.handshake["device"] == "stand-in"
 
 
-def test_a_picture_that_nobody_asked_for_is_not_waited_for():
-    with linked() as link:
-        assert link.wait("viewport", "never", PATIENCE_S) is None
-        link.ask("viewport", *picture(), tag="a")
-        assert link.wait("viewport", "b", PATIENCE_S) is None
-
-
 def test_a_slot_that_is_dropped_gets_nothing_and_its_picture_stops():
     with linked("patient") as link:
         link.ask("viewport", *picture(), tag="a")
@@ -82,12 +75,6 @@ def test_a_picture_that_failed_is_not_asked_for_again_until_the_user_starts_anew
         link.start()
         link.ask("viewport", *picture(), tag="a")
         until(lambda: link.status.busy)
-
-
-def test_a_picture_that_cannot_be_sent_is_a_failure():
-    with linked() as link:
-        link.ask("viewport", {"kind": "render_picture", "width": float("nan")}, None, tag="a")
-        assert link.answer("viewport").failure.kind == "bad_input"
 
 
 # ---- exact requests --------------------------------------------------------------------------------------------------
@@ -119,15 +106,6 @@ def test_a_request_that_is_canceled_ends_in_the_engine_too():
             link.request(*picture(), timeout_s=PATIENCE_S, canceled=lambda: next(asked))
         assert caught.value.kind == "canceled"
         assert pid_of(link)
-
-
-def test_a_request_that_waits_for_another_can_be_canceled():
-    with linked("patient") as link:
-        link.ask("viewport", *picture(), tag="a")
-        until(lambda: link.status.busy)
-        with pytest.raises(JGHandFailure) as caught:
-            link.request({"kind": "info"}, timeout_s=PATIENCE_S, canceled=lambda: True)
-        assert caught.value.kind == "canceled"
 
 
 def test_a_request_that_takes_too_long_is_given_up_and_the_next_one_is_answered():
@@ -241,17 +219,6 @@ def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
         until(lambda: link.status.state == "ready")
 
 
-def test_an_engine_that_says_nothing_is_slow_and_its_picture_still_comes(monkeypatch):
-    monkeypatch.setattr(renderer_state, "SLOW_S", 0.5)
-    monkeypatch.setattr(renderer_state, "LOOK_S", 0.1)
-    with linked("mute") as link:
-        link.start()
-        until(lambda: link.status.state == "slow")
-        link.ask("viewport", *picture(), tag="a")
-        assert answered(link, "a").failure is None
-        assert link.status.state == "ready"
-
-
 def test_no_engine_is_a_failure_and_a_button_looks_anew(tmp_path):
     found: list[list[str]] = []
 
@@ -274,29 +241,6 @@ def test_no_engine_is_a_failure_and_a_button_looks_anew(tmp_path):
         found[0] = command()
         link.start()
         until(lambda: link.status.state == "ready")
-    finally:
-        link.close()
-
-
-@pytest.mark.parametrize("found", [True, False])
-def test_an_engine_is_not_explained_with_the_words_of_the_one_before(found, tmp_path):
-    commands = [command("die_at_start"), [str(tmp_path / "nothing")]]
-
-    def look() -> list[str]:
-        if len(commands) == 1 and not found:
-            raise JGHandFailure("no_interpreter")
-        return commands[0]
-
-    link = EngineLink(look)
-    try:
-        link.start()
-        until(lambda: link.status.state == "failed")
-        assert "no torch here" in link.status.failure.detail
-        del commands[0]
-        link.start()
-        until(lambda: link.status.failure is not None and link.status.failure.kind == "no_interpreter")
-        assert "no torch here" not in link.status.failure.detail + link.status.failure.log
-        assert "no torch here" in link.log  # who looks for what happened still finds it
     finally:
         link.close()
 
@@ -332,12 +276,6 @@ def failure_of_command(*command: str) -> JGHandFailure:
         link.wait_until_ready()
     link.close()
     return caught.value
-
-
-def test_a_mistake_of_the_engine_is_told_with_its_trace():
-    failure = failure_of("bug")
-    assert failure.kind == "internal"
-    assert "ZeroDivisionError" in failure.detail
 
 
 def test_a_request_that_cannot_be_sent_is_a_failure_and_the_engine_lives_on():
@@ -508,38 +446,6 @@ def test_of_all_that_was_asked_meanwhile_only_the_newest_is_sent():
             protocol.send(engine.connection, {"kind": "reply", "id": tag, "ok": True})
             assert answered(engine.link, tag).failure is None
         until(lambda: not engine.link.status.busy)
-
-
-def test_a_requests_time_is_neither_that_of_the_one_before_nor_that_of_the_loading():
-    replies = []
-
-    def render() -> None:
-        with contextlib.suppress(JGHandFailure):
-            replies.append(engine.link.request({"kind": "info"}, timeout_s=0.5))
-
-    with AnyEngine() as engine:
-        protocol.send(engine.connection, {"kind": "welcome"})
-        engine.link.ask("viewport", *picture(), tag="a")
-        until(lambda: engine.link.status.busy)
-        thread = threading.Thread(target=render)
-        thread.start()
-        time.sleep(0.8)
-        protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": True})
-        for _ in range(10):
-            loading = {"kind": "progress", "id": 2, "fraction": None, "text": "Loading the renderer", "eta_s": None}
-            protocol.send(engine.connection, loading)
-            time.sleep(0.1)
-        protocol.send(engine.connection, {"kind": "reply", "id": 2, "ok": True})
-        thread.join(PATIENCE_S)
-        assert len(replies) == 1
-
-
-def test_what_takes_long_is_told():
-    with linked("slow") as link:
-        link.ask("viewport", *picture(), tag="a")
-        until(lambda: link.status.doing == "Taking my time")
-        answered(link, "a")
-        assert link.status.doing == ""
 
 
 def test_a_reply_that_comes_in_pieces_is_one_reply():

@@ -155,15 +155,6 @@ def test_slots_take_turns():
     assert sent == list("abcabc")
 
 
-def test_only_so_many_failures_are_remembered():
-    waiting = Waiting()
-    for tag in range(renderer_state.REFUSED_MAX + 1):
-        waiting.ask("a", HEADER, None, tag, 0.0)
-        waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0)
-    assert waiting.ask("a", HEADER, None, 0, 0.0)
-    assert not waiting.ask("b", HEADER, None, renderer_state.REFUSED_MAX, 0.0)
-
-
 def test_what_takes_too_long_is_known():
     waiting = Waiting()
     waiting.ask("a", HEADER, None, 0, 0.0)

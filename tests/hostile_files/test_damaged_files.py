@@ -6,13 +6,9 @@ Each is refused in one sentence that names the file, soon; nothing of it runs, a
 from __future__ import annotations
 
 import contextlib
-import io
-import os
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -90,34 +86,3 @@ def test_a_file_of_another_kind_is_refused(tmp_path, sound, kind):
         b'"' * 200_000,
     ):  # fmt: skip
         refused(kind, path, other)
-
-
-class Trap:
-    """Unpickling this leaves a mark."""
-
-    def __init__(self, mark: Path) -> None:
-        self.mark = str(mark)
-
-    def __reduce__(self):
-        return os.mkdir, (self.mark,)
-
-
-@every_kind
-def test_a_pickle_is_refused_and_does_not_run(tmp_path, sound, kind):
-    whole = sound(kind)
-    path, mark = tmp_path / kind.name, tmp_path / "it_ran"
-    contents = [pickle.dumps(Trap(mark)) + b" " * 100]
-    trap = np.array([Trap(mark)], dtype=object)
-    if path.suffix == ".npy":
-        np.save(tmp_path / "trap.npy", trap, allow_pickle=True)
-        contents.append((tmp_path / "trap.npy").read_bytes())
-    if path.suffix == ".npz":
-        arrays = dict(np.load(io.BytesIO(whole)))
-        for name in arrays:
-            np.savez(tmp_path / "trap.npz", allow_pickle=True, **{**arrays, name: trap})
-            contents.append((tmp_path / "trap.npz").read_bytes())
-    for one in contents:
-        refused(kind, path, one)
-    assert not mark.exists()
-    pickle.loads(contents[0])
-    assert mark.exists(), "the trap works"

@@ -2,7 +2,6 @@
 
 import json
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 
 import judge_own
@@ -12,13 +11,11 @@ from picture_sets import recorded, write_set
 from shaped_films import FOCAL_PX, FPS, HEIGHT, PRIOR, WIDTH, film
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.avatar.file import save_avatar
 from jghand_engine.avatar.scene_light import CELLS
-from jghand_engine.errors import InputError, RetryError
-from jghand_engine.own.checks import Finding
+from jghand_engine.errors import InputError
 from jghand_engine.own.film import FilmPictures
 from jghand_engine.own.hand_fit import FittedHand
-from jghand_engine.own.make import Begun
 from jghand_engine.track import mediapipe_hands
 
 ANGLE_DEG = 2 * math.degrees(math.atan(HEIGHT / 2 / FOCAL_PX))
@@ -89,24 +86,6 @@ def test_what_is_wrong_is_counted(folder):
     assert wrong.whole < right.whole
 
 
-def test_a_shown_part_of_a_film_is_judged_by_that_part_of_its_truth(folder):
-    pictures = FilmPictures.load(folder / "own.own" / "pictures.npz")
-    truth = judge_own.Truth.of(folder, pictures)
-    part = truth.camera.part(8, 16, 64, 96)
-    half = truth.within(part.scaled(1 / 2), 2.0)
-    lens = (32, 48, FOCAL_PX / 2, FOCAL_PX / 2, 20, 32)
-    assert (
-        half.camera.width,
-        half.camera.height,
-        half.camera.fx,
-        half.camera.fy,
-        half.camera.cx,
-        half.camera.cy,
-    ) == lens
-    whole = truth.masks[:, 16:112, 8:72].reshape(4, 48, 2, 32, 2).mean((2, 4))
-    assert np.array_equal(half.masks, whole >= 0.5)
-
-
 def test_the_tables_have_a_line_for_each_hand(folder, capsys):
     (folder / "own.judged.json").write_text(json.dumps({"seconds": [90.0, 80.0]}))
     judge_own.main(judge_own.Options(folder.parent))
@@ -115,20 +94,6 @@ def test_the_tables_have_a_line_for_each_hand(folder, capsys):
     assert "| 30.0 / 25.0 / 24.0 |" in said[0]
     assert "| 1.000 / 1.000 | 90 / 80 |" in said[1]
     assert json.loads((folder / "own.judged.json").read_text())["fitted_db"] == [30, 25, 24]
-
-
-def test_a_hand_that_is_known_exactly_depends_on_no_fit_and_says_nothing_of_fitted_poses(folder):
-    made = []
-    for turned in (0, 1):
-        fitted = FittedHand.load(folder / "own.own" / "fit.npz")
-        replace(fitted, joints_m=fitted.joints_m + 0.02 * turned).save(folder / "own.own" / "fit.npz")
-        out = folder / "exact.jghand"
-        out.unlink(missing_ok=True)
-        judge_own.make_exact(folder, out)
-        made.append(load_avatar(out))
-    assert np.array_equal(made[0].rgb, made[1].rgb)
-    assert not np.array_equal(made[0].rgb, PRIOR.rgb)
-    assert judge_own.judge(folder, "exact").fitted_db is None
 
 
 def refusing(monkeypatch, error: Exception) -> None:
@@ -146,31 +111,3 @@ def test_a_film_that_is_refused_is_named_with_its_reason_and_has_no_exact_row(fo
     assert "Refused: man, film (Two hands are seen.)" in said
     assert "| man |" not in said
     assert "exact" not in said
-
-
-def test_what_is_no_refusal_ends_the_run(folder, monkeypatch):
-    (folder / "own.jghand").unlink()
-    for error in (RetryError("the disk is full"), ValueError("a fault")):
-        refusing(monkeypatch, error)
-        with pytest.raises(type(error)):
-            judge_own.main(judge_own.Options(folder.parent))
-    monkeypatch.undo()
-    monkeypatch.setenv(mediapipe_hands.VARIABLE, str(folder / "none.task"))
-    monkeypatch.setattr(mediapipe_hands, "check_package", lambda: None)
-    with pytest.raises(InputError, match="hand model"):
-        judge_own.main(judge_own.Options(folder.parent))
-
-
-@pytest.mark.parametrize("refuses", [False, True])
-def test_of_a_film_with_a_fault_it_is_said_what_is_told(folder, capsys, monkeypatch, refuses):
-    bad = folder.parent / "man_bad"
-    bad.mkdir()
-    (bad / "truth.npz").touch()
-    (bad / "film.mp4").touch()
-    findings = [Finding("light", "Too dark.", refuses), Finding("views", "The palm."), Finding("views", "The back.")]
-    monkeypatch.setattr(mediapipe_hands, "video_detector", nullcontext)
-    monkeypatch.setattr(judge_own, "open_source", lambda paths: paths)
-    monkeypatch.setattr(judge_own, "begin", lambda *_: Begun(*[None] * 3, findings))  # pyright: ignore
-    judge_own.main(judge_own.Options(folder.parent, faults=True))
-    verdict = "is refused" if refuses else "is used"
-    assert f"| man_bad | {verdict} | light, views |" in capsys.readouterr().out

@@ -21,9 +21,8 @@ from jghand_engine.export.pictures import write_png
 from jghand_engine.export.video import write_video
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion.read import read_motion_file
-from jghand_engine.own import exact, make
+from jghand_engine.own import make
 from jghand_engine.own.checks import Finding
-from jghand_engine.own.exact import BEST_EFFORT
 from jghand_engine.own.hand_fit import Effort, FittedHand
 from jghand_engine.own.make import OwnOptions, explain, work_folder
 from jghand_engine.own.shape import SHAPE_COUNT
@@ -197,26 +196,6 @@ def test_a_work_folder_is_of_one_film_and_its_options_and_of_nothing_else(film, 
         explained(film, other, resume=False)
 
 
-def test_a_stop_while_old_work_is_forgotten_leaves_a_folder_that_can_be_used(film, tmp_path, fits, monkeypatch):
-    work, forget = tmp_path / "me.own", make._forget
-    explained(film, work, resume=False)
-
-    def stopped(path: Path) -> None:
-        forget(path)
-        if path.name == make.FIT:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as stopping:
-        stopping.setattr(make, "_forget", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            explained(film, work, resume=False)
-    explained(film, work, resume=True, detectors=nobody)
-    (work / make.FIT).unlink()
-    (work / make.FIT).mkdir()
-    with pytest.raises(InputError, match=r"fit\.npz"):
-        explained(film, work, resume=False)
-
-
 def test_all_that_is_wrong_is_told_before_a_film_is_refused(film, tmp_path, fits, monkeypatch, capsys):
     wrong = [Finding("size", "Small."), Finding("light", "Too dark.", refuses=True)]
     monkeypatch.setattr(make, "picture_findings", lambda *_: wrong)
@@ -250,20 +229,6 @@ def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monke
     assert len(fits) == 1
 
 
-def test_a_hand_whose_motion_is_wanted_is_fitted_as_long_as_that_of_the_exact_motion(film, tmp_path, fits, efforts):
-    for motion in (False, True):
-        explained(film, tmp_path / f"{motion}.own", resume=False, motion=motion)
-    assert efforts == [Effort().times, BEST_EFFORT.times]
-
-
-def test_a_hand_that_is_seen_too_often_for_a_motion_is_refused_before_the_fit(film, tmp_path, fits, monkeypatch):
-    monkeypatch.setattr(exact, "PICTURES_MAX", len(JOINTS_M) - 1)
-    with pytest.raises(InputError, match="at most 5 pictures of the hand, got 6"):
-        explained(film, tmp_path / "me.own", resume=False, motion=True)
-    assert fits == []
-    explained(film, tmp_path / "other.own", resume=False)
-
-
 def test_the_motion_of_a_left_hand_is_a_left_hands(film, tmp_path, fits, monkeypatch):
     whole = explained(film, tmp_path / "me.own", resume=False)
     monkeypatch.setattr(make, "exact_poses", lambda source, track, *_: track.poses)
@@ -273,13 +238,6 @@ def test_the_motion_of_a_left_hand_is_a_left_hands(film, tmp_path, fits, monkeyp
     left = make.motion_of([film], replace(whole, begun=replace(whole.begun, track=track)), prior, lambda *_: None)
     assert left.handedness is Handedness.LEFT
     np.testing.assert_array_equal(left.joints_m, right.joints_m * (-1, 1, 1))
-
-
-def test_what_is_no_film_leaves_no_folder(tmp_path, capsys):
-    (tmp_path / "hand.mp4").write_bytes(b"no film")
-    assert main(["own", str(tmp_path / "hand.mp4"), "--out", str(tmp_path / "me.jghand")]) == 2
-    assert "wanted a film that ffmpeg can read" in capsys.readouterr().err
-    assert not (tmp_path / "me.own").exists()
 
 
 def test_photographs_have_no_motion_which_is_told_before_the_work(tmp_path, capsys):

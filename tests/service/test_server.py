@@ -25,7 +25,6 @@ from waiting import wait_until
 
 from jghand_engine.service import protocol, server
 from jghand_engine.service.protocol import Array, Disconnected
-from jghand_engine.service.requests import REQUESTS_WAITING_MAX
 
 STAND_IN = Path(__file__).with_name("stand_in_engine.py")
 # the machine may be busy with other tests
@@ -386,20 +385,6 @@ def test_a_picture_that_nobody_waits_for_any_more_stops():
     else:
         pytest.fail("the place of the client that left was never given back")
     assert ended(engine) == 0
-
-
-def test_more_requests_than_may_wait_are_all_answered(engine):
-    count = 5 * REQUESTS_WAITING_MAX
-    with engine.connected() as connection:
-        receive(connection)
-        for number in range(count):
-            protocol.send(connection, {"kind": "info", "id": number})
-        numbers = []
-        while len(numbers) < count:
-            message = receive(connection)
-            if message.header["kind"] == "reply":
-                numbers.append(message.header["id"])
-    assert numbers == list(range(count))
 
 
 def test_shutdown_is_answered_and_ends_the_process(engine):
