@@ -29,7 +29,7 @@ from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
 from jghand_engine.learn.work_folder import Start, WorkFolder, check_folder, check_output, write_output
 
-# seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 13, promise 20)
+# seconds between two checkpoints: what kill -9 may lose. Writing one of 40 MB takes some 40 ms
 CHECKPOINTS = Every(seconds=60.0)
 # the first preview is promised within a minute
 PREVIEWS = Every(seconds=180.0, first_s=15.0)
