@@ -142,8 +142,8 @@ def wrapped(text: str, width: float, width_of: Callable[[str], float] = len) -> 
     return lines
 
 
-def status_text(status: Any, frame_ms: float | None = None, translate: Translate = str) -> StatusText:
-    """The state of the renderer's link (`renderer.link.Status`). frame_ms: the whole last picture, None before one."""
+def status_text(status: Any, report: Mapping[str, Any] | None = None, translate: Translate = str) -> StatusText:
+    """The state of the renderer's link (`renderer.link.Status`). report: of the last picture, None before one."""
     since, state = duration(status.since_s), status.state
     if state == "failed":
         return _failed(status.failure, since, translate)
@@ -163,15 +163,16 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
     facts = status.handshake or {}
     if status.doing:
         parts = [f"{translate(status.doing)}…"]
-    elif status.busy and frame_ms is None:  # it warms up
+    elif status.busy and report is None:  # it warms up
         parts = [translate("First frame…")]
     else:
-        parts = [translate("Ready"), str(facts.get("device", "")).upper()]
-        parts += [milliseconds(frame_ms)] if frame_ms is not None else []
+        parts = [translate("Ready")]
+        if report is not None:  # beside the kernels it names the graphics card, if one drew
+            parts += ["GPU" if ", " in report["backend"] else "CPU", milliseconds(report["total_ms"])]
     detail = translate("Running for {since}, version {version}, process {pid}").format(
         since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
     )
-    return StatusText(" · ".join(part for part in parts if part), True, detail=detail)
+    return StatusText(" · ".join(parts), True, detail=detail)
 
 
 def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, translate: Translate = str) -> ReceiptText:

@@ -19,9 +19,7 @@ _SILENT_S = 120.0
 
 def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, buttons: bool = True) -> None:
     """One line; when something is wrong, the sentence, what to do, and buttons that do it, unless they are there."""
-    report = runtime.last_report(runtime.VIEWPORT)
-    frame_ms = report.get("total_ms") if report is not None else None
-    status = panel_text.status_text(runtime.link().status, frame_ms, iface_)
+    status = panel_text.status_text(runtime.link().status, runtime.last_report(runtime.VIEWPORT), iface_)
     if status.good:
         ui.explained(layout, panel_text.Line(status.text, tip=status.detail))
         return

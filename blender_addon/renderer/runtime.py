@@ -80,9 +80,9 @@ def use_link(other: EngineLink | None) -> None:
 
 
 def offers_graphics_card() -> bool:
-    """Whether the engine that runs has the package by which a graphics card draws."""
-    handshake = None if _link is None else _link.status.handshake
-    return handshake is not None and "gpu" in handshake.get("capabilities", ())
+    """Whether the engine has the package by which a graphics card draws, as far as is known before it runs."""
+    handshake = {} if _link is None else _link.status.handshake
+    return not handshake or "gpu" in handshake.get("capabilities", ())
 
 
 def look_again() -> None:

@@ -71,7 +71,6 @@ class LoadedAvatar:
 class ImageSource(Protocol):
     """Whoever makes the images. doing: what takes long just now, else ""."""
 
-    device: str
     doing: str
 
     def load(self, avatar: str) -> LoadedAvatar:
@@ -124,7 +123,7 @@ class Commands:
 
     def _info(self, _: Message, _canceled: Callable[[], bool]) -> Reply:
         facts = {"engine_version": __version__, "protocol": PROTOCOL_VERSION, "pid": os.getpid()}
-        return Reply({**facts, "device": self.source.device, "capabilities": self.capabilities}, {})
+        return Reply({**facts, "capabilities": self.capabilities}, {})
 
     def _load(self, message: Message, _canceled: Callable[[], bool]) -> Reply:
         loaded = self.source.load(text_of(message.header, "avatar"))

@@ -25,7 +25,6 @@ from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.json_files import JsonObject
-from jghand_engine.native.library import GPU
 from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
 from jghand_engine.render.blur import Moment, middle
@@ -104,7 +103,7 @@ class HandImages:
     was: one that changed meanwhile is read anew. backend: as of RenderSettings, for all images"""
 
     def __init__(self, backend: str = "auto") -> None:
-        self.device, self._backend = GPU if backend == GPU else "cpu", backend
+        self._backend = backend
         self.doing = ""
         self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()

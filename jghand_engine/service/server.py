@@ -93,7 +93,6 @@ class Server:
             "port": self.port,
             "pid": os.getpid(),
             "engine_version": __version__,
-            "device": self._commands.source.device,
             "capabilities": [*self._commands.capabilities, CANCEL],
         }
 

@@ -10,7 +10,20 @@ from blender_addon.core.joints import NAMES
 from blender_addon.errors import ADVICE, JGHandFailure
 from blender_addon.renderer.link import Status
 
-HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
+HANDSHAKE = {"engine_version": "0.1.0", "pid": 42}
+RECEIPT = {
+    "total_ms": 7.24,
+    "backend": "avx2",
+    "threads": 2,
+    "gaussians": 60000,
+    "visible_gaussians": 51000,
+    "invalid_gaussians": 0,
+    "notes": [],
+    "stages": [
+        {"name": "skin", "ran": True, "milliseconds": 1.81, "reason": "correctives exact"},
+        {"name": "raster", "ran": True, "milliseconds": 3.62, "reason": ""},
+    ],
+}
 
 
 @pytest.mark.parametrize(
@@ -29,7 +42,7 @@ HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
     ],
 )
 def test_every_state_has_a_line_and_the_buttons_that_fit(status, text, good, buttons):
-    said = panel_text.status_text(status, 7.24)
+    said = panel_text.status_text(status, RECEIPT)
     assert (said.text, said.good) == (text, good)
     assert [button.operator for button in said.buttons] == buttons
 
@@ -46,31 +59,22 @@ def test_every_failure_says_what_happened_when_and_what_to_do(kind):
 
 def test_before_the_first_picture_a_busy_engine_says_what_it_is_at():
     assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE, busy=True)).text == "First frame…"
-    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE)).text == "Ready · CPU"
+    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE)).text == "Ready"
+
+
+def test_a_ready_engine_says_what_drew_the_last_picture():
+    """Not what was asked to: a card that fails leaves the drawing to the processor."""
+    on_card = RECEIPT | {"backend": "v4, Some Card (DiscreteGPU) via Vulkan"}
+    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE), on_card).text == "Ready · GPU · 7.2 ms"
 
 
 def test_an_engine_that_loads_is_not_called_ready():
     status = Status("ready", 3.0, None, HANDSHAKE, busy=True, doing="Loading the avatar")
-    assert panel_text.status_text(status, 7.2).text == "Loading the avatar…"
+    assert panel_text.status_text(status, RECEIPT).text == "Loading the avatar…"
 
 
 def test_a_ready_engine_says_since_when_in_the_small_print():
     assert "2 h" in panel_text.status_text(Status("ready", 7300.0, None, HANDSHAKE)).detail
-
-
-RECEIPT = {
-    "total_ms": 7.24,
-    "backend": "avx2",
-    "threads": 2,
-    "gaussians": 60000,
-    "visible_gaussians": 51000,
-    "invalid_gaussians": 0,
-    "notes": [],
-    "stages": [
-        {"name": "skin", "ran": True, "milliseconds": 1.81, "reason": "correctives exact"},
-        {"name": "raster", "ran": True, "milliseconds": 3.62, "reason": ""},
-    ],
-}
 
 
 def test_a_receipt_becomes_bars_of_the_stages_that_ran():

@@ -33,8 +33,6 @@ DISC_M = 0.004
 class StandInHands:
     """A ImageSource: a disc at every joint, white for the right hand, blue for the left; the nearest one wins."""
 
-    device = "stand-in"
-
     def __init__(self, fault: str = "") -> None:
         """fault: NAME, or NAME:N to behave well before the N-th picture."""
         self.fault, _, first = fault.partition(":")
@@ -156,7 +154,7 @@ def main(fault: str) -> int:
         server._end_with_stdin = lambda *_: None
     if fault in ("garbage", "wrong_version", "wrong_port"):
         version = protocol.PROTOCOL_VERSION + (fault == "wrong_version")
-        line = {"protocol": version, "port": 9, "pid": os.getpid(), "engine_version": "x", "device": "x"}
+        line = {"protocol": version, "port": 9, "pid": os.getpid(), "engine_version": "x"}
         print("{" if fault == "garbage" else json.dumps({**line, "capabilities": []}), flush=True)
         sys.stdin.read()
         return 0

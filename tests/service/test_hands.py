@@ -491,9 +491,7 @@ def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
 
 @pytest.mark.graphics_card
 def test_a_service_that_was_started_for_the_graphics_card_draws_on_it(right):
-    on_card = HandImages("gpu")
-    assert on_card.device == "gpu"
-    report = on_card.render(asked([right])).report
+    report = HandImages("gpu").render(asked([right])).report
     assert device.open_device().name in report["backend"]
 
 

@@ -122,7 +122,7 @@ def picture_arrays(moments: int = 1) -> dict[str, Array]:
 def test_the_handshake_says_what_the_client_must_know(engine):
     assert engine.handshake["protocol"] == protocol.PROTOCOL_VERSION
     assert engine.handshake["pid"] == engine.process.pid
-    assert {"engine_version", "device", "capabilities", "port"} <= set(engine.handshake)
+    assert {"engine_version", "capabilities", "port"} <= set(engine.handshake)
 
 
 def test_it_listens_on_the_loopback_only(engine):
