@@ -44,7 +44,7 @@ class Bench:
 
         width, height = pixels(self.size)
         avatar = load_avatar_called(self.avatar.avatar)
-        facts = machine(0)
+        facts = machine(0, self.backend)
         subject = moving_subject(avatar.info.name, avatar, width, height)
         # beside a card the processor, by the kernels that it has
         names = {"": self.backend} if self.backend != GPU else {", gpu": GPU, ", processor": load().variant}

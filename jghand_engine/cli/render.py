@@ -181,6 +181,8 @@ class Render:
         from jghand_engine.avatar.builtin import avatar_sha256
         from jghand_engine.cli.frame_files import file_digest, render_stamp
         from jghand_engine.export.light_file import files_of
+        from jghand_engine.gpu.choice import device_for
+        from jghand_engine.native.library import load
 
         picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
         # how fast, and what is told
@@ -193,7 +195,10 @@ class Render:
             look["light"] = [file_digest(each) for each in files_of(self.light)]
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
         avatar = avatar_sha256(self.avatar.avatar)
-        return render_stamp(avatar, self.motion, motion, settings, look, whole=whole)
+        stamp = render_stamp(avatar, self.motion, motion, settings, look, whole=whole)
+        # its pictures differ from the kernels' by single steps of a byte, and `auto` takes one on some machines
+        on_card = device_for(settings.backend, load(settings.backend)) is not None
+        return stamp | ({"device": "graphics card"} if on_card else {})
 
     def _effects(self) -> Choice | None:
         """Those that were asked for; None where what is called for runs, but for what a budget leaves out."""
@@ -237,9 +242,10 @@ class Render:
             return replace(preset(name), threads=self.picture.threads, backend=self.picture.backend), name
         from jghand_engine.render.budget import best_for
 
-        chosen = best_for(self.budget_ms, avatar, (camera.width, camera.height), self.picture.threads)
+        size = (camera.width, camera.height)
+        chosen = best_for(self.budget_ms, avatar, size, self.picture.threads, self.picture.backend)
         say(chosen.sentence)
-        return replace(chosen.settings, backend=self.picture.backend), chosen.name
+        return chosen.settings, chosen.name
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
         if (file := self.picture.camera_file) is not None:

@@ -32,7 +32,7 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import decibels
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import cache_folder, writing
-from jghand_engine.gpu.choice import remembered
+from jghand_engine.gpu.choice import device_for
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import FREE_PART, FreeCores, processor
@@ -105,23 +105,26 @@ def has_seen_shadow(avatar: HandAvatar) -> bool:
 # ---- the choice -----------------------------------------------------------------------------------------------------
 
 
-def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], threads: int = 0) -> Chosen:
+def best_for(
+    budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], threads: int = 0, backend: str = "auto"
+) -> Chosen:
     """The most accurate settings whose frames of that size take at most BUDGET_PART of `budget_ms` in 95 % of cases.
 
-    threads: as in RenderSettings. InputError for a budget that is no time.
+    threads, backend: as in RenderSettings. InputError for a budget that is no time.
     """
     if not (math.isfinite(budget_ms) and budget_ms > 0):
         raise InputError("budget of a frame", wanted="milliseconds above 0", came=str(budget_ms))
     count = thread_count(threads)
-    rows, disturbed = read_profile(avatar, size_px, count), False
+    rows, disturbed = read_profile(avatar, size_px, count, backend), False
     if rows is None:
         rows, disturbed = measure_quickly(
-            moving_subject(avatar.info.name, avatar, *size_px), candidates(avatar, size_px), count
+            moving_subject(avatar.info.name, avatar, *size_px), candidates(avatar, size_px), count, backend
         )
         # what was disturbed is measured again the next time
         if not disturbed:
-            write_profile(avatar, size_px, count, rows)
-    return choose(rows, budget_ms, disturbed=disturbed, threads=threads)
+            write_profile(avatar, size_px, count, rows, backend)
+    chosen = choose(rows, budget_ms, disturbed=disturbed, threads=threads)
+    return replace(chosen, settings=replace(chosen.settings, backend=backend))
 
 
 def choose(rows: Sequence[Rated], budget_ms: float, *, disturbed: bool = False, threads: int = 0) -> Chosen:
@@ -140,12 +143,16 @@ def choose(rows: Sequence[Rated], budget_ms: float, *, disturbed: bool = False, 
 
 
 def measure_quickly(
-    subject: Subject, offered: Mapping[str, RenderSettings], threads: int, seconds: float = BUDGET_SECONDS
+    subject: Subject,
+    offered: Mapping[str, RenderSettings],
+    threads: int,
+    backend: str = "auto",
+    seconds: float = BUDGET_SECONDS,
 ) -> tuple[tuple[Rated, ...], bool]:
     """Times of all settings in turn, and their accuracy against preset `reference`, in about so many seconds; and
     whether the machine had other work meanwhile."""
     started = time.perf_counter()
-    steady = {name: replace(one, threads=threads, reuse=False) for name, one in offered.items()}
+    steady = {name: replace(one, threads=threads, backend=backend, reuse=False) for name, one in offered.items()}
     renderers = {name: HandRenderer(subject.avatar, one) for name, one in steady.items()}
     accuracy = _accuracy(subject, renderers, threads)
     times: dict[str, list[float]] = {name: [] for name in renderers}
@@ -178,16 +185,17 @@ def _accuracy(subject: Subject, renderers: Mapping[str, HandRenderer], threads: 
 # ---- the file -------------------------------------------------------------------------------------------------------
 
 
-def profile_file(avatar: HandAvatar) -> Path:
-    """Where the profile of this machine and avatar is, whether it is there or not."""
-    library = load("auto")
+def profile_file(avatar: HandAvatar, backend: str = "auto") -> Path:
+    """Where the profile of this machine, what draws on it, and avatar is, whether it is there or not."""
+    library = load(backend)
+    device = device_for(backend, library)
     machine = [
         processor(),
         platform.machine(),
         os.cpu_count(),
         library.variant,
         repr(read_stamp(library.path)),
-        remembered(),
+        None if device is None else device.name,
     ]
     learned = None if avatar.learned is None else LearnedAbout.of(avatar.learned).as_dict()
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine, learned]).encode())
@@ -197,22 +205,27 @@ def profile_file(avatar: HandAvatar) -> Path:
     return cache_folder() / f"profile_{digest.hexdigest()[:24]}.json"
 
 
-def read_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int) -> tuple[Rated, ...] | None:
+def read_profile(
+    avatar: HandAvatar, size_px: tuple[int, int], threads: int, backend: str = "auto"
+) -> tuple[Rated, ...] | None:
     """What is known of the candidates for images of that size and so many threads; None for nothing."""
     offered = candidates(avatar, size_px)
     try:
-        known = _read(profile_file(avatar))[_key(size_px, threads)].items()
+        known = _read(profile_file(avatar, backend))[_key(size_px, threads)].items()
         rows = tuple(Rated(name, offered[name], *map(float, figures)) for name, figures in known)
         return rows if rows and all(math.isfinite(row.p95_ms + row.psnr_db) for row in rows) else None
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 
 
-def write_profile(avatar: HandAvatar, size_px: tuple[int, int], threads: int, rows: Sequence[Rated]) -> None:
+def write_profile(
+    avatar: HandAvatar, size_px: tuple[int, int], threads: int, rows: Sequence[Rated], backend: str = "auto"
+) -> None:
     """Adds it to the file, whole or not at all: where it cannot be written, that costs only the next two seconds."""
     figures = {row.name: (row.median_ms, row.p95_ms, row.psnr_db) for row in rows}
-    content = _read(profile_file(avatar)) | {_key(size_px, threads): figures}
-    with contextlib.suppress(JGHandError, OSError), writing(profile_file(avatar)) as temporary:
+    file = profile_file(avatar, backend)
+    content = _read(file) | {_key(size_px, threads): figures}
+    with contextlib.suppress(JGHandError, OSError), writing(file) as temporary:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

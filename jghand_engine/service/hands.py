@@ -222,7 +222,7 @@ class HandImages:
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
                 avatars = [ended(self._avatar(version, side), forearm=forearm) for version, side, forearm in hands]
-                settings = _settings(wanted, avatars, size_px)
+                settings = _settings(wanted, avatars, size_px, self._backend)
                 settings = replace(settings, depth=request.depth, backend=self._backend)
                 while len(self._renderers) >= RENDERERS_MAX:
                     self._renderers.popitem(last=False)
@@ -303,12 +303,14 @@ def _wrong(name: str, wanted: str, came: object) -> InputError:
     return InputError(f"light: {name}", wanted=wanted, came=repr(came)[:80])
 
 
-def _settings(wanted: ImageSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
+def _settings(
+    wanted: ImageSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None, backend: str
+) -> RenderSettings:
     """The preset, or what the budget buys, each hand taking an equal part of it."""
     settings = preset(wanted.preset)
     if wanted.budget_ms is not None and size_px is not None:
         largest = max(avatars, key=len)
-        settings = budget.best_for(wanted.budget_ms / len(avatars), largest, size_px).settings
+        settings = budget.best_for(wanted.budget_ms / len(avatars), largest, size_px, backend=backend).settings
     return settings
 
 

@@ -21,10 +21,12 @@ from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import read_png
 from jghand_engine.export.usd.package import UsdOptions
 from jghand_engine.export.usd.stage import Variant
-from jghand_engine.gpu import device
+from jghand_engine.gpu import choice, device
+from jghand_engine.gpu.blend import GpuBlend
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.poses import pose_sequence_of_names
+from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.settings import PRESETS
 
 SMALL = ("--size", "64x48", "--preset", "draft")
@@ -471,6 +473,34 @@ def test_a_named_card_that_is_not_there_is_an_error_with_what_was_seen(tmp_path,
     monkeypatch.setenv(device.ADAPTER_VARIABLE, "no such card")
     assert run("render", "--poses", "open", "--out", tmp_path / "card", "--backend", "gpu") == 2
     assert "no such card" in capsys.readouterr().err
+
+
+@pytest.mark.graphics_card
+def test_shards_are_not_drawn_by_a_card_here_and_the_processor_there(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
+    render = ("render", "--poses", "open,fist", "--frames", "0-1", "--size", "48x32", "--out", tmp_path / "wave")
+    assert run(*render, "--shard", "1/2") == 0
+    choice.remember(device.open_device(), gpu_ms=1.0, processor_ms=2.0)
+    capsys.readouterr()
+    assert run(*render, "--shard", "2/2") == 2
+    assert "frames of another device" in " ".join(capsys.readouterr().err.split())
+
+
+def test_bench_tells_the_kernels_that_drew(tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "ROUNDS", 1)
+    slowest = runnable_variants()[-1]
+    assert run("bench", "--size", "48x32", "--backend", slowest, "--json", tmp_path / "bench.json") == 0
+    assert json.loads((tmp_path / "bench.json").read_text())["machine"]["backend"] == slowest
+
+
+@pytest.mark.graphics_card
+def test_what_the_processor_draws_for_a_card_is_not_measured_as_its(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(GpuBlend, "_draw", lambda *_: (_ for _ in ()).throw(RuntimeError("stalled")))
+    monkeypatch.setattr(choice, "_check", lambda *_: None)
+    assert run("bench", "--size", "48x32", "--backend", "gpu") == 3
+    assert "stalled" in capsys.readouterr().err
+    assert not choice.remembered()
 
 
 @pytest.mark.graphics_card

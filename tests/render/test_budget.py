@@ -13,6 +13,7 @@ from small_avatars import small_avatar, trained_avatar
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.color import PSNR_MAX_DB
 from jghand_engine.errors import InputError
+from jghand_engine.native.library import runnable_variants
 from jghand_engine.render import budget
 from jghand_engine.render.budget import (
     BUDGET_PART,
@@ -204,7 +205,7 @@ def test_accuracy_is_that_of_poses_all_over_the_motion(away: slice):
 def test_a_profile_is_measured_once_and_again_while_it_was_disturbed(cache, monkeypatch):
     calls, disturbed = [], [True, False]
 
-    def measured(subject, offered, threads):
+    def measured(subject, offered, threads, backend):
         calls.append((subject.camera.width, len(offered), threads))
         return KNOWN, disturbed.pop(0)
 
@@ -213,3 +214,14 @@ def test_a_profile_is_measured_once_and_again_while_it_was_disturbed(cache, monk
     assert "other work" in best_for(16, avatar, SIZE, 1).sentence
     assert [best_for(16, avatar, SIZE, 1).name for _ in range(3)] == ["viewport"] * 3
     assert len(calls) == 2
+
+
+def test_a_budget_is_measured_with_the_backend_that_draws_then(cache, monkeypatch):
+    """Each has a profile of its own."""
+    made, slowest, avatar = [], runnable_variants()[-1], small_avatar(10)
+    right = budget.HandRenderer
+    monkeypatch.setattr(budget, "HandRenderer", lambda *given: (made.append(given[1].backend), right(*given))[1])
+    write_profile(avatar, SIZE, 1, KNOWN)
+    assert best_for(16, avatar, SIZE, 1, slowest).settings.backend == slowest
+    *offered, _yardstick = made
+    assert set(offered) == {slowest}

@@ -351,7 +351,7 @@ def test_a_budget_chooses_settings(source, right, monkeypatch):
     """What is measured for it is one of a few sizes, not each that a view ever has."""
     asked_for = []
 
-    def bought(budget_ms, avatar, size_px, threads=0):
+    def bought(budget_ms, avatar, size_px, backend):
         asked_for.append((budget_ms, size_px))
         return SimpleNamespace(settings=preset("draft"))
 
