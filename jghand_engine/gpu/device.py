@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,6 +21,8 @@ _INTERFACES = ("Vulkan", "Metal", "D3D12")
 # best first
 _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 _SOFTWARE = "CPU"
+# a folder for the sockets of window systems, which nothing here needs
+_WINDOWS = "XDG_RUNTIME_DIR"
 # how large arrays may be is all that is asked for beyond what every WebGPU device has
 _SIZE_LIMITS = ("max-buffer-size", "max-storage-buffer-binding-size")
 # sizes of arrays are multiples of it, bytes: a vec4f of the shader
@@ -87,7 +90,7 @@ def _choose(wanted: str) -> Any:
         _home[:] = [os.getpid()]
     except ImportError as error:
         raise InputError("backend gpu: the package wgpu is missing", remedy=install_extra("gpu")) from error
-    adapters = [one for one in wgpu.gpu.enumerate_adapters_sync() if one.info["backend_type"] in _INTERFACES]
+    adapters = [one for one in _quietly(wgpu.gpu.enumerate_adapters_sync) if one.info["backend_type"] in _INTERFACES]
     adapters.sort(key=lambda one: _KINDS.index(one.info["adapter_type"]))
     if wanted == ANY:
         usable = adapters
@@ -103,6 +106,17 @@ def _choose(wanted: str) -> Any:
         came=", ".join(one.summary for one in adapters) or "none that Vulkan, Metal or Direct3D 12 knows",
         remedy=f"Install the card's driver, or leave out --backend; {ADAPTER_VARIABLE} chooses among several.",
     )
+
+
+def _quietly(look: Callable[[], list[Any]]) -> list[Any]:
+    """Without what Mesa's drivers print where no window system can be."""
+    if os.environ.get(_WINDOWS):
+        return look()
+    os.environ[_WINDOWS] = os.devnull
+    try:
+        return look()
+    finally:
+        del os.environ[_WINDOWS]
 
 
 def _opened(adapter: Any, named: str = "") -> Device:

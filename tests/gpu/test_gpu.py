@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -264,6 +265,15 @@ def test_a_card_that_is_not_there_is_told_with_what_was_seen(monkeypatch):
     monkeypatch.setenv(device.ADAPTER_VARIABLE, "no such card")
     with pytest.raises(InputError, match=r"no such card.* via .*JGHAND_GPU"):
         HandRenderer(load_builtin(handedness=Handedness.RIGHT), replace(preset("draft"), backend="gpu"))
+
+
+def test_nothing_else_is_said_beside_it():
+    """As by Mesa's drivers, of a window system that is not there."""
+    needs_gpu()
+    look = "from jghand_engine.gpu.device import open_device; open_device()"
+    quiet = {name: value for name, value in os.environ.items() if name != "XDG_RUNTIME_DIR"}
+    told = subprocess.run([sys.executable, "-c", look], env=quiet, capture_output=True, text=True, check=True)
+    assert not told.stdout + told.stderr
 
 
 def test_software_is_taken_only_when_it_is_asked_for(monkeypatch):
