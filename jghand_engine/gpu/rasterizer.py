@@ -46,13 +46,9 @@ class GpuRasterizer(NativeRasterizer):
             return True
         job, arrays = self._job, self._arrays
         try:
-            self._blend.draw(
-                arrays["records"],
-                arrays["tile_start"],
-                arrays["tile_list"][: job.pairs],
-                self._planes,
-                (job.log2_alpha_min, job.t_stop),
-            )
+            inputs = {name: arrays[name] for name in ("records", "tile_start")}
+            inputs["tile_list"] = arrays["tile_list"][: job.pairs]
+            self._blend.draw(inputs, self._planes, job.log2_alpha_min, job.t_stop)
         except MemoryLimitError as error:
             self._draw_here(str(error))
         except RetryError as error:

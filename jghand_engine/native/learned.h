@@ -69,6 +69,7 @@ struct LearnedTask {
 };
 
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
+constexpr float LOBE_LOG2_MIN = -31.f;  // of a lobe's strength: less than 2^-31 of it is not seen, nor computed well
 constexpr int BONES = 20, ANCHORS_AROUND = 3, HARMONICS = 16;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
 constexpr int HIDDEN_MAX = 256;   // wider networks are refused: two layers of two blocks lie on the stack
@@ -131,11 +132,11 @@ JG_INLINE void harmonics(const vf n[3], vf out[HARMONICS]) {
   memcpy(out, values, sizeof values);
 }
 
-// What lights in lobes (count, LOBE) shine from sixteen directions; less than 2^-31 of one is not seen.
+// What lights in lobes (count, LOBE) shine from sixteen directions.
 JG_INLINE void add_lobes(const float* lobe, int32_t count, const vf direction[3], vf rgb[3]) {
   for (int32_t k = 0; k < count; k++, lobe += LOBE) {
     const vf cosine = direction[0] * lobe[0] + direction[1] * lobe[1] + direction[2] * lobe[2];
-    const vf strength = exp2_of_negative<5>(max((cosine - 1.f) * lobe[3], all(-31.f)));
+    const vf strength = exp2_of_negative<5>(max((cosine - 1.f) * lobe[3], all(LOBE_LOG2_MIN)));
     for (int i = 0; i < 3; i++) rgb[i] += strength * lobe[4 + i];
   }
 }

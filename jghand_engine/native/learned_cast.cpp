@@ -1,6 +1,6 @@
 // Shadows that fingers, and other hands, cast on a hand (learn/cast_shadow.py): anchors times lamps times capsules,
-// sixteen anchors at a time. Lamps that all of them turn away from, flesh of their own and capsules that all rays pass by
-// well are left out, which changes no bit.
+// sixteen anchors at a time. Lamps that all of them turn away from, flesh of their own and capsules that all rays pass
+// by well are left out, which changes no bit.
 #include "capsule.h"
 #include "constants.h"
 

@@ -53,8 +53,8 @@ JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inpu
   memcpy((void*)out, rows, n * sizeof(Record));
 }
 
-// The tiles that the box u +- rx, v +- ry of a visible Gaussian reaches. Clamped before the conversion: floats beyond int
-// range are undefined.
+// The tiles that the box u +- rx, v +- ry of a visible Gaussian reaches. Clamped before the conversion: floats beyond
+// int range are undefined.
 JG_INLINE void store_rects(TileRect* out, int n, const RasterJob& job, vi seen, vf u, vf v, vf rx, vf ry) {
   const vf right = all((float)(job.width - 1)), bottom = all((float)(job.height - 1));
   auto tile = [](vf px, vf last) __attribute__((always_inline)) {
