@@ -34,10 +34,9 @@ from jghand_engine.captures.capture_folder import FOREARM
 from jghand_engine.captures.making.cameras import PlannedCamera
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.options import AreaLight, Light, Sampling
-from jghand_engine.captures.making.person_skin import PersonSkin
+from jghand_engine.captures.making.person_skin import PersonSkin, png_bytes
 from jghand_engine.captures.making.plan import FOLDER, CapturePlan, Job, annotate, drafted_mesh, read_plan, write_plan
 from jghand_engine.captures.making.rig import METACARPAL_BASES, RIG_JOINTS, Identity, RiggedHand, RigPose, load_identity
-from jghand_engine.captures.making.skin import png_bytes
 from jghand_engine.captures.making.worker import fault_of, find_blender_python, render
 from jghand_engine.captures.skin.canvas import MM, Texels
 from jghand_engine.captures.skin.person import Person

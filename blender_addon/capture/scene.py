@@ -36,14 +36,11 @@ class Scene:
         self._scene = bpy.context.scene
         with np.load(folder / "hands.npz", allow_pickle=False) as arrays:
             rig = arrays["vertices_m"]
-            is_person = "person" in plan["skin"]
-            # (P, V, 3), of a person (P, V, 4): how bent the skin is, too. Those are gigabytes, read pose by pose
-            self._poses = np.load(folder / "mesh.npy", mmap_mode="r", allow_pickle=False) if is_person else rig
-            self._mesh = _mesh(self._vertices(0), arrays, plan["sampling"]["subdivisions"], self._scene)
-        if is_person:
-            self._mesh.attributes.new(BENT, "FLOAT", "POINT")
-        material = _person_skin if is_person else _picture_skin
-        self._mesh.materials.append(material(plan["skin"], folder))
+            # (P, V, 4): vertices, and how bent the skin is. They are gigabytes, read pose by pose
+            self._poses = np.load(folder / "mesh.npy", mmap_mode="r", allow_pickle=False)
+            self._mesh = _mesh(self._vertices(0), arrays, self._scene)
+        self._mesh.attributes.new(BENT, "FLOAT", "POINT")
+        self._mesh.materials.append(_skin(plan["skin"], folder))
         if "hdri" in plan["light"]:
             _light(plan["light"], folder, rig, self._scene)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -64,8 +61,7 @@ class Scene:
     def _show(self, pose: int, camera: dict) -> None:
         if pose != self._pose:
             self._mesh.vertices.foreach_set("co", self._vertices(pose).reshape(-1))
-            if BENT in self._mesh.attributes:
-                self._mesh.attributes[BENT].data.foreach_set("value", np.array(self._poses[pose, :, 3]))
+            self._mesh.attributes[BENT].data.foreach_set("value", np.array(self._poses[pose, :, 3]))
             self._mesh.update()
             self._pose = pose
         self._aim(camera)
@@ -95,22 +91,18 @@ class Scene:
         data.shift_y = (camera["cy"] - height / 2) / width
 
 
-def _mesh(vertices: np.ndarray, arrays, subdivisions: int, scene):
+def _mesh(vertices: np.ndarray, arrays, scene):
     mesh = bpy.data.meshes.new("hand")
     mesh.from_pydata(vertices.tolist(), [], arrays["faces"].tolist())
     mesh.uv_layers.new(name="uv").data.foreach_set("uv", arrays["face_uv"].reshape(-1).astype(np.float32))
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), dtype=bool))
     hand = bpy.data.objects.new("hand", mesh)
     scene.collection.objects.link(hand)
-    if subdivisions:
-        modifier = hand.modifiers.new("subdivision", "SUBSURF")
-        modifier.levels = modifier.render_levels = subdivisions
-        modifier.uv_smooth = "PRESERVE_BOUNDARIES"
     return mesh
 
 
-def _person_skin(look: dict, folder: Path):
-    """The skin of a person: flesh that light goes into, a film of grease, relief of which some bends away; nails like
+def _skin(look: dict, folder: Path):
+    """Flesh that light goes into, a film of grease, relief of which some bends away; nails like
     varnish."""
     material = bpy.data.materials.new("skin")
     material.use_nodes = True
@@ -160,37 +152,6 @@ def _person_skin(look: dict, folder: Path):
     for name in ("Normal", "Coat Normal"):
         link(bump.outputs["Normal"], surface.inputs[name])
     return material
-
-
-def _picture_skin(look: dict, folder: Path):
-    """A skin from an image: reflectance and relief from the plan's pictures, shinier nails."""
-    material = bpy.data.materials.new("skin")
-    material.use_nodes = True
-    tree = material.node_tree
-    new, link = tree.nodes.new, tree.links.new
-    surface = tree.nodes["Principled BSDF"]
-    link(_picture(tree, folder / "skin.png", "sRGB").outputs["Color"], surface.inputs["Base Color"])
-    nail = _picture(tree, folder / "nails.png", "Non-Color").outputs["Color"]
-    for name, key in (("Roughness", "roughness"), ("Specular IOR Level", "specular")):
-        mix = new("ShaderNodeMapRange")
-        mix.inputs["To Min"].default_value = look[key]
-        mix.inputs["To Max"].default_value = look[f"nail_{key}"]
-        link(nail, mix.inputs["Value"])
-        link(mix.outputs["Result"], surface.inputs[name])
-    surface.inputs["Subsurface Weight"].default_value = look["subsurface"]
-    surface.inputs["Subsurface Radius"].default_value = look["radius_m"]
-    surface.inputs["Subsurface Scale"].default_value = 1.0
-    link(_bump(tree, look, folder), surface.inputs["Normal"])
-    return material
-
-
-def _bump(tree, look: dict, folder: Path):
-    """The normal of the relief, whose black and white are `relief_range_m` apart."""
-    bump = tree.nodes.new("ShaderNodeBump")
-    bump.inputs["Strength"].default_value = 1.0
-    bump.inputs["Distance"].default_value = look["relief_range_m"]
-    tree.links.new(_picture(tree, folder / "relief.png", "Non-Color").outputs["Color"], bump.inputs["Height"])
-    return bump.outputs["Normal"]
 
 
 def _picture(tree, path: Path, color_space: str):

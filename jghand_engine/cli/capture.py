@@ -27,15 +27,12 @@ again.
 Examples:
   jghand capture --identity 3 --cameras 16 --poses 25 --out captures/id3
   jghand capture --identity child --skin 7 --out captures/child
-  jghand capture --identity adult_woman --skin skin.png --motion dance.npz --out captures/dance
+  jghand capture --identity adult_woman --motion dance.npz --out captures/dance
   jghand capture --identity 3 --lights varied --out captures/id3_lit
   jghand capture --identity 3 --out captures/id3 --shard 1/2     and on another machine --shard 2/2"""
 
 # seconds between two lines of progress where no terminal shows a bar
 _LINE_EVERY_S = 60.0
-# how often the mesh is made finer. A person's folds, veins and tendons need edges of 0.6 mm; under a picture of skin,
-# whose relief is in the picture, the outline alone gains
-_SUBDIVISIONS, _SUBDIVISIONS_OF_PICTURE = 3, 1
 _OneNumber = tyro.conf.arg(metavar="NUMBER")
 
 
@@ -44,10 +41,10 @@ class LookOptions:
     """Light and skin."""
 
     skin: Annotated[
-        str | None, tyro.conf.arg(metavar="NUMBER|PERSON|PICTURE", help_behavior_hint="(default: usual numbers)")
+        str | None, tyro.conf.arg(metavar="NUMBER|PERSON.json", help_behavior_hint="(default: usual numbers)")
     ] = None
-    """Whose skin: the seed of anybody's, a .json file with some numbers of a person (docs/SKIN.md), or a picture of
-    skin in the template's UV, without light. Left out: a person of usual numbers."""
+    """Whose skin: the seed of anybody's, or a file with some numbers of a person (docs/SKIN.md). Left out: a person of
+    usual numbers."""
     lights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE|varied")] = "studio"
     """Soft lamps, and all around city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr
     file, which is copied into the capture; varied: another world and two other lamps in every picture, what each gives
@@ -73,14 +70,8 @@ class Capture:
     """Pixels of the pictures of the whole hand."""
     samples: Annotated[int, _OneNumber] = 6
     """Rays per pixel of these; the rest of the noise is filtered away. Close-ups have twice as many, at least 32."""
-    subdivisions: Annotated[
-        int | None,
-        tyro.conf.arg(
-            metavar="NUMBER",
-            help_behavior_hint=f"(default: {_SUBDIVISIONS}; {_SUBDIVISIONS_OF_PICTURE} with a picture of skin)",
-        ),
-    ] = None
-    """How often the mesh is made finer for rendering; 3 lets a person's folds, veins and tendons shape it."""
+    subdivisions: Annotated[int, _OneNumber] = 3
+    """How often the mesh is made finer for rendering; 3, edges of 0.6 mm, lets folds, veins and tendons shape it."""
     look: LookOptions = field(default_factory=LookOptions)
     motion: File = None
     """Poses from this motion instead of the generator; `jghand motion` makes one of any file that it reads."""
@@ -184,28 +175,23 @@ class Capture:
         # bones may be of any length: the poses are those of the identity's own
         motion = None if self.motion is None else read_sequence(self.motion, FormatOptions(any_proportions=True))
         width, height = pixels(self.size)
-        skin = self._skin()
-        usual = _SUBDIVISIONS_OF_PICTURE if isinstance(skin, Path) else _SUBDIVISIONS
-        subdivisions = usual if self.subdivisions is None else self.subdivisions
         return CaptureOptions(
             identity=self.identity, cameras=self.cameras,
             close_ups=self.cameras // 4 if self.close_ups is None else self.close_ups,
-            poses=self.poses, width=width, height=height, skin=skin, motion=motion,
+            poses=self.poses, width=width, height=height, skin=self._skin(), motion=motion,
             wrist_turn_deg=self.wrist_turn, seed=self.seed,
             light=VariedLight() if self.look.lights == "varied" else Light(self.look.lights),
-            sampling=Sampling(samples=self.samples, subdivisions=subdivisions),
+            sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
         )  # fmt: skip
 
-    def _skin(self) -> Person | Path:
+    def _skin(self) -> Person:
         from jghand_engine.captures.skin.person import RANGES, Person
 
         given = self.look.skin
         if given is None:
             # seeds of captures have no end
             return Person(seed=self.seed % (int(RANGES["seed"][1]) + 1))
-        if given.isdecimal():
-            return Person.drawn(int(given))
-        return Person.of_file(Path(given)) if Path(given).suffix.lower() == ".json" else Path(given)
+        return Person.drawn(int(given)) if given.isdecimal() else Person.of_file(Path(given))
 
 
 def _costs(finished: list[Finished]) -> dict[str, dict[str, float]]:

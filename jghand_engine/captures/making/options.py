@@ -57,22 +57,9 @@ class Light:
 
 
 @dataclass(frozen=True)
-class SkinMaterial:
-    """The surface under an image of skin: roughness and specular level of skin and of nails, share of light that
-    scatters below the skin and how far red, green and blue do (meters)."""
-
-    roughness: float = 0.55
-    specular: float = 0.25
-    nail_roughness: float = 0.28
-    nail_specular: float = 0.5
-    subsurface: float = 0.22
-    radius_m: tuple[float, float, float] = (0.0048, 0.0018, 0.0010)
-
-
-@dataclass(frozen=True)
 class Sampling:
-    """Rays per pixel of whole views, subdivisions of the mesh (Blender's under an image of skin, Loop's under a
-    person's), bounces, and the noise at which a pixel is done."""
+    """Rays per pixel of whole views, Loop's subdivisions of the mesh, bounces, and the noise at which a pixel is
+    done."""
 
     samples: int = 6
     subdivisions: int = 1
@@ -89,7 +76,7 @@ class CaptureOptions:
     close_ups:      of them
     poses:          how many
     width, height:  pixels of pictures of the whole hand
-    skin:           a person, or an image in the template's UV
+    skin:           whose
     motion:         where poses come from instead of the generator
     wrist_turn_deg: how far hands turn as a whole, so that light falls from different sides
     seed:           of all that varies
@@ -102,12 +89,11 @@ class CaptureOptions:
     poses: int = 25
     width: int = 501
     height: int = 768
-    skin: Person | Path = field(default_factory=Person)
+    skin: Person = field(default_factory=Person)
     motion: PoseSequence | None = None
     wrist_turn_deg: float = 25.0
     seed: int = 0
     light: Light | VariedLight = field(default_factory=Light)
-    material: SkinMaterial = field(default_factory=SkinMaterial)
     sampling: Sampling = field(default_factory=Sampling)
 
     def check(self) -> None:
@@ -125,8 +111,7 @@ class CaptureOptions:
                 raise InputError(name, wanted=wanted, came=f"{value:g}")
         if isinstance(light, Light):
             light.check()
-        if isinstance(self.skin, Person):
-            self.skin.check()
+        self.skin.check()
 
     def description(self) -> dict[str, Any]:
         """Everything that decides the images, as JSON; of files what is in them, not where they lie."""
@@ -139,13 +124,12 @@ class CaptureOptions:
             motion = hashlib.sha256(self.motion.handedness.encode() + self.motion.joints_m.tobytes()).hexdigest()
         light = dataclasses.asdict(self.light)
         if isinstance(self.light, Light) and is_file(self.light.hdri):
-            light["hdri"] = _hash(Path(self.light.hdri))
+            light["hdri"] = hashlib.sha256(read_input(Path(self.light.hdri))).hexdigest()
         return {
             **plain,
-            "skin": _hash(self.skin) if isinstance(self.skin, Path) else dataclasses.asdict(self.skin),
+            "skin": dataclasses.asdict(self.skin),
             "motion": motion,
             "light": light,
-            "material": dataclasses.asdict(self.material),
             "sampling": dataclasses.asdict(self.sampling),
         }
 
@@ -161,7 +145,3 @@ def read_input(file: Path) -> bytes:
         return file.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}", remedy="Check the name.") from error
-
-
-def _hash(file: Path) -> str:
-    return hashlib.sha256(read_input(file)).hexdigest()

@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from jghand_engine.captures.making.rig import Identity
-from jghand_engine.captures.making.skin import png_bytes
 from jghand_engine.captures.skin.canvas import MM
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps, paint_skin
 from jghand_engine.captures.skin.person import Person
@@ -66,6 +67,13 @@ class PersonSkin:
                 bent = self.surface.bent(joints[None])[0]
                 posed = np.column_stack([self.surface.posed(vertices, bent), bent])
                 stream.write(posed.astype("<f4").tobytes())
+
+
+def png_bytes(pixels: np.ndarray) -> bytes:
+    """(H, W) uint8 or uint16, or (H, W, 3) uint8, as a PNG file."""
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    return stream.getvalue()
 
 
 def scatter_m(person: Person) -> float:

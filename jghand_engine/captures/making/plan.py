@@ -2,7 +2,7 @@
 
 plan/plan.json     options, cameras, names of poses, what the worker needs to know
 plan/hands.npz     vertices_m (P, V, 3) of the rig, joints_m (P, 21, 3) level order, faces, face_uv
-plan/skin.png …    the skin: of an image relief.png and nails.png too, of a person see person_skin.py; mesh.npy as well
+plan/skin.png …    the skin, mesh.npy with it: see person_skin.py
 plan/light.exr or .hdr   the environment, when it is a file of the user's
 plan/lights.json, worlds/   the light of every image, when it varies (lights.py)
 plan/made_by.json  which programs make the images    written by the first of them that is ready (worker.py)
@@ -35,8 +35,6 @@ from jghand_engine.captures.making.options import CaptureOptions, Light, is_file
 from jghand_engine.captures.making.person_skin import MESH_FILE, PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
-from jghand_engine.captures.making.skin import make_skin, png_bytes
-from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, make_folder, sync, writing
@@ -87,11 +85,11 @@ class CapturePlan:
     pose_names:  (P)
     joints_m:    (P, 21, 3) level order, world, meters
     vertices_m:  (P, V, 3) float32 of the rig, world, meters
-    faces:       (F, 3) of what is rendered: the rig's mesh, or a person's finer one
+    faces:       (F, 3) of what is rendered, finer than the rig's
     face_uv:     (F, 3, 2) float32
     cameras:     those that see all poses, then close-ups, which see one
     files:       name -> bytes, of the skin, of an environment that is the user's, of lights that vary and of skies
-    person:      makes the fine mesh of a new plan; None where it is made, or the skin is an image
+    person:      makes the fine mesh of a new plan; None where it is made
     """
 
     description: dict[str, Any]
@@ -108,7 +106,7 @@ class CapturePlan:
     @property
     def hand_vertices_m(self) -> np.ndarray:
         """(P, V, 3) of the hand alone, without its forearm."""
-        return _of_hand(self.vertices_m, forearm=bool(self.render.get(FOREARM)))
+        return _of_hand(self.vertices_m)
 
     @cached_property
     def record(self) -> RecordedHand:
@@ -149,9 +147,8 @@ class CapturePlan:
         digest = self._shared.copy()
         digest.update(json.dumps(_camera_json(self.cameras[camera])).encode())
         digest.update(np.ascontiguousarray(self.vertices_m[pose]).tobytes())
-        if "person" in self.render["skin"]:
-            # they say how bent the skin is
-            digest.update(np.ascontiguousarray(self.joints_m[pose]).tobytes())
+        # they say how bent the skin is
+        digest.update(np.ascontiguousarray(self.joints_m[pose]).tobytes())
         return digest.hexdigest()[:32]
 
     @cached_property
@@ -187,9 +184,7 @@ class CapturePlan:
 def make_plan(options: CaptureOptions) -> CapturePlan:
     """Everything of a capture but its images. InputError for options that cannot be."""
     options.check()
-    # pictures of skin were made for the hand alone
-    forearm = isinstance(options.skin, Person)
-    hand = RiggedHand(load_identity(options.identity, forearm=forearm))
+    hand = RiggedHand(load_identity(options.identity, forearm=True))
     camera_plan = CameraPlan(options.cameras, options.close_ups, options.width, options.height, options.seed)
     camera_plan.check()
     if options.motion is None:
@@ -200,31 +195,24 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
-    cameras = plan_cameras(camera_plan, _of_hand(vertices_m, forearm=forearm))
+    cameras = plan_cameras(camera_plan, _of_hand(vertices_m))
     samples = options.sampling.samples
     cameras += plan_close_ups(hand.identity, vertices_m, options.close_ups, options.seed, samples)
-    faces, face_uv, person = hand.identity.faces, hand.identity.face_uv, None
-    sampling = dataclasses.asdict(options.sampling)
-    if isinstance(options.skin, Person):
-        person = PersonSkin.of(hand.identity, options.skin, options.sampling.subdivisions)
-        faces, face_uv = person.surface.faces, person.surface.face_uv
-        material, files = person.material, person.files
-        # the mesh is fine already
-        sampling["subdivisions"] = 0
-    else:
-        material, files = _picture_skin(options.skin, options)
+    person = PersonSkin.of(hand.identity, options.skin, options.sampling.subdivisions)
+    # the mesh is fine already
+    sampling = dataclasses.asdict(options.sampling) | {"subdivisions": 0}
     light, lit_by = _light(options.light)
-    render = {"sampling": sampling, "light": light, "skin": material} | ({FOREARM: True} if forearm else {})
+    render = {"sampling": sampling, "light": light, "skin": person.material, FOREARM: True}
     plan = CapturePlan(
         description=json.loads(json.dumps(options.description())),
         render=json.loads(json.dumps(render)),
         pose_names=names,
         joints_m=posed.joints_m,
         vertices_m=vertices_m.astype(np.float32),
-        faces=faces,
-        face_uv=face_uv.astype(np.float32),
+        faces=person.surface.faces,
+        face_uv=person.surface.face_uv.astype(np.float32),
         cameras=tuple(cameras),
-        files={**files, **lit_by},
+        files={**person.files, **lit_by},
         person=person,
     )
     if isinstance(options.light, Light):
@@ -236,21 +224,9 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     return dataclasses.replace(plan, files={**plan.files, LIGHTS_FILE: lights_bytes(lights)})
 
 
-def _of_hand(vertices_m: np.ndarray, *, forearm: bool) -> np.ndarray:
-    """(P, V, 3) of the hand alone. forearm: whether vertices of one come after it"""
-    return vertices_m[:, : len(load_fields()["base_index"])] if forearm else vertices_m
-
-
-def _picture_skin(picture: Path, options: CaptureOptions) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """What the worker is told of a skin that is an image, and its files."""
-    skin = make_skin(picture, options.seed)
-    low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
-    relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
-    return {**dataclasses.asdict(options.material), "relief_range_m": high - low}, {
-        "skin.png": png_bytes(skin.rgb8),
-        "relief.png": png_bytes(relief),
-        "nails.png": png_bytes(np.rint(255 * skin.nail).astype(np.uint8)),
-    }
+def _of_hand(vertices_m: np.ndarray) -> np.ndarray:
+    """(P, V, 3) of the hand alone; vertices of its forearm come after it."""
+    return vertices_m[:, : len(load_fields()["base_index"])]
 
 
 def _light(light: Light | VariedLight) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -277,14 +253,12 @@ def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
 
 
 @contextlib.contextmanager
-def drafted_mesh(folder: Path, plan: CapturePlan) -> Iterator[Path | None]:
-    """The fine mesh of a new plan in a file for `write_plan`, gone after the block; None where it needs none.
+def drafted_mesh(folder: Path, plan: CapturePlan) -> Iterator[Path]:
+    """The fine mesh of a new plan in a file for `write_plan`, gone after the block.
 
     It takes long, of thousands of poses minutes: nobody should have to wait for it.
     """
-    if plan.person is None:
-        yield None
-        return
+    assert plan.person is not None
     file = folder / FOLDER / MESH_FILE
     try:
         with tempfile.TemporaryDirectory(dir=make_folder(file.parent), prefix=".begun_") as draft:
@@ -295,10 +269,9 @@ def drafted_mesh(folder: Path, plan: CapturePlan) -> Iterator[Path | None]:
         raise file_error(file, error) from error
 
 
-def write_plan(folder: Path, plan: CapturePlan, mesh: Path | None) -> None:
+def write_plan(folder: Path, plan: CapturePlan, mesh: Path) -> None:
     """Writes plan, annotations and split; each file whole or not at all, the plan itself last. mesh: `drafted_mesh`"""
-    if mesh is not None:
-        os.replace(mesh, folder / FOLDER / MESH_FILE)
+    os.replace(mesh, folder / FOLDER / MESH_FILE)
     for name, data in plan.files.items():
         _write(folder / FOLDER / name, data)
     with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
@@ -339,17 +312,15 @@ def read_plan(folder: Path) -> CapturePlan | None:
         content = json.loads(file.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
-        light, is_person = content["render"]["light"], "person" in content["render"]["skin"]
+        light = content["render"]["light"]
         arrays = ("vertices_m", "joints_m", "faces", "face_uv")
         hands = read_arrays(folder / FOLDER / "hands.npz", arrays, thing, max_bytes=HANDS_BYTES_MAX)
-        if is_person:
-            wanted = (len(content["poses"]), int(hands["faces"].max()) + 1, 4)
-            came = np.load(folder / FOLDER / MESH_FILE, mmap_mode="r", allow_pickle=False).shape
-            if came != wanted:
-                raise InputError(thing, wanted=f"a mesh of {wanted}", came=str(came), remedy=remedy)
+        wanted = (len(content["poses"]), int(hands["faces"].max()) + 1, 4)
+        came = np.load(folder / FOLDER / MESH_FILE, mmap_mode="r", allow_pickle=False).shape
+        if came != wanted:
+            raise InputError(thing, wanted=f"a mesh of {wanted}", came=str(came), remedy=remedy)
         lit_by = [LIGHTS_FILE, *light["skies"]] if "lights" in light else [light["hdri"]]
-        skin = PERSON_FILES if is_person else ("skin.png", "relief.png", "nails.png")
-        names = [*skin, *(name for name in lit_by if is_file(str(name)))]
+        names = [*PERSON_FILES, *(name for name in lit_by if is_file(str(name)))]
         files = {name: (folder / FOLDER / name).read_bytes() for name in names}
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],

@@ -18,7 +18,7 @@ from waiting import wait_until
 
 from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
-from jghand_engine.captures.making import person_skin, skin, worker
+from jghand_engine.captures.making import person_skin, worker
 from jghand_engine.captures.making.close_ups import CLOSE_PX, CLOSE_SAMPLES
 from jghand_engine.captures.making.options import CaptureOptions, Light, Sampling
 from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
@@ -29,13 +29,13 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.template.builtin import ASSETS, load_template
+from jghand_engine.template.builtin import load_template
 
 ROOT = Path(__file__).resolve().parents[3]
-# any square picture is a skin, and faster than a person's
-SKIN = Path(str(ASSETS / "nails.png"))
+# a coarse mesh, and few texels on it
+MAP_PX, COARSE = 128, Sampling(subdivisions=0)
 WORDS = [
-    "capture", "--identity", "3", "--skin", str(SKIN), "--cameras", "7", "--close-ups", "1", "--poses", "6",
+    "capture", "--identity", "3", "--subdivisions", "0", "--cameras", "7", "--close-ups", "1", "--poses", "6",
     "--size", "32x48",
 ]  # fmt: skip
 
@@ -46,7 +46,7 @@ FIND_PROGRAM = worker.find_program
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch):
     monkeypatch.setattr(worker, "find_program", lambda: STAND_IN)
-    monkeypatch.setattr(skin, "SKIN_PX", 128)
+    monkeypatch.setattr(person_skin, "MAP_PX", MAP_PX)
 
 
 def capture(folder: Path, *words: str) -> int:
@@ -59,7 +59,7 @@ def made(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "made"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worker, "find_program", lambda: STAND_IN)
-        patch.setattr(skin, "SKIN_PX", 128)
+        patch.setattr(person_skin, "MAP_PX", MAP_PX)
         assert capture(folder) == 0
     return folder
 
@@ -78,8 +78,8 @@ def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
     assert plan is not None
     capture = open_capture(made)
     assert len(capture.samples) == 42
-    # a picture of skin was made for the hand alone
-    assert not capture.shows_forearm
+    # so that a hand that is learned from it has one
+    assert capture.shows_forearm
     names = list(plan.record.cameras)
     for sample in capture.samples:
         camera = plan.cameras[names.index(sample.camera_name)].camera
@@ -211,9 +211,9 @@ def test_finished_only_begins_no_capture_in_a_mistyped_folder(tmp_path, capsys):
 def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
     folder = tmp_path / "killed"
     program = (
-        "import sys\nfrom pathlib import Path\nfrom jghand_engine.captures.making import skin, worker\n"
+        "import sys\nfrom pathlib import Path\nfrom jghand_engine.captures.making import person_skin, worker\n"
         "from jghand_engine.cli import main\n"
-        f"worker.find_program, skin.SKIN_PX = lambda: Path({str(STAND_IN)!r}), 128\nsys.exit(main())\n"
+        f"worker.find_program, person_skin.MAP_PX = lambda: Path({str(STAND_IN)!r}), {MAP_PX}\nsys.exit(main())\n"
     )
     command = [sys.executable, "-c", program, *WORDS, "--out", str(folder), "--blender-python", sys.executable]
     environment = {**os.environ, "JGHAND_STAND_IN_TAKES_S": "0.05", "OMP_NUM_THREADS": "1"}
@@ -228,7 +228,7 @@ def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, mad
 
 
 def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_path):
-    begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, skin=SKIN)
+    begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48, sampling=COARSE)
     open_or_make(tmp_path, begun)
     other = dataclasses.replace(begun, identity="4", cameras=5, light=Light(hdri_strength=0.1))
     told = "got another identity, cameras, light"
@@ -280,7 +280,7 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
     whole = pose_sequence_of_names(["open", "fist"], load_template().joints_m, handedness=handedness)
     motion = PoseSequence(whole.joints_m[8:23], 30.0, handedness)
     return make_plan(
-        CaptureOptions("3", cameras=2, close_ups=0, poses=4, width=32, height=48, motion=motion, skin=SKIN)
+        CaptureOptions("3", cameras=2, close_ups=0, poses=4, width=32, height=48, motion=motion, sampling=COARSE)
     )
 
 
@@ -292,7 +292,7 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
         (["--cameras", "0"], "cameras"),
         (["--wrist-turn", "nan"], "wrist turn"),
         (["--lights", "moonbase"], "light"),
-        (["--skin", "absent.png"], "absent.png"),
+        (["--skin", "absent.json"], "absent.json"),
         (["--seed", "-1"], "seed"),
     ],
 )
@@ -347,7 +347,6 @@ def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monke
 
 
 def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(person_skin, "MAP_PX", 128)
     (tmp_path / "ann.json").write_text(json.dumps({"melanin": 0.9, "seed": 4}))
     words = [*WORDS, "--poses", "2", "--subdivisions", "1", "--blender-python", sys.executable]
     one = [*words, "--skin", str(tmp_path / "ann.json"), "--out", str(tmp_path / "ann")]
@@ -366,8 +365,6 @@ def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture
     np.testing.assert_allclose(mesh[..., :3].mean(1), plan.vertices_m.mean(1), atol=5e-3)
     assert 0 <= mesh[..., 3].min() < mesh[..., 3].max() <= 1
     assert plan.render["sampling"]["subdivisions"] == 0
-    # so that a hand that is learned from it has one
-    assert open_capture(tmp_path / "ann").shows_forearm
     before = contents(tmp_path / "ann")
     pictures(tmp_path / "ann")[0].unlink()
     assert main(one) == 0
@@ -390,7 +387,7 @@ PERSON_OPTIONS = CaptureOptions(
 @pytest.fixture(scope="module")
 def person_plan() -> CapturePlan:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(person_skin, "MAP_PX", 128)
+        patch.setattr(person_skin, "MAP_PX", MAP_PX)
         return make_plan(PERSON_OPTIONS)
 
 

@@ -16,7 +16,7 @@ from jghand_engine.avatar.light_records import light_of
 from jghand_engine.avatar.scene_light import World
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.check_data import check_data, facts
-from jghand_engine.captures.making import skin, worker
+from jghand_engine.captures.making import person_skin, worker
 from jghand_engine.captures.making.lights import (
     HELD_OUT_KINDS,
     KINDS,
@@ -30,12 +30,11 @@ from jghand_engine.captures.making.skies import SKIES, sky_radiance
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
-from jghand_engine.template.builtin import ASSETS
 
 STAND_IN = Path(__file__).with_name("stand_in_worker.py")
 WORDS = (
     *("capture", "--identity", "3", "--lights", "varied", "--cameras", "7", "--close-ups", "1", "--poses", "6"),
-    *("--size", "32x48", "--blender-python", sys.executable, "--skin", str(ASSETS / "nails.png")),
+    *("--size", "32x48", "--blender-python", sys.executable, "--subdivisions", "0"),
 )
 
 
@@ -43,7 +42,7 @@ WORDS = (
 def _stand_in():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worker, "find_program", lambda: STAND_IN)
-        patch.setattr(skin, "SKIN_PX", 128)
+        patch.setattr(person_skin, "MAP_PX", 128)
         yield
 
 
@@ -113,7 +112,7 @@ def test_the_same_capture_planned_again_has_the_same_lights_and_stamps(made):
     assert (set(split["test_frames"]["ROM_JGHAND"]), set(split["test_cameras"])) == tests
 
     def planned(seed: int) -> bytes:
-        return lights_bytes(plan_lights(VariedLight(), plan.vertices_m, seen_by, tests, seed))
+        return lights_bytes(plan_lights(VariedLight(), plan.hand_vertices_m, seen_by, tests, seed))
 
     assert planned(0) == plan.files["lights.json"]
     other = dataclasses.replace(plan, files={**plan.files, "lights.json": planned(1)})
