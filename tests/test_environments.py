@@ -10,7 +10,7 @@ from pathlib import Path
 
 import environments
 import pytest
-from environments import BLENDER, BLENDER45, DEVELOPER, ENGINE, MissingLibraryError, SetupError
+from environments import BLENDER, BLENDER45, ENGINE, MissingLibraryError, SetupError
 
 THIS = sys.version_info[:2]
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the stand-ins are shell scripts")
@@ -99,34 +99,6 @@ def test_an_environment_that_lacks_something_is_finished_or_made_anew(tiny, caps
     capsys.readouterr()
     environments.ensure(tiny)
     assert said in capsys.readouterr().out
-
-
-def test_a_larger_set_of_packages_will_do_for_a_smaller_one_and_not_the_other_way(tiny, capsys):
-    large = dataclasses.replace(tiny, packages=("nothing", "tools"), holds=(tiny,))
-    environments.ensure(tiny)
-    assert not environments.is_ready(large)
-    environments.ensure(large)
-    assert environments.is_ready(tiny)
-    assert environments.is_ready(large)
-
-
-def test_using_the_engine_needs_no_tools_of_its_developers():
-    assert not any("dev" in package for package in ENGINE.packages)
-    assert "dev" in DEVELOPER.packages[-1]
-    assert DEVELOPER.folder == ENGINE.folder
-    assert DEVELOPER.holds == (ENGINE,)
-    extras = [set(one.packages[-1].strip(".[]").split(",")) for one in (ENGINE, DEVELOPER)]
-    assert extras[0] < extras[1]
-
-
-def test_an_environment_that_does_not_work_is_made_anew_once(tiny, capsys):
-    environments.ensure(tiny)
-    broken = dataclasses.replace(tiny, check="raise ImportError('torn')")
-    capsys.readouterr()
-    with pytest.raises(SetupError, match="torn"):
-        environments.ensure(broken)
-    assert capsys.readouterr().out.count("making it anew") == 1
-    assert not (tiny.folder / environments.STAMP).exists()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the hint is for Linux")

@@ -108,32 +108,6 @@ def test_a_view_that_does_not_sharpen_stays_at_the_viewports_settings():
     assert view.grades == [Grade.MOVING, Grade.STILL]
 
 
-def test_a_redraw_without_a_change_asks_for_nothing():
-    view = view_of(A)
-    for _ in range(20):
-        view.now_s += 0.01
-        view.draw(A)
-    assert not view.asked
-    assert math.isinf(pacing.due_s(view.pace, view.settings))
-
-
-def test_a_picture_on_its_way_is_not_asked_for_twice():
-    view = view_of(A)
-    for _ in range(5):
-        view.draw(B)
-        view.now_s += 0.01
-    assert len(view.asked) == 1
-
-
-def test_equal_pictures_of_two_grades_are_asked_for_once():
-    small = Want("B", "front", 1000)
-    view = view_of(A, settings=ViewSettings(preset="draft", sharp_preset=None))
-    view.draw(small)
-    view.answer()
-    view.pass_s(10.0)
-    assert len(view.asked) == 1
-
-
 def test_a_late_picture_of_the_fast_settings_does_not_replace_the_better_one():
     view = view_of(A)
     view.draw(B)
@@ -143,24 +117,6 @@ def test_a_late_picture_of_the_fast_settings_does_not_replace_the_better_one():
     assert not view.answer(0)
     assert view.pace.shown is not None
     assert view.pace.shown.grade is Grade.STILL
-
-
-def test_while_posing_the_earlier_pose_stays_until_the_new_one_comes_and_nobody_waits():
-    view = view_of(A)
-    view.draw(B)
-    assert view.shows() == A
-    view.answer()
-    assert view.shows() == B
-    assert not any(view.waits)
-
-
-def test_with_a_slow_engine_a_drag_shows_the_newest_pose_that_came():
-    view = view_of(A)
-    view.draw(B)
-    view.now_s += 0.02
-    view.draw(C)
-    assert view.answer(0, took_s=0.3)
-    assert view.shows() == B
 
 
 def test_an_earlier_pose_is_shown_for_a_short_time_only_while_nothing_newer_comes():
@@ -206,13 +162,6 @@ def test_an_orbited_view_does_not_wait_for_an_engine_that_was_slow_until_it_is_f
     assert view.draw(sides[1]).wait_s == 0
     view.answer(took_s=0.01)
     assert view.draw(sides[2]).wait_s == pacing.ORBIT_WAIT_S
-
-
-def test_an_answer_from_another_side_is_dropped():
-    view = view_of(A)
-    view.draw(A_FROM_BEHIND)
-    view.draw(Want("A", "above", 500_000))
-    assert not view.answer(0)
 
 
 def test_while_playing_a_view_waits_for_the_rest_of_its_frame_and_no_longer_than_40_ms():
@@ -263,12 +212,6 @@ def test_scrubbing_never_waits_and_is_refined_when_it_ends():
     assert view.grades[3:] == [Grade.STILL, Grade.SHARP]
 
 
-def test_an_engine_that_does_not_answer_is_not_waited_for_nor_counted():
-    view = view_of(A)
-    assert view.draw(B, PLAYING, answering=False).wait_s == 0
-    assert pacing.missed(view.pace, view.moment(PLAYING, answering=False)).late == 0
-
-
 def test_a_failure_is_remembered_and_not_asked_for_again():
     view = view_of(A)
     view.draw(B)
@@ -279,15 +222,6 @@ def test_a_failure_is_remembered_and_not_asked_for_again():
     assert view.pace.failure() == "bad_avatar"
     view.draw(A)
     assert view.pace.failure() is None
-
-
-def test_a_loop_that_plays_without_a_renderer_asks_in_every_round_because_only_that_starts_another():
-    view = view_of(A)
-    for _ in range(3):
-        for want in (B, C):
-            view.draw(want, PLAYING, answering=False)
-            view.answer(failure="killed")
-    assert len(view.asked) == 6
 
 
 def test_a_sharp_picture_that_fails_leaves_the_viewports_one():
@@ -327,11 +261,6 @@ def test_a_budget_replaces_the_presets_while_moving_and_still():
     moving, still, sharp = (pacing.quality_of(grade, settings) for grade in Grade)
     assert moving.budget_ms == still.budget_ms == 12.0
     assert sharp.budget_ms is None
-
-
-def test_digests_do_not_mix_up_where_parts_end():
-    assert pacing.digest(["ab", "c"]) != pacing.digest(["a", "bc"])
-    assert pacing.digest(["ab", b"c"]) == pacing.digest([b"ab", "c"])
 
 
 WANTS = [Want(content, camera, pixels) for content in "AB" for camera in "xy" for pixels in (1000, 500_000)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -41,24 +40,6 @@ def test_a_copy_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
     files.copy_whole(source, target)
     assert target.read_bytes() == b"a new layer"
     assert {path.name for path in tmp_path.iterdir()} == {"new.usdc", "out.usdc"}
-
-
-def test_two_copies_to_one_place_at_a_time_do_not_mix(tmp_path, monkeypatch):
-    """As two Blenders that export into one folder make them."""
-    sources, target, copy2 = [tmp_path / name for name in ("a.usdc", "b.usdc")], tmp_path / "out.usdc", shutil.copy2
-    for source in sources:
-        source.write_bytes(source.name.encode())
-
-    def slowly(source, path):
-        copy2(source, path)
-        if source == sources[0]:
-            files.copy_whole(sources[1], target)
-            assert Path(path).read_bytes() == b"a.usdc", "nobody wrote into it"
-
-    monkeypatch.setattr(files.shutil, "copy2", slowly)
-    files.copy_whole(sources[0], target)
-    assert target.read_bytes() == b"a.usdc"
-    assert {path.name for path in tmp_path.iterdir()} == {"a.usdc", "b.usdc", "out.usdc"}
 
 
 def test_a_folder_that_is_a_file_is_told(tmp_path):

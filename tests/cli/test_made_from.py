@@ -52,26 +52,6 @@ def test_a_stage_whose_referenced_layer_alone_was_written_anew_is_another_motion
     assert stamp(tmp_path / "other" / "shot.usda")["motion"] != before["motion"]
 
 
-def test_every_recording_of_freemocap_is_another_motion(tmp_path, motion):
-    found = set()
-    for name, sequence in (("one", motion), ("two", moved(motion)), ("copy", motion)):
-        data = tmp_path / name / "output_data"
-        data.mkdir(parents=True)
-        (tmp_path / name / "notes.txt").write_text(name)
-        np.save(data / "mediapipe_right_hand_3d_xyz.npy", samples.standard(sequence) * 1000)
-        found.add(stamp(tmp_path / name)["motion"])
-    assert len(found) == 2, "the copy is the first, whatever lies beside it"
-
-
-def test_numbers_of_openpose_frames_count(tmp_path, motion):
-    joints = samples.standard(motion)
-    samples.write_openpose(tmp_path / "whole", joints)
-    samples.write_openpose(tmp_path / "gap", joints)
-    last = sorted((tmp_path / "gap").iterdir())[-1]
-    last.rename(last.with_name(last.name.replace("12_", "13_")))
-    assert stamp(tmp_path / "whole")["motion"] != stamp(tmp_path / "gap")["motion"]
-
-
 def test_the_same_frames_are_the_same_choice_however_they_are_said(tmp_path, motion):
     file = tmp_path / "wave.npz"
     write_motion(file, motion)

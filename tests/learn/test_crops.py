@@ -9,9 +9,8 @@ import pytest
 from scipy import ndimage
 
 from jghand_engine.captures.sample import TrainingImage
-from jghand_engine.errors import InputError
 from jghand_engine.learn import crops, tables
-from jghand_engine.learn.evaluate import Evaluation, PictureScore, ceiling_crops
+from jghand_engine.learn.evaluate import Evaluation, PictureScore
 
 
 def skin(size, seed=0):
@@ -86,13 +85,6 @@ def test_crops_inside_show_nothing_but_hand_and_those_at_edges_about_half(disc):
         assert counts.max() == 1
 
 
-def test_a_pixel_that_is_not_quite_hand_is_not_inside(disc):
-    pierced = disc.copy()
-    pierced[248:264, 248:264] = 0.9
-    assert all(box.of(pierced).min() == 1 for box in crops.places(pierced, 100)[crops.INSIDE])
-    assert not crops.places(0.9 * disc, 100)[crops.INSIDE]
-
-
 def test_a_crop_of_1080p_has_256_pixels_and_a_coarser_picture_fewer(sample, disc):
     truth = picture(disc)
     (inside, *_), coarse = (
@@ -155,26 +147,3 @@ def test_the_table_keeps_scales_apart_and_says_what_is_coarser(capture, sample, 
     assert any("Ceiling: not measured" in note for note in table.notes)
     inside, edges = (dict(zip(table.columns, row, strict=True)) for row in table.rows[:2])
     assert (inside["detail 2-4 px"], edges["detail 2-4 px"]) == ("1.00", "-")
-
-
-def test_a_hand_without_crops_is_told(capture, sample):
-    truth = picture(np.zeros((512, 512), np.float32))
-    truth.mask[:, 240:270] = 1
-    # a finger at 1080p; and a picture so coarse that a crop has no pixels to speak of
-    for one in (sample, at_scale(sample, 2.0)):
-        made = crops.crop_scores(one, "v", truth.rgb, truth)
-        assert made == ()
-        table = tables.crops_table(shown(capture.samples[0], made))
-        assert table.rows == ()
-        assert "No picture holds a crop that is nothing but hand." in table.notes
-        assert "No picture holds a crop that the outline halves." in table.notes
-
-
-def test_a_ceiling_wants_the_same_poses_with_other_noise(capture):
-    with pytest.raises(InputError, match="to the bit"):
-        ceiling_crops(capture.samples, capture)
-    with pytest.raises(InputError, match="none of those"):
-        ceiling_crops(capture.samples[:1], capture.only(capture.samples[1:]))
-    moved = [replace(one, joints_m=one.joints_m + 0.01) for one in capture.samples]
-    with pytest.raises(InputError, match="other poses"):
-        ceiling_crops(capture.samples, capture.only(moved))

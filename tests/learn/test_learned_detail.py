@@ -132,18 +132,6 @@ def test_pictures_teach_the_texture(monkeypatch, tmp_path, small_texture):
     assert (learned.texture == 128).all(-1).mean() > 0.3
 
 
-def test_a_training_that_is_resumed_has_the_same_texture(monkeypatch, tmp_path, small_texture):
-    whole = trained_for(monkeypatch, tmp_path, steps=4)
-    half = trained_for(monkeypatch, tmp_path, steps=2)
-    resumed = trained_for(monkeypatch, tmp_path, steps=0)
-    resumed.load_tensors({name: tensor.clone() for name, tensor in half.tensors().items()})
-    resumed.load_scalars(half.scalars())
-    for number in (2, 3):
-        resumed.step(number)
-    for name, tensor in whole.tensors().items():
-        assert torch.equal(tensor, resumed.tensors()[name]), name
-
-
 def test_a_training_that_goes_back_finds_the_same_surface_again(monkeypatch, tmp_path, small_texture):
     training = trained_for(monkeypatch, tmp_path, steps=0)
     before = {name: tensor.clone() for name, tensor in training.tensors().items()}, training.scalars()

@@ -232,11 +232,6 @@ def test_a_folder_with_a_training_wants_to_be_told_what_to_do(options):
     assert [step for step, *_ in curve(options.work)] == [5, 10]
 
 
-def test_there_must_be_something_to_go_on_with(options):
-    with pytest.raises(InputError, match="--resume"):
-        train(never, replace(options, start=Start.RESUME))
-
-
 def test_a_folder_with_other_things_is_refused(options):
     options.work.mkdir()
     (options.work / "thesis.tex").write_text("years of work")
@@ -276,13 +271,3 @@ def test_going_on_with_other_options_names_the_difference(options, stamp, name):
     train(StandIn, options)
     with pytest.raises(InputError, match=name):
         train(StandIn, replace(options, start=Start.RESUME, stamp=stamp))
-
-
-def test_going_on_with_another_model_names_the_tensor(options):
-    class Larger(StandIn):
-        def tensors(self):
-            return {**super().tensors(), "first.log_sigma": torch.zeros(7, 6)}
-
-    train(StandIn, options)
-    with pytest.raises(InputError, match=r"first\.log_sigma: wanted float32 \(7, 6\), got float32 \(6, 6\)"):
-        train(Larger, replace(options, start=Start.RESUME))

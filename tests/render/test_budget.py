@@ -3,7 +3,6 @@ anything takes."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
@@ -157,24 +156,6 @@ def test_a_file_that_cannot_be_read_is_as_if_it_were_not_there(cache, content):
     assert read_profile(avatar, SIZE, 1) is None
     write_profile(avatar, SIZE, 1, KNOWN)
     assert read_profile(avatar, SIZE, 1) == KNOWN
-
-
-@pytest.mark.parametrize("figures", [[1, 2], ["x", 1, 2], [1, 2, "nan"], 7])
-def test_a_row_that_says_nonsense_is_not_believed(cache, figures):
-    avatar = small_avatar(10)
-    write_profile(avatar, SIZE, 1, KNOWN)
-    content = json.loads(profile_file(avatar).read_text())
-    content["24x16, 1 threads"]["draft"] = figures
-    profile_file(avatar).write_text(json.dumps(content))
-    assert read_profile(avatar, SIZE, 1) is None
-
-
-def test_a_folder_that_cannot_be_written_costs_only_the_profile(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    monkeypatch.setenv("JGHAND_CACHE_DIR", str(blocked / "cache"))
-    write_profile(small_avatar(10), SIZE, 1, KNOWN)
-    assert read_profile(small_avatar(10), SIZE, 1) is None
 
 
 # ---- the measurement -------------------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from splat_scenes import (
     in_precision,
     planes_of,
     reordered,
-    stretched,
 )
 
 from jghand_engine.errors import InputError
@@ -65,20 +64,6 @@ def test_a_gaussian_is_drawn_while_its_box_reaches_into_the_picture(side: str):
                 case "bottom":
                     y = (12 + reach_y - inside - 6) / 160
         assert counts(one([x, y, 1.0], sigma_m=sigma_m, opacity=opacity), camera) == (drawn, 0)
-
-
-def test_a_box_that_only_touches_the_border_is_not_drawn():
-    gaussian = one([0.0, 0.0, 1.0], sigma_m=0.06, opacity=0.5)
-    ellipses = reference._project(gaussian, gaussian.position_m, torch.tensor([0]), front_camera(8, 8, 100.0))
-    left, right, top, bottom = (float(edge) for edge in reference._boxes(ellipses, contract.ALPHA_MIN)[:, 0])
-    reach = (right - left) / 2
-    assert 16 < reach < 24  # then 8 + reach is exact, and so is what follows
-    assert (right - left, bottom - top) == (2 * reach, 2 * reach)
-    for cx, cy in ((-reach, 4.0), (8 + reach, 4.0), (4.0, -reach), (4.0, 8 + reach)):
-        camera = Camera(8, 8, 100.0, 100.0, cx, cy, torch.eye(4, dtype=F64))
-        assert counts(gaussian, camera) == (0, 0)
-        nearer = Camera(8, 8, 100.0, 100.0, cx + (4 - cx) * 1e-6, cy + (4 - cy) * 1e-6, torch.eye(4, dtype=F64))
-        assert counts(gaussian, nearer) == (1, 0)
 
 
 # ---- values at their limits -----------------------------------------------------------------------------------------
@@ -172,13 +157,6 @@ def test_flat_covariances_may_be_a_part_of_their_trace_beyond_flat():
 # ---- alpha at the cut and at the cap --------------------------------------------------------------------------------
 
 
-def test_a_contribution_equal_to_the_cut_counts_and_one_below_it_does_not():
-    gaussian, camera = one([0.0, 0.0, 1.0], sigma_m=0.01, opacity=0.5), front_camera(15, 15, 100.0)
-    somewhere = rasterize_reference(gaussian, camera, alpha_min=1e-4).alpha[7, 9]
-    for cut, alpha in ((float(somewhere), float(somewhere)), (math.nextafter(float(somewhere), 1), 0.0)):
-        assert float(rasterize_reference(gaussian, camera, alpha_min=cut).alpha[7, 9]) == alpha
-
-
 def test_the_smooth_cut_is_a_smoothstep_from_the_cut_to_twice_the_cut():
     cut = 0.01
     alpha = torch.tensor([0.0, 0.005, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.03, 0.9], dtype=F64)
@@ -211,32 +189,6 @@ def blended(monkeypatch) -> list[tuple[torch.Tensor, torch.Tensor]]:
 
     monkeypatch.setattr(reference, "_blend", noted)
     return calls
-
-
-@pytest.mark.parametrize("ellipsoids", [False, True])
-def test_a_tile_meets_the_gaussians_whose_boxes_reach_into_it_and_no_others(blended, ellipsoids):
-    hand = hand_gaussians(40, sigma_mm=(1, 4), opacity=(0.01, 1.0))
-    gaussians = in_precision(stretched(hand) if ellipsoids else as_ellipsoids(hand), F64)
-    camera = replace(camera_for(50, 40), fy=55.0)
-    rasterize_reference(gaussians, camera)
-    matrix = torch.from_numpy(camera.camera_from_world)
-    position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
-    boxes = []
-    for n, (x, y, z) in enumerate(position.tolist()):
-        rows = [[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]]
-        jacobian = np.array(rows) @ matrix[:3, :3].numpy()
-        xx, xy, xz, yy, yz, zz = gaussians.covariance_m2[n].tolist()  # type: ignore[index]
-        variance = np.diag(jacobian @ [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]] @ jacobian.T) + 0.3
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        reach_u, reach_v = np.sqrt(2 * math.log(float(gaussians.opacity[n]) * 255) * variance)
-        boxes.append((u - reach_u, u + reach_u, v - reach_v, v + reach_v, z))
-    met = {}
-    for pixels, depths in blended:
-        met[tuple((pixels[0] // 16).int().tolist())] = sorted(depths.tolist())
-    for column, row in itertools.product(range(4), range(3)):
-        x, y = 16 * column, 16 * row
-        inside = sorted(z for le, ri, to, bo, z in boxes if ri > x and le < x + 16 and bo > y and to < y + 16)
-        assert met.get((column, row), []) == pytest.approx(inside)
 
 
 # ---- shapes ---------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import pytest
 from small_avatars import trained_avatar
 from test_effects import RIGHT, camera, counted, plan_of, pose
 
-from jghand_engine.avatar import lamp_rows
 from jghand_engine.avatar.corrective_task import NetworkStep
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
@@ -49,15 +48,6 @@ def test_each_light_has_effects_of_its_own():
     assert {one.effect for one in plan_of(shown).decisions} == set(Effect) - OF_CAPTURE
     away = lit(LIGHT_OF_DAY).render([FIST + np.array([0.3, 0.2, 1.2])], camera())
     assert {one.effect for one in plan_of(away).decisions} == set(Effect) - OF_CAPTURE
-
-
-def test_the_receipt_counts_lamps_in_words():
-    lamps = (*LAMPS, sun(0.03, 0, 1, 0), FAINT, sun(1, 0, 0, 1, has_shadow=False, on_gloss=False))
-    told = reasons(lit(SceneLight(DAY, lamps)).render([FIST], camera()))
-    assert told[Effect.LAMPS] == "5 lamps on the hand, 1 lamp left out: 0.08 % of the light"
-    assert told[Effect.LAMP_SHADOW] == "of 3 lamps, 1 lamp too faint for one: 0.48 % of the light"
-    assert told[Effect.WORLD_SHADOW].endswith("% of the light is the world's or thrown back by skin")
-    assert told[Effect.GLOSS] == "the world and 4 lamps in skin"
 
 
 @pytest.mark.parametrize(
@@ -109,17 +99,6 @@ def test_a_lamp_that_is_dragged_redoes_the_light_alone(monkeypatch):
     assert [plan.runs(effect) for effect in (Effect.SKIN, Effect.LAMPS, Effect.LAMP_SHADOW)] == [False, True, True]
     assert plan[Effect.WORLD_SHADOW].reason == "pose and world are kept"
     assert np.array_equal(frame.rgba, lit(renderer.light).render([FIST], camera()).rgba)
-
-
-def test_lamps_are_compared_once_for_each_hand_of_an_image(monkeypatch):
-    """What is said of them and what is drawn is one and the same."""
-    asked = counted(monkeypatch, lamp_rows, "light_shares")
-    pair, hands = SceneRenderer([TRAINED, TRAINED], RenderSettings(), LIGHT_OF_DAY), [FIST, FIST + np.full(3, 0.05)]
-    pair.render(hands, camera())
-    assert asked == [2]
-    pair.light = replace(LIGHT_OF_DAY, lamps=LAMPS[:2])
-    pair.render(hands, camera())
-    assert asked == [4]
 
 
 def test_a_camera_that_moves_alone_redoes_the_gloss_alone():

@@ -229,15 +229,6 @@ def test_a_growing_hand_asks_for_longer_lists(backend):
 # ---- errors ---------------------------------------------------------------------------------------------------------
 
 
-@every_backend
-@pytest.mark.parametrize("name", ["position_m", "sigma_m", "opacity", "rgb"])
-def test_a_wrong_shape_is_refused_by_name(name, backend):
-    tensors = {key: getattr(hand_gaussians(10), key) for key in ("position_m", "sigma_m", "opacity", "rgb")}
-    for wrong in (tensors[name][:9], tensors[name][None], tensors[name].reshape(10, -1).repeat(1, 2)):
-        with pytest.raises(InputError, match=r"position_m|sigma_m|opacity|rgb"):
-            draw(type(hand_gaussians(0))(**{**tensors, name: wrong}), camera_for(8, 8), backend)
-
-
 def test_float64_gaussians_are_drawn_by_the_reference():
     gaussians, camera = in_precision(hand_gaussians(50), torch.float64), camera_for(16, 16)
     assert_same_bits(draw(gaussians, camera, "auto"), exact(gaussians, camera))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jghand_engine.render.report import FrameReport
-from jghand_engine.render.timing import Case, FreeCores, machine, measure
+from jghand_engine.render.timing import Case, FreeCores, measure
 
 
 def test_cases_take_turns_after_the_warm_up():
@@ -72,17 +72,3 @@ def test_single_disturbed_samples_are_dropped(monkeypatch):
     monkeypatch.setattr(FreeCores, "__call__", lambda self: next(seen))
     (one,) = measure([Case("s", "a", lambda: None, threads=1)], rounds=12, warm_up=1)
     assert (one.samples, one.dropped, one.disturbed) == (11, 1, False)
-
-
-def test_control_sees_about_as_many_cores_as_it_uses():
-    control = FreeCores(1)
-    seen = [control() for _ in range(5)]
-    control.close()
-    # one thread is at most one core, but for the clock of processor time, which may tick coarsely; on a busy machine it
-    # may get none for a while
-    assert 0 <= min(seen) <= max(seen) < 1.5
-    assert max(seen) > 0
-
-
-def test_head_of_the_table_names_the_machine():
-    assert {"processor", "cores", "threads", "backend", "compiler"} <= set(machine(0))

@@ -15,7 +15,6 @@ from jghand_engine.track.track import (
     Sightings,
     TrackOptions,
     angles_between_deg,
-    detect,
     jitter_deg,
     track,
 )
@@ -150,27 +149,6 @@ def test_without_a_hand_there_is_no_motion():
 def test_what_cannot_be_is_refused(options):
     with pytest.raises(InputError):
         TrackOptions(**options).check()
-
-
-class Counting:
-    """A detector that sees nothing and counts."""
-
-    def __init__(self):
-        self.times_s = []
-
-    def detect(self, rgb8, time_s):
-        assert rgb8.shape == (HEIGHT, WIDTH, 3)
-        self.times_s.append(time_s)
-        return []
-
-
-def test_every_picture_is_looked_at_in_its_moment_and_none_is_kept():
-    detector, told = Counting(), []
-    sightings = detect((np.zeros((HEIGHT, WIDTH, 3), np.uint8) for _ in range(4)), FPS, detector, told.append)
-    np.testing.assert_allclose(detector.times_s, np.arange(4) / FPS)
-    assert told == [1, 2, 3, 4]
-    assert sightings.frames == [[], [], [], []]
-    assert sightings.size_px == (HEIGHT, WIDTH)
 
 
 def test_a_bone_that_swings_to_and_fro_has_that_jitter():
