@@ -80,27 +80,6 @@ def test_masks_that_are_not_there_are_the_silhouette_of_the_users_own_mano(tmp_p
     np.testing.assert_array_equal(theirs, mitten)
     assert theirs.sum() > 1.3 * ours.sum(), "a mitten covers what is between the fingers"
     assert run(folder, "--out", tmp_path / "o.png", "--template", mano) == 0
-    capsys.readouterr()
-    figures, said = [], []
-    for words in ([], ["--template", str(mano)]):
-        out = tmp_path / f"evaluation{len(words)}"
-        plain = [
-            "evaluate",
-            "builtin",
-            str(folder),
-            "--out",
-            str(out),
-            "--split",
-            "all",
-            "--limit",
-            "1",
-            "--figures-only",
-        ]
-        assert main([*plain, "--preset", "draft", *words]) == 0
-        said.append(capsys.readouterr().out)
-        figures.append(json.loads((out / "evaluation.json").read_text())["means"]["all"]["psnr_mask"])
-    assert figures[0] != figures[1]
-    assert [f"4 pictures have no mask, and {load_mano(mano).identifier}" in text for text in said] == [False, True]
 
 
 def test_a_wrong_folder_ends_with_the_exit_code_of_bad_input(tmp_path, capsys):

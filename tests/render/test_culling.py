@@ -178,19 +178,6 @@ def test_an_alpha_at_the_cap_has_no_gradient_and_one_below_it_has():
 # ---- tiles and memory -----------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def blended(monkeypatch) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """Pixels and depths of the Gaussians of every call of `_blend`."""
-    calls, blend = [], reference._blend
-
-    def noted(ellipses, pixels, **options):
-        calls.append((pixels, ellipses.z))
-        return blend(ellipses, pixels, **options)
-
-    monkeypatch.setattr(reference, "_blend", noted)
-    return calls
-
-
 # ---- shapes ---------------------------------------------------------------------------------------------------------
 
 
