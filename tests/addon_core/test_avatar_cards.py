@@ -10,7 +10,7 @@ import pytest
 
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import avatar_files
-from blender_addon.hand.avatar_files import SHIPPED_CARDS, card_of, read_card, stamp
+from blender_addon.hand.avatar_files import SHIPPED_CARDS, card_of, read_card
 
 ASSETS = Path(__file__).resolve().parents[2] / "jghand_engine" / "assets"
 
@@ -85,17 +85,6 @@ def test_a_card_follows_its_file(tmp_path):
     for name in ("Ana", "Bettina"):
         write_avatar(path, name=name, gaussians=7)
         assert card_of(str(path)).name == name
-
-
-def test_the_disk_is_asked_once_a_second(tmp_path, monkeypatch):
-    path = tmp_path / "a.jghand"
-    before = stamp(str(path))
-    monkeypatch.setattr(avatar_files, "LOOK_S", 1e9)
-    path.write_bytes(b"now")
-    assert stamp(str(path)) == before
-    monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
-    assert stamp(str(path)) != before
-    assert stamp("builtin") == ""
 
 
 def test_films_whose_names_hold_other_letters_are_different_hands():

@@ -121,30 +121,3 @@ def test_what_the_renderer_says_names_blenders_fields_and_no_option(folder, fiel
     assert len(sentences) > 3
     assert said in shown
     assert not [text for text in shown if re.search(r"(^|\W)--[a-z]|jghand [a-z]+ ", text)]
-
-
-@pytest.mark.parametrize(
-    ("person", "advice"),
-    [({"hand_right_keypoints_2d": [1.0] * 63}, "let OpenPose find hands in 3D"), ({}, "let OpenPose find hands too")],
-)
-def test_what_openpose_has_to_do_is_read_in_blender(tmp_path, person, advice):
-    reading = pytest.importorskip("jghand_engine.motion.read", reason="needs the engine's packages")
-    path = tmp_path / "x_000000000001_keypoints.json"
-    path.write_text(json.dumps({"version": 1.3, "people": [person]}))
-    with pytest.raises(reading.InputError) as caught:
-        reading.read_motion_file(path)
-    detail = panel_text.in_blenders_words(str(caught.value), motion_files.MOTION_FIELDS)
-    assert advice in panel_text.in_blenders_words(detail)
-
-
-def test_fields_are_named_in_quotes_and_paths_stay_as_they_are():
-    text = "motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with --hand right or --hand left."
-    wanted = 'motion file a.b/--c.bvh: wanted one hand, got 2: right, left. Choose one with "Hand".'
-    assert panel_text.in_blenders_words(text, motion_files.MOTION_FIELDS) == wanted
-
-
-def test_the_renderers_notes_name_blenders_fields(tmp_path):
-    motion_files.write_motion(tmp_path / "motion.npz", motion_files.MotionFile(motion_m(), 25.0, "left"))
-    note = "Its unit is not declared: 190 look like millimeters; --unit sets another."
-    (tmp_path / "figures.json").write_text(json.dumps({"notes": [note]}))
-    assert read_converted(tmp_path).notes == (note.replace("--unit", '"Unit"'),)

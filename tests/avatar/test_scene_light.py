@@ -24,8 +24,6 @@ from jghand_engine.avatar.scene_light import (
     SceneLight,
     Shades,
     World,
-    cosine_bands,
-    harmonics,
     mirrored_lobes,
     soft_cosine,
 )
@@ -386,15 +384,6 @@ def test_a_lamp_behind_a_lone_surface_gives_it_nothing():
         assert np.abs(np.diff(f, 2)).max() < 2 * (0.001**2) / (4 * width) * 1.01
 
 
-def test_an_even_world_gives_pi_times_its_radiance_whatever_the_softness():
-    for softness in (0.02, 0.24, 0.6):
-        assert cosine_bands(np.array([softness]))[0, 0] == pytest.approx(np.pi)
-    assert cosine_bands(np.array([0.02]))[:3, 0] == pytest.approx([np.pi, 2 * np.pi / 3, np.pi / 4], rel=2e-3)
-    normal = unit(torch.randn(50, 3, generator=torch.Generator().manual_seed(1)).double()).numpy()
-    irradiance = harmonics(normal) @ EVEN.terms.irradiance(np.array([0.2, 0.2, 0.2]))
-    assert irradiance / np.pi == pytest.approx(np.broadcast_to([0.2, 0.5, 1.0], (50, 3)), rel=2e-3)
-
-
 def test_lobes_together_are_the_blurred_world():
     shown = world(4)
     direction, light = (values.reshape(-1, 3) for values in shown.samples)
@@ -454,13 +443,6 @@ def test_a_lamp_that_grows_out_of_nothing_and_its_shadow_appear_in_no_step():
     strong, place = Lamp(LampKind.SUN, (3, 3, 3), (0, 0.2, -1), has_shadow=False), (0.6, 0.2, 1)
     lights = [SceneLight(None, (strong, Lamp(LampKind.SUN, (p, p, p), place))) for p in powers]
     assert steps(hand, lights).max() <= 1
-
-
-def test_an_area_that_comes_near_is_four_lamps_in_no_step():
-    """From one lamp to four in one place, and from there to four that stand as far apart as they do."""
-    distances_m = np.linspace(0.35, 0.55, 300)
-    areas = (Lamp(LampKind.AREA, (30, 30, 30), (0, 0.09, z), size_m=(0.1, 0.1)) for z in distances_m)
-    assert steps(AVATAR, [SceneLight(None, (area,)) for area in areas]).max() <= 1
 
 
 @pytest.mark.parametrize("pose", ["open", "fist"])

@@ -18,7 +18,6 @@ from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
-from jghand_engine.render.renderer import HandRenderer
 
 SMALL = ("--size", "32x24", "--preset", "draft")
 
@@ -164,13 +163,6 @@ def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, refused, 
     refused(*of_motion(tmp_path, joints, "--fps", fps), says="--fps")
 
 
-def test_a_light_that_is_none_is_refused_before_anything_is_written(tmp_path, refused):
-    light = tmp_path / "light.json"
-    light.write_text('{"format": "jghand-light", "version": 1, "lamps": [{"kind": "torch"}]}')
-    for name, file in (("kind", light), ("ending", tmp_path / "sky"), ("cannot read", tmp_path / "sky.hdr")):
-        refused("render", "--poses", "open", "--light", file, "--out", tmp_path / "out", *SMALL, says=name)
-
-
 def test_pictures_of_a_longer_render_are_neither_mixed_in_nor_removed(tmp_path, command):
     out = tmp_path / "out"
     words = ("render", "--poses", "open,fist", "--out", out, *SMALL)
@@ -202,25 +194,6 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, command, monkeypatch)
     assert sorted(path.name for path in out.iterdir()) == ["camera.json", "frame_00000.png", "made_from.json"], (
         "whole files only"
     )
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "said"),
-    [
-        (MemoryError(), 4, "not enough memory"),
-        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes"), 4, "--size"),
-        (KeyboardInterrupt(), 130, "Stopped"),
-        (ZeroDivisionError("division by zero"), 1, "should not happen"),
-    ],
-)
-def test_what_breaks_while_rendering_ends_with_its_code(tmp_path, command, monkeypatch, error, code, said):
-    def broken(*_):
-        raise error
-
-    monkeypatch.setattr(HandRenderer, "render_moments", broken)
-    got, err = command("render", "--poses", "open", "--out", tmp_path / "out", *SMALL)
-    assert got == code
-    assert said in err
 
 
 def test_a_traceback_is_shown_when_asked_for(tmp_path, capsys, monkeypatch):

@@ -75,17 +75,6 @@ def test_what_is_missing_is_filled_held_or_kept(tmp_path, how, filled, missing):
     assert (int(read.filled.sum()), len(read.gaps.frames)) == (filled, missing)
 
 
-def test_a_gap_stops_it_when_asked_for(tmp_path, capsys):
-    joints = samples.standard(samples.motion()).copy()
-    joints[4:7, 6] = np.nan
-    np.save(tmp_path / "a.npy", joints)
-    assert (
-        run("motion", tmp_path / "a.npy", "--hand", "right", "--out", tmp_path / "a.npz", "--on-missing", "stop") == 2
-    )
-    assert "3 of 40 frames" in capsys.readouterr().err
-    assert not (tmp_path / "a.npz").exists()
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from jghand_engine.cli import main
-from jghand_engine.cli.frame_files import FrameWriter
 from jghand_engine.export.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import STANDARD_NAMES
@@ -113,27 +112,3 @@ def test_truth_of_other_pictures_is_not_left_beside_new_ones(tmp_path, capsys):
     (tmp_path / "passes").mkdir()
     assert render(tmp_path, "--passes", "joints") == 2
     assert "got passes of an earlier run" in capsys.readouterr().err
-
-
-def test_a_run_that_is_stopped_leaves_no_truth_of_the_pictures_that_it_replaced(tmp_path, monkeypatch):
-    def told() -> set[str]:
-        found = [*tmp_path.rglob("*.json"), *tmp_path.rglob("*.txt")]
-        return {path.name for path in found if path.stem not in ("camera", "made_from")}
-
-    assert render(tmp_path, "--passes", "joints") == 0
-    all_of_it = told()
-    assert all_of_it == {"joints.json", "transforms.json", "cameras.txt", "images.txt", "points3D.txt"}
-    make, made = FrameWriter.write, []
-
-    def stopped(writer: FrameWriter, index: int) -> None:
-        if made:
-            raise KeyboardInterrupt
-        make(writer, index)
-        made.append(index)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(FrameWriter, "write", stopped)
-        assert render(tmp_path, "--passes", "joints", "--camera", "back") == 130
-    assert told() == set()
-    assert render(tmp_path, "--passes", "joints", "--camera", "back") == 0
-    assert told() == all_of_it

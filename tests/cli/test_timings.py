@@ -23,18 +23,3 @@ def test_medians_leave_the_warm_up_out():
     assert figures["shadow"]["ran"] == 2
     assert figures[TOTAL]["median_ms"] == 5.0
     assert figures["writing"]["median_ms"] == 2.0
-
-
-def test_the_table_names_what_drew(capsys):
-    timings = Timings()
-    timings.add(report(3.0, shadow=False) | {"backend": "torch"})
-    timings.show("one picture")
-    assert "one picture, drawn by backend torch" in capsys.readouterr().out
-
-
-def test_the_table_names_every_stage(capsys):
-    timings = Timings()
-    timings.add(report(3.0, shadow=True))
-    timings.show("where the time went")
-    shown = capsys.readouterr().out
-    assert all(word in shown for word in ("where the time went", "blend", "shadow", TOTAL, "3.00"))

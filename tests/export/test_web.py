@@ -88,14 +88,6 @@ def test_what_every_page_has_in_common_stays_below_two_megabytes():
     assert sum(path.stat().st_size for path in web.ASSETS.iterdir()) < 2e6
 
 
-def test_the_same_hand_gives_the_same_bytes(tmp_path):
-    avatar = with_linear(trained_avatar())
-    for name in ("one", "other"):
-        exported(tmp_path / name, avatar)
-    for name in FILES:
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
-
-
 def test_the_page_names_hand_license_and_pictures(tmp_path):
     avatar = load_avatar_called("builtin")
     exported(tmp_path, avatar, gaussians=500)

@@ -18,7 +18,6 @@ from jghand_engine.learn.evaluate import (
     categories_of,
     finger_flexion_deg,
     measure_pictures,
-    spread,
 )
 from jghand_engine.learn.perceptual import PerceptualMetric
 
@@ -71,13 +70,6 @@ def test_categories_are_those_of_the_split(split):
 def test_a_split_without_held_out_pictures_is_told(capture):
     with pytest.raises(InputError, match="take another --split"):
         categories_of(split_by_rule(capture, 0, 0), "test")
-
-
-def test_a_limit_takes_pictures_from_end_to_end(capture):
-    samples = capture.samples
-    assert spread(samples, 0) == spread(samples, 99) == samples
-    assert spread(samples, 2) == (samples[0], samples[-1])
-    assert len(spread(samples, 5)) == 5
 
 
 @pytest.mark.parametrize("handedness", [RIGHT, LEFT])

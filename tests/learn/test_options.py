@@ -57,18 +57,6 @@ def test_a_stage_lasts_until_the_next_begins():
     assert values == [0.4, 0.4, 0.7, 0.7, 1.0, 1.0]
 
 
-@pytest.mark.parametrize("name", list(PRESETS))
-def test_every_stage_begins_with_the_training_and_ends_with_all(name):
-    schedule = PRESETS[name].schedule
-    for stages in (schedule.levels, schedule.strides):
-        starts = [start for start, _ in stages]
-        assert starts[0] == 0
-        assert starts == sorted(starts)
-    assert [part for _, part in schedule.levels] == sorted(part for _, part in schedule.levels)
-    assert at_part(schedule.levels, 1.0) == 1
-    assert at_part(schedule.strides, 1.0) == 1
-
-
 @pytest.mark.parametrize(
     ("row", "names"),
     [

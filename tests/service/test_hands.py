@@ -27,7 +27,7 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service import hands
-from jghand_engine.service.commands import Canceled, error_header
+from jghand_engine.service.commands import error_header
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
 from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand, RequestedLight
 
@@ -293,18 +293,6 @@ def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and
     assert "3 images" in told["motion-blur"]["reason"]
 
 
-def test_moments_that_are_far_apart_are_filled_in(source, right):
-    """Four of them over 24 pixels: without more, every edge would be four edges."""
-    at = np.linspace(-0.03, 0.03, 4)
-    came = source.render(asked([right], *(exposure([moved(right, x_m)]) for x_m in at)))
-    dense = np.linspace(-0.04, 0.04, 65)[:-1] + 0.04 / 64
-    wanted = np.mean([source.render(asked([moved(right, x_m)])).rgba[..., 3] for x_m in dense], 0)
-    # worst observed 0.019, of the moments as they are 0.38: the promise of blur.motion_count is 1/64 of an edge
-    assert np.abs(came.rgba[..., 3] - wanted).max() < 0.025
-    told = {effect["effect"]: effect for effect in came.report["effects"]}
-    assert "32 images" in told["motion-blur"]["reason"]
-
-
 def linear(rgba: np.ndarray) -> np.ndarray:
     alpha = rgba[..., 3:]
     straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
@@ -330,18 +318,6 @@ def test_a_lens_blurs_what_is_out_of_focus_and_leaves_depth_sharp(source, right)
     np.testing.assert_allclose(blurred.depth_m, sharp.depth_m, atol=1e-6)
     told = {effect["effect"]: effect for effect in blurred.report["effects"]}
     assert told["depth-of-field"]["runs"]
-
-
-def test_a_long_picture_can_be_canceled_between_its_parts(source, right):
-    asked_of = []
-
-    def canceled() -> bool:
-        asked_of.append(True)
-        return len(asked_of) > 2
-
-    with pytest.raises(Canceled):
-        source.render(asked([right], *[exposure([moved(right, 0.01 * k)]) for k in range(8)]), canceled)
-    assert len(asked_of) == 3
 
 
 # ---- settings -------------------------------------------------------------------------------------------------------
@@ -448,22 +424,6 @@ def test_light_that_was_baked_lights_each_hand_as_it_says_whatever_the_lamps_are
     assert once[..., :2].max() > 0.01
     assert once[..., 2].max() == 0
     assert np.allclose(twice[..., :3], 2 * once[..., :3], rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("lamp", "name"),
-    [
-        (SUN | {"kind": "torch"}, "kind"),
-        (SUN | {"rgb": [-1, 0, 0]}, "light"),
-        (SUN | {"rgb": [1, 2]}, "rgb"),
-        (SUN | {"place_m": [0, 0, float("nan")]}, "place_m"),
-        (SUN | {"watts": 3}, "watts"),
-        ("sun", "lamp 1"),
-    ],
-)
-def test_a_lamp_that_is_none_is_refused_by_name(source, tmp_path, lamp, name):
-    with pytest.raises(InputError, match=name):
-        source.render(asked([trained_hand(tmp_path)], light=lit(lamp)))
 
 
 def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
