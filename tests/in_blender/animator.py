@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 import time
 
 import bpy
@@ -282,37 +281,7 @@ def step_a_selected_ring_poses_its_finger_alone(window):
         bpy.ops.object.mode_set(mode="OBJECT")
 
 
-def step_a_tracked_hand_is_where_the_hand_stands_or_before_its_film(window):
-    """The tracker is a stand-in: its packages are not in the zip."""
-    film, files = window.out / "film.mp4", window.module("hand.motion_files")
-    write_film(film)
-    seen = kept["wave"] + (0.0, 0.65, -0.1)
-    files.write_motion(window.out / "tracked.npz", files.MotionFile(seen, 30.0, "right"))
-    (window.out / "tracker.py").write_text(_TRACKER)
-    window.runtime().program = lambda **_: (sys.executable, str(window.out / "tracker.py"))
-    start = np.array(hand().location)
-    for placement, wanted in (("IN_PLACE", seen - seen[:, :1] + start), ("FILM", seen)):
-        window.call("jghand.track_video", filepath=str(film), placement=placement)
-        yield lambda: window.modal("JGHAND_OT_track_video") is None
-        scene = bpy.context.scene
-        rate = scene.render.fps / scene.render.fps_base / 30.0
-        check_joints(1 + 4 * rate, wanted[4])
-        assert scene.frame_end == 1 + round((FILM_FRAMES - 1) * rate)
-        yield from window.settle()
-        assert skin(view_picture(window, f"tracked_{placement}")).mean() > 0.005
-    assert window.space().region_3d.view_perspective == "CAMERA"
-    assert scene.camera.data.background_images[0].clip.frame_duration == FILM_FRAMES
-    assert (scene.render.resolution_x, scene.render.resolution_y) == (320, 180)
-
-
 FILM_FRAMES = 12
-_TRACKER = """
-import json, pathlib, shutil, sys
-out, figures = (pathlib.Path(sys.argv[sys.argv.index(name) + 1]) for name in ("--out", "--json"))
-shutil.copy(pathlib.Path(__file__).with_name("tracked.npz"), out)
-hands = [{"hand": "right", "file": str(out), "frames_seen": 12, "frames_filled": 0}]
-figures.write_text(json.dumps({"notes": [], "hands": hands, "size_px": [320, 180]}))
-"""
 
 
 def upright_m(window) -> np.ndarray:
@@ -328,17 +297,3 @@ def check_joints(frame: float, wanted_m: np.ndarray) -> None:
     thing = hand().evaluated_get(bpy.context.evaluated_depsgraph_get())
     for name, place in (("wrist", 0), ("index1", 5), ("middle4", 12), ("pinky4", 20)):
         np.testing.assert_allclose(thing.matrix_world @ thing.pose.bones[name].head, wanted_m[place], atol=1e-5)
-
-
-def write_film(path) -> None:
-    """A film of nothing, 30 frames a second."""
-    scene = bpy.data.scenes.new("film")
-    scene.camera = bpy.data.objects.new("film", bpy.data.cameras.new("film"))
-    scene.collection.objects.link(scene.camera)
-    render = scene.render
-    render.engine, render.resolution_x, render.resolution_y, render.fps = "BLENDER_WORKBENCH", 320, 180, 30
-    scene.frame_start, scene.frame_end, render.filepath = 1, FILM_FRAMES, str(path)
-    render.image_settings.media_type, render.image_settings.file_format = "VIDEO", "FFMPEG"
-    render.ffmpeg.format = "MPEG4"
-    bpy.ops.render.render(animation=True, scene=scene.name)
-    bpy.data.scenes.remove(scene)

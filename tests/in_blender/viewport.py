@@ -100,20 +100,6 @@ def step_bones_that_are_shown_in_front_are_seen_before_it(window):
     yield 0.3
 
 
-def step_it_is_gone_while_it_is_hidden(window):
-    for hide, show in (
-        (lambda: _hand().hide_set(True), lambda: _hand().hide_set(False)),
-        (lambda: _switch(hand=False), lambda: _switch(hand=True)),
-        (lambda: _switch(scene=False), lambda: _switch(scene=True)),
-    ):
-        hide()
-        window.redraw()
-        yield lambda: not _is_there(window)
-        show()
-        window.redraw()
-        yield lambda: _is_there(window)
-
-
 def step_a_local_view_of_something_else_does_not_show_it(window):
     bpy.ops.mesh.primitive_cube_add(size=0.01, location=(0.3, 0.3, 0.0))
     cube = bpy.context.object
@@ -126,30 +112,6 @@ def step_a_local_view_of_something_else_does_not_show_it(window):
     yield lambda: _is_there(window)
 
 
-def step_undo_and_redo_take_it_away_and_bring_it_back(window):
-    with window.override():
-        bpy.ops.ed.undo_push(message="hand")
-        bpy.data.objects.remove(_hand())
-        bpy.ops.ed.undo_push(message="removed")
-    yield lambda: not _is_there(window)
-    with window.override():
-        bpy.ops.ed.undo()
-    yield lambda: _is_there(window)
-
-
-def step_an_orthographic_view_shows_it_too(window):
-    view = window.space().region_3d
-    view.view_perspective = "ORTHO"
-    window.redraw()
-    yield 0.5
-    yield lambda: _is_there(window)
-    assert not _part(window, ".viewport.views").problems()
-    view.view_perspective = "PERSP"
-    window.redraw()
-    yield 0.3
-    yield lambda: _is_sharp(window)
-
-
 def step_rendered_mode_shows_the_engines_colors(window):
     bpy.context.scene.render.engine = "JGHAND"
     bpy.context.scene.view_settings.view_transform = "Standard"
@@ -160,20 +122,6 @@ def step_rendered_mode_shows_the_engines_colors(window):
     window.picture("rendered")
     yield from window.shading("SOLID")
     yield lambda: _is_sharp(window)
-
-
-def step_nothing_is_asked_while_nothing_changes(window):
-    runtime = window.runtime()
-    asked, original = [], runtime.link().ask
-    runtime.link().ask = lambda *args, **more: (asked.append(args), original(*args, **more))
-    try:
-        for _ in range(5):
-            window.redraw()
-            yield 0.2
-    finally:
-        del runtime.link().ask
-    assert not asked
-    assert not _part(window, ".viewport.views").problems()  # what is raised while a view is drawn is only said there
 
 
 def step_playing_shows_new_pictures_and_waits_no_longer_than_a_frame(window):
@@ -206,15 +154,6 @@ def step_playing_goes_on_while_the_engine_hangs(window):
     assert len(waits) <= _part(window, ".core.pacing").LATE_PATIENCE, "a hung engine is waited for again and again"
     assert late > len(waits)
     yield lambda: _is_sharp(window)
-
-
-def step_another_file_begins_anew(window):
-    path = str(window.out / "hand.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    bpy.ops.wm.open_mainfile(filepath=path)
-    yield 1.0
-    yield lambda: _is_there(window)
-    window.picture("opened_again")
 
 
 # ---- parts -----------------------------------------------------------------------------------------------------------
