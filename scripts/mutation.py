@@ -4,9 +4,10 @@
     .envs/engine/bin/python scripts/mutation.py --library mutants/lib/python3.*/site-packages [AREA …] [--sample 20]
 
 Python lines are broken by cosmic-ray's operators, C++ lines by the few below, after which the kernels are built anew.
-A mutant is tried in a copy of the checkout, with the test files that name its module, which must pass without it;
-those that import it come first. One with which they take far longer is killed, too. Every run of tests is a fork of
-this process (Linux, macOS), so that NumPy and PyTorch are loaded once; only modules that changed are built anew.
+A mutant is tried in a copy of the checkout, with the test files that name its module or one beside it that imports it;
+they must pass without it. Those that import it come first. One with which they take far longer is killed, too. Every
+run of tests is a fork of this process (Linux, macOS), so that NumPy and PyTorch are loaded once; only modules that
+changed are built anew.
 Survivors are printed: those that change what users get want a test, others (a size of a buffer, a faster way to the
 same picture) are equivalent. It takes some seconds a mutant and is run by hand, not in CI.
 """
@@ -187,16 +188,20 @@ def is_cpp(path: str) -> bool:
 
 @cache
 def tests_of(path: str, folders: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """In turn the test files of each entry that import the module, and the others that name it; of C++ all of them, and
-    in Python where none does."""
+    """In turn the test files of each entry that import the module, that name it, and that name a module beside it that
+    imports it; of C++ all of them, and in Python where none does."""
     entries = [sorted(ROOT.glob(each if each.endswith(".py") else f"{each}/test_*.py")) for each in folders]
-    stem, texts = Path(path).stem, {file: file.read_text(encoding="utf-8") for files in entries for file in files}
-    name, imported = re.compile(rf"\b{stem}\b"), re.compile(rf"import.*\b{stem}\b|from.*\b{stem} import")
+    texts = {file: file.read_text(encoding="utf-8") for files in entries for file in files}
+    own, beside = Path(path).stem, (ROOT / path).parent.glob("*.py")
+    imported = re.compile(rf"import.*\b{own}\b|from.*\b{own} import")
+    users = [own, *(file.stem for file in beside if imported.search(file.read_text(encoding="utf-8")))]
+    name, by_users = re.compile(rf"\b{own}\b"), re.compile(rf"\b({'|'.join(users)})\b")
     parts = []
     for files in entries:
-        named = [file for file in files if name.search(texts[file])]
-        first = [file for file in named if imported.search(texts[file])]
-        parts += [first, [file for file in named if file not in first]]
+        first = [file for file in files if imported.search(texts[file])]
+        named = [file for file in files if name.search(texts[file]) and file not in first]
+        far = [file for file in files if by_users.search(texts[file]) and file not in (*first, *named)]
+        parts += [first, named, far]
     if is_cpp(path) or not any(parts):
         parts = entries
     return [tuple(str(file.relative_to(ROOT)) for file in part) for part in parts if part]
