@@ -195,6 +195,7 @@ def test_a_profile_is_measured_once_and_again_while_it_was_disturbed(cache, monk
     assert "other work" in best_for(16, avatar, SIZE, 1).sentence
     assert [best_for(16, avatar, SIZE, 1).name for _ in range(3)] == ["viewport"] * 3
     assert len(calls) == 2
+    assert best_for(0.5, avatar, SIZE, 1).name == min(KNOWN, key=lambda row: row.p95_ms).name
 
 
 def test_a_budget_is_measured_with_the_backend_that_draws_then(cache, monkeypatch):

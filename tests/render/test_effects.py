@@ -324,6 +324,7 @@ def test_nothing_is_posed_for_a_hand_that_is_not_in_the_picture(where: str, monk
     assert away.rgba.shape == (160, 200, 4)
     assert not renderer.bone_ids(camera()).any()
     assert not any(one.runs or one.worst for one in plan_of(away).decisions)
+    assert plan_of(away).enlarged == 1
     everything = HandRenderer(TRAINED, replace(SMALL, effects=ALL))
     assert not everything.render(pose("relaxed", TRAINED) + ELSEWHERE[where], camera()).rgba.any()
     # and it is there as soon as it comes in
@@ -416,6 +417,13 @@ def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     assert frame.rgba.shape == whole.rgba.shape
     assert difference(frame, whole) <= 1 / 255
     assert np.abs(frame.depth_m - whole.depth_m).max() < 1e-4
+    # the receipt says what that may change, where there is a shadow and where there is none, and what it saves
+    left_out, box = plan_of(frame)[Effect.WHOLE], plan_of(frame).box
+    part = box.width * box.height / (1024 * 768)
+    assert left_out.estimated_ms == pytest.approx((1 - part) * plan_of(whole)[Effect.WHOLE].estimated_ms)
+    shaded = plan_of(HandRenderer(RIGHT, SMALL).render(pose("fist"), camera(1024, 768, focal_px=600.0)))
+    assert (plan_of(frame).strength, shaded.strength) == (0, 1)
+    assert (left_out.worst, shaded[Effect.WHOLE].worst) == (SMALL.alpha_min, SMALL.alpha_min + CROP_SHADOW)
 
 
 def folded(degrees: float, avatar: HandAvatar, longer: float = 1.0) -> np.ndarray:
@@ -576,6 +584,8 @@ def test_pictures_of_a_faster_hand_stand_for_no_more_than_their_bound():
         count = blur.motion_count(travel_px)
         assert blur.motion_error(travel_px, count) <= blur.MOTION_ERROR_MAX
         assert blur.motion_error(travel_px, count - 1) > blur.MOTION_ERROR_MAX
+    # the midpoint rule, which misses a 24th of the second derivative
+    assert blur.motion_error(0.1, 1) == pytest.approx(0.1**2 / 24 * blur.EDGE_CURVATURE)
     # ten edges at once, in as many pictures as there are at most
     assert blur.motion_count(float("inf")) == blur.MOTION_COUNT_MAX
     assert blur.motion_error(float("inf"), blur.MOTION_COUNT_MAX) == pytest.approx(0.5 * 10 / blur.MOTION_COUNT_MAX)

@@ -101,6 +101,15 @@ def test_a_real_wrist_centered_capture_is_upright_and_whole(shared_data):
     assert (uv[:, INDEX, 0] > uv[:, PINKY, 0]).all()
 
 
+def test_a_frame_in_which_all_joints_fall_together_turns_no_camera():
+    joints = motion(Handedness.RIGHT)[:2]
+    lost = np.concatenate([joints, np.tile(joints[:1, :1], (1, 21, 1))])
+    one, other = (
+        framing_camera(all_, Handedness.RIGHT, "front", width=WIDTH, height=HEIGHT) for all_ in (joints, lost)
+    )
+    np.testing.assert_allclose(other.camera_from_world[:3, :3], one.camera_from_world[:3, :3], atol=1e-12)
+
+
 def test_joints_on_one_line_have_no_palm():
     joints = np.zeros((2, 21, 3))
     joints[..., 1] = np.arange(21) * 0.01

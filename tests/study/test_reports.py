@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -121,6 +122,7 @@ def test_every_hard_case_is_in_a_table_that_says_what_it_misses(hard_cases):
     good, bad, _ = hard_cases.tables()[0].rows
     assert good[:3] == ("ordinary: good hand", "42", "not finite")
     assert bad[-2:] == ("a nudge of 0.5 mm moves skin over 2 mm", "a bone has no length")
+    assert "the built-in hand by up to 3.1 mm" in hard_cases.headline, "of what ships, not of the bare bones"
     assert hard_cases.headline.startswith("4 of 4 hard cases have finite values and gradients; 3 meet every bound")
     # of what ships, not of its bones alone
     assert "skin of the built-in hand by up to 3.1 mm, and by 1.8 mm where nothing but the bones" in hard_cases.headline
@@ -159,6 +161,13 @@ def test_without_matplotlib_the_command_says_what_to_install(monkeypatch, tmp_pa
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["study", "stability", "--out", str(tmp_path)]) == 2
     assert "study" in capsys.readouterr().err
+
+
+def test_the_first_page_has_the_studys_figure_of_the_hand_that_ships():
+    pages = [(ROOT / name).read_text(encoding="utf-8") for name in ("docs/STABILITY.md", "README.md")]
+    said = re.search(r"move the skin of the built-in hand by up to ([\d.]+ mm)", pages[0])
+    assert said
+    assert f"the built-in hand's skin moves by {said[1]}" in pages[1]
 
 
 def test_pages_quote_a_study_between_their_marks_alone(hard_cases, tmp_path, monkeypatch):
