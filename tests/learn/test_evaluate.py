@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,6 +101,15 @@ def test_the_papers_table_keeps_its_figures_and_ours_in_columns_of_their_own(eva
     assert ours[1:-1] == ("-",) * 4
     assert ours[-1].endswith("/ -"), "no LPIPS was measured"
     assert tables.CAVEAT in table.notes
+
+
+@pytest.mark.parametrize("who", tables.PAPER_RENDERING)
+def test_the_papers_figures_are_those_of_the_page(who):
+    page = (Path(__file__).parents[2] / "docs" / "PAPER.md").read_text(encoding="utf-8")
+    cells = [
+        "{:.3f} / {:.2f} / {:.3f}".format(*cell) if cell else "\N{EN DASH}" for cell in tables.PAPER_RENDERING[who]
+    ]
+    assert " | ".join(cells).replace(" 0.", " .").removeprefix("0") in page
 
 
 def test_an_st_lpips_is_never_put_into_the_column_of_lpips(evaluation):
