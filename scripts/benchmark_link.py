@@ -2,12 +2,11 @@
 # This script imports blender_addon (GPL-3.0-or-later), so it is under the GPL too: blender_addon/LICENSE.
 """What the way between Blender and the engine costs, and what it does to Blender when the engine fails.
 
-    python scripts/benchmark_link.py [--quick] [--only round-trip,blocks,cycles,memory] [--engine-python PATH]
+    python scripts/benchmark_link.py [--quick] [--only round-trip,blocks,memory] [--engine-python PATH]
 
     round-trip  a picture of 512 x 334 there and back, less what the engine itself took; wanted: <= 1 ms
     blocks      the longest time the main thread is kept while it plays, with engines that are late, that hang, that are
                 frozen by the system and that are killed, 200 trials; wanted: none over 50 ms
-    cycles      1,000 times start, picture, stop: processes, ports, handles, threads, shared memory left; wanted: none
     memory      10,000 pictures: growth of this process and of the engine; wanted: < 10 MB
 
 Runs with any Python that has numpy. Without --engine-python the engine is the stand-in of the tests, which draws
@@ -41,7 +40,7 @@ from blender_addon.errors import JGHandFailure
 from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = ("round-trip", "blocks", "cycles", "memory")
+PARTS = ("round-trip", "blocks", "memory")
 SIZE = (512, 334)
 FRAME_S = 1 / 24
 PATIENCE_S = 120.0
@@ -68,7 +67,6 @@ class Plan:
     command: tuple[str, ...]
     pictures: int
     trials: int
-    cycles: int
     frames: int
 
 
@@ -197,21 +195,6 @@ def blocks(plan: Plan, figures: Figures) -> None:
     figures.say(f"trials with a block over {BLOCK_MS:.0f} ms", f"{over} of {plan.trials}", over == 0)
 
 
-def cycles(plan: Plan, figures: Figures) -> None:
-    left_before, handles_before = left(), handles()
-    begun = time.perf_counter()
-    for turn in range(plan.cycles):
-        with linked(stand_in("blank")) as link:
-            link.request(*picture(turn), timeout_s=PATIENCE_S)
-    seconds = (time.perf_counter() - begun) / plan.cycles
-    figures.say(f"{plan.cycles} cycles of start, picture, stop", f"{1e3 * seconds:6.0f} ms each")
-    for name, before in left_before.items():
-        new = left()[name] - before
-        figures.say(f"{name} left", str(len(new)) + (f": {sorted(new)[:5]}" if new else ""), not new)
-    grown = handles() - handles_before
-    figures.say("open handles and threads more", str(grown), grown <= 0)
-
-
 def memory(plan: Plan, figures: Figures) -> None:
     with linked(plan.command) as link:
         before: tuple[float, float] = (0.0, 0.0)
@@ -233,33 +216,6 @@ def memory(plan: Plan, figures: Figures) -> None:
 # ---- what the system says ------------------------------------------------------------------------------------------
 
 
-def left() -> dict[str, set[str]]:
-    """Child processes, listening ports, shared memory; empty where there is no /proc."""
-    children, ports = set(), set()
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rsplit(")", 1)[1].split()
-        except OSError:
-            continue
-        if fields[1] == str(os.getpid()):
-            children.add(path.parent.name)
-    owned = {os.readlink(path) for path in Path("/proc/self/fd").glob("*") if path.is_symlink() and path.exists()}
-    tcp = Path("/proc/net/tcp")
-    for row in tcp.read_text().splitlines()[1:] if tcp.exists() else ():
-        fields = row.split()
-        if fields[3] == "0A" and f"socket:[{fields[9]}]" in owned:
-            ports.add(fields[1])
-    memory = {path.name for path in Path("/dev/shm").glob("*")} if Path("/dev/shm").is_dir() else set()
-    return {"processes": children, "ports": ports, "shared memory": memory}
-
-
-def handles() -> int:
-    """Open files and sockets of this process, and its threads."""
-    if not Path("/proc/self").exists():
-        return 0
-    return sum(len(list(Path("/proc/self", name).iterdir())) for name in ("fd", "task"))
-
-
 def resident_mb(pid: int) -> float:
     status = Path(f"/proc/{pid}/status")
     if not status.exists():
@@ -279,13 +235,13 @@ def main() -> int:
     command = stand_in("blank")
     if options.engine_python:
         command = (options.engine_python, "-I", "-m", "jghand_engine", "serve")
-    plan = Plan(command, 20, 8, 5, 200) if options.quick else Plan(command, 300, 200, 1000, 10_000)
+    plan = Plan(command, 20, 8, 200) if options.quick else Plan(command, 300, 200, 10_000)
     figures = Figures()
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores{load}, {platform.platform()}")
     print(f"the engine is {'the real one' if options.engine_python else 'a stand-in that draws nothing'}")
     todo: dict[str, Callable[[Plan, Figures], None]] = {
-        **{"round-trip": round_trip, "blocks": blocks, "cycles": cycles, "memory": memory}
+        **{"round-trip": round_trip, "blocks": blocks, "memory": memory}
     }
     try:
         for part in parts:

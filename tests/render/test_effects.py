@@ -99,6 +99,17 @@ def test_an_unknown_effect_is_refused_by_name(text: str):
         Choice.parse(text)
 
 
+def test_the_estimate_of_a_shadow_grows_with_its_samples_and_the_hand():
+    def estimate(samples: int, focal_px: float) -> float:
+        settings = replace(SMALL, shadow=ShadowMode.ALWAYS, shadow_samples=samples)
+        plan = plan_of(HandRenderer(RIGHT, settings).render(pose("fist"), camera(focal_px=focal_px)))
+        return plan[Effect.SHADOW].estimated_ms
+
+    assert estimate(32, 150.0) == pytest.approx(2 * estimate(16, 150.0))
+    assert estimate(16, 300.0) == pytest.approx(4 * estimate(16, 150.0), rel=0.01)
+    assert estimate(16, 150.0) > 0
+
+
 def test_every_effect_is_decided_about_once_and_has_a_line():
     frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera())
     decided = [decision.effect for decision in plan_of(frame).decisions]
@@ -666,6 +677,16 @@ def test_a_hand_behind_the_camera_takes_one_picture_and_nothing_is_drawn(monkeyp
     assert plan_of(frame)[Effect.MOTION].reason == "no hand is in the image"
     assert not frame.rgba.any()
     assert not frame.covered_depth_m.any()
+
+
+def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
+    here, facts, bones_of = pose("open"), HandFacts(RIGHT), RIGHT.skeleton().bones
+    alone, both = (
+        effects.Scene(all_m, [bones_of(one) for one in all_m], camera()).box([facts] * len(all_m), contract.ALPHA_MIN)
+        for all_m in ([here], [here + BEHIND_M, here])
+    )
+    assert both == alone
+    assert alone.width > 0
 
 
 @pytest.mark.parametrize("lens", [None, Lens(0.01, 0.45)], ids=["a pinhole", "a lens"])
