@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from painted_samples import camera_at, painted_samples
+from scipy.spatial.transform import Rotation
 from small_hands import INFO, joints_of
 from small_trainings import SMALL, small_training
 
@@ -16,9 +17,10 @@ from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn import detail, step
-from jghand_engine.learn.detail import Beside, DetailLearner, Surface, fit_surface
+from jghand_engine.learn.detail import Beside, DetailLearner, Surface, _grazes, fit_surface
 from jghand_engine.learn.options import PAPER_FAITHFUL
 from jghand_engine.native import library
+from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import HandTemplate
@@ -164,3 +166,11 @@ def trained_for(monkeypatch, folder, steps: int) -> step.HandTraining:
     for number in range(steps):
         training.step(number)
     return training
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_skin_that_is_seen_at_60_degrees_is_twice_as_long_as_it_looks(axis):
+    turned = Rotation.from_rotvec(np.radians(60) * np.eye(3)[axis]).as_matrix()
+    face_m = np.array([[[0.0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]]) @ turned.T + (0, 0, 0.5)
+    camera = Camera(20, 10, 90.0, 70.0, 10.5, 5.5, np.eye(4))
+    assert float(_grazes(face_m, camera, np.array([5]), np.array([10]))[0]) == pytest.approx(2)

@@ -689,6 +689,12 @@ def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
     assert alone.width > 0
 
 
+def test_parallel_rays_that_begin_within_a_hand_may_meet_it_anywhere():
+    view = replace(camera(away_m=0.03, side_m=0.02), orthographic=True)
+    box = effects.Scene([pose("open")], [RIGHT.skeleton().bones(pose("open"))], view).box([HandFacts(RIGHT)], 1 / 255)
+    assert (box.left, box.top, box.width, box.height) == (0, 0, view.width, view.height)
+
+
 @pytest.mark.parametrize("lens", [None, Lens(0.01, 0.45)], ids=["a pinhole", "a lens"])
 def test_a_hand_behind_the_camera_asks_for_no_more_pictures_of_another(lens: Lens | None):
     view = replace(camera(), lens=lens)
