@@ -15,7 +15,7 @@ from jghand_engine.captures.check_data import check_data, facts
 from jghand_engine.captures.masks import template_mask
 from jghand_engine.captures.projection import joints_on_mask, overlay, part_on_mask
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.orders import JointOrder
 from jghand_engine.motion.choose import curl_towards_palm
 
 
@@ -116,16 +116,6 @@ def test_pictures_that_belong_to_other_cameras_are_told_without_a_guess(changeab
     for file in changeable.rglob("*.png"):
         sets.write_picture(file, np.roll(np.asarray(Image.open(file))[..., 3], 120, axis=1) / 255)
     assert "Check units, camera convention" in errors(check_data(changeable))[0]
-
-
-def test_a_wrong_order_and_a_wrong_unit_are_told_and_the_pictures_shown_all_the_same(changeable):
-    with edited(changeable, "joint_3d") as content:
-        for frame, joints in recorded(frames=3).joints_m.items():
-            standard = from_level(np.array(joints), JointOrder.STANDARD) * 1e3
-            content["0"][str(frame)]["world_coord"][:21] = standard.tolist()
-    report = check_data(changeable)
-    assert "order 'standard'" in errors(report)[0]
-    assert len(report.seen) == 18
 
 
 def test_a_left_hand_under_the_name_of_a_right_one_is_told(tmp_path):

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -378,19 +375,6 @@ def test_export_leaves_a_shot_that_was_edited_alone_unless_told(tmp_path, capsys
     assert "my lights" in (tmp_path / "hand.shot.usda").read_text()
     assert run(*words, "--overwrite") == 0
     assert "my lights" not in (tmp_path / "hand.shot.usda").read_text()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="has no polite kill")
-def test_a_polite_kill_leaves_nothing_of_an_export(tmp_path):
-    poses = ",".join(["open", "fist"] * 20)
-    command = [sys.executable, "-m", "jghand_engine", "export", "--poses", poses, "--avatar", "painted"]
-    with subprocess.Popen([*command, "--out", tmp_path], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        until = time.monotonic() + 60
-        while not list(tmp_path.glob(".hand.*/layers/hand.splats.usdc")) and time.monotonic() < until:
-            time.sleep(0.02)
-        process.terminate()
-        assert process.wait(60) == 130
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_export_writes_splat_files_too(tmp_path, capsys):

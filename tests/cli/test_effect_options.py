@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import pytest
 from command_line import run
 
 from jghand_engine.export.pictures import read_png
@@ -30,18 +29,3 @@ def test_a_lens_softens_the_picture(tmp_path):
     assert run(*words, "--out", tmp_path / "soft", "--aperture", "60", "--focus", "0.1") == 0
     sharp, soft = (read_png(tmp_path / name / "frame_00000.png")[..., 3].astype(float) for name in ("sharp", "soft"))
     assert np.abs(np.diff(soft, axis=1)).max() < 0.7 * np.abs(np.diff(sharp, axis=1)).max()
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("--effects", "shadows"), "effects: wanted auto"),
-        (("--shutter", "2"), "--shutter: wanted 0 to 1"),
-        (("--aperture", "-1"), "--aperture: wanted 0 to 200 mm"),
-        (("--aperture", "5", "--focus", "0"), "--focus: wanted meters beyond"),
-    ],
-)
-def test_what_no_camera_can_do_is_refused_before_anything_is_written(tmp_path, capsys, words, told):
-    assert run("render", "--poses", "open", "--out", tmp_path / "out", *SMALL, *words) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "out").exists()

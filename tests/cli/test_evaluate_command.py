@@ -8,13 +8,11 @@ import shutil
 import pytest
 from command_line import run
 from picture_sets import recorded, write_set
-from PIL import Image
 
 from jghand_engine.avatar.forearm import BUILTIN_TEMPLATE
 from jghand_engine.captures.capture_folder import PLAN_FILE, open_capture
 from jghand_engine.cli.learning import forearm_note
 from jghand_engine.export.pictures import read_png
-from jghand_engine.learn import perceptual
 from jghand_engine.template.builtin import WITH_FOREARM
 
 
@@ -83,29 +81,6 @@ def test_a_folder_of_test_pictures_alone_is_measured(folder, tmp_path, capsys):
     assert "pictures of the train split" in capsys.readouterr().err
     assert run("train", place, "--out", tmp_path / "hand.jghand") == 2
     assert "at least one image to learn from" in capsys.readouterr().err
-
-
-def test_crops_are_measured_beside_the_same_capture_with_other_noise(folder, tmp_path, capsys, monkeypatch):
-    # it takes seconds a picture
-    monkeypatch.setattr(perceptual, "st_lpips", lambda: None)
-    again = shutil.copytree(folder, tmp_path / "again")
-    for file in again.rglob("*.png"):
-        rgba = read_png(file).copy()
-        rgba[::2, ::2, :3] ^= 1
-        Image.fromarray(rgba).save(file)
-    words = ("--limit", 1, "--preset", "draft", "--figures-only", "--split", "train", "--beside", again)
-    assert run("evaluate", "builtin", folder, "--out", tmp_path / "out", *words) == 2
-    assert "--crops too" in capsys.readouterr().err
-    assert run("evaluate", "builtin", folder, "--out", tmp_path / "out", "--crops", *words) == 0
-    said = capsys.readouterr().out
-    assert "at their own scale" in said
-    assert "the truth against the truth with other noise" in " ".join(said.split())
-    crops = json.loads((tmp_path / "out" / "evaluation.json").read_text())["crops"]
-    names = {name.rsplit(", ", 1)[0]: figures for name, figures in crops.items()}
-    assert names["ceiling, edges"]["psnr"] > 45 > names["learnt, edges"]["psnr"]
-    assert {"psnr", "ssim", "crops"} <= set(names["ceiling, edges"])
-    assert run("evaluate", "builtin", folder, "--out", tmp_path / "out", "--crops", *words[:-1], folder) == 2
-    assert "to the bit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

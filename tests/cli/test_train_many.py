@@ -16,7 +16,7 @@ import pytest
 from waiting import wait_until
 
 from jghand_engine.cli import main, train_many
-from jghand_engine.cli.train_many import TrainingJob, read_list, run_here
+from jghand_engine.cli.train_many import TrainingJob, read_list
 from jghand_engine.errors import STOPPED, InputError
 
 # trainings of a model of 300 Gaussians, and trainings that only count
@@ -121,20 +121,6 @@ def test_one_that_fails_does_not_stop_the_others_and_says_why(tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().out
     assert (out / "one.jghand").read_text() == "somebody's"
     assert (out / "two.jghand").is_file()
-
-
-def test_a_killed_training_goes_on_with_its_checkpoint(tmp_path, slow):
-    one, codes = job(tmp_path), []
-    thread = threading.Thread(target=lambda: codes.append(one.train(threading.Event())))
-    thread.start()
-    wait_until((tmp_path / "one.log").is_file, "its log")
-    wait_for_step(tmp_path, 5)
-    one._child.kill()  # type: ignore[union-attr]
-    thread.join(timeout=60)
-    assert codes == [-signal.SIGKILL]
-    (tmp_path / "one.training" / "checkpoint").write_text("2")
-    assert run_here([job(tmp_path)], 1) == {"one": 0}
-    assert "Resuming at step 2" in (tmp_path / "one.log").read_text()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])

@@ -21,8 +21,6 @@ from jghand_engine.avatar.file import METADATA_KEY, load_avatar
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.errors import InputError
 from jghand_engine.export.video import ffmpeg_program, write_video
-from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
-from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.motion.read import read_motion_file
 from jghand_engine.template.builtin import load_fields, load_template
 from jghand_engine.template.checks import check_template
@@ -86,31 +84,6 @@ def test_a_description_without_a_field_or_with_nonsense_in_it_is_refused(tmp_pat
     for field in set(learned) - {"shadow", "baked", "light"}:
         for value in ({}, -1, "no", 10**12):
             refused_avatar(tmp_path, arrays, {**about, "learnt": {**learned, field: value}})
-
-
-def bent_sideways(joints_m: np.ndarray) -> np.ndarray:
-    """The small finger along its flexion axis, its bones as long as before; standard order."""
-    level = joints_m[[STANDARD_NAMES.index(name) for name in LEVEL_NAMES]]
-    frames = JointTransform(level, handedness=Handedness.RIGHT).canonical
-    along_m = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(joints_m[17:], axis=0), axis=1))])[:, None]
-    return np.concatenate([joints_m[:17], joints_m[17] + along_m * frames.S[:, 1, 4, 0].numpy()])
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda joints: np.where(np.arange(21)[:, None] == 9, joints[5], joints), "palm bones"),
-        (bent_sideways, "sideways"),
-        (lambda joints: joints[[0, *range(1, 5), *range(17, 21), *range(5, 17)]], "joints read in level order"),
-        (lambda joints: np.where(np.arange(21)[:, None] == 6, joints[5], joints), "index2"),
-        (lambda joints: 1e3 * joints, "wrist"),
-    ],
-)
-def test_a_canonical_hand_that_no_joints_can_drive_is_refused(tmp_path, parts, change, named):
-    """Found when the file is read, not when the first frame is drawn."""
-    arrays, about = parts
-    joints = change(arrays["canonical_joints_m"]).astype(arrays["canonical_joints_m"].dtype)
-    refused_avatar(tmp_path, {**arrays, "canonical_joints_m": joints}, about, named)
 
 
 # ---- motions ---------------------------------------------------------------------------------------------------------

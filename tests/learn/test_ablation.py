@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +18,6 @@ from jghand_engine.avatar.lamp_rows import irradiance_at
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.cli import main
-from jghand_engine.cli.failures import STOPPED
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import Handedness
@@ -147,28 +144,6 @@ def test_lamps_in_the_world_light_the_middle_of_the_hand_as_before():
     assert not inside.lamps
     facing = irradiance_at(np.array([lamp.numbers for lamp in light.lamps]), middle_m[None])[:, 0].sum(0)
     np.testing.assert_allclose(inside.world.terms.light.sum(0) - light.world.terms.light.sum(0), facing, rtol=1e-4)
-
-
-def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, tmp_path):
-    steps, step = [], HandTraining.step
-
-    def counted(self, number):
-        steps.append(number)
-        if len(steps) == 3:
-            os.kill(os.getpid(), signal.SIGINT)
-        return step(self, number)
-
-    monkeypatch.setattr(HandTraining, "step", counted)
-    code, out, _ = ablate("--steps", 5, "--variants", "full")
-    assert code == STOPPED
-    assert "resumes it" in out
-    assert ablate("--steps", 5, "--variants", "full")[0] == 0
-    assert steps == [0, 1, 2, 3, 4]
-    code, _, err = ablate("--steps", 5, "--variants", "full", "--seed", 1)
-    assert code == 2
-    assert "options.seed: wanted 0" in err
-    assert "--out" in err
-    assert "--fresh" not in err, "which this command does not have"
 
 
 @pytest.mark.parametrize(

@@ -134,26 +134,3 @@ def test_a_nan_in_any_tensor_is_caught_in_the_next_step(build):
         good.restore(training)
     assert missed == []
     assert find_non_finite(training.step(2), training) == []
-
-
-def test_the_gradient_that_was_not_finite_first_is_named(build, options):
-    """Shortening all gradients together must not hide which one it was."""
-    training = build()
-    step = training.step
-
-    def poisoned(number):
-        if number != 5:
-            return step(number)
-        handle = training.hand.raw_rim.register_hook(lambda gradient: gradient * math.nan)
-        try:
-            return step(number)
-        finally:
-            handle.remove()
-
-    training.step = poisoned
-    outcome = train(lambda: training, options)
-    assert outcome.state.skipped == [5]
-    (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
-    assert "gradient raw_rim (1 NaN)" in line["not_finite"]
-    assert "gradient trunk" not in line["not_finite"]
-    assert all(tensor.isfinite().all() for tensor in newest(options).tensors.values())

@@ -169,23 +169,6 @@ def test_the_axes_of_the_offsets_are_told_to_the_avatar(frame):
     assert learned_of(hand).world_offsets is (frame is OffsetFrame.WORLD)
 
 
-@pytest.mark.parametrize("anisotropic", [False, True])
-def test_only_ellipsoids_have_axes(anisotropic):
-    hand = small_hand(replace(SMALL_MODEL, anisotropic=anisotropic), moved=False)
-    ellipsoid = learned_of(hand, 120).ellipsoid
-    names = {name for name, _ in hand.named_parameters()}
-    if not anisotropic:
-        assert ellipsoid is None
-        assert not names & {"log_stretch", "quaternion"}
-        return
-    assert names >= {"log_stretch", "quaternion"}
-    assert ellipsoid is not None
-    # they start round
-    assert ellipsoid.log_stretch.shape == (120, 3)
-    assert not ellipsoid.log_stretch.any()
-    assert torch.equal(ellipsoid.quaternion, torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(120, 4))
-
-
 # ---- gradients -------------------------------------------------------------------------------------------------------
 
 

@@ -12,7 +12,6 @@ from painted_samples import mirrored, painted_samples
 from small_hands import SMALL_MODEL
 from small_trainings import SMALL, parameters_of, small_training
 
-from jghand_engine.avatar.avatar import SIGMA_MAX_M
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -347,18 +346,6 @@ def test_long_gradients_are_shortened(build):
     figures = free.step(0)
     norm = torch.stack([gradient.norm() for gradient in free.gradients().values()]).norm()
     assert float(norm) == pytest.approx(figures["gradient"], rel=1e-4)
-
-
-def test_after_a_step_and_after_loading_no_radius_is_beyond_its_limit(build):
-    training, most = build(), math.log(SIGMA_MAX_M)
-    with torch.no_grad():
-        training.hand.log_sigma += 1.0
-    beyond = {name: tensor.clone() for name, tensor in training.tensors().items()}
-    assert float(beyond["log_sigma"].max()) > most
-    training.step(0)
-    assert float(training.hand.log_sigma.detach().max()) <= most
-    training.load_tensors(beyond)
-    assert float(training.hand.log_sigma.detach().max()) == pytest.approx(most)
 
 
 def test_a_gradient_that_is_not_finite_changes_nothing(build):

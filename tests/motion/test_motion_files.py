@@ -117,19 +117,6 @@ def test_what_the_file_declares_must_not_be_contradicted(tmp_path, suffix, told,
         read_motion_file(path, told)
 
 
-def test_wrong_order_and_unit_are_caught_by_the_bones(tmp_path):
-    path = tmp_path / "motion.npy"
-    np.save(path, from_level(_motion().joints_m, JointOrder.STANDARD))
-    with pytest.raises(InputError, match="look like the order 'standard'"):
-        read_motion_file(path, MotionFormat(JointOrder.INTERHAND, "m", Handedness.RIGHT))
-    np.save(path, 1000 * from_level(_motion().joints_m, JointOrder.STANDARD))
-    with pytest.raises(InputError, match="looks like millimeters"):
-        read_motion_file(path, TOLD)
-    # and can be let through on purpose
-    unchecked = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, check_hand=False)
-    assert len(read_motion_file(path, unchecked).sequence) == len(_motion())
-
-
 @pytest.mark.parametrize(
     ("shape", "says"),
     [

@@ -14,7 +14,6 @@ from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.sampling import (
     SHELL_DEPTH_M,
-    SHELL_DEPTH_MAX_M,
     bone_distances,
     farthest_point_order,
     sample_shell,
@@ -115,17 +114,6 @@ def test_a_prefix_covers_the_hand_better_than_chance(sample):
 
 
 # ---- how they are drawn ---------------------------------------------------------------------------------------------
-
-
-def test_points_of_the_whole_hand_lie_deep_inside_and_their_depth_goes_from_the_deepest_to_the_skin(template):
-    """What the paper does: uniformly inside the mesh, d normalized over all points."""
-    whole = sample_shell(template, per_bone=40, depth_m=SHELL_DEPTH_MAX_M, seed=0, depth_of_points=True)
-    inside_m = -Surface(template.vertices_m, template.faces).closest(whole.position_m).signed_m
-    assert inside_m.min() >= 0
-    assert inside_m.max() > 0.009, "deeper than any shell of a fixed range"
-    np.testing.assert_allclose(whole.uvd[:, 2], 1 - (inside_m - inside_m.min()) / np.ptp(inside_m), atol=1e-9)
-    with pytest.raises(InputError, match="depth of the shell"):
-        sample_shell(template, depth_m=SHELL_DEPTH_MAX_M)
 
 
 @pytest.mark.parametrize("arguments", [{"per_bone": 0}, {"per_bone": 10**9}, {"depth_m": 0}, {"depth_m": 0.5}])

@@ -67,23 +67,6 @@ def test_a_hand_that_was_just_there_is_looked_for_where_it_was():
     assert len(part.boxes) == 3, "one close look in each picture"
 
 
-def test_nothing_is_looked_for_all_over_in_every_picture():
-    part = Part()
-    detector = SecondLook(Whole(*[[]] * 30), part)
-    for frame in range(30):
-        detector.detect(PICTURE, frame / 30)
-    assert len(part.boxes) == 4 * len(list(_parts(PICTURE.shape))), "every quarter of a second"
-
-
-def test_beside_a_hand_another_one_is_looked_for_less_often():
-    part = Part(HAND, OTHER)
-    detector = SecondLook(Whole(*[[HAND]] * 3), part)
-    assert {hand.handedness for hand in detector.detect(PICTURE, 0.0)} == {RIGHT, LEFT}
-    looked = len(part.boxes)
-    assert len(detector.detect(PICTURE, 1 / 30)) == 2, "where it just was"
-    assert len(part.boxes) == looked + 1
-
-
 @pytest.mark.parametrize("shape", [(480, 640), (720, 1280), (1920, 1080), (64, 64), (100, 1000)])
 def test_parts_cover_the_picture_and_overlap_by_half(shape):
     boxes = list(_parts((*shape, 3)))
