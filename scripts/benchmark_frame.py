@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -237,16 +236,6 @@ def parts_of(text: str) -> list[str]:
     return parts
 
 
-def commit() -> str:
-    """What was measured: the commit, with a + when files differ from it; empty without git."""
-    command = ["git", "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+"]
-    try:
-        folder = Path(__file__).parent
-        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return ""
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=100, help="samples of every case")
@@ -255,7 +244,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures here too")
     options = parser.parse_args()
     torch.set_num_threads(thread_count(options.threads))
-    facts = machine(options.threads) | {"torch": torch.__version__} | ({"commit": name} if (name := commit()) else {})
+    facts = machine(options.threads) | {"torch": torch.__version__}
     say(", ".join(f"{name} {value}" for name, value in facts.items()))
     chosen = list(cases(options.only, options.threads))
     with progress("Measuring", WARM_UP + options.rounds) as bar:

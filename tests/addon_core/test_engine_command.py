@@ -91,28 +91,6 @@ def test_nothing_here_needs_blender():
     subprocess.run([sys.executable, "-I", "-c", code, str(ROOT)], check=True)
 
 
-@pytest.mark.parametrize(
-    ("content", "seen"), [(None, "engine"), ("x = 1", "copy"), ("import nothing_of_that_name", "")]
-)
-def test_the_protocol_is_the_extensions_copy_where_there_is_one_even_a_broken_one(tmp_path, content, seen):
-    core = tmp_path / "addon" / "core"
-    core.mkdir(parents=True)
-    for path in (tmp_path / "addon/__init__.py", core / "__init__.py"):
-        path.touch()
-    (core / "wire.py").write_text((ROOT / "blender_addon/core/wire.py").read_text())
-    if content is not None:
-        (core / "protocol.py").write_text(content)
-        (core / "conventions.py").touch()
-    code = (
-        "import sys; sys.path[:0] = sys.argv[1:]; from addon.core.wire import protocol\n"
-        "print('copy' if protocol.__name__ == 'addon.core.protocol' else 'engine')"
-    )
-    command = [sys.executable, "-I", "-c", code, str(tmp_path), str(ROOT)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == seen
-    assert ("nothing_of_that_name" in done.stderr) == (seen == "")
-
-
 def test_every_process_of_the_extension_is_started_without_a_window():
     for path in Path(engine_commands.__file__).parent.rglob("*.py"):
         text = path.read_text(encoding="utf-8")

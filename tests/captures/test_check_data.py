@@ -214,11 +214,6 @@ def test_a_folder_that_is_no_data_set_is_a_finding_too(tmp_path):
     assert "InterHand2.6M, HanCo or our own capture" in errors(report)[0]
 
 
-def test_a_damaged_split_is_told(changeable):
-    (changeable / "splits.json").write_text("{")
-    assert any("splits.json" in text for text in errors(check_data(changeable)))
-
-
 def test_a_few_pictures_of_many_are_spread_over_the_set(stored):
     report = check_data(stored, most=6)
     assert [one.sample.frame for one in report.seen] == [2000, 2000, 2006, 2006, 2012, 2012]

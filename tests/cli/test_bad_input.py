@@ -117,11 +117,6 @@ def test_a_motion_that_cannot_be_shown_is_refused(joints, refused, tmp_path):
     refused(*of_motion(tmp_path, joints, "--frames", "50:60"), says="12 frames")
 
 
-@pytest.mark.parametrize("name", ["absent.npz", "absent.json", "motion.txt"])
-def test_a_file_that_is_not_there_or_of_no_known_kind_is_named(tmp_path, refused, name):
-    refused("render", "--motion", tmp_path / name, "--hand", "right", "--out", tmp_path / "out", says=name)
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -155,12 +150,6 @@ def test_a_folder_that_the_system_refuses_is_named(tmp_path, refused, monkeypatc
     monkeypatch.setattr("pathlib.Path.mkdir", refuse)
     out = tmp_path / "out"
     refused("render", "--poses", "open", "--frames", "0", "--out", out, *SMALL, says="permission denied")
-
-
-@pytest.mark.parametrize("fps", ["0", "-30", "nan", "inf"])
-def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, refused, joints, fps):
-    refused("render", "--poses", "open", "--fps", fps, "--out", tmp_path / "out", *SMALL, says="--fps")
-    refused(*of_motion(tmp_path, joints, "--fps", fps), says="--fps")
 
 
 def test_pictures_of_a_longer_render_are_neither_mixed_in_nor_removed(tmp_path, command):

@@ -52,15 +52,3 @@ def test_a_wrong_entry_is_named(change, named):
 def test_what_a_wrong_map_of_a_camera_is_instead_is_said(matrix, came):
     with pytest.raises(InputError, match=f"camera_from_world: wanted 4 rows of 4 numbers of at most 1e.06, got {came}"):
         camera_from_dict({**camera_to_dict(a_camera()), "camera_from_world": matrix})
-
-
-@pytest.mark.parametrize("content", ["[]", "nothing", "\x00", ""])
-def test_a_file_that_is_no_camera_is_refused(tmp_path, content):
-    (tmp_path / "camera.json").write_text(content)
-    with pytest.raises(InputError):
-        read_camera(tmp_path / "camera.json")
-
-
-def test_an_absent_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="cannot read"):
-        read_camera(tmp_path / "camera.json")

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
@@ -15,7 +14,6 @@ from jghand_engine.export.pictures import (
     SheetStyle,
     contact_sheet,
     flatten,
-    premultiplied,
     read_png,
     straight_rgba8,
     write_png,
@@ -37,14 +35,6 @@ def test_png_holds_straight_color_and_survives_the_way_through_the_file(tmp_path
     assert back.shape == (3, 5, 4)
     assert back[1, 2].tolist() == [204, 102, 51, 128]
     assert np.argwhere(back.any(-1)).tolist() == [[1, 2]]
-
-
-@given(arrays(np.uint8, (2, 3, 4)))
-def test_bytes_survive_premultiplying_and_straightening(straight):
-    back = straight_rgba8(premultiplied(straight))
-    visible = straight[..., 3] > 0
-    assert (back[visible] == straight[visible]).all()
-    assert not back[~visible].any()
 
 
 @given(st.floats(0, 1, width=32), st.floats(0, 1, width=32))

@@ -65,13 +65,6 @@ def test_a_video_that_would_not_be_what_its_name_says_is_refused_before_anything
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_picture_of_another_size_leaves_no_file(tmp_path):
-    pictures = [np.zeros((16, 16, 3), np.uint8), np.zeros((20, 16, 3), np.uint8)]
-    with pytest.raises(InputError, match="size of the first"):
-        write_video(tmp_path / "mixed.mp4", pictures, 30)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_failing_picture_source_leaves_no_file_and_its_own_error(tmp_path):
     def pictures():
         yield np.zeros((16, 16, 3), np.uint8)

@@ -7,13 +7,11 @@ import pytest
 from hand import sampled_hands as hands
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, bone_lengths, to_level
 from jghand_engine.hand.poses import pose_sequence_of_names
-from jghand_engine.hand.rotations import alignment
 from jghand_engine.hand.sequence import PoseSequence, bone_directions
 
 RIGHT = Handedness.RIGHT
@@ -273,10 +271,3 @@ def test_real_motion_stops_pulsing(shared_data):
     assert np.abs(bone_directions(steady.joints_m) - bone_directions(real.joints_m)).max() < 1e-12
     assert np.abs(steady.joints_m - real.joints_m).mean() < 0.004
     assert np.allclose(bone_lengths(steady.joints_m[0]), np.median(real.bone_lengths_m, axis=0))
-
-
-def test_an_alignment_undoes_a_turn_also_of_points_in_a_plane():
-    points = np.random.default_rng(1).standard_normal((4, 5, 3)) * (1, 1, 0)
-    turn = Rotation.from_rotvec(np.random.default_rng(2).standard_normal((4, 3))).as_matrix()
-    found = alignment(points, points @ np.swapaxes(turn, -1, -2))
-    np.testing.assert_allclose(found, turn, atol=1e-12)

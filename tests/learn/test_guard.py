@@ -95,15 +95,6 @@ def test_one_bad_value_anywhere_is_caught_in_its_step_and_the_training_goes_on(w
     assert all(tensor.isfinite().all() for tensor in last.tensors.values())
 
 
-def test_huge_finite_values_are_no_alarm():
-    """Their norm overflows, so the fused check sees something; the exact one does not."""
-    model = StandIn()
-    figures = model.step(0)
-    with torch.no_grad():
-        model.tensors()["first.planes.uv"].fill_(3e38)
-    assert find_non_finite(figures, model) == []
-
-
 def test_tensors_of_several_types_are_looked_at_together():
     class Mixed(StandIn):
         extra = torch.tensor([1.0, math.nan], dtype=torch.float64)

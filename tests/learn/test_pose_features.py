@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
 import torch
 from small_hands import frames_of
@@ -16,7 +15,6 @@ from jghand_engine.learn.pose_features import (
     AnglePlanes,
     finger_angles,
     normalized,
-    octave_of_wave,
     palm_angles,
 )
 
@@ -200,9 +198,3 @@ def test_the_encoding_is_sine_and_cosine_octave_by_octave():
         for point in uvd
     ]  # fmt: skip
     torch.testing.assert_close(got, torch.tensor(wanted, dtype=torch.float64), atol=3e-8, rtol=0)  # float32
-
-
-def test_every_wave_knows_its_octave():
-    octaves = (3, 0, 2)
-    assert octave_of_wave(octaves).tolist() == [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]
-    assert len(octave_of_wave(octaves)) == positional_encoding(np.zeros((1, 3)), octaves).shape[1]

@@ -57,8 +57,3 @@ def test_marks_that_are_none_are_refused(sequence, tmp_path, filled):
     path.write_text(json.dumps({**document, "filled": filled}))
     with pytest.raises(InputError):
         read_motion_file(path)
-
-
-def test_marks_of_another_length_are_refused():
-    with pytest.raises(InputError, match="filled frames"):
-        PoseSequence(right_joints_m(3), 30.0, Handedness.RIGHT, filled=FILLED)

@@ -53,12 +53,6 @@ def test_a_scaled_camera_sees_the_same_view() -> None:
     np.testing.assert_allclose(relative, camera.project(point)[0] / np.array([512, 334]))
 
 
-def test_a_camera_is_scaled_to_one_pixel_at_least() -> None:
-    assert (oblong().scaled(1e-6).width, oblong().scaled(1e-6).height) == (1, 1)
-    # whole pixels: 0.3 of 64 x 48 is 19.2 x 14.4
-    assert (oblong().scaled(0.3).width, oblong().scaled(0.3).height) == (19, 14)
-
-
 def test_points_are_projected_by_the_matrix_of_the_pinhole() -> None:
     """K [R | t] in homogeneous coordinates."""
     view, points = oblong(), points_m(20)
@@ -134,10 +128,6 @@ def test_the_ends_of_what_a_lens_may_be() -> None:
     ):
         with pytest.raises(InputError, match=f"lens: {name}"):
             Lens(aperture_m, focus_m)
-
-
-def test_the_smallest_picture_has_one_pixel() -> None:
-    assert Camera(1, 1, 1e-3, 1e-3, -5.0, 7.0, np.eye(4)).camera_from_world.dtype == np.float64
 
 
 @pytest.mark.parametrize(

@@ -123,14 +123,6 @@ def test_the_shared_template_cannot_be_changed(template):
     assert load_template() is template
 
 
-def test_the_files_are_small():
-    shapes = builtin.ASSETS / "identities.npz"  # seven other hands, for captures
-    own = {"identities.npz", "hand_shapes.npz", "skin_prior.npz"}  # for captures and hands from films
-    template = [path for path in builtin.ASSETS.iterdir() if path.suffix in (".npz", ".png") and path.name not in own]
-    assert sum(path.stat().st_size for path in template) <= 200_000
-    assert shapes.stat().st_size <= 150_000
-
-
 def test_every_finger_has_its_nail_on_the_back_of_its_tip(template):
     with (builtin.ASSETS / "nails.png").open("rb") as stream:
         nails = np.asarray(Image.open(stream))

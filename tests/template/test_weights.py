@@ -10,7 +10,6 @@ import pytest
 from jghand_engine.avatar.validation import WEIGHT_SUM_TOLERANCE
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
-from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.weights import (
     PALM_SPLIT_SIGMA_M,
@@ -18,7 +17,6 @@ from jghand_engine.template.weights import (
     WRIST_BLEND_M,
     bone_weights,
     check_weight_rows,
-    columns_to_level,
     palm_split,
     segment_distance,
     without_crumbs,
@@ -85,17 +83,6 @@ def test_the_palm_has_no_steps():
 def test_shares_stay_finite_far_away():
     shares = palm_split(np.array([[5.0, 5.0, 5.0], [-3.0, 1.0, 2.0]]), JOINTS_M)
     np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-15)
-
-
-def test_columns_are_sorted_like_joints():
-    order = JointOrder.MANO16_TIPS
-    marks = np.arange(21.0)
-    expected = to_level(np.repeat(marks[:, None], 3, axis=1), order)[:, 0]
-    np.testing.assert_array_equal(columns_to_level(marks[None], order)[0], expected)
-    rows = np.stack([marks, marks[::-1] ** 2])
-    sorted_rows = columns_to_level(rows, order)
-    for column, joint in enumerate(expected.astype(int)):
-        np.testing.assert_array_equal(sorted_rows[:, column], rows[:, joint])
 
 
 def test_distance_to_a_segment_counts_its_ends():

@@ -71,15 +71,6 @@ def test_other_networks_are_refused(wheel, tmp_path, monkeypatch):
     assert not (tmp_path / FILE_NAME).exists()
 
 
-def test_a_package_without_networks_is_refused(tmp_path):
-    with zipfile.ZipFile(tmp_path / "empty.whl", "w"):
-        pass
-    (tmp_path / "none.whl").write_bytes(b"no archive")
-    for name in ("empty.whl", "none.whl"):
-        with pytest.raises(InputError, match="the package mediapipe"):
-            bundle(tmp_path / name, tmp_path / FILE_NAME)
-
-
 def test_fetching_asks_pip_for_one_package_and_keeps_what_it_needs(nowhere, wheel, monkeypatch):
     asked = []
 

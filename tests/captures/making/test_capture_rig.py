@@ -69,12 +69,6 @@ def test_fingers_keep_their_bone_lengths_in_every_pose(hand, named):
     np.testing.assert_allclose(got[:, 0], wanted[0], atol=1e-15)
 
 
-def test_turns_of_the_rig_are_rotations(named):
-    np.testing.assert_allclose(named.turn @ named.turn.swapaxes(-1, -2), np.broadcast_to(np.eye(3), named.turn.shape),
-                               atol=1e-14)  # fmt: skip
-    assert (np.linalg.det(named.turn) > 0).all()
-
-
 def test_the_palm_cups_in_a_fist_and_flattens_when_fingers_stretch(hand):
     """The metacarpals of ring and pinky move: what no hand of 21 joints can follow exactly."""
     angles = np.zeros((2, 5, 4))

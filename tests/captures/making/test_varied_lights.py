@@ -172,17 +172,6 @@ def first(content: dict) -> dict:
     return next(iter(content["pictures"].values()))
 
 
-def test_a_quarter_of_the_lamps_stands_behind_the_hand(made):
-    """... as its camera sees it, beside those that stand there by chance."""
-    rng = np.random.default_rng(0)
-    behind = np.array([0.0, 0.0, 1.0])
-    lamps = [random_lamp(str(kind), np.zeros(3), behind, rng) for kind in rng.choice(KINDS, 2000)]
-    away = np.array([lamp["place_m"] for lamp in lamps])
-    cosine = away @ behind / np.linalg.norm(away, axis=1)
-    # half of the directions, and a quarter of the others
-    assert (cosine > 0).mean() == pytest.approx(0.5 + 0.25 / 2, abs=0.03)
-
-
 @pytest.mark.parametrize("kind", [*KINDS, *HELD_OUT_KINDS])
 def test_lamps_light_what_faces_them_alike(kind):
     """2 pi W/m2 in the middle of the hand, by the table of Blender's lights, an area as the point in its middle."""
