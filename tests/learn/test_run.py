@@ -145,6 +145,8 @@ def test_a_time_budget_ends_the_training_and_its_schedule(options):
     assert outcome.finished
     assert outcome.state.seconds == 3.125
     assert outcome.state.step == 250
+    speeds = [line["steps_per_s"] for line in read_log(options.work / "log.jsonl") if "loss" in line]
+    assert speeds[10] == pytest.approx(128), "of the steps just done"
     assert made.plans[0] == 10_000, "nothing is known yet"
     assert made.plans[2] == 400, "after a few steps the speed is"
     # planned after 250 steps, where it ends
