@@ -53,6 +53,16 @@ def test_canonical_joints_give_the_canonical_gaussians():
     assert torch.equal(posed.opacity, avatar.opacity.double())
 
 
+def test_where_the_canonical_hand_stands_is_of_no_matter():
+    avatar, shift_m = small_tensors(), torch.tensor([0.3, -0.2, 0.7], dtype=torch.float64)
+    joints_m = joints_of(avatar, "fist")
+    moved = replace(
+        avatar, position_m=avatar.position_m.double() + shift_m, canonical_joints_m=avatar.canonical_joints_m + shift_m
+    )
+    here, there = (pose_gaussians(one, bones_of(one, joints_m)).position_m for one in (avatar, moved))
+    torch.testing.assert_close(there, here, atol=1e-14, rtol=0)
+
+
 @pytest.mark.parametrize("pose", POSES)
 def test_turning_moving_and_scaling_the_joints_does_the_same_to_the_gaussians(pose):
     avatar = small_tensors()
