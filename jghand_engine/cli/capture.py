@@ -44,7 +44,7 @@ class LookOptions:
         str | None, tyro.conf.arg(metavar="NUMBER|PERSON.json", help_behavior_hint="(default: usual numbers)")
     ] = None
     """Whose skin: the seed of anybody's, or a file with some numbers of a person (docs/SKIN.md). Left out: a person of
-    usual numbers."""
+    usual numbers, the same for every --seed."""
     lights: Annotated[str, tyro.conf.arg(metavar="NAME|FILE|varied")] = "studio"
     """Soft lamps, and all around city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr
     file, which is copied into the capture; varied: another world and two other lamps in every picture, what each gives
@@ -185,12 +185,12 @@ class Capture:
         )  # fmt: skip
 
     def _skin(self) -> Person:
-        from jghand_engine.captures.skin.person import RANGES, Person
+        from jghand_engine.captures.skin.person import Person
 
         given = self.look.skin
         if given is None:
-            # seeds of captures have no end
-            return Person(seed=self.seed % (int(RANGES["seed"][1]) + 1))
+            # whatever the capture's seed: pictures of other poses and lights shall show the same skin
+            return Person()
         return Person.drawn(int(given)) if given.isdecimal() else Person.of_file(Path(given))
 
 

@@ -346,6 +346,14 @@ def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monke
         list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
 
 
+def test_the_seed_of_a_capture_leaves_the_skin_alone(tmp_path):
+    words = [*WORDS, "--poses", "2", "--subdivisions", "1", "--blender-python", sys.executable]
+    assert main([*words, "--seed", "77", "--out", str(tmp_path)]) == 0
+    plan = read_plan(tmp_path)
+    assert plan is not None
+    assert plan.render["skin"]["person"] == dataclasses.asdict(Person())
+
+
 def test_a_person_gives_a_capture_its_skin_and_another_person_is_another_capture(tmp_path, monkeypatch, capsys):
     (tmp_path / "ann.json").write_text(json.dumps({"melanin": 0.9, "seed": 4}))
     words = [*WORDS, "--poses", "2", "--subdivisions", "1", "--blender-python", sys.executable]
