@@ -68,6 +68,9 @@ FACING, SQUARE = 0.5, 0.8
 LOG_NOISE, INDEPENDENT = 0.15, 0.05
 # of albedos: the same, and where two pictures disagree
 ALBEDO_NOISE, ALBEDO_ROUNDS, DISAGREE = 0.12, 3, 0.12
+# gloss is at most so much of what pictures show of a Gaussian, in any channel: in a shadow from outside, of which the
+# world does not know, it would take more than all, and leave black skin
+GLOSS_PART_MAX = 0.6
 # rounds in which what a picture still lacks is given back to the Gaussians
 SHARPENED = 3
 # a color or an albedo below is black, one above white
@@ -87,12 +90,14 @@ class Answer:
 class SeenSkin:
     """What the pictures say of N Gaussians.
 
-    albedo: (N, 3) linear; where nothing was seen it means nothing
-    seen:   (N,) how well, in pictures: each counts 0 to 1
-    world:  the film's light
+    albedo:      (N, 3) linear; where nothing was seen it means nothing
+    reflectance: (N,) the avatar's, less where pictures show less than its gloss
+    seen:        (N,) how well, in pictures: each counts 0 to 1
+    world:       the film's light
     """
 
     albedo: Tensor
+    reflectance: Tensor
     seen: Tensor
     world: World
 
@@ -272,7 +277,10 @@ def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin) -> Own
     if origin.handedness is Handedness.LEFT:
         # pictures were mirrored; so are the directions of the second half of the cells, of those of the first
         cells = np.roll(cells, CELLS // 2, 0)
-    response = replace(learned.response, bounce=bounce, trained_on={}, film_light=cells.astype(np.float32))
+    reflectance = found.reflectance.numpy().astype(np.float32)
+    response = replace(
+        learned.response, bounce=bounce, reflectance=reflectance, trained_on={}, film_light=cells.astype(np.float32)
+    )
     info = replace(
         avatar.info,
         name=f"Hand of {origin.name}",
@@ -303,8 +311,9 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
     observed = film.observed
     best = len(observed) < FEW_PICTURES
     world = film_light(film)
-    answers, weight = film.answers(world), counted(observed.seen * observed.trust)
-    color = list(observed.color)
+    weight, color = counted(observed.seen * observed.trust), list(observed.color)
+    film.response = replace(film.response, reflectance=_reflectance(film, film.answers(world), weight))
+    answers = film.answers(world)
     albedo = _albedo(color, answers, weight, best=best)
     known = (weight.sum(0) > 0)[:, None]
     for _ in range(SHARPENED):
@@ -317,7 +326,14 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
                 missing, _ = one.given_back(drawn, opacity)
             color.append(drawn + missing)
         albedo = _albedo(color, answers, weight, best=best)
-    return SeenSkin(albedo, weight.sum(0), world)
+    return SeenSkin(albedo, film.response.reflectance, weight.sum(0), world)
+
+
+def _reflectance(film: LitFilm, answers: list[Answer], counts: Tensor) -> Tensor:
+    """(N,) the avatar's, lower where its gloss would be more than its part. counts: (F, N) of the pictures"""
+    gloss = (counts[..., None] * torch.stack([answer.gloss for answer in answers])).sum(0)
+    most = GLOSS_PART_MAX * (counts[..., None] * film.observed.color).sum(0)
+    return film.response.reflectance * (most / gloss.clamp_min(1e-12)).amin(1).where(gloss[:, 0] > 0, 1).clamp(0, 1)
 
 
 def _albedo(color: list[Tensor], answers: list[Answer], counts: Tensor, *, best: bool) -> Tensor:

@@ -91,6 +91,21 @@ def test_a_mark_is_found_in_its_place(seen):
     assert np.median(blue[palm]) > 2 * np.median(blue[~palm])
 
 
+def test_in_a_shadow_that_the_light_does_not_know_gloss_leaves_skin_its_color(seen):
+    hand, _, before, observed = seen
+    wrist = torch.tensor(hand.position_m[:, 1] < np.quantile(hand.position_m[:, 1], 0.15))
+    dark = replace(observed, color=torch.where(wrist[:, None], 0.1 * observed.color, observed.color))
+    film = LitFilm(hand, dark)
+    found = seen_skin(film, torch.tensor(hand.opacity))
+    counts = counted(dark.seen * dark.trust)[..., None]
+    gloss = (counts * torch.stack([answer.gloss for answer in film.answers(found.world)])).sum(0)
+    part = (gloss / (counts * dark.color).sum(0)).amax(1)[wrist & (before.seen > 0.5)]
+    assert part.numel() > 50
+    assert part.max() < 0.7, "seen: 0.66; 2.0 with the gloss that the built-in hand has"
+    lit = ~wrist & (before.seen > 0.5)
+    assert (found.reflectance == torch.tensor(hand.learned.response.reflectance))[lit].all()
+
+
 def test_a_hand_of_unknown_light_is_no_beginning():
     hand = plain_hand(300)
     film = film_of(hand, window_world(), count=3)
