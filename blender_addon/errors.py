@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One sentence and one remedy for everything that can fail. No numbers in them: they are to be translated.
+"""One sentence and one remedy for everything that can fail.
 
 Details (a path, the last lines of the log) stand apart. Source: BLENDER 3.4.
 """

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 from bpy_extras.io_utils import ImportHelper
 
 from . import ui
@@ -36,7 +35,7 @@ INFO, WARNING, ERROR = {"INFO"}, {"WARNING"}, {"ERROR"}
 def sentence_of(failure: JGHandFailure) -> str:
     """What a report says: the sentence, the remedy, the small print."""
     advice = failure.advice
-    text = f"{rpt_(advice.sentence)}. {rpt_(advice.remedy)}"
+    text = f"{advice.sentence}. {advice.remedy}"
     detail = in_blenders_words(failure.detail)
     return f"{text} ({detail})" if detail else text
 
@@ -178,10 +177,9 @@ class InTurns(Reporting):
 
     def _progress(self, part: float) -> str:
         if part <= 0.0:  # nothing to foretell from yet
-            return rpt_("{working}  ·  Esc cancels").format(working=rpt_(self.working))
+            return f"{self.working}  ·  Esc cancels"
         left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
-        template = rpt_("{working}  {percent}%  ·  {left} left  ·  Esc cancels")
-        return template.format(working=rpt_(self.working), percent=round(100 * part), left=duration(left_s))
+        return f"{self.working}  {round(100 * part)}%  ·  {duration(left_s)} left  ·  Esc cancels"
 
 
 class FromFile(InTurns, ImportHelper):
@@ -255,7 +253,7 @@ def wait_cursor(context: bpy.types.Context) -> Iterator[None]:
 
 def missing(operator: type, sentence: str) -> bool:
     """For `poll`: says what is missing; False."""
-    operator.poll_message_set(rpt_(sentence))
+    operator.poll_message_set(sentence)
     return False
 
 
@@ -286,8 +284,8 @@ def poll_hands(operator: type, context: bpy.types.Context) -> bool:
         return False
     linked = next((hand for hand in chosen_hands(context) if not hand.is_editable), None)
     if linked is not None:
-        text = rpt_("{name} is linked from another file: make it local, or an override, first, or do not select it")
-        return missing(operator, text.format(name=linked.name))
+        text = f"{linked.name} is linked from another file: make it local, or an override, first, or do not select it"
+        return missing(operator, text)
     return True
 
 
@@ -297,8 +295,8 @@ def poll_bones(operator: type, context: bpy.types.Context) -> bool:
         return False
     other = next((hand for hand in chosen_hands(context) if not controls.bones_are_own(hand)), None)
     if other is not None:
-        text = rpt_("The bones of {name} are another file's, also in an override: make object and armature local first")
-        return missing(operator, text.format(name=other.name))
+        text = f"The bones of {other.name} are another file's, in an override too: make object and armature local first"
+        return missing(operator, text)
     return True
 
 

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import blf
 import bpy
 import bpy.utils.previews
-from bpy.app.translations import pgettext_iface as iface_
 
 from . import clock
 from .core import panel_text
@@ -86,7 +85,7 @@ def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str,
     width = context.region.width if context.region is not None and context.region.width > 1 else _WIDTH_PX * scale
     room = width - (_MARGIN_PX + (_ICON_PX if icon != "NONE" else 0)) * scale
     blf.size(_FONT, context.preferences.ui_styles[0].widget.points * scale)
-    for line in panel_text.wrapped(iface_(text), room, lambda line: blf.dimensions(_FONT, line)[0]):
+    for line in panel_text.wrapped(text, room, lambda line: blf.dimensions(_FONT, line)[0]):
         column.label(text=line, icon=icon, translate=False)
         icon = "BLANK1" if icon != "NONE" else icon
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panels say, as plain text: the renderer's state, a picture's receipt, a bone map. Does not use bpy.
 
-A receipt is a `FrameReport.as_dict()` of the engine as it came over the wire. Every sentence is made from a
-template that goes through `translate`. Tooltips have no final full stop, as Blender's have none.
+A receipt is a `FrameReport.as_dict()` of the engine as it came over the wire. Tooltips have no final full stop, as
+Blender's have none.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from .joints import NAMES
-
-Translate = Callable[[str], str]
 
 # the engine's words for stages -> what an artist reads
 STAGES = {
@@ -142,46 +140,43 @@ def wrapped(text: str, width: float, width_of: Callable[[str], float] = len) -> 
     return lines
 
 
-def status_text(status: Any, report: Mapping[str, Any] | None = None, translate: Translate = str) -> StatusText:
+def status_text(status: Any, report: Mapping[str, Any] | None = None) -> StatusText:
     """The state of the renderer's link (`renderer.link.Status`). report: of the last picture, None before one."""
     since, state = duration(status.since_s), status.state
     if state == "failed":
-        return _failed(status.failure, since, translate)
+        return _failed(status.failure, since)
     if state == "stopped":
-        return StatusText(translate("Renderer off: starts when needed"), True)
+        return StatusText("Renderer off: starts when needed", True)
     if state == "starting":
-        return StatusText(translate("Starting…  {since}").format(since=since), True)
+        return StatusText(f"Starting…  {since}", True)
     if state == "stopping":
-        return StatusText(translate("Stopping…  {since}").format(since=since), True)
+        return StatusText(f"Stopping…  {since}", True)
     if state == "slow":
-        text = translate("The renderer is not answering")
-        remedy = translate('It may be at work: wait, or press "Restart Renderer"')
-        running = translate("Running for {since}").format(since=since)
-        return StatusText(
-            text, False, remedy=remedy, since=running, buttons=(Button("jghand.restart_engine", "Restart Renderer"),)
-        )
+        remedy = 'It may be at work: wait, or press "Restart Renderer"'
+        buttons = (Button("jghand.restart_engine", "Restart Renderer"),)
+        text, running = "The renderer is not answering", f"Running for {since}"
+        return StatusText(text, False, remedy=remedy, since=running, buttons=buttons)
     facts = status.handshake or {}
     if status.doing:
-        parts = [f"{translate(status.doing)}…"]
+        parts = [f"{status.doing}…"]
     elif status.busy and report is None:  # it warms up
-        parts = [translate("First frame…")]
+        parts = ["First frame…"]
     else:
-        parts = [translate("Ready")]
+        parts = ["Ready"]
         if report is not None:  # beside the kernels it names the graphics card, if one drew
             parts += ["GPU" if ", " in report["backend"] else "CPU", milliseconds(report["total_ms"])]
-    detail = translate("Running for {since}, version {version}, process {pid}").format(
-        since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
-    )
+    version, pid = facts.get("engine_version", "?"), facts.get("pid", "?")
+    detail = f"Running for {since}, version {version}, process {pid}"
     return StatusText(" · ".join(parts), True, detail=detail)
 
 
-def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, translate: Translate = str) -> ReceiptText:
+def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None) -> ReceiptText:
     """The lines of a receipt. budget_ms: what a picture was allowed to take, None without a budget."""
     total_ms = report["total_ms"]
     return ReceiptText(
-        _total(report, total_ms, budget_ms, translate),
-        tuple(_stage(stage, total_ms, translate) for stage in report["stages"]),
-        warnings(report, translate),
+        _total(report, total_ms, budget_ms),
+        tuple(_stage(stage, total_ms) for stage in report["stages"]),
+        warnings(report),
     )
 
 
@@ -193,7 +188,7 @@ def shortened(name: str, names: Sequence[str]) -> str:
     return f"…{rest}" if rest and len(prefix) > 1 and rest != name else name
 
 
-def map_lines(sources: Sequence[Any], known: Sequence[str], translate: Translate = str) -> list[Line]:
+def map_lines(sources: Sequence[Any], known: Sequence[str]) -> list[Line]:
     """What a bone map misses. sources: 21 of `bone_maps.JointSource` or None; known: the bones that there are."""
     bones = set(known)
     empty = [name for name, source in zip(NAMES, sources, strict=True) if source is None]
@@ -204,52 +199,45 @@ def map_lines(sources: Sequence[Any], known: Sequence[str], translate: Translate
     ]
     lines = []
     if empty:
-        text = translate("{count} of 21 joints have no bone: {names}").format(count=len(empty), names=_listed(empty))
-        lines.append(Line(text, good=False))
+        lines.append(Line(f"{len(empty)} of 21 joints have no bone: {_listed(empty)}", good=False))
     if gone:
-        text = translate("Bones that are gone: {names}").format(names=_listed(gone))
-        lines.append(Line(text, good=False))
+        lines.append(Line(f"Bones that are gone: {_listed(gone)}", good=False))
     twice = _used_twice(sources)
     if twice:
-        lines.append(Line(translate("Several joints on one place: {names}").format(names=_listed(twice)), good=False))
-    return lines or [Line(translate("All 21 joints have a bone"))]
+        lines.append(Line(f"Several joints on one place: {_listed(twice)}", good=False))
+    return lines or [Line("All 21 joints have a bone")]
 
 
-def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
+def _failed(failure: Any, since: str) -> StatusText:
     log = Button("jghand.show_log", "Show Log")
     if failure is None:
-        return StatusText(translate("The renderer stopped"), False, buttons=(Button(*_START), log))
+        return StatusText("The renderer stopped", False, buttons=(Button(*_START), log))
     mend = Button(*_MENDS.get(failure.kind, _START))
     which = failure.detail.partition("\n")[0] if failure.kind in _MENDS else ""
-    sentence, remedy = translate(failure.advice.sentence), translate(failure.advice.remedy)
-    ago = translate("{since} ago").format(since=since)
-    return StatusText(sentence, False, which, remedy, ago, failure.detail, (mend, log))
+    advice = failure.advice
+    return StatusText(advice.sentence, False, which, advice.remedy, f"{since} ago", failure.detail, (mend, log))
 
 
-def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, translate: Translate) -> Line:
-    tip = translate("{drawn:,} of {posed:,} splats, drawn by {backend} on {threads} threads").format(
-        drawn=report["visible_gaussians"],
-        posed=report["gaussians"],
-        backend=report["backend"],
-        threads=report["threads"],
-    )
+def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None) -> Line:
+    drawn, posed = report["visible_gaussians"], report["gaussians"]
+    tip = f"{drawn:,} of {posed:,} splats, drawn by {report['backend']} on {report['threads']} threads"
     if budget_ms is None:
-        return Line(translate("Last Frame"), milliseconds(total_ms), 1.0, tip)
-    tip = translate("{tip}; the budget is {budget}").format(tip=tip, budget=milliseconds(budget_ms))
+        return Line("Last Frame", milliseconds(total_ms), 1.0, tip)
+    tip = f"{tip}; the budget is {milliseconds(budget_ms)}"
     part, good = min(total_ms / max(budget_ms, 1e-3), 1.0), total_ms <= budget_ms
-    text = translate("Last Frame") if good else translate("Over Budget")
+    text = "Last Frame" if good else "Over Budget"
     return Line(text, milliseconds(total_ms), part, tip, good)
 
 
-def _stage(stage: Mapping[str, Any], total_ms: float, translate: Translate) -> Line:
+def _stage(stage: Mapping[str, Any], total_ms: float) -> Line:
     name: str = stage["name"]
     spent_ms = stage["milliseconds"]
-    label = translate(STAGES.get(name, name.capitalize()))
+    label = STAGES.get(name, name.capitalize())
     part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
     return Line(label, milliseconds(spent_ms), part, stage["reason"])
 
 
-def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Line, ...]:
+def warnings(report: Mapping[str, Any]) -> tuple[Line, ...]:
     """What an artist should look at in the last picture, the joint out of its trained range first; by the names of the
     hands where there are several (`HANDS` of the report)."""
     outside, others = [], []
@@ -259,16 +247,13 @@ def warnings(report: Mapping[str, Any], translate: Translate = str) -> tuple[Lin
         if match is None:
             others.append(Line(f"{of}{note.rstrip('.')}", tip=note.rstrip("."), good=False))
             continue
-        template = translate("{joint}: {angle} {beyond}° outside trained range")
-        text = of + template.format(
-            joint=match["joint"], angle=translate(match["angle"]), beyond=round(float(match["beyond"]))
-        )
-        tip = translate("{note}. Such a pose was in no image that the avatar learned from, so its skin is a guess")
-        outside.append(Line(text, tip=tip.format(note=note), good=False))
+        text = f"{of}{match['joint']}: {match['angle']} {round(float(match['beyond']))}° outside trained range"
+        tip = f"{note}. Such a pose was in no image that the avatar learned from, so its skin is a guess"
+        outside.append(Line(text, tip=tip, good=False))
     invalid = report.get("invalid_gaussians", 0)
     if invalid:
-        text = translate("{count} splats could not be drawn").format(count=invalid)
-        others.append(Line(text, tip=translate("Their numbers are not finite: the avatar may be damaged"), good=False))
+        text = f"{invalid} splats could not be drawn"
+        others.append(Line(text, tip="Their numbers are not finite: the avatar may be damaged", good=False))
     return (*outside, *others)
 
 
@@ -281,13 +266,13 @@ def _hand_of(note: str, names: Sequence[str]) -> tuple[str, str]:
     return f"{names[number - 1]}: ", match[2]
 
 
-def folded(lines: Sequence[Line], most: int, translate: Translate = str) -> tuple[Line, ...]:
+def folded(lines: Sequence[Line], most: int) -> tuple[Line, ...]:
     """The first lines, and one for all others, whose tip has their texts."""
     if len(lines) <= most + 1:
         return tuple(lines)
     others = lines[most:]
-    text = translate("{count} more warnings").format(count=len(others))
-    return (*lines[:most], Line(text, tip="\n".join(line.text for line in others), good=False))
+    tip = "\n".join(line.text for line in others)
+    return (*lines[:most], Line(f"{len(others)} more warnings", tip=tip, good=False))
 
 
 def _listed(names: Sequence[str], most: int = 6) -> str:

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import folders, ui, versions
 from ..errors import JGHandFailure
@@ -55,7 +54,7 @@ class Export(StartsJob, bpy.types.Operator):
         folder = place(context, settings.folder)
         names = [name for *_, name in ops_common.named_hands(context, self.recorded_hands(context))]
         there = [name for name in names if any(folder.glob(_FILES[settings.format].format(name=name)))]
-        return rpt_("{folder} has exports of {names}").format(folder=folder, names=", ".join(there)) if there else ""
+        return f"{folder} has exports of {', '.join(there)}" if there else ""
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec | None:
         settings = context.scene.jghand.output
@@ -93,7 +92,7 @@ class Export(StartsJob, bpy.types.Operator):
 
     def done(self, context: bpy.types.Context) -> str:
         folder = place(context, context.scene.jghand.output.folder)
-        return rpt_("Exported {names} to {folder}.").format(names=", ".join(self._names), folder=folder)
+        return f"Exported {', '.join(self._names)} to {folder}."
 
 
 # ---- bakes -----------------------------------------------------------------------------------------------------------
@@ -129,7 +128,7 @@ class Bake(StartsJob, bpy.types.Operator):
     def overwritten(self, context: bpy.types.Context) -> str:
         things = ops_common.hands_to_write(context)
         there = [str(folder) for folder in _bake_folders(context, things) if (folder / bakes.STAMP).is_file()]
-        return rpt_("There is a bake in {folders}").format(folders=", ".join(there)) if there else ""
+        return f"There is a bake in {', '.join(there)}" if there else ""
 
     def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         things = ops_common.hands_to_write(context)
@@ -161,7 +160,7 @@ class Bake(StartsJob, bpy.types.Operator):
         return JobSpec("Baking", commands[0], self._folder, on_done=finish, more=tuple(commands[1:]), on_over=clean)
 
     def done(self, _context: bpy.types.Context) -> str:
-        return rpt_("Baked into {folder}.").format(folder=self._folder)
+        return f"Baked into {self._folder}."
 
 
 def _bake_folders(context: bpy.types.Context, things: Sequence[bpy.types.Object]) -> list[Path]:
@@ -244,10 +243,9 @@ class PlayBake(Reporting, bpy.types.Operator):
             bakes.play(context, folder)
         thing.jghand.show_in_viewport = False
         if reasons:
-            said = ", ".join(map(rpt_, reasons))
-            self.warn(rpt_("An old bake plays: {reasons}. Bake again to play what the scene has.").format(reasons=said))
+            self.warn(f"An old bake plays: {', '.join(reasons)}. Bake again to play what the scene has.")
         else:
-            self.tell(rpt_("{name} plays from {folder}.").format(name=thing.name, folder=folder))
+            self.tell(f"{thing.name} plays from {folder}.")
 
 
 class ClearBake(Reporting, bpy.types.Operator):

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.view import HandInSpace
 from ..errors import JGHandFailure
@@ -71,8 +70,8 @@ class StartsJob(InTurns):
         if not lost:
             return super().invoke(context, event)
         self.confirmed = True
-        options = {"title": rpt_("{action}?").format(action=rpt_(self.overwrite)), "message": lost, "icon": "WARNING"}
-        return context.window_manager.invoke_confirm(self, event, confirm_text=rpt_(self.overwrite), **options)
+        options = {"title": f"{self.overwrite}?", "message": lost, "icon": "WARNING"}
+        return context.window_manager.invoke_confirm(self, event, confirm_text=self.overwrite, **options)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """All of it; of a click that was asked about, in turns, which Blender's dialog alone would not do."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui, versions
 from ..errors import JGHandFailure
@@ -82,13 +81,13 @@ def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy
     if seen is None:
         return
     if seen.problem:
-        ui.paragraph(layout, context, iface_(seen.problem) + ".", icon="ERROR")
+        ui.paragraph(layout, context, seen.problem + ".", icon="ERROR")
         return
-    text = iface_("Baked: frames {first} to {last}").format(first=seen.first, last=seen.last)
+    text = f"Baked: frames {seen.first} to {seen.last}"
     layout.label(text=text, icon="CHECKMARK" if not seen.reasons else "BLANK1", translate=False)
     if seen.reasons:
         what = "What plays here is not what the scene has" if seen.plays else "The bake is not what the scene has"
-        said = f"{iface_(what)}: {', '.join(map(iface_, seen.reasons))}."
+        said = f"{what}: {', '.join(seen.reasons)}."
         ui.paragraph(layout, context, said, icon="ERROR")
     space = context.space_data
     if seen.plays and isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "SOLID":

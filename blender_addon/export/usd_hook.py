@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..core.files import copy_whole
@@ -47,7 +46,7 @@ class JGHandUsdHook(_Hook):
             traceback.print_exc()
             left_out = [f"The splats were left out: {error}"]
         if left_out:  # Blender's export runs on a thread of its own
-            ui.show_later(f"{iface_('Not all hands are in the USD file.')} {' '.join(left_out)}", icon="ERROR")
+            ui.show_later(f"{'Not all hands are in the USD file.'} {' '.join(left_out)}", icon="ERROR")
         return True
 
     @staticmethod

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import bpy
 import bpy.utils.previews
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import folders
 from ..core.view import BUILTIN_AVATAR
@@ -71,10 +70,9 @@ class InstallHands(Reporting, bpy.types.Operator):
         if not path.is_file():
             raise JGHandFailure("bad_pack", str(path))
         names, broken = avatar_files.unpack(path, folders.user_folder(HANDS))
-        told = rpt_("Installed hands: {names}.").format(names=", ".join(names) or "0")
+        told = f"Installed hands: {', '.join(names) or '0'}."
         if broken:
-            text = rpt_("Damaged, and left out: {names}. Get the zip again.")
-            self.warn(told, text.format(names=", ".join(broken)))
+            self.warn(told, f"Damaged, and left out: {', '.join(broken)}. Get the zip again.")
         else:
             self.tell(told)
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Vector
 
 from .. import folders, versions
@@ -75,13 +74,11 @@ class AddHand(Reporting, bpy.types.Operator):
         scene_light.follow(context.scene, [hand])
         stand_ins.update()
         context.view_layer.update()
-        told = rpt_("Added {name}.").format(name=hand.name)
+        told = f"Added {hand.name}."
         around = next(_meshes_around(context, hand.location), None)
         if around is not None:
-            text = rpt_("It is inside {name}, which hides it in the viewport.")
-            if scene_light.is_chosen(context.scene):
-                text = rpt_("It is inside {name}, which hides it in the viewport and keeps lamps from it.")
-            self.warn(told, text.format(name=around.name))
+            more = " and keeps lamps from it" if scene_light.is_chosen(context.scene) else ""
+            self.warn(told, f"It is inside {around.name}, which hides it in the viewport{more}.")
         else:
             self.tell(told)
 
@@ -107,7 +104,7 @@ class AddForearmBone(Reporting, bpy.types.Operator):
         controls.own_bones(hand)
         armature.add_forearm(context, hand)
         stand_ins.update()
-        self.tell(rpt_("Added {name}.").format(name=FOREARM))
+        self.tell(f"Added {FOREARM}.")
 
 
 class UseArmature(Reporting, bpy.types.Operator):
@@ -151,7 +148,7 @@ class UseArmature(Reporting, bpy.types.Operator):
         doubts = [one.sentences[0] for one in found if len(one.candidates) > 1]
         if doubts:
             used = min(self.answer, max(len(one.candidates) for one in found))
-            doubts.append(rpt_("Number {count} is used: the redo panel has the others.").format(count=used))
+            doubts.append(f"Number {used} is used: the redo panel has the others.")
         nothing = not maps
         if nothing:
             side = RIGHT if self.handedness == "BOTH" else self.handedness
@@ -162,7 +159,7 @@ class UseArmature(Reporting, bpy.types.Operator):
         rig.jghand.map_hand = maps[0].handedness
         scene_light.follow(context.scene, [rig])
         if nothing:
-            self.warn(rpt_("No bones of a hand were recognized: choose them in the list."))
+            self.warn("No bones of a hand were recognized: choose them in the list.")
         elif doubts or not all(bone_map.complete for bone_map in maps):
             self.warn(*doubts, *(text for bone_map in maps for text in bone_map.missing))
         else:
@@ -188,7 +185,7 @@ class UseObjects(Reporting, bpy.types.Operator):
             return missing(cls, "Go to object mode first")
         count = len(context.view_layer.objects.selected)
         if count < len(NAMES):
-            return missing(cls, rpt_("Select 21 objects, one per joint: {count} are selected").format(count=count))
+            return missing(cls, f"Select 21 objects, one per joint: {count} are selected")
         return True
 
     def run(self, context: bpy.types.Context) -> None:
@@ -203,7 +200,7 @@ class UseObjects(Reporting, bpy.types.Operator):
         common.make_active(context, holders[0])
         scene_light.follow(context.scene, holders)
         names = ", ".join(holder.name for holder in holders)
-        self.tell(rpt_("Added {names}: it holds the hand's settings; the objects move it.").format(names=names))
+        self.tell(f"Added {names}: it holds the hand's settings; the objects move it.")
 
     def _holder(
         self, context: bpy.types.Context, bone_map: BoneMap, things: list[bpy.types.Object]
@@ -263,7 +260,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         sources.store_map(rig, bone_map)
         sources.prepare(rig)
         count = sum(old is None and new is not None for old, new in zip(kept, filled, strict=True))
-        told = rpt_("{count} of 21 bones found by name.").format(count=count)
+        told = f"{count} of 21 bones found by name."
         if bone_map.complete:
             self.tell(told)
         else:
@@ -311,7 +308,7 @@ class SelectHand(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         hand = next((thing for thing in context.view_layer.objects if thing.session_uid == self.uid), None)
         if hand is None:
-            raise JGHandFailure("not_a_hand", rpt_("it is not in this view layer any more"))
+            raise JGHandFailure("not_a_hand", "it is not in this view layer any more")
         posing_now = context.mode == "POSE"
         common.object_mode(context)
         if not hand.visible_get(view_layer=context.view_layer):
@@ -364,7 +361,7 @@ class LoadAvatar(Reporting, bpy.types.Operator):
             thing.update_tag()
         scene_light.follow(context.scene, hands)
         if len(hands) < len(_any_hands(context)):
-            self.warn(rpt_("Hands that are linked from another file keep their avatar."))
+            self.warn("Hands that are linked from another file keep their avatar.")
 
 
 class DropAvatar(bpy.types.FileHandler):

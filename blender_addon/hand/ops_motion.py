@@ -16,7 +16,6 @@ from typing import TypeVar
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import folders, versions
 from .. import ops as common
@@ -209,15 +208,11 @@ class KeysFile(FromFile):
         for one, hand in zip(wanted, hands, strict=True):
             frames = len(one.motion.joints_m)
             lasts.append(self.first_frame + round((frames - 1) * scene_rate / one.motion.fps))
-            lines.append(
-                rpt_("{count} frames from {first} to {last} on {name}.").format(
-                    count=frames, first=self.first_frame, last=lasts[-1], name=hand.name
-                )
-            )
+            lines.append(f"{frames} frames from {self.first_frame} to {lasts[-1]} on {hand.name}.")
         if self.use_scene_range:
             context.scene.frame_start, context.scene.frame_end = self.first_frame, max(lasts)
         if controlled:
-            lines.append(rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly."))
+            lines.append("Finger controls are neutral and joint limits off, so that the motion is kept exactly.")
         return lines
 
     def conclude(self, done: Sequence[str], wanted: Sequence[WantedMotion], *doubts: str) -> None:
@@ -229,8 +224,7 @@ class KeysFile(FromFile):
             if one.hand is not None and one.motion.forearm is not None and not armature.has_forearm_bone(one.hand)
         ]
         if stiff:
-            text = rpt_("The turn of the forearm is left out on {names}: its bones are shared, or linked.")
-            notes.append(text.format(names=", ".join(stiff)))
+            notes.append(f"The turn of the forearm is left out on {', '.join(stiff)}: its bones are shared, or linked.")
         if notes:
             self.warn(*done, *notes)
         else:
@@ -318,7 +312,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             return super().hand_for(context, content)
         active = common.active_hand(context)
         if self.target == "ACTIVE" and active is None:
-            raise JGHandFailure("not_a_hand", rpt_("no hand is active"))
+            raise JGHandFailure("not_a_hand", "no hand is active")
         return active if self.target == "ACTIVE" else None
 
     def _content(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
@@ -421,9 +415,9 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         camera, is_behind = framing.add_film_camera(context, path, film.size_px, self.camera_angle, self.first_frame)
         common.link_to_active_collection(context, camera)
         framing.look_through_camera(context.area)
-        text = rpt_("{name} sees as the film's camera did; the scene has the film's size and frame rate.")
-        doubts = [] if is_behind else [rpt_("This Blender cannot play the film, so it is not behind the hand.")]
-        self.conclude([*done, text.format(name=camera.name)], wanted, *doubts)
+        text = f"{camera.name} sees as the film's camera did; the scene has the film's size and frame rate."
+        doubts = [] if is_behind else ["This Blender cannot play the film, so it is not behind the hand."]
+        self.conclude([*done, text], wanted, *doubts)
 
     def _tracked(self, context: bpy.types.Context, path: Path) -> Generator[float, None, TrackedFilm]:
         """The motions of the hands in a video. What was found last is kept: another placement is no reason to look

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import ops as common
 from .. import versions
@@ -50,10 +49,10 @@ class _Posing(Reporting):
             posed = posed or bool(touched)
             bent += hand_poses.still_acting(hand, touched)
         if not posed:
-            self.warn(rpt_("No finger bone is selected: nothing was posed."))
+            self.warn("No finger bone is selected: nothing was posed.")
         if bent:
-            template = rpt_("Finger controls still bend what was posed: reset or mute {names}.")
-            self.warn(template.format(names=", ".join(dict.fromkeys(bent))))
+            names = ", ".join(dict.fromkeys(bent))
+            self.warn(f"Finger controls still bend what was posed: reset or mute {names}.")
 
 
 class ApplyPose(_Posing, bpy.types.Operator):
@@ -104,7 +103,7 @@ class FlipPose(_Posing, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         super().run(context)
-        self.tell(rpt_("Posed {names}.").format(names=", ".join(hand.name for hand in self.hands(context))))
+        self.tell(f"Posed {', '.join(hand.name for hand in self.hands(context))}.")
 
 
 class ResetPose(_Posing, bpy.types.Operator):
@@ -129,7 +128,7 @@ class InstallPoseLibrary(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         name = hand_poses.use_library()
         context.preferences.is_dirty = True  # so that Blender saves it with the other preferences
-        self.tell(rpt_("The asset library {name} has the hand poses.").format(name=name))
+        self.tell(f"The asset library {name} has the hand poses.")
 
 
 class ShowPoseShelf(Reporting, bpy.types.Operator):
@@ -224,8 +223,7 @@ class BakeControls(InTurns, bpy.types.Operator):
 
     def finished(self, context: bpy.types.Context) -> None:
         frames = common.seen_frames(context.scene)
-        template = rpt_("Frames {first} to {last} are keyed on the bones, in a new action.")
-        self.tell(template.format(first=frames[0], last=frames[-1]))
+        self.tell(f"Frames {frames[0]} to {frames[-1]} are keyed on the bones, in a new action.")
 
 
 class _Toggle(Reporting):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..core import panel_text
@@ -63,8 +62,7 @@ def _shading_hint(context: bpy.types.Context) -> str:
         return 'Rendered shading shows hands after "Use JGHand Engine" only; Material Preview shows them with the scene'
     is_lit = shading is not None and shading.type == "MATERIAL" and scene_light.is_chosen(context.scene)
     if is_lit and transform != "Standard":  # Blender draws overlays after its view transform
-        text = "Material Preview shows hands without the view transform {name}; renders and Rendered have it"
-        return iface_(text).format(name=transform)
+        return f"Material Preview shows hands without the view transform {transform}; renders and Rendered have it"
     return ""
 
 
@@ -119,8 +117,8 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
             continue
         draw_failure(layout.box(), context, failure, name)
     report = runtime.last_report(runtime.VIEWPORT)
-    warnings = panel_text.warnings(report, iface_) if report is not None else ()
-    for line in panel_text.folded(warnings, _WARNINGS, iface_):
+    warnings = panel_text.warnings(report) if report is not None else ()
+    for line in panel_text.folded(warnings, _WARNINGS):
         ui.explained(layout, line, icon="ERROR")
 
 
@@ -222,7 +220,7 @@ def _draw_map(layout: bpy.types.UILayout, context: bpy.types.Context, rig: bpy.t
         ui.paragraph(layout, context, "This armature is not used for this hand.")
         layout.operator("jghand.use_armature", text="Find Bones", icon="VIEWZOOM").handedness = settings.map_hand
         return
-    for line in panel_text.map_lines(bone_map.sources, rig.data.bones.keys(), iface_):
+    for line in panel_text.map_lines(bone_map.sources, rig.data.bones.keys()):
         ui.paragraph(layout, context, line.text, icon="CHECKMARK" if line.good else "ERROR")
     layout.template_list("JGHAND_UL_joints", "", settings, "joints", settings, "active_joint", rows=_ROWS)
     _draw_joint(layout, rig)
@@ -245,7 +243,7 @@ def _draw_joint(layout: bpy.types.UILayout, rig: bpy.types.Object) -> None:
 def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, holder: bpy.types.Object) -> None:
     gone = [name for name in NAMES if holder.get(armature.OBJECT_PROPERTIES[name]) is None]
     if gone:
-        text = iface_("The objects of these joints are gone: {names}").format(names=", ".join(gone))
+        text = f"The objects of these joints are gone: {', '.join(gone)}"
         ui.paragraph(layout, context, text, icon="ERROR")
     else:
         ui.paragraph(layout, context, "All 21 joints have an object", icon="CHECKMARK")
@@ -360,10 +358,8 @@ class MotionPanel(ui.HandSidebar, bpy.types.Panel):
         action = hand.animation_data.action if hand is not None and hand.animation_data else None
         if action is not None and armature.is_any_hand(hand):
             first, last = action.frame_range
-            text = iface_("{name}: frames {first} to {last}")
-            ui.paragraph(
-                layout, context, text.format(name=action.name, first=round(first), last=round(last)), icon="ACTION"
-            )
+            text = f"{action.name}: frames {round(first)} to {round(last)}"
+            ui.paragraph(layout, context, text, icon="ACTION")
 
 
 CLASSES = (HandPanel, CardPanel, JointList, BonesPanel, PosePanel, ControlsPanel, PinsPanel, MotionPanel)

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import versions
 from ..errors import JGHandFailure
@@ -63,15 +62,15 @@ def out_of_date(scene: bpy.types.Scene) -> list[str]:
         return []
     wanted, there = _things(scene, layer), set(ours.collection.objects)
     missing = [thing for thing in wanted if thing not in there]
-    found = [rpt_("{name} is missing").format(name=thing.name) for thing in missing if not worlds.is_surface(thing)]
+    found = [f"{thing.name} is missing" for thing in missing if not worlds.is_surface(thing)]
     shading = sum(map(worlds.is_surface, missing))
     if shading:
-        found.append(rpt_("{count} things that may light or shade hands are missing").format(count=shading))
+        found.append(f"{shading} things that may light or shade hands are missing")
     unneeded = len(there.difference(wanted))
     if unneeded:
-        found.append(rpt_("{count} objects are no longer needed").format(count=unneeded))
+        found.append(f"{unneeded} objects are no longer needed")
     found += [
-        rpt_("{name} differs").format(name=of.bl_rna.properties[name].name)
+        f"{of.bl_rna.properties[name].name} differs"
         for owner, of, names in _shared(scene, ours)
         for name in names
         if name not in _FOLLOWS and getattr(owner, name) != getattr(of, name)

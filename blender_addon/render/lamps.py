@@ -14,7 +14,6 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Color
 
 from ..core import lamps, pacing
@@ -94,8 +93,8 @@ def lamps_of(
             found += lamps.lamps_of(_read(thing, matrix, hands, eevee=eevee), unit_m)
             warnings.update(dict.fromkeys(_warnings(thing, hands, eevee=eevee)))
         if len(found) > lamps.LAMPS_LIT:
-            text = rpt_("{count} lamps: the {most} brightest light each hand; hide some of them")
-            warnings[text.format(count=len(found), most=lamps.LAMPS_LIT)] = None
+            text = f"{len(found)} lamps: the {lamps.LAMPS_LIT} brightest light each hand; hide some of them"
+            warnings[text] = None
         place = hands[0].matrix_world.translation if hands else (0.0, 0.0, 0.0)
         found = lamps.brightest(found, np.array(place) * unit_m)
     return SceneLamps(tuple(found), tuple(warnings))
@@ -168,22 +167,18 @@ def _warnings(thing: bpy.types.Object, hands: Sequence[bpy.types.Object], *, eev
     light: Any = thing.data
     name = thing.name
     if light.energy < 0:
-        yield rpt_("{name}: negative power does not darken hands; hide it from them by light linking").format(name=name)
+        yield f"{name}: negative power does not darken hands; hide it from them by light linking"
     if eevee and light.use_custom_distance and light.type != "SUN":
-        yield rpt_('{name}: "Custom Distance" does not end its light on hands; lower its power').format(name=name)
+        yield f'{name}: "Custom Distance" does not end its light on hands; lower its power'
     unread = "" if eevee else world_nodes.of_light(light)[1]
     if unread:
-        text = rpt_('{name}: "{node}" of its nodes is left out on hands; give its Emission plain values')
-        yield text.format(name=name, node=unread)
+        yield f'{name}: "{unread}" of its nodes is left out on hands; give its Emission plain values'
     receivers = thing.light_linking.receiver_collection
     if len({lights_any(receivers, [hand]) for hand in hands}) > 1:
-        text = rpt_("{name}: light linking leaves out some of the hands, but it lights them all; link all or none")
-        yield text.format(name=name)
+        yield f"{name}: light linking leaves out some of the hands, but it lights them all; link all or none"
     blockers = thing.light_linking.blocker_collection
     if light.use_shadow and not lights_any(blockers, hands):
-        yield rpt_("{name}: nothing shades hands, as its shadow linking leaves them out; link them too").format(
-            name=name
-        )
+        yield f"{name}: nothing shades hands, as its shadow linking leaves them out; link them too"
 
 
 # ---- light linking ---------------------------------------------------------------------------------------------------

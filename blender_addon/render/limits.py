@@ -13,7 +13,6 @@ from collections.abc import Iterator
 
 import bpy
 import numpy as np
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import versions
 from ..core.view import LIGHT_FROM_WORLD
@@ -93,10 +92,10 @@ def _between(
         if PANE in own and thing.visible_shadow and _meet(from_lamps, joints, thing, matrix, around=False):
             (shades if set(own) == {PANE} else parts)[thing.name] = None
     for names, text in (
-        (panes, rpt_("{name}: no hand is seen through it; move it out of the camera's way")),
-        (volumes, rpt_("{name}: a volume does not dim hands; add mist in the compositor")),
-        (shades, rpt_("{name}: seen through, but shades hands as a whole; turn off Shadow in its Ray Visibility")),
-        (parts, rpt_("{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility")),
+        (panes, "{name}: no hand is seen through it; move it out of the camera's way"),
+        (volumes, "{name}: a volume does not dim hands; add mist in the compositor"),
+        (shades, "{name}: seen through, but shades hands as a whole; turn off Shadow in its Ray Visibility"),
+        (parts, "{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility"),
     ):
         if names:
             yield text.format(name=", ".join([*names][:_NAMED]) + ", …" * (len(names) > _NAMED))
@@ -106,9 +105,9 @@ def _of_view(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator
     world = worlds.world_in(depsgraph.scene_eval, depsgraph.view_layer_eval)
     output = _output(world) if world is not None else None
     if output is not None and output.inputs["Volume"].is_linked:
-        yield rpt_("The volume of the world does not dim hands; add mist in the compositor")
+        yield "The volume of the world does not dim hands; add mist in the compositor"
     if scene.camera is not None and scene.camera.type == "CAMERA" and scene.camera.data.dof.use_dof:
-        yield rpt_("Depth of field: no hand is seen through soft edges of things before it; keep these in focus")
+        yield "Depth of field: no hand is seen through soft edges of things before it; keep these in focus"
 
 
 # ---- materials -------------------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..errors import JGHandFailure
 from ..hand import armature, instances
@@ -36,7 +35,7 @@ class UseEngine(Reporting, bpy.types.Operator):
         hands = armature.hands_at_any_frame(context.view_layer)
         if context.scene.camera is None and hands:
             camera = add_camera(context, hands[0])
-            self.tell(rpt_("The scene had no camera: {name} shows the hand.").format(name=camera.name))
+            self.tell(f"The scene had no camera: {camera.name} shows the hand.")
 
 
 def has_standard(view: bpy.types.ColorManagedViewSettings) -> bool:
@@ -84,7 +83,7 @@ class AddCamera(Reporting, bpy.types.Operator):
         return True
 
     def run(self, context: bpy.types.Context) -> None:
-        self.tell(rpt_("Added {name}.").format(name=add_camera(context, context.object).name))
+        self.tell(f"Added {add_camera(context, context.object).name}.")
 
 
 class OpenPreferences(Reporting, bpy.types.Operator):
@@ -139,7 +138,7 @@ class CombineWithScene(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         ours = composite.combine(context.scene, context.view_layer)
-        self.tell(rpt_("The hands are rendered in the scene {name} and combined by depth.").format(name=ours.name))
+        self.tell(f"The hands are rendered in the scene {ours.name} and combined by depth.")
 
 
 class RemoveCombination(Reporting, bpy.types.Operator):
@@ -156,7 +155,7 @@ class RemoveCombination(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         composite.remove(context.scene)
-        self.tell(rpt_("This scene is not combined with hands any more."))
+        self.tell("This scene is not combined with hands any more.")
 
 
 class SaveLight(Reporting, bpy.types.Operator):
@@ -186,7 +185,7 @@ class SaveLight(Reporting, bpy.types.Operator):
             raise JGHandFailure("no_place")
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
         scene_light.save(context.evaluated_depsgraph_get(), path)
-        self.tell(rpt_("Wrote {path}.").format(path=path), *scene_light.warnings())
+        self.tell(f"Wrote {path}.", *scene_light.warnings())
 
 
 CLASSES = (

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..core import panel_text
@@ -69,7 +68,7 @@ def _draw_kinds(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     kinds: dict[str, list[str]] = {}
     for hand in ui.hands_of(context):
         try:
-            text = iface_(avatar_files.card_of(seen_hands.avatar_of(hand)).in_scene_light)
+            text = avatar_files.card_of(seen_hands.avatar_of(hand)).in_scene_light
         except JGHandFailure:  # told beside the hands
             continue
         kinds.setdefault(text, []).append(hand.name)
@@ -82,9 +81,9 @@ def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if scene_light.is_chosen(context.scene):
         return
     if view.view_transform != "Standard":
-        text = iface_("View transform is {name}: colors differ from the capture").format(name=view.view_transform)
+        text = f"View transform is {view.view_transform}: colors differ from the capture"
     elif view.look != "None" or view.exposure != 0.0 or view.gamma != 1.0 or view.use_curve_mapping:
-        text = iface_("Look, exposure, gamma or curves change the hand's colors")
+        text = "Look, exposure, gamma or curves change the hand's colors"
     else:
         return
     column = layout.column()
@@ -164,8 +163,8 @@ class StatisticsPage(_Page, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         dropped = views.late_frames()
         if dropped:
-            text = iface_("Dropped frames: {count}").format(count=dropped)
-            tip = iface_("Frames of the last playback that were drawn before their image came")
+            text = f"Dropped frames: {dropped}"
+            tip = "Frames of the last playback that were drawn before their image came"
             ui.explained(self.layout, panel_text.Line(text, tip=tip), icon="INFO")
         for kind, title in ((runtime.VIEWPORT, "Viewport"), (runtime.RENDER, "Render")):
             receipt = receipt_of(context, kind)
@@ -216,7 +215,7 @@ def receipt_of(context: bpy.types.Context, kind: str) -> ReceiptText | None:
         return None
     settings = context.scene.jghand
     budgeted = kind == runtime.VIEWPORT and settings.use_viewport_budget
-    return panel_text.receipt_text(report, settings.viewport_budget_ms if budgeted else None, iface_)
+    return panel_text.receipt_text(report, settings.viewport_budget_ms if budgeted else None)
 
 
 def _draw_receipt(layout: bpy.types.UILayout, receipt: ReceiptText) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import clock, ui, versions
 from ..errors import JGHandFailure
@@ -92,7 +91,7 @@ class PreviewMovie(Reporting, bpy.types.Operator):
             if isinstance(error, RuntimeError) and _WRITING.search(str(error)):
                 raise JGHandFailure("cannot_write", str(error).strip()) from error
             raise
-        told, failed = rpt_("Wrote {path}.").format(path=_end()), rendering.said_of_failed_hands()
+        told, failed = f"Wrote {_end()}.", rendering.said_of_failed_hands()
         if failed:
             self.warn(told, failed)
         else:
@@ -118,7 +117,7 @@ def _look() -> float | None:
     ended = _now.ended if _now is not None else ""
     path, failed = _end(), rendering.said_of_failed_hands()
     if ended == "complete":
-        text = rpt_("The preview was written to {path}.").format(path=path)
+        text = f"The preview was written to {path}."
         ways = (("render.play_rendered_anim", "PLAY"),)
         ui.show_later(f"{text} {failed}".strip(), icon="ERROR" if failed else "INFO", operators=ways)
     return None

@@ -23,8 +23,6 @@ from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_iface as iface_
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import ui
 from ..errors import JGHandFailure
@@ -103,9 +101,8 @@ def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
     global _failed
     if _failed:
         return
-    reason = f"{rpt_(failure.advice.sentence)}. {rpt_(failure.advice.remedy)}."
-    text = iface_("The hands of frame {frame} failed and are magenta: {reason}")
-    _failed = text.format(frame=scene.frame_current, reason=reason)
+    reason = f"{failure.advice.sentence}. {failure.advice.remedy}."
+    _failed = f"The hands of frame {scene.frame_current} failed and are magenta: {reason}"
     ui.show_later(_failed, icon="ERROR")
 
 
@@ -117,18 +114,18 @@ def said_of_failed_hands() -> str:
 def sentence_of(scene: bpy.types.Scene) -> str:
     """What is to be said about the hands of a picture of this scene; nothing where they are as they should be."""
     if hands_left_out(scene):
-        return sentence(scene.render.engine) + " " + iface_('Press "Use JGHand Engine" or "Set Up Compositing".')
+        return sentence(scene.render.engine) + ' Press "Use JGHand Engine" or "Set Up Compositing".'
     differences = composite.out_of_date(scene)
     if differences:
-        template = iface_('The hands of this image are not up to date: {list}. Press "Set Up Compositing" again.')
-        return template.format(list=", ".join(differences))
+        found = ", ".join(differences)
+        return f'The hands of this image are not up to date: {found}. Press "Set Up Compositing" again.'
     return ""
 
 
 def sentence(engine: str) -> str:
     name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
     name = {"Eevee": "EEVEE"}.get(name, name)
-    return iface_("This image has no hands: {engine} does not draw them.").format(engine=name)
+    return f"This image has no hands: {name} does not draw them."
 
 
 def was_said(scene: bpy.types.Scene) -> bool:

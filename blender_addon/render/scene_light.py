@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.files import write_whole
 from ..core.pacing import SETTLE_S
@@ -293,7 +292,7 @@ def _together(found: SceneLamps, world: Reading) -> SceneLight:
     known = _unmeasured.get(_attempt(world.stale)) if world.stale else None
     _warnings = (*found.warnings, *map(str, world.failures if known is None else [known]))
     if world.for_cameras:
-        _warnings += (rpt_("The world shows to the camera alone and lights no hands; let diffuse rays see it"),)
+        _warnings += ("The world shows to the camera alone and lights no hands; let diffuse rays see it",)
     around = world.light
     key = (found.key, "" if around is None else repr((around.record, around.suns)))
     if key not in _made:

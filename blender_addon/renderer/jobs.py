@@ -25,7 +25,7 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, Any
 
-from ..core.panel_text import Translate, duration
+from ..core.panel_text import duration
 from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
 from . import state as machine
 from .process import HIDDEN, cleaned_environment
@@ -78,19 +78,18 @@ class JobState:
         """0..1, None while unknown."""
         return min(max(self.done / self.total, 0.0), 1.0) if self.total > 0 else None
 
-    def sentence(self, translate: Translate = str) -> str:
+    def sentence(self) -> str:
         """One line for a panel: the step, the count, and the time that is left."""
         if self.phase is Phase.FAILED and self.failure is not None:
-            return translate(self.failure.advice.sentence)
+            return self.failure.advice.sentence
         if self.phase is not Phase.RUNNING:
-            return translate(self.phase.value.capitalize())
-        text = translate(self.text)
+            return self.phase.value.capitalize()
+        text = self.text
         # the text of a training counts its steps itself
         if self.total > 0 and " of " not in self.text:
-            template = translate("{text} {done} of {total}")
-            text = template.format(text=text, done=round(self.done), total=round(self.total))
+            text = f"{text} {round(self.done)} of {round(self.total)}"
         if self.eta_s is not None and self.done < self.total and " left" not in self.text:
-            text = translate("{text} · {time} left").format(text=text, time=duration(self.eta_s))
+            text = f"{text} · {duration(self.eta_s)} left"
         return text
 
     def after(self, content: Mapping[str, Any]) -> JobState:

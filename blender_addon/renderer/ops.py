@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..errors import JGHandFailure
 from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, Reporting, missing, sentence_of
@@ -54,7 +53,7 @@ class ShowLog(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         if not self.key:
-            _show_text(context, LOG_NAME, runtime.link().log or rpt_("The renderer has printed nothing yet"))
+            _show_text(context, LOG_NAME, runtime.link().log or "The renderer has printed nothing yet")
             return
         job = runtime.jobs().get(self.key)
         if job is None:
@@ -103,7 +102,7 @@ class InstallTools(Reporting, bpy.types.Operator):
         words = ("--engine", str(engine), "--constraints", str(constraints), *runtime.TOOLS_PACKAGES)
         command = (sys.executable, "-I", str(_INSTALL), str(runtime.tools_folder()), *words)
         runtime.start_job(runtime.TOOLS, JobSpec("Installing the training tools", command))
-        self.tell(rpt_("Installing the training tools"))
+        self.tell("Installing the training tools")
 
 
 class RemoveTools(Reporting, bpy.types.Operator):

@@ -5,7 +5,6 @@ are."""
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..core import panel_text
@@ -19,7 +18,7 @@ _SILENT_S = 120.0
 
 def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, buttons: bool = True) -> None:
     """One line; when something is wrong, the sentence, what to do, and buttons that do it, unless they are there."""
-    status = panel_text.status_text(runtime.link().status, runtime.last_report(runtime.VIEWPORT), iface_)
+    status = panel_text.status_text(runtime.link().status, runtime.last_report(runtime.VIEWPORT))
     if status.good:
         ui.explained(layout, panel_text.Line(status.text, tip=status.detail))
         return
@@ -30,7 +29,7 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, butto
     if status.remedy:
         ui.paragraph(box, context, status.remedy, icon="BLANK1")
     if status.since or status.detail:
-        ui.explained(box, panel_text.Line(status.since or iface_("Details"), tip=status.detail), icon="INFO")
+        ui.explained(box, panel_text.Line(status.since or "Details", tip=status.detail), icon="INFO")
     row = box.row(align=True)
     for button in status.buttons if buttons else ():
         row.operator(button.operator, text=button.label)
@@ -44,10 +43,10 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -
     state = job.state
     if not job.is_over:
         row = layout.row(align=True)
-        row.progress(factor=state.fraction or 0.0, text=state.sentence(iface_), translate=False)
+        row.progress(factor=state.fraction or 0.0, text=state.sentence(), translate=False)
         row.operator("jghand.cancel_job", text="", icon="CANCEL").key = key
         if job.silent_s > _SILENT_S:
-            text = iface_("Silent for {time}").format(time=panel_text.duration(job.silent_s))
+            text = f"Silent for {panel_text.duration(job.silent_s)}"
             layout.label(text=text, icon="TIME", translate=False)
     elif state.phase is Phase.FAILED and state.failure is not None:
         draw_failure(layout, context, state.failure)
@@ -58,7 +57,7 @@ def draw_failure(
     layout: bpy.types.UILayout, context: bpy.types.Context, failure: JGHandFailure, name: str = ""
 ) -> None:
     """What failed, of the thing of this name; what exactly, as far as it is one line; what to do."""
-    sentence = iface_(failure.advice.sentence)
+    sentence = failure.advice.sentence
     ui.paragraph(layout, context, f"{name}: {sentence}" if name else sentence, icon="ERROR")
     first, _, rest = failure.detail.partition("\n")
     first = panel_text.in_blenders_words(first)
@@ -66,7 +65,7 @@ def draw_failure(
         ui.paragraph(layout, context, first, icon="BLANK1")
     ui.paragraph(layout, context, failure.advice.remedy, icon="BLANK1")
     if rest:
-        ui.explained(layout, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
+        ui.explained(layout, panel_text.Line("Details", tip=failure.detail), icon="INFO")
 
 
 _STATES = {

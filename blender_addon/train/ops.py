@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 import bpy
-from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import folders, ui
 from ..errors import JGHandFailure
@@ -71,7 +70,7 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
         return JobSpec("Rendering the training set", command, on_over=over)
 
     def done(self, _context: bpy.types.Context) -> str:
-        return rpt_("The training set is in {folder}.").format(folder=self._folder)
+        return f"The training set is in {self._folder}."
 
 
 class Train(StartsJob, bpy.types.Operator):
@@ -107,9 +106,9 @@ class Train(StartsJob, bpy.types.Operator):
         work = folder_of(out)
         seen = TrainingFolder.look(work)
         if self.start == "fresh" and seen.can_go_on:
-            return rpt_("The training in {folder} is lost: {what}.").format(folder=work.name, what=seen.sentence(rpt_))
+            return f"The training in {work.name} is lost: {seen.sentence()}."
         if self.start == "new" and out.is_file():
-            return rpt_("{file} is replaced.").format(file=out)
+            return f"{out} is replaced."
         return ""
 
     def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -132,7 +131,7 @@ class Train(StartsJob, bpy.types.Operator):
         return JobSpec("Training", (*runtime.program(learns=True), *words), folder_of(self._out))
 
     def done(self, _context: bpy.types.Context) -> str:
-        return rpt_("The avatar is {file}.").format(file=self._out)
+        return f"The avatar is {self._out}."
 
 
 class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
@@ -163,7 +162,7 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
     def overwritten(self, _context: bpy.types.Context) -> str:
         """The hand of an earlier film of that name."""
         out = self._out()
-        return rpt_("{file} is replaced.").format(file=out) if out.is_file() else ""
+        return f"{out} is replaced." if out.is_file() else ""
 
     def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
         return []
@@ -195,7 +194,7 @@ class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
         )
 
     def done(self, _context: bpy.types.Context) -> str:
-        return rpt_("The avatar is {file}.").format(file=self._out())
+        return f"The avatar is {self._out()}."
 
     def _out(self) -> Path:
         """Among the hands that Add Hand offers."""

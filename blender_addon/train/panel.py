@@ -9,7 +9,6 @@ from typing import Any
 
 import bpy
 import bpy.utils.previews
-from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..errors import JGHandFailure
@@ -127,7 +126,7 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
     if job is not None and not job.is_over:
         ui.paragraph(layout, context, job.state.text)  # whole: the bar of its progress has no room for loss and dB
     elif seen.can_go_on:
-        layout.label(text=seen.sentence(iface_))
+        layout.label(text=seen.sentence())
     if _icons is not None and "picture" in _icons:
         layout.template_icon(icon_value=_icons["picture"].icon_id, scale=_PICTURE_UNITS)
     if seen.avatar is not None:
@@ -156,7 +155,7 @@ class FilmPanel(Sidebar, bpy.types.Panel):
         layout, job = self.layout, runtime.jobs().get(runtime.OWN)
         if job is None or job.is_over:
             for number, line in enumerate(_FILMING, 1):
-                ui.paragraph(layout, context, f"{number}. {iface_(line)}.")
+                ui.paragraph(layout, context, f"{number}. {line}.")
         try:
             runtime.program(learns=True)
         except JGHandFailure as failure:

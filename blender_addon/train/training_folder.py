@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.panel_text import Translate
-
 _SUFFIX = ".training"
 # what `jghand render` calls its first picture
 PICTURE = "frame_00000.png"
@@ -51,9 +49,9 @@ class TrainingFolder:
             avatar=avatar if avatar.is_file() else None,
         )
 
-    def sentence(self, translate: Translate = str) -> str:
+    def sentence(self) -> str:
         """How much of it there is."""
-        return translate("{count} steps").format(count=self.steps)
+        return f"{self.steps} steps"
 
 
 def folder_of(out: Path) -> Path:

@@ -55,16 +55,6 @@ def test_a_line_of_progress_becomes_a_sentence_with_the_remaining_time():
     assert state.fraction == pytest.approx(34 / 240)
 
 
-def test_sentences_are_translated_before_figures_are_put_in():
-    words = {
-        **{"Baking": "Backt", "{text} {done} of {total}": "{text}, {done} von {total}", "Done": "Fertig"},
-        **{"{text} · {time} left": "{text} · noch {time}", "The disk is full": "Die Platte ist voll"},
-    }.__getitem__
-    assert JobState(text="Baking", done=34, total=240, eta_s=12).sentence(words) == "Backt, 34 von 240 · noch 12 s"
-    assert JobState(Phase.DONE).sentence(words) == "Fertig"
-    assert JobState().failed(JGHandFailure("disk_full")).sentence(words) == "Die Platte ist voll"
-
-
 def test_the_sentence_of_a_training_is_not_counted_twice():
     content = {
         "jghand": "training",

@@ -158,19 +158,6 @@ def test_a_list_shows_the_end_of_names_that_tells_bones_apart():
     assert panel_text.shortened("hand.R", ["hand.R", "f_index.01.R"]) == "hand.R"
 
 
-def test_everything_that_is_said_goes_through_the_translation():
-    heard = []
-
-    def translate(text: str) -> str:
-        heard.append(text)
-        return text
-
-    panel_text.status_text(Status("failed", 1.0, JGHandFailure("crashed")), None, translate)
-    panel_text.receipt_text(RECEIPT, 5.0, translate)
-    panel_text.map_lines(whole_map(), [], translate)
-    assert {"The renderer stopped unexpectedly", "Skin", "Over Budget"} <= set(heard)
-
-
 def test_sentences_of_the_engine_name_controls_and_no_options():
     told = panel_text.in_blenders_words
     assert told("a.training: wanted no training. Resume it with --resume, or name another folder with --work.") == (

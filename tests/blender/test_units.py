@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import MagicMock
 
 import bpy
 import pytest
 
-from blender_addon.export import panel as output
-from blender_addon.renderer import panel as status
 from blender_addon.renderer import runtime
-from blender_addon.renderer.jobs import JobState
 from blender_addon.train import ops as training
-from blender_addon.train import panel as training_panel
-from blender_addon.train.training_folder import TrainingFolder
 
 _NAMES = {"ROTATION": r"angle", "CAMERA": r"hand_length", "TIME_ABSOLUTE": r"time(out)?_s"}
 
@@ -47,18 +40,3 @@ def test_the_engine_is_told_the_minutes_of_a_training(extension, tmp_path, monke
             settings.time_s = time_s
         command = training.Train.job(SimpleNamespace(start="new", confirmed=False), extension, []).command
         assert command[command.index("--minutes") + 1] == minutes
-
-
-def test_panels_translate_what_core_says(extension, monkeypatch):
-    words = []
-    for panel in (output, status):
-        monkeypatch.setattr(panel, "iface_", lambda text: words.append(text) or text)
-    state = JobState(text="Baking", done=34, total=240, eta_s=12)
-    job = SimpleNamespace(state=state, is_over=False, silent_s=0.0)
-    monkeypatch.setattr(runtime, "jobs", lambda: {"output": job})
-    status.draw_job(MagicMock(), extension, "output")
-    assert {"Baking", "{text} {done} of {total}", "{text} · {time} left"} <= set(words)
-    monkeypatch.setattr(training_panel, "iface_", lambda text: words.append(text) or text)
-    monkeypatch.setattr(runtime, "jobs", dict)
-    training_panel._draw_course(MagicMock(), extension, TrainingFolder(Path(), can_go_on=True, steps=5))
-    assert "{count} steps" in words
