@@ -49,8 +49,9 @@ COLLECTION = "JGHand Controls"
 TIP_COLLECTION = "JGHand Tips"
 # the constraint that keeps a control itself in its range
 RANGE = "JGHand Range"
-# what single precision leaves of the other axis where a control is turned in the view: 0.00004 degrees were seen
-_ROUNDING_RAD = 2e-6
+# what single precision leaves of the other axis where a control is turned in the view: 0.00013 degrees were seen, which
+# is more than Blender's field hides
+_ROUNDING_RAD = 1e-5
 # what was changed and may be keyed: a bone or a constraint, and its property
 Touched = tuple[bpy.types.bpy_struct, str]
 
