@@ -17,7 +17,7 @@ from . import ui
 from .core.panel_text import duration, in_blenders_words
 from .errors import JGHandFailure
 from .hand import armature, controls
-from .renderer.jobs import JOB_LOOK_S
+from .renderer.jobs import JOB_LOOK_S, Job, Phase
 
 # one turn of work on Blender's main thread, between two of which Blender draws and hears Esc (which is to be answered
 # within 0.2 s); how often the status bar is drawn anew, which draws the whole window; the time between turns
@@ -77,6 +77,17 @@ class Elsewhere(float):
     it holds nothing of Blender's, and the artist goes on with other things."""
 
 
+def followed(job: Job) -> Generator[Elsewhere, None, None]:
+    """Looks at a job, once a step, until it is done. JGHandFailure: why it failed, canceled."""
+    while not job.is_over:
+        yield Elsewhere(job.state.fraction or 0.0)
+        job.tick()
+    if job.state.failure is not None:
+        raise job.state.failure
+    if job.state.phase is not Phase.DONE:
+        raise JGHandFailure("canceled")
+
+
 class InTurns(Reporting):
     """An operator whose `steps(context)` is a generator of the part that is done, 0 to 1. In a window it works a turn
     at a time: the status bar says how far it is, and Esc ends it; else it works through. Meanwhile Blender takes no
@@ -111,6 +122,11 @@ class InTurns(Reporting):
         self._tick_every(context, WORK_REST_S)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
+
+    def begin_anew(self, **values: Any) -> None:
+        """Another one of this operator, in turns: the dialog that called `execute` would not hear of these."""
+        # not self.bl_idname, which is JGHAND_OT_…
+        getattr(bpy.ops.jghand, type(self).bl_idname.partition(".")[2])("INVOKE_DEFAULT", **values)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """One turn; everything else waits, so that nothing changes under it, unless the work is elsewhere."""
@@ -216,10 +232,7 @@ class FromFile(InTurns, ImportHelper):
         if not self._asked or context.window is None:
             return super().execute(context)
         self._asked = False
-        values = {name: getattr(self, name) for name in ("filepath", *self.choices)}
-        # not self.bl_idname, which is JGHAND_OT_…
-        again = getattr(bpy.ops.jghand, type(self).bl_idname.partition(".")[2])
-        again("INVOKE_DEFAULT", chosen=True, **values)
+        self.begin_anew(chosen=True, **{name: getattr(self, name) for name in ("filepath", *self.choices)})
         return CANCELLED
 
     def draw(self, _context: bpy.types.Context) -> None:
@@ -270,12 +283,22 @@ def chosen_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
 def poll_hand(operator: type, context: bpy.types.Context) -> bool:
     """Whether a hand of ours is active and may be changed."""
     hand = active_hand(context)
-    if hand is None:
-        return missing(operator, "Select a JGHand armature")
+    return poll_change(operator, context, hand) if hand is not None else missing(operator, "Select a JGHand armature")
+
+
+def poll_change(operator: type, context: bpy.types.Context, thing: bpy.types.Object) -> bool:
+    """Whether an object may be changed."""
     if context.mode == "EDIT_ARMATURE":
         return missing(operator, "Leave edit mode first")
-    if not hand.is_editable:
-        return missing(operator, "This hand is linked from another file: make it local, or an override, first")
+    if not thing.is_editable:
+        return missing(operator, f"{thing.name} is linked from another file: make it local, or an override, first")
+    return True
+
+
+def poll_scene(operator: type, context: bpy.types.Context) -> bool:
+    """Whether anything may be added."""
+    if context.scene is None or not context.scene.is_editable:
+        return missing(operator, "This scene is linked from another file")
     return True
 
 

@@ -95,11 +95,6 @@ def has_usd() -> bool:
     return bool(getattr(bpy.app.build_options, "usd", False))
 
 
-def has_native_splats() -> bool:
-    kind = bpy.types.PointCloud.bl_rna.properties.get("type")
-    return kind is not None and "GAUSSIAN_SPLAT" in getattr(kind, "enum_items", ())
-
-
 def write_png(settings: bpy.types.ImageFormatSettings) -> None:
     """Makes a scene write PNG; where it does already, its depth, colors and compression stay."""
     if hasattr(settings, "media_type"):  # 5.0 and later; which formats there are depends on it

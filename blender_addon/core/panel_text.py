@@ -34,12 +34,12 @@ _OUTSIDE = re.compile(
 )
 # remedies that a button can do: failure -> operator and label
 _MENDS = {
-    "no_interpreter": ("jghand.open_preferences", "Choose Python"),
-    "no_python": ("jghand.open_preferences", "Choose Python"),
-    "no_named_python": ("jghand.open_preferences", "Choose Python"),
-    "no_engine": ("jghand.open_preferences", "Choose Python"),
-    "no_tools": ("jghand.open_preferences", "Preferences"),
-    "protocol": ("jghand.open_preferences", "Preferences"),
+    "no_interpreter": ("preferences.addon_show", "Choose Python"),
+    "no_python": ("preferences.addon_show", "Choose Python"),
+    "no_named_python": ("preferences.addon_show", "Choose Python"),
+    "no_engine": ("preferences.addon_show", "Choose Python"),
+    "no_tools": ("preferences.addon_show", "Preferences"),
+    "protocol": ("preferences.addon_show", "Preferences"),
 }
 _START = ("jghand.restart_engine", "Try Again")
 # the engine's options that trainings, training sets and exports are given, and the labels of their controls

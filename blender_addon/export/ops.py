@@ -12,7 +12,7 @@ from pathlib import Path
 
 import bpy
 
-from .. import folders, ui, versions
+from .. import folders, ui
 from ..errors import JGHandFailure
 from ..ops import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
 from ..render import scene_light
@@ -113,8 +113,8 @@ class Bake(StartsJob, bpy.types.Operator):
     bl_idname = "jghand.bake"
     bl_label = "Bake"
     bl_description = (
-        "Write every frame of the range to disk, so that it plays without the renderer: as USD points, or as splats "
-        "where this Blender draws them. An earlier bake stays until this one is finished. Esc cancels"
+        "Write every frame of the range to disk, so that it plays without the renderer, as USD points. An earlier bake "
+        "stays until this one is finished. Esc cancels"
     )
     # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
     bl_options = REGISTERED
@@ -141,7 +141,7 @@ class Bake(StartsJob, bpy.types.Operator):
         things = _things_of(context, self._uids)
         # not by names: a linked hand may have the name of one of this file
         owners = [owner for owner, *_ in ops_common.named_hands(context, things)]
-        options = usd_options("splats" if versions.has_native_splats() else "points", settings.bake_width_factor)
+        options = usd_options("points", settings.bake_width_factor)
         made: list[_NewBake] = []
         clean = partial(_clean, made)
         try:

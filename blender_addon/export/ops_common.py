@@ -19,9 +19,9 @@ from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 from ..hand import armature, avatar_files, sources
 from ..hand.seen_hands import avatar_of
-from ..ops import DONE, Elsewhere, InTurns, missing, seen_frames
+from ..ops import DONE, InTurns, followed, missing, seen_frames
 from ..renderer import runtime
-from ..renderer.jobs import JobSpec, Phase
+from ..renderer.jobs import JobSpec
 from .recording import Recording, check_place, file_names, with_file_name
 
 
@@ -76,8 +76,7 @@ class StartsJob(InTurns):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """All of it; of a click that was asked about, in turns, which Blender's dialog alone would not do."""
         if self.confirmed and context.window is not None and not bpy.app.background:
-            # not self.bl_idname, which is JGHAND_OT_…
-            getattr(bpy.ops.jghand, type(self).bl_idname.partition(".")[2])("INVOKE_DEFAULT", **self.as_keywords())
+            self.begin_anew(**self.as_keywords())
             return DONE
         return super().execute(context)
 
@@ -98,16 +97,10 @@ class StartsJob(InTurns):
             return
         self.working, self._started = spec.title, time.monotonic()
         try:
-            while not job.is_over:
-                yield Elsewhere(job.state.fraction or 0.0)
-                job.tick()
+            yield from followed(job)
         except JGHandFailure:  # Esc; when the window is closed, or another file is opened, it goes on
             job.cancel()
             raise
-        if job.state.failure is not None:
-            raise job.state.failure
-        if job.state.phase is not Phase.DONE:
-            raise JGHandFailure("canceled")
         self._is_done = True
 
     def finished(self, context: bpy.types.Context) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from .. import ui, versions
+from .. import ui
 from ..errors import JGHandFailure
 from ..render import scene_light
 from ..renderer import runtime
@@ -25,8 +25,7 @@ class BakePanel(ui.HandSidebar, bpy.types.Panel):
         layout, settings = self.layout, context.scene.jghand.output
         column = _draw_what(layout, context)
         column.prop(settings, "bake_folder")
-        if not versions.has_native_splats():
-            column.prop(settings, "bake_width_factor")
+        column.prop(settings, "bake_width_factor")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
         hand = ui.active(context)
         if hand is None or not hand.jghand.bake:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..versions import has_native_splats, path_options
+from ..versions import path_options
 from .recording import USD_PRESETS
 
 # diameter of a baked point in two standard deviations of its splat: balls of this size close the skin
@@ -36,7 +36,7 @@ PROGRAMS = (
     ("generic", "Any Program", "Splats; programs without them show points", "NONE", 0),
     ("omniverse", "Omniverse", "Splats", "NONE", 1),
     ("usdview", "usdview", "Points that follow the skeleton, which its renderer draws without a plug-in", "NONE", 2),
-    ("blender", "Blender", "Points, or splats where this Blender draws them", "NONE", 3),
+    ("blender", "Blender", "Points", "NONE", 3),
     ("houdini", "Houdini", "Points whose width is two standard deviations", "NONE", 4),
 )
 RADIANCES = (
@@ -72,9 +72,7 @@ IDENTITIES = (
 
 def _suit_program(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
     """Sets what the chosen program wants; both stay in sight and may be changed."""
-    variant, width_factor = USD_PRESETS[settings.program]
-    settings.variant = "splats" if settings.program == "blender" and has_native_splats() else variant
-    settings.width_factor = width_factor
+    settings.variant, settings.width_factor = USD_PRESETS[settings.program]
 
 
 class JGHandOutputSettings(bpy.types.PropertyGroup):

@@ -117,26 +117,9 @@ def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> lis
 
 def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
     """Copies of the layers in a folder beside the exported file, so that both can be given away."""
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as error:
-        raise JGHandFailure("cannot_write", f"{target}: {error.strerror or error}") from error
     # layers first, then the one that refers to them; a hand's name has no dot in it
     for source in (*sorted(folder.glob(f"{hand.name}.*.usdc")), hand.stage(folder)):
-        copy = target / source.name
-        try:
-            if copy.exists() and (copy.samefile(source) or _same(source, copy)):
-                continue
-        except OSError as error:
-            raise JGHandFailure("cannot_write", f"{copy}: {error.strerror or error}") from error
-        # a disk that is full must not leave half a layer of an earlier export
-        copy_whole(source, copy)
-
-
-def _same(source: Path, copy: Path) -> bool:
-    """Whether a copy is of this very file: size and time, which copies keep."""
-    one, other = source.stat(), copy.stat()
-    return (one.st_size, int(one.st_mtime)) == (other.st_size, int(other.st_mtime))
+        copy_whole(source, target / source.name)  # a disk that is full must not leave half a layer of an earlier export
 
 
 def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene, folder: str) -> None:

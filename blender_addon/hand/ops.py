@@ -47,11 +47,7 @@ class AddHand(Reporting, bpy.types.Operator):
         default=True,
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene is None or not context.scene.is_editable:
-            return missing(cls, "This scene is linked from another file")
-        return True
+    poll = classmethod(common.poll_scene)
 
     def run(self, context: bpy.types.Context) -> None:
         common.object_mode(context)
@@ -135,11 +131,7 @@ class UseArmature(Reporting, bpy.types.Operator):
             return missing(cls, "Select an armature")
         if armature.is_hand(rig):
             return missing(cls, "This armature is a JGHand hand already")
-        if context.mode == "EDIT_ARMATURE":
-            return missing(cls, "Leave edit mode first")
-        if not rig.is_editable:
-            return missing(cls, "This armature is linked from another file: make it local, or an override, first")
-        return True
+        return common.poll_change(cls, context, rig)
 
     def run(self, context: bpy.types.Context) -> None:
         rig = context.object
@@ -222,11 +214,7 @@ def _poll_rig(operator: type, context: bpy.types.Context) -> bool:
     rig = context.object
     if rig is None or rig.type != "ARMATURE" or not armature.is_foreign(rig):
         return missing(operator, "Select an armature that is used as a hand")
-    if context.mode == "EDIT_ARMATURE":
-        return missing(operator, "Leave edit mode first")
-    if not rig.is_editable:
-        return missing(operator, "This armature is linked from another file: make it local, or an override, first")
-    return True
+    return common.poll_change(operator, context, rig)
 
 
 class FillBoneMap(Reporting, bpy.types.Operator):
@@ -284,9 +272,7 @@ class Forget(Reporting, bpy.types.Operator):
             return missing(cls, "This armature was made for a hand: delete it instead")
         if thing is None or not armature.is_foreign(thing):
             return missing(cls, "Select an armature or an empty that is used as a hand")
-        if not thing.is_editable:
-            return missing(cls, "This object is linked from another file")
-        return True
+        return common.poll_change(cls, context, thing)
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object

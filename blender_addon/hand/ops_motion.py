@@ -23,7 +23,7 @@ from ..core.joints import LEFT, RIGHT
 from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
-from ..ops import UNDOABLE_IMPORT, Elsewhere, FromFile, missing
+from ..ops import UNDOABLE_IMPORT, FromFile, followed, poll_scene
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import armature, controls, framing, motion
@@ -128,11 +128,7 @@ class KeysFile(FromFile):
         default=False,
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene is None or not context.scene.is_editable:
-            return missing(cls, "This scene is linked from another file")
-        return True
+    poll = classmethod(poll_scene)
 
     def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
         """The hand that takes a motion: the active one, where it is of the motion's side; None for a new one."""
@@ -156,18 +152,12 @@ class KeysFile(FromFile):
         )
         job = runtime.start_job(runtime.IMPORT, spec)
         try:
-            while not job.is_over:
-                yield Elsewhere(job.state.fraction or 0.0)
-                job.tick()
+            yield from followed(job)
         finally:
             if not job.is_over:
                 job.cancel()
                 if not runtime.timers_fire():
                     job.kill()
-        if job.state.failure is not None:
-            raise job.state.failure
-        if not results:
-            raise JGHandFailure("canceled")
         return results[0]
 
     def wanted(self, context: bpy.types.Context, contents: Sequence[tuple[MotionFile, str]]) -> list[WantedMotion]:

@@ -86,16 +86,6 @@ class AddCamera(Reporting, bpy.types.Operator):
         self.tell(f"Added {add_camera(context, context.object).name}.")
 
 
-class OpenPreferences(Reporting, bpy.types.Operator):
-    bl_idname = "jghand.open_preferences"
-    bl_label = "JGHand Preferences"
-    bl_description = "Open the preferences of JGHand"
-    bl_options = PLUMBING
-
-    def run(self, _context: bpy.types.Context) -> None:
-        bpy.ops.preferences.addon_show(module=__name__.rpartition(".render.")[0])
-
-
 class Explain(bpy.types.Operator):
     bl_idname = "jghand.explain"
     bl_label = "Explain"
@@ -195,6 +185,5 @@ CLASSES = (
     CombineWithScene,
     RemoveCombination,
     SaveLight,
-    OpenPreferences,
     Explain,
 )

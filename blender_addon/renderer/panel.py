@@ -9,6 +9,7 @@ import bpy
 from .. import ui
 from ..core import panel_text
 from ..errors import JGHandFailure
+from ..preferences import JGHandPreferences
 from . import runtime
 from .jobs import Phase
 
@@ -32,7 +33,9 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, butto
         ui.explained(box, panel_text.Line(status.since or "Details", tip=status.detail), icon="INFO")
     row = box.row(align=True)
     for button in status.buttons if buttons else ():
-        row.operator(button.operator, text=button.label)
+        properties = row.operator(button.operator, text=button.label)
+        if button.operator == "preferences.addon_show":
+            properties.module = JGHandPreferences.bl_idname
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:

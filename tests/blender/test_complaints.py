@@ -217,7 +217,6 @@ def test_hidden_preconditions(stand_in, context, content):
 
 # what a test must not press, and why
 NOT_PRESSED = {
-    "jghand.open_preferences": "needs a window",
     "jghand.install_tools": "downloads much (test_engine_operators)",
 }
 

@@ -36,7 +36,7 @@ _ENGINE = "the engine is none of the file"
 # what is not undone, and why
 NOT_UNDONE = {
     "save_light": "writes files",
-    **dict.fromkeys(("explain", "open_preferences", "show_log"), _SHOWS),
+    **dict.fromkeys(("explain", "show_log"), _SHOWS),
     "restart_engine": _ENGINE,
     "preview_movie": "writes pictures, and leaves the scene as it is",
     **dict.fromkeys(("bake", "export", "hand_from_film", "render_training_set", "train"), _JOB),
@@ -52,7 +52,7 @@ ANYWHERE = {
     **dict.fromkeys(
         ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
     ),
-    **dict.fromkeys(("open_preferences", "train", "install_hands", "hand_from_film"), _NEEDS_NOTHING),
+    **dict.fromkeys(("train", "install_hands", "hand_from_film"), _NEEDS_NOTHING),
     **dict.fromkeys(("restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_log"), _ROW),
 }

@@ -219,7 +219,7 @@ def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
     engine.status = Status("failed", 5.0, JGHandFailure("no_interpreter", "nothing found"))
     seen = draw(hand_panel.HandPanel, extension)
     assert "The renderer cannot be started" in text_of(seen)
-    assert "jghand.open_preferences" in seen.operators
+    assert "preferences.addon_show" in seen.operators
 
 
 def test_a_chosen_python_that_does_not_exist_is_named(extension, engine):

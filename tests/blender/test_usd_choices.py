@@ -6,9 +6,7 @@ import pytest
 
 pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 
-from blender_addon import versions
 from blender_addon.export import properties as export_properties
-from blender_addon.export import properties as output_settings
 from blender_addon.export.recording import USD_PRESETS
 
 
@@ -17,8 +15,6 @@ def test_a_program_sets_what_is_shown_first_and_the_size_of_points(extension, pr
     settings = extension.scene.jghand.output
     settings.program = program
     variant, width_factor = USD_PRESETS[program]
-    if program == "blender" and versions.has_native_splats():
-        variant = "splats"
     assert (settings.variant, settings.width_factor) == (variant, width_factor)
     settings.variant = "mesh"
     assert settings.program == program
@@ -31,12 +27,6 @@ def test_the_settings_begin_with_what_the_program_shown_wants_and_bakes_with_poi
     assert settings.bake_width_factor == export_properties.POINT_WIDTH_FACTOR
     settings.program = "houdini"
     assert settings.bake_width_factor == export_properties.POINT_WIDTH_FACTOR, "an export's program is none of a bake's"
-
-
-def test_a_blender_that_draws_splats_gets_splats(extension, monkeypatch):
-    monkeypatch.setattr(output_settings, "has_native_splats", lambda: True)
-    extension.scene.jghand.output.program = "blender"
-    assert extension.scene.jghand.output.variant == "splats"
 
 
 def test_every_program_and_variant_of_the_engine_can_be_chosen(extension):
