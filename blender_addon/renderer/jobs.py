@@ -9,13 +9,7 @@ limit.
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import signal
-import subprocess
-import sys
-import threading
 import time
 import traceback
 from collections import deque
@@ -23,12 +17,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from ..core.panel_text import duration
 from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
 from . import state as machine
-from .process import HIDDEN, cleaned_environment
+from .process import Child
 
 # a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
 JOB_STOP_S = 30.0
@@ -41,8 +35,8 @@ JOB_LOOK_S = 0.25
 
 # what every job gets; see jghand_engine/cli/progress_json.py
 PROGRESS_OPTION = "--progress-json"
-# bytes of one line of a job, and letters of its text that are kept
-_LINE_MAX, _TEXT_MAX = 65536, 300
+# letters of a job's text that are kept
+_TEXT_MAX = 300
 
 
 # ---- what is known of a job ------------------------------------------------------------------------------------------
@@ -184,7 +178,7 @@ class Job:
             return False
         self._take_news()
         process = self._process
-        code = process.poll() if process is not None else None
+        code = process.popen.poll() if process is not None else None
         if process is not None and code is None:
             self._insist()
         elif code is not None and self._said_all():
@@ -205,22 +199,17 @@ class Job:
         until = time.monotonic() + timeout_s
         while not self.is_over and time.monotonic() < until:
             self.tick()
-            if self._process is not None and not self.is_over:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    self._process.wait(machine.POLL_S)
-                for reader in self._readers if self._ending_s is not None else ():
-                    reader.join(machine.POLL_S)
+            if self._process is not None and not self.is_over and self._process.ends_within(machine.POLL_S):
+                self._process.said_all(machine.POLL_S)
         return self.is_over
 
     def kill(self) -> None:
         """Ends it at once, with the processes that it started. What hangs in the system is not waited for: it ends when
         the system lets go of it."""
         process = self._process
-        if process is not None and process.poll() is None:
-            end_tree(process, at_once=True)
-            try:
-                process.wait(machine.KILL_S)
-            except subprocess.TimeoutExpired:
+        if process is not None and process.popen.poll() is None:
+            process.end_tree(at_once=True)
+            if not process.ends_within(machine.KILL_S):
                 return
         self.wait(2 * JOB_LAST_WORDS_S)
 
@@ -238,43 +227,24 @@ class Job:
         self._heard_s = time.monotonic()
         self._asked_s: float | None = None
         self._ending_s: float | None = None
-        self._process: subprocess.Popen[bytes] | None = None
-        self._readers: list[threading.Thread] = []
+        self._process: Child | None = None
         try:
-            process = subprocess.Popen(
-                [*command, PROGRESS_OPTION],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                env=cleaned_environment(os.environ),
-                creationflags=HIDDEN,
-                # a Ctrl-C in Blender's terminal is Blender's, and all that a job starts ends with it
-                start_new_session=os.name != "nt",
-            )
-        except OSError as error:
-            self.state = self.state.failed(JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}"))
+            self._process = Child((*command, PROGRESS_OPTION), self._hear, lambda: None)
+        except JGHandFailure as failure:
+            self.state = self.state.failed(failure)
             self._over()
-            return
-        self._process = process
-        for pipe in (process.stdout, process.stderr):
-            reader = threading.Thread(target=self._read, args=(pipe,), daemon=True, name="jghand job")
-            reader.start()
-            self._readers.append(reader)
 
-    def _read(self, pipe: IO[bytes]) -> None:
-        """Keeps a pipe from filling up. However much comes, only the newest is kept."""
-        with pipe:
-            for raw in iter(lambda: pipe.readline(_LINE_MAX), b""):
-                line = raw.decode("utf-8", "replace").rstrip()
-                self._heard_s = time.monotonic()
-                content = parse_line(line)
-                if content is None:
-                    if line:
-                        self._output.append(line[: machine.LOG_LINE_MAX])
-                elif content["jghand"] == "error":
-                    self._error = content
-                elif content["jghand"] in ("progress", "training"):
-                    self._progress = content
+    def _hear(self, line: str, _is_output: bool) -> None:
+        """However much comes, only the newest is kept."""
+        self._heard_s = time.monotonic()
+        content = parse_line(line)
+        if content is None:
+            if line:
+                self._output.append(line[: machine.LOG_LINE_MAX])
+        elif content["jghand"] == "error":
+            self._error = content
+        elif content["jghand"] in ("progress", "training"):
+            self._progress = content
 
     def _take_news(self) -> None:
         progress, self._progress = self._progress, None
@@ -282,12 +252,11 @@ class Job:
             self.state = self.state.after(progress)
 
     def _said_all(self) -> bool:
-        """Whether what an ended process printed last is here. A process that it left behind may hold its pipes open:
-        that is not waited for longer than a moment, and never here."""
+        """Whether what an ended process printed last is here, or was waited for long enough; never here."""
         if self._ending_s is None:
             self._ending_s = time.monotonic()
         waited_s = time.monotonic() - self._ending_s
-        return waited_s > JOB_LAST_WORDS_S or not any(reader.is_alive() for reader in self._readers)
+        return waited_s > JOB_LAST_WORDS_S or (self._process is not None and self._process.said_all())
 
     def _end(self, code: int) -> None:
         self._take_news()
@@ -328,12 +297,11 @@ class Job:
             return
         waited_s = time.monotonic() - self._asked_s
         if waited_s > JOB_STOP_S:
-            end_tree(self._process, at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
+            self._process.end_tree(at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
 
     def _close_input(self) -> None:
-        if self._process is not None and self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
+        if self._process is not None:
+            self._process.close_stdin()
 
 
 class JobTable:
@@ -380,25 +348,3 @@ class JobTable:
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))
         self._jobs.clear()
-
-
-def end_tree(process: subprocess.Popen[bytes], *, at_once: bool) -> None:
-    """Ends a process and those that it started. at_once: without asking; Windows has no other way."""
-    if sys.platform != "win32":
-        with contextlib.suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL if at_once else signal.SIGTERM)
-        return
-    system = os.environ.get("SYSTEMROOT", r"C:\Windows")
-    words = [rf"{system}\System32\taskkill.exe", "/F", "/T", "/PID", str(process.pid)]
-    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-        subprocess.run(
-            words,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            creationflags=HIDDEN,
-            timeout=machine.KILL_S,
-            check=False,
-        )
-    with contextlib.suppress(OSError):
-        process.kill()  # where that has failed

@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import secrets
+import signal
 import socket
 import subprocess
 import sys
@@ -112,6 +113,8 @@ _DROPPED = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "LD_LIBRARY_PATH", "LD_
 _DROPPED_PREFIXES = ("DYLD_", "BLENDER_")
 # to a port of this machine: longer means that something is in between
 _CONNECT_S = 5.0
+# bytes of one line: a handshake, or progress
+_LINE_MAX = 65536
 # after the end of the process, what it printed last may still be on its way
 _LAST_WORDS_S = 0.2
 
@@ -126,23 +129,14 @@ def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return kept | {"JGHAND_BLENDER_ADDON": str(Path(__file__).resolve().parents[1])}
 
 
-class LostError(Exception):
-    """The engine cannot be used any more. kind: a key of errors.ADVICE; detail: what happened."""
+class Child:
+    """A process whose standard input means that it is wanted, and whose lines are heard as they come.
 
-    def __init__(self, kind: str, detail: str) -> None:
-        super().__init__(kind, detail)
-        self.kind, self.detail = kind, detail
+    Nothing waits here but `ends_within`."""
 
-
-class EngineProcess:
-    """A process that was started; `connect` when it has said where it listens; then messages, which raise LostError.
-
-    Only `kill` and the search for the reason of a break wait, and not for long."""
-
-    def __init__(self, command: Sequence[str], log: deque[str], wake: Callable[[], None]) -> None:
-        """log: gets the lines that it prints. wake: called from another thread when there is something to look at.
-
-        JGHandFailure: no_interpreter."""
+    def __init__(self, command: Sequence[str], heard: Callable[[str, bool], None], ended: Callable[[], None]) -> None:
+        """heard: gets each line, and whether it is of the standard output; ended: called when there are no more of one
+        of both; from other threads. JGHandFailure: no_interpreter."""
         try:
             self.popen = subprocess.Popen(
                 list(command),
@@ -151,9 +145,80 @@ class EngineProcess:
                 stderr=subprocess.PIPE,
                 env=cleaned_environment(os.environ),
                 creationflags=HIDDEN,
+                # a Ctrl-C in Blender's terminal is Blender's, and all that a process starts ends with it
+                start_new_session=os.name != "nt",
             )
         except OSError as error:
             raise JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}") from error
+        self._readers = [
+            threading.Thread(target=self._read, args=(pipe, heard, ended), daemon=True, name="jghand lines")
+            for pipe in (self.popen.stdout, self.popen.stderr)
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def close_stdin(self) -> None:
+        if self.popen.stdin is not None:
+            with contextlib.suppress(OSError):
+                self.popen.stdin.close()
+
+    def said_all(self, wait_s: float = 0.0) -> bool:
+        """Whether what an ended process printed last is here: a process that it left behind may hold its pipes open."""
+        for reader in self._readers if wait_s else ():
+            reader.join(wait_s)
+        return not any(reader.is_alive() for reader in self._readers)
+
+    def ends_within(self, seconds: float) -> bool:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.popen.wait(seconds)
+        return self.popen.poll() is not None
+
+    def end_tree(self, *, at_once: bool) -> None:
+        """Ends it and those that it started. at_once: without asking; Windows has no other way."""
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):
+                os.killpg(self.popen.pid, signal.SIGKILL if at_once else signal.SIGTERM)
+            return
+        system = os.environ.get("SYSTEMROOT", r"C:\Windows")
+        words = [rf"{system}\System32\taskkill.exe", "/F", "/T", "/PID", str(self.popen.pid)]
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            subprocess.run(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                creationflags=HIDDEN,
+                timeout=machine.KILL_S,
+                check=False,
+            )
+        with contextlib.suppress(OSError):
+            self.popen.kill()  # where that has failed
+
+    def _read(self, pipe: IO[bytes], heard: Callable[[str, bool], None], ended: Callable[[], None]) -> None:
+        """Keeps a pipe from filling up."""
+        with pipe:
+            for raw in iter(lambda: pipe.readline(_LINE_MAX), b""):
+                heard(raw.decode("utf-8", "replace").rstrip(), pipe is self.popen.stdout)
+        ended()
+
+
+class LostError(Exception):
+    """The engine cannot be used any more. kind: a key of errors.ADVICE; detail: what happened."""
+
+    def __init__(self, kind: str, detail: str) -> None:
+        super().__init__(kind, detail)
+        self.kind, self.detail = kind, detail
+
+
+class EngineProcess(Child):
+    """An engine that was started; `connect` when it has said where it listens; then messages, which raise LostError.
+
+    Only `kill` and the search for the reason of a break wait, and not for long."""
+
+    def __init__(self, command: Sequence[str], log: deque[str], wake: Callable[[], None]) -> None:
+        """log: gets the lines that it prints. wake: called from another thread when there is something to look at.
+
+        JGHandFailure: no_interpreter."""
         self.token = secrets.token_bytes(protocol.TOKEN_BYTES)
         # what the engine says of itself, once it does
         self.handshake: Mapping[str, Any] = {}
@@ -162,12 +227,7 @@ class EngineProcess:
         self._receiver: protocol.Receiver | None = None
         self._outgoing: deque[memoryview] = deque()
         self._log, self._wake = log, wake
-        self._drains = [
-            threading.Thread(target=self._drain, args=(pipe,), daemon=True, name="jghand log")
-            for pipe in (self.popen.stdout, self.popen.stderr)
-        ]
-        for drain in self._drains:
-            drain.start()
+        super().__init__(command, self._hear, wake)
         assert self.popen.stdin is not None  # it was asked for as a pipe
         with contextlib.suppress(OSError):  # it has ended already, which `why_it_ended` tells
             self.popen.stdin.write(self.token.hex().encode() + b"\n")
@@ -239,29 +299,18 @@ class EngineProcess:
         code = self.popen.poll()
         if code is None:
             return None
-        for drain in self._drains:  # its last words may still be on their way
-            drain.join(_LAST_WORDS_S)
+        self.said_all(_LAST_WORDS_S)
         missing = [line for line in tuple(self._log) if "No module named" in line]
         if not self.handshake and missing:
             return LostError("no_engine", missing[-1].strip())
         return LostError(kind_of_exit(code), f"exit code {code}")
 
-    def close_stdin(self) -> None:
-        if self.popen.stdin:
-            with contextlib.suppress(OSError):
-                self.popen.stdin.close()
-
     def kill(self) -> None:
         self._disconnect()
         with contextlib.suppress(OSError):
             self.popen.kill()
-        self._ends_within(machine.KILL_S)
+        self.ends_within(machine.KILL_S)
         self.close_stdin()
-
-    def _ends_within(self, seconds: float) -> bool:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.popen.wait(seconds)
-        return self.popen.poll() is not None
 
     def _disconnect(self) -> None:
         if self.socket is not None:
@@ -272,21 +321,17 @@ class EngineProcess:
     def _broken(self, kind: str, detail: str) -> LostError:
         """The connection broke; when that is because the process ends, a little later, that is the reason."""
         self._disconnect()
-        ended = self.why_it_ended() if self._ends_within(machine.TERMINATE_S) else None
+        ended = self.why_it_ended() if self.ends_within(machine.TERMINATE_S) else None
         return ended or LostError(kind, detail)
 
-    def _drain(self, pipe: IO[bytes]) -> None:
-        """Keeps a pipe of the engine from filling up; finds the handshake in stdout."""
-        with pipe:
-            for raw in iter(lambda: pipe.readline(machine.LOG_LINE_MAX), b""):
-                line = raw.decode("utf-8", "replace").rstrip()
-                found = _handshake(line) if not self.handshake and pipe is self.popen.stdout else {}
-                if found:
-                    self.handshake = found
-                    self._wake()
-                elif line:
-                    self._log.append(line)
-        self._wake()
+    def _hear(self, line: str, is_output: bool) -> None:
+        """Finds the handshake in what it prints."""
+        found = _handshake(line) if not self.handshake and is_output else {}
+        if found:
+            self.handshake = found
+            self._wake()
+        elif line:
+            self._log.append(line[: machine.LOG_LINE_MAX])
 
 
 def _handshake(line: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from blender_addon.renderer import jobs
 from blender_addon.renderer import jobs as renderer_jobs
 from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.jobs import Job, JobSpec, JobState, JobTable, Phase
+from blender_addon.renderer.process import Child
 
 STAND_IN = Path(__file__).with_name("stand_in_job.py")
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,7 +32,7 @@ def spec(*words: str, **more) -> JobSpec:
 
 def ended(job: Job, wait_s: float = LONG_S) -> JobState:
     assert job.wait(wait_s), f"still {job.state}"
-    assert job._process is None or job._process.poll() is not None
+    assert job._process is None or job._process.popen.poll() is not None
     return job.state
 
 
@@ -135,13 +136,13 @@ def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monk
     monkeypatch.setattr(renderer_jobs, "JOB_LAST_WORDS_S", 20.0)
     job = Job(spec("orphan"))
     assert job._process is not None
-    job._process.wait(LONG_S)
+    job._process.ends_within(LONG_S)
     job.tick()
     assert not job.is_over, "its last words may still come"
     monkeypatch.setattr(renderer_jobs, "JOB_LAST_WORDS_S", 0.0)
     job.tick()
     assert job.state.phase is Phase.DONE
-    os.killpg(job._process.pid, signal.SIGKILL)
+    os.killpg(job._process.popen.pid, signal.SIGKILL)
 
 
 @posix
@@ -167,8 +168,8 @@ def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch)
 def test_a_program_that_hangs_in_the_system_does_not_hold_blender(tmp_path, monkeypatch):
     """As one does that waits for a disk that is gone: it cannot be killed."""
     monkeypatch.setattr(renderer_state, "KILL_S", 0.1)
-    end_tree = jobs.end_tree
-    monkeypatch.setattr(jobs, "end_tree", lambda *_, **__: None)
+    end_tree = Child.end_tree
+    monkeypatch.setattr(Child, "end_tree", lambda *_, **__: None)
     job = Job(spec("deaf"))
     until_it_counts(job)
     killing = threading.Thread(target=job.kill, daemon=True)

@@ -24,7 +24,6 @@ def test_steps_previews_and_the_avatar_are_found(tmp_path):
     assert seen.picture is not None
     assert seen.picture.name == "step_00000500.png"
     assert seen.sentence() == "500 steps"
-    assert seen.sentence({"{count} steps": "{count} Schritte"}.__getitem__) == "500 Schritte"
 
 
 def test_the_work_of_a_training_lies_beside_its_avatar(tmp_path):

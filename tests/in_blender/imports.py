@@ -102,7 +102,7 @@ def _job_folders(window) -> Iterator[Path]:
 def _reading(window):
     """Waits until the renderer reads a motion, and stops it there for as long as the `with` that this is for."""
     yield lambda: window.modal(_IMPORT) is not None and _job(window) is not None and not _job(window).is_over
-    return _stopped(_job(window)._process.pid)
+    return _stopped(_job(window)._process.popen.pid)
 
 
 @contextlib.contextmanager
