@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import bmesh
 import bpy
 import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
@@ -128,29 +127,6 @@ def blenders_pixels(scene: bpy.types.Scene, camera: bpy.types.Object, points: np
     """(N, 2) pixels, v down, where Blender itself projects world points (Blender units)."""
     seen = [world_to_camera_view(scene, camera, Vector(point)) for point in points]
     return np.array([(p.x * size[0], (1 - p.y) * size[1]) for p in seen])
-
-
-def drawn_by_cycles(context: bpy.types.Context, point: np.ndarray, *, radius: float, folder: Path) -> np.ndarray:
-    """(2,) pixels, v down: centroid of a small glowing ball at a world point, drawn by Blender's path tracer."""
-    scene = context.scene
-    scene.render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = 128, False
-    scene.render.film_transparent = True
-    scene.render.image_settings.file_format = "PNG"
-    scene.render.image_settings.color_mode = "RGBA"
-    scene.render.image_settings.color_depth = "16"
-    scene.render.filepath = str(folder / "ball.png")
-    mesh = bpy.data.meshes.new("ball")
-    shape = bmesh.new()
-    bmesh.ops.create_icosphere(shape, subdivisions=3, radius=radius)
-    shape.to_mesh(mesh)
-    shape.free()
-    ball = bpy.data.objects.new("ball", mesh)
-    ball.location = point
-    scene.collection.objects.link(ball)
-    bpy.ops.render.render(write_still=True)
-    bpy.data.objects.remove(ball)
-    return centroid(alpha_of(folder / "ball.png"))
 
 
 def pixels(path: Path | str, *, as_it_is: bool = False) -> np.ndarray:

@@ -88,14 +88,6 @@ def test_joints_are_read_in_meters_whatever_the_object_and_the_unit(context, pla
     assert np.linalg.det(rotation) == pytest.approx(1)
 
 
-def test_moving_the_object_changes_no_joint_in_hand_space(context):
-    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
-    before = armature.read_hand(hand, armature.at_frame(context.scene, 2)).joints_m
-    hands.put(hand, hands.PLACES["moved and turned"])
-    after = armature.read_hand(hand, armature.at_frame(context.scene, 2)).joints_m
-    np.testing.assert_allclose(after, before, atol=EXACT_M)
-
-
 def test_constraints_are_included(context):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
     target = bpy.data.objects.new("Target", None)

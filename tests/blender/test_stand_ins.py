@@ -307,14 +307,6 @@ def test_linking_a_collection_brings_the_stand_in_of_its_file(extension, tmp_pat
     assert len([thing for thing in bpy.data.objects if stand_ins.MARK in thing and thing.parent == made]) == 1
 
 
-def test_undo_takes_both_away(extension):
-    bpy.ops.ed.undo_push(message="before")
-    add_hand()
-    bpy.ops.ed.undo_push(message="added")
-    bpy.ops.ed.undo()
-    assert not [thing for thing in bpy.data.objects if stand_ins.MARK in thing or armature.is_hand(thing)]
-
-
 def test_views_show_it_only_where_they_trace(extension):
     hand = add_hand()
     thing = only(hand)

@@ -6,7 +6,6 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
@@ -324,21 +323,6 @@ def test_whatever_changes_the_picture_is_asked_for(link, extension, change):
     assert len(view.pace.asks) == len(before) + 1
 
 
-def test_a_view_is_drawn_with_the_quality_of_its_scene(link, extension, monkeypatch):
-    context = extension
-    context.scene.jghand.viewport_preset = "reference"
-    context.scene.jghand.sharpen_when_still = False
-    asked, ask = [], link.ask
-
-    def noted(slot, header, *more, **options):
-        asked.append(header["settings"]["preset"])
-        ask(slot, header, *more, **options)
-
-    monkeypatch.setattr(link, "ask", noted)
-    wait_for(context, view_on(context, add_hand(context)))
-    assert asked[-1] == "reference"
-
-
 def test_the_timer_rests_once_everything_is_there(link, extension):
     context = extension
     context.scene.jghand.sharpen_when_still = False
@@ -517,25 +501,6 @@ def test_a_view_draws_hands_where_its_shading_and_its_scene_do(
     area = SimpleNamespace(shading=SimpleNamespace(type=shading))
     assert views.draws(area, scene, views.SOLID) is solid
     assert views.draws(area, scene, views.RENDERED) is rendered
-
-
-@pytest.mark.parametrize("shading", ["WIREFRAME", "SOLID"])
-def test_a_played_frame_is_asked_for_only_where_it_is_drawn(link, extension, monkeypatch, shading):
-    context, asked = extension, []
-    hand = add_hand(context)
-    view = view_on(context, hand)
-    view.pace = replace(view.pace, asks=view.pace.asks[-1:] * 2)
-    views._views[1, views.SOLID] = view
-    area = SimpleNamespace(spaces=SimpleNamespace(active=SimpleNamespace(shading=SimpleNamespace(type=shading))))
-    window = SimpleNamespace(scene=context.scene, view_layer=context.view_layer)
-    region = SimpleNamespace(as_pointer=lambda: 1)
-    monkeypatch.setattr(views, "open_regions", lambda: [(window, area, region)])
-    monkeypatch.setattr(seen_hands, "hands_in", lambda *_, **__: [hand])
-    monkeypatch.setattr(views, "look", lambda *_, **__: asked.append(1))
-    depsgraph = SimpleNamespace(mode="VIEWPORT", view_layer=context.view_layer, updates=())
-    monkeypatch.setattr(views, "read_again", lambda *_: None)
-    handlers.on_frame_change(context.scene, depsgraph)
-    assert asked == ([1] if shading == "SOLID" else [])
 
 
 def test_an_avatar_whose_file_changed_or_came_is_asked_for_again(link, extension, tmp_path, monkeypatch):
