@@ -1,13 +1,11 @@
-"""Motions of other programs: the engine reads what Blender's exporters write, Blender's importers read what the tests
-write, and Import Motion puts both onto a hand."""
+"""Motions of other programs: the engine reads what Blender's exporters write, and Import Motion puts that, and what
+the tests write, onto a hand."""
 
 from __future__ import annotations
 
 import json
 import subprocess
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -15,10 +13,8 @@ import pytest
 from hands import mixamo_rig
 from mathutils import Quaternion, Vector
 
-from blender_addon import folders
 from blender_addon.core.joints import NAMES, TIPS
 from blender_addon.hand import armature
-from blender_addon.hand import ops_motion as motion_operator
 from blender_addon.hand.motion_files import read_motion
 from blender_addon.renderer.process import VARIABLE
 
@@ -127,23 +123,6 @@ def _check_without_tips(motion, joints):
         assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 0.3, NAMES[tip]
 
 
-def test_blenders_importer_sees_the_joints_of_our_bvh(context, samples):
-    enable("io_anim_bvh")
-    bpy.ops.import_anim.bvh(filepath=str(samples / "sample.bvh"), global_scale=0.01, axis_forward="Y", axis_up="Z")
-    _check_imported(context, np.load(samples / "joints.npy"), "RightHand{}")
-
-
-def _check_imported(context, joints, template):
-    rig = next(thing for thing in bpy.data.objects if thing.type == "ARMATURE")
-    for frame in range(FRAMES):
-        context.scene.frame_set(1 + frame)
-        seen = rig.evaluated_get(context.evaluated_depsgraph_get())
-        for place, name in enumerate(NAMES):
-            bone = seen.pose.bones[template.format("" if name == "wrist" else name.title())]
-            # six digits, and Blender's single precision; worst seen 8e-7 m
-            np.testing.assert_allclose(seen.matrix_world @ bone.head, joints[frame, place], atol=2e-6)
-
-
 # ---- Import Motion ---------------------------------------------------------------------------------------------------
 
 
@@ -203,30 +182,6 @@ def test_what_the_engine_cannot_read_is_told_in_its_words(extension, engine, tmp
     with pytest.raises(RuntimeError, match="no MOTION"):
         bpy.ops.jghand.import_motion(filepath=str(path))
     assert not bpy.data.armatures
-
-
-def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
-    from blender_addon.errors import JGHandFailure
-    from blender_addon.renderer import runtime
-
-    def none(**_how):
-        raise JGHandFailure("no_interpreter", "none here")
-
-    monkeypatch.setattr(runtime, "program", none)
-    path = tmp_path / "wave.bvh"
-    path.write_text("HIERARCHY\n")
-    with pytest.raises(RuntimeError, match="The renderer cannot be started"):
-        bpy.ops.jghand.import_motion(filepath=str(path))
-
-
-def test_a_conversion_that_is_given_up_ends_the_engine(extension, samples):
-    operator = SimpleNamespace(working="x", learns=False)
-    operator.made_by_engine = partial(motion_operator.ImportMotion.made_by_engine, operator)
-    steps = motion_operator.ImportMotion._converted(operator, samples / "sample.bvh", {})
-    next(steps)
-    (folder,) = folders.user_folder("jobs").glob("job_*")
-    steps.close()
-    assert not folder.exists()
 
 
 def test_jghands_own_files_are_mirrored_and_kept_in_place_too(extension, samples, engine):
