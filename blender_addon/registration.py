@@ -44,7 +44,7 @@ WITH_CLASSES = (
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(preferences, hand_properties, family, scene_properties, runtime, usd_hook, train_panel),
+    *(preferences, hand_properties, family, scene_properties, runtime, usd_hook),
     *(folders, handlers, rendering, render_engine, preview, command, hand_ops, ops_motion, stand_ins),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

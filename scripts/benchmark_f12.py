@@ -57,7 +57,7 @@ def _measured(width: int, height: int, frames: int, engine_python: str | None) -
 
     from blender_addon import registration
     from blender_addon.core import posing
-    from blender_addon.hand import armature, framing
+    from blender_addon.hand import armature
     from blender_addon.render import camera
     from blender_addon.renderer import runtime
     from blender_addon.renderer.link import EngineLink
@@ -72,7 +72,7 @@ def _measured(width: int, height: int, frames: int, engine_python: str | None) -
         joints_m = posing.rest_joints_m("right")
         hand = armature.build_armature(bpy.context, "right", joints_m, "right")
         camera.set_picture_size(scene.render, width, height)
-        scene.camera = framing.add_framing_camera(bpy.context, "CamPalm", joints_m[None], "right")
+        scene.camera = camera.add_framing_camera(bpy.context, "CamPalm", joints_m[None], "right")
         scene.render.engine, scene.render.film_transparent = "JGHAND", True
         scene.view_settings.view_transform = "Standard"
         rows = []

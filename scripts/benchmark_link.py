@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from blender_addon.core import pacing
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+from blender_addon.core.view import HandInSpace, Moment, Pinhole, picture_request
 from blender_addon.errors import JGHandFailure
 from blender_addon.renderer.link import EngineLink
 
@@ -91,7 +91,7 @@ def picture(turn: int, outputs: tuple[str, ...] = ("rgba_u8",)):
     view[2, 3] = 0.45
     hand = HandInSpace("right", joints, np.eye(4))
     pinhole = Pinhole(width, height, 900, 900, width / 2, height / 2, view)
-    return picture_request(pinhole, [hand], preset="viewport", outputs=outputs)
+    return picture_request([Moment(pinhole, [hand])], preset="viewport", outputs=outputs)
 
 
 class Player:

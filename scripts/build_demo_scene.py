@@ -115,7 +115,7 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
 
     from blender_addon.core import posing, view
     from blender_addon.errors import JGHandFailure
-    from blender_addon.hand import armature, framing
+    from blender_addon.hand import armature
     from blender_addon.hand import motion as motions
     from blender_addon.render import camera
 
@@ -149,7 +149,7 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
         eyes = [add_camera(context, name, pinhole) for name, pinhole in pinholes.items()]
     else:
         turned_m = joints_m @ world_from_motion[:3, :3].T
-        eyes = [framing.add_framing_camera(context, name, turned_m, motion.handedness) for name in framing.SIDES]
+        eyes = [camera.add_framing_camera(context, name, turned_m, motion.handedness) for name in camera.SIDES]
     scene.camera = eyes[0]
     scene.frame_set(FIRST_FRAME)
     try:

@@ -169,23 +169,6 @@ class SceneLight:
 
 
 def picture_request(
-    view: Pinhole,
-    hands: Sequence[HandInSpace],
-    *,
-    outputs: Sequence[str],
-    preset: str,
-    budget_ms: float | None = None,
-    light: SceneLight | None = None,
-) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
-    """Header and arrays of a `render_picture` request: all hands of one view in one request.
-
-    outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids. budget_ms: instead of the preset, what draws in that time.
-    light: of the scene, in which rgba_f32 is scene-linear; None for that of the captures.
-    """
-    return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, budget_ms=budget_ms, light=light)
-
-
-def moments_request(
     moments: Sequence[Moment],
     *,
     outputs: Sequence[str],
@@ -193,8 +176,13 @@ def moments_request(
     budget_ms: float | None = None,
     light: SceneLight | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
-    """The same for a picture of several moments in the order of time (motion blur): the engine averages them in linear
-    light; depth and ids are those of the middle one."""
+    """Header and arrays of a `render_picture` request: all hands of one view in one request, at one moment or at
+    several in the order of time (motion blur): the engine averages them in linear light; depth and ids are those of the
+    middle one.
+
+    outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids. budget_ms: instead of the preset, what draws in that time.
+    light: of the scene, in which rgba_f32 is scene-linear; None for that of the captures.
+    """
     first = moments[0]
     views = [moment.view for moment in moments]
     header = {

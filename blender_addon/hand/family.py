@@ -37,7 +37,7 @@ def _picture_of(name: str) -> Path | None:
 
 def icon_of(picture: Path | None) -> int:
     """Of a picture as its file is now; 0 for none."""
-    if picture is None:
+    if picture is None or not picture.is_file():
         return 0
     if not _pictures:
         _pictures.append(bpy.utils.previews.new())

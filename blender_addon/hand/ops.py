@@ -21,7 +21,8 @@ from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
 from ..render import scene_light
-from . import armature, avatar_files, controls, family, framing, sources, stand_ins
+from ..render.camera import add_framing_camera
+from . import armature, avatar_files, controls, family, sources, stand_ins
 from .properties import HANDS
 from .seen_hands import named
 
@@ -374,7 +375,7 @@ def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
 def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.Object:
     """A camera that shows where a hand is now; it becomes the scene's."""
     (seen, *_) = sources.read_hands(hand, context.evaluated_depsgraph_get())
-    camera = framing.add_framing_camera(context, "CamPalm", seen.joints_world_m[None], seen.handedness)
+    camera = add_framing_camera(context, "CamPalm", seen.joints_world_m[None], seen.handedness)
     camera.name = camera.data.name = "Hand Camera"
     common.link_to_active_collection(context, camera)
     context.scene.camera = camera

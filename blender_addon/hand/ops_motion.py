@@ -24,9 +24,10 @@ from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE_IMPORT, FromFile, followed, poll_scene
+from ..render.camera import add_film_camera, look_through_camera
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from . import armature, controls, framing, motion
+from . import armature, controls, motion
 from .motion import WantedMotion
 from .motion_files import (
     FETCH,
@@ -402,9 +403,9 @@ class TrackVideo(KeysFile, bpy.types.Operator):
             self.conclude(self.keying(context, wanted, origin_m=origin_m), wanted)
             return
         done = self.keying(context, wanted, origin_m=np.zeros(3), set_rate=True)
-        camera, is_behind = framing.add_film_camera(context, path, film.size_px, self.camera_angle, self.first_frame)
+        camera, is_behind = add_film_camera(context, path, film.size_px, self.camera_angle, self.first_frame)
         common.link_to_active_collection(context, camera)
-        framing.look_through_camera(context.area)
+        look_through_camera(context.area)
         text = f"{camera.name} sees as the film's camera did; the scene has the film's size and frame rate."
         doubts = [] if is_behind else ["This Blender cannot play the film, so it is not behind the hand."]
         self.conclude([*done, text], wanted, *doubts)

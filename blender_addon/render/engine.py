@@ -19,7 +19,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import film, panel_text
-from ..core.view import Moment, Part, SceneLight, moments_request
+from ..core.view import Moment, Part, SceneLight, picture_request
 from ..errors import JGHandFailure
 from ..hand import instances
 from ..ops import sentence_of
@@ -126,7 +126,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene, light: SceneLight | None) -> Any:
         """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
         self.update_stats("JGHand", "Waiting for the renderer")
-        header, arrays = moments_request(
+        header, arrays = picture_request(
             seen,
             outputs=outputs,
             preset=scene.jghand.render_preset,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import bpy
 import bpy.utils.previews
@@ -21,10 +20,6 @@ from ..renderer.jobs import Phase
 from ..renderer.panel import draw_failure, draw_job, draw_tools
 from ..ui import Sidebar
 from .training_folder import TOLD, TrainingFolder, folder_of
-
-_icons: Any = None  # Blender's collection of previews, once there are some
-# the image that is among them
-_shown: Path | None = None
 
 
 class TrainPanel(Sidebar, bpy.types.Panel):
@@ -87,23 +82,7 @@ def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingF
             path = folder_of(ops_common.place(context, avatar_file))
         except JGHandFailure:
             return None
-    seen = TrainingFolder.look(path)
-    if not bpy.app.background:  # where there are icons
-        _show(seen.picture)
-    return seen
-
-
-def _show(picture: Path | None) -> None:
-    """Makes an icon of the newest image, where it is another than before."""
-    global _icons, _shown
-    if _icons is None:  # without icons it is false
-        _icons = bpy.utils.previews.new()
-    if picture == _shown:
-        return
-    _shown = picture
-    _icons.pop("picture", None)
-    if picture is not None:
-        _icons.load("picture", str(picture), "IMAGE")
+    return TrainingFolder.look(path)
 
 
 def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:
@@ -127,8 +106,8 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
         ui.paragraph(layout, context, job.state.text)  # whole: the bar of its progress has no room for loss and dB
     elif seen.can_go_on:
         layout.label(text=seen.sentence())
-    if _icons is not None and "picture" in _icons:
-        layout.template_icon(icon_value=_icons["picture"].icon_id, scale=_PICTURE_UNITS)
+    if seen.picture is not None:
+        layout.template_icon(icon_value=family.icon_of(seen.picture), scale=_PICTURE_UNITS)
     if seen.avatar is not None:
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
@@ -195,10 +174,3 @@ def _draw_own(layout: bpy.types.UILayout, context: bpy.types.Context, work: Path
 
 
 CLASSES = (TrainPanel, TrainingSetPanel, FilmPanel)
-
-
-def unregister() -> None:
-    global _icons, _shown
-    if _icons is not None:
-        bpy.utils.previews.remove(_icons)
-    _icons, _shown = None, None

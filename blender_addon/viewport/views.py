@@ -22,7 +22,7 @@ from .. import clock
 from ..core import pacing
 from ..core.pacing import Activity, DrawMoment, Pace, ViewSettings, Want
 from ..core.panel_text import HANDS
-from ..core.view import HandInSpace, Part, SceneLight, part_with, picture_of, picture_request
+from ..core.view import HandInSpace, Moment, Part, SceneLight, part_with, picture_of, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
 from ..render import ENGINE, rendering, scene_light
@@ -341,8 +341,7 @@ def _ask(view: View, ask: pacing.Ask) -> None:
     whole, room_m = view.camera.in_front_of(view.hands)
     pinhole = picture_of(whole, view.part, ask.quality.pixels_max)
     header, arrays = picture_request(
-        pinhole,
-        view.hands,
+        [Moment(pinhole, view.hands)],
         outputs=_OUTPUTS if view.light is None else _LIT_OUTPUTS,
         preset=ask.quality.preset,
         budget_ms=ask.quality.budget_ms,

@@ -14,7 +14,6 @@ from blender_addon.core.view import (
     Pinhole,
     SceneLight,
     avatar_stamp,
-    moments_request,
     picture_request,
     pinhole_from,
 )
@@ -43,7 +42,7 @@ def understood(header, arrays):
 
 
 def test_the_engine_sees_every_joint_where_the_pinhole_does():
-    request, outputs = understood(*picture_request(VIEW, HANDS, outputs=["rgba_u8", "depth"], preset="draft"))
+    request, outputs = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["rgba_u8", "depth"], preset="draft"))
     assert (request.width, request.height, outputs) == (96, 64, ["rgba_u8", "depth"])
     assert [(hand.avatar, hand.handedness) for hand in request.hands] == [
         ("right.jghand", "right"),
@@ -59,7 +58,7 @@ def test_up_in_blender_is_up_in_the_light_of_captures():
     """+z of Blender is +y of captures; who looks from the front (-y) stands where captures look at the palm from."""
     upright = np.array([[1.0, 0, 0, 2], [0, 0, -1, 3], [0, 1, 0, 4], [0, 0, 0, 1]])  # +y of the hand along +z
     hand = replace(HANDS[0], world_from_hand=upright)
-    request, _ = understood(*picture_request(VIEW, [hand], outputs=["rgba_u8"], preset="draft"))
+    request, _ = understood(*picture_request([Moment(VIEW, [hand])], outputs=["rgba_u8"], preset="draft"))
     place = request.exposures[0].world_from_hand[0]
     np.testing.assert_allclose(place[:3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(place[:3, 3], (2, 4, -3))
@@ -69,11 +68,13 @@ def test_a_light_arrives_with_its_lamps_and_its_world():
     sun = {"kind": "sun", "rgb": [3.0, 2.0, 1.0], "place_m": [0.0, 0.0, 1.0]}
     picture = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
     light = SceneLight([sun], {"key": "sky", "env_from_world": np.eye(3).tolist()}, picture)
-    request, _ = understood(*picture_request(VIEW, HANDS, outputs=["rgba_f32"], preset="draft", light=light))
+    request, _ = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["rgba_f32"], preset="draft", light=light))
     assert request.light is not None
     assert request.light.record == light.record
     np.testing.assert_array_equal(request.light.radiance, picture)
-    dark, _ = understood(*picture_request(VIEW, HANDS, outputs=["rgba_f32"], preset="draft", light=SceneLight()))
+    dark, _ = understood(
+        *picture_request([Moment(VIEW, HANDS)], outputs=["rgba_f32"], preset="draft", light=SceneLight())
+    )
     assert dark.light is not None
     assert dark.light.radiance is None
 
@@ -84,17 +85,19 @@ def test_a_light_arrives_with_its_lamps_and_its_world():
 def test_a_world_without_key_or_picture_is_refused(world, picture):
     light = SceneLight((), world, picture)
     with pytest.raises(InputError):
-        understood(*picture_request(VIEW, HANDS, outputs=["rgba_f32"], preset="draft", light=light))
+        understood(*picture_request([Moment(VIEW, HANDS)], outputs=["rgba_f32"], preset="draft", light=light))
 
 
 def test_settings_lens_and_rays_arrive():
     view = replace(VIEW, aperture_m=0.01, focus_m=0.7)
-    request, _ = understood(*picture_request(view, HANDS, outputs=["ids"], preset="final", budget_ms=9.5))
+    request, _ = understood(*picture_request([Moment(view, HANDS)], outputs=["ids"], preset="final", budget_ms=9.5))
     assert (request.exposures[0].aperture_m, request.exposures[0].focus_m) == (0.01, 0.7)
     assert request.ids
     assert not request.depth
     assert (request.settings.preset, request.settings.budget_ms) == ("final", 9.5)
-    request, _ = understood(*picture_request(replace(VIEW, orthographic=True), [], outputs=["rgba_u8"], preset="draft"))
+    request, _ = understood(
+        *picture_request([Moment(replace(VIEW, orthographic=True), [])], outputs=["rgba_u8"], preset="draft")
+    )
     assert request.orthographic
     assert request.hands == ()
 
@@ -105,7 +108,7 @@ def test_moments_arrive_in_their_order_with_their_weights():
         Moment(replace(VIEW, fx=100.0 + k), [replace(hand, world_from_hand=rigid(10 + k)) for hand in shown], 1.0 + k)
         for k in range(3)
     ]
-    request, _ = understood(*moments_request(moments, outputs=["depth_covered"], preset="draft"))
+    request, _ = understood(*picture_request(moments, outputs=["depth_covered"], preset="draft"))
     assert [hand.forearm for hand in request.hands] == [hand.forearm for hand in shown]
     assert [exposure.fx for exposure in request.exposures] == [100, 101, 102]
     assert [exposure.weight for exposure in request.exposures] == [1, 2, 3]
@@ -155,10 +158,10 @@ def test_the_stamp_of_an_avatar_changes_with_its_file(tmp_path):
 
 
 def test_how_a_forearm_is_turned_is_said_for_all_hands_or_for_none():
-    (straight,) = understood(*picture_request(VIEW, HANDS, outputs=["depth"], preset="draft"))[0].exposures
+    (straight,) = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["depth"], preset="draft"))[0].exposures
     assert straight.forearms is None
     turn = np.array([0.6, 0.0, 0.8, 0.0])
     bent = [HANDS[0], replace(HANDS[1], forearm_turn=turn)]
-    (exposure,) = understood(*picture_request(VIEW, bent, outputs=["depth"], preset="draft"))[0].exposures
+    (exposure,) = understood(*picture_request([Moment(VIEW, bent)], outputs=["depth"], preset="draft"))[0].exposures
     np.testing.assert_allclose(exposure.forearms, [(1, 0, 0, 0), turn])
     assert bent[1].pose_bytes != HANDS[1].pose_bytes

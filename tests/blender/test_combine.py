@@ -9,7 +9,7 @@ import pytest
 
 from blender_addon import versions
 from blender_addon.core import film, posing
-from blender_addon.core.view import picture_request
+from blender_addon.core.view import Moment, picture_request
 from blender_addon.hand import armature
 from blender_addon.render import camera, composite, lamps
 from blender_addon.renderer import runtime
@@ -104,7 +104,9 @@ def test_soft_edges_are_mixed_with_what_is_behind_them(scene, engine_python):
         depsgraph = bpy.context.evaluated_depsgraph_get()
         view = camera.pinhole(scene.camera, depsgraph)
         hand = armature.read_hand(bpy.data.objects["right"], depsgraph)
-        reply = runtime.link().request(*picture_request(view, [hand], preset="viewport", outputs=["rgba_f32", "depth"]))
+        reply = runtime.link().request(
+            *picture_request([Moment(view, [hand])], preset="viewport", outputs=["rgba_f32", "depth"])
+        )
     finally:
         runtime._link.close()
         runtime._link = before

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from blender_addon import folders, registration
-from blender_addon.core.view import picture_request
+from blender_addon.core.view import Moment, picture_request
 from blender_addon.errors import ADVICE
 from blender_addon.hand import sources
 from blender_addon.render import camera, rendering
@@ -91,7 +91,7 @@ def viewports_picture(link: EngineLink, scene: bpy.types.Scene) -> np.ndarray:
     depsgraph = bpy.context.evaluated_depsgraph_get()
     read = sources.read_hands(scene.objects["Right Hand"], depsgraph)
     header, arrays = picture_request(
-        camera.pinhole(scene.camera, depsgraph), read, preset=scene.jghand.render_preset, outputs=["rgba_u8"]
+        [Moment(camera.pinhole(scene.camera, depsgraph), read)], preset=scene.jghand.render_preset, outputs=["rgba_u8"]
     )
     reply = link.request(header, arrays, timeout_s=renderer_state.LOAD_S)
     picture = np.asarray(reply.arrays["rgba_u8"].view()).astype(np.float32) / 255

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from blender_addon.core.joints import HANDEDNESSES
-from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+from blender_addon.core.view import HandInSpace, Moment, Pinhole, picture_request
 from blender_addon.hand import armature
 from blender_addon.render import camera
 from blender_addon.renderer.link import EngineLink
@@ -52,7 +52,7 @@ def engine(engine_python) -> Iterator[EngineLink]:
 
 def picture(engine: EngineLink, view: Pinhole, *seen: HandInSpace) -> tuple[np.ndarray, np.ndarray]:
     """(H, W, 4) premultiplied and (H, W) depth in meters."""
-    reply = engine.request(*picture_request(view, seen, preset="draft", outputs=["rgba_f32", "depth"]))
+    reply = engine.request(*picture_request([Moment(view, seen)], preset="draft", outputs=["rgba_f32", "depth"]))
     return tuple(np.asarray(reply.arrays[name].view()) for name in ("rgba_f32", "depth"))
 
 

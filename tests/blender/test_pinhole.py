@@ -10,7 +10,7 @@ import pytest
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, framing
+from blender_addon.hand import armature
 from blender_addon.render import camera
 
 # worst observed 1.1e-4 px (float32 of Blender's own matrices); the promise is 0.01
@@ -194,15 +194,15 @@ def test_a_camera_that_its_parent_mirrors_or_shears_is_refused(context, scale):
 
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
-@pytest.mark.parametrize("side", framing.SIDES)
+@pytest.mark.parametrize("side", camera.SIDES)
 @pytest.mark.parametrize("size", [(512, 334), (334, 512)])
 def test_a_framing_camera_shows_the_whole_hand_and_not_much_else(context, handedness, side, size):
     joints = hands.moving_hand_m(handedness, frames=8)
     set_size(context.scene, size)
-    eye = framing.add_framing_camera(context, side, joints, handedness)
+    eye = camera.add_framing_camera(context, side, joints, handedness)
     view = camera.pinhole(eye, context.evaluated_depsgraph_get())
     pixels = view.project(joints)
-    margin = framing.SKIN_M * view.fx / pixels[..., 2]
+    margin = camera.SKIN_M * view.fx / pixels[..., 2]
     for axis, edge in enumerate(size):
         assert (pixels[..., axis] - margin > 0).all()
         assert (pixels[..., axis] + margin < edge).all()
@@ -214,7 +214,7 @@ def test_a_framing_camera_shows_the_whole_hand_and_not_much_else(context, handed
 def test_the_palm_camera_sees_the_palm_with_the_fingers_up(context, handedness):
     joints = posing.rest_joints_m(handedness)
     set_size(context.scene, (512, 334))
-    eye = framing.add_framing_camera(context, "CamPalm", joints[None], handedness)
+    eye = camera.add_framing_camera(context, "CamPalm", joints[None], handedness)
     view = camera.pinhole(eye, context.evaluated_depsgraph_get())
     pixels = view.project(joints)
     wrist, middle_tip, thumb_tip = pixels[0], pixels[12], pixels[4]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from blender_addon.core import film, posing
-from blender_addon.core.view import picture_request
+from blender_addon.core.view import Moment, picture_request
 from blender_addon.hand import armature, sources
 from blender_addon.render import camera, command, samples
 from blender_addon.render import engine as render_engine
@@ -76,7 +76,7 @@ def asked(scene: bpy.types.Scene, *outputs: str) -> tuple[np.ndarray, ...]:
     depsgraph = bpy.context.evaluated_depsgraph_get()
     seen = [armature.read_hand(hand, depsgraph) for hand in armature.hands_at_any_frame(bpy.context.view_layer)]
     view = camera.pinhole(scene.camera, depsgraph)
-    reply = runtime.link().request(*picture_request(view, seen, preset="final", outputs=outputs))
+    reply = runtime.link().request(*picture_request([Moment(view, seen)], preset="final", outputs=outputs))
     return tuple(np.asarray(reply.arrays[name].view()) for name in outputs)
 
 

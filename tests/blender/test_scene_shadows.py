@@ -10,7 +10,7 @@ import pytest
 from mathutils import Matrix
 
 from blender_addon.core import posing, stand_in
-from blender_addon.core.view import LIGHT_FROM_WORLD, Pinhole, picture_request
+from blender_addon.core.view import LIGHT_FROM_WORLD, Moment, Pinhole, picture_request
 from blender_addon.hand import sources
 from blender_addon.render import composite, lamps, scene_light, scene_shadows
 
@@ -227,9 +227,8 @@ def test_the_engine_is_told_where_a_card_shades_a_hand(extension):
     assert light.left.shape == (1, 1, stand_in.POINTS)
     assert left_of_it[towards & (points[:, 1] < 0.095)].max() == 0
     assert left_of_it[points[:, 1] > 0.105].min() == 255
-    header, arrays = picture_request(
-        Pinhole(16, 16, 20, 20, 8, 8, np.eye(4)), seen, preset="draft", outputs=["rgba_f32"], light=light
-    )
+    moment = Moment(Pinhole(16, 16, 20, 20, 8, 8, np.eye(4)), seen)
+    header, arrays = picture_request([moment], preset="draft", outputs=["rgba_f32"], light=light)
     assert arrays["left"].shape == light.left.shape
     assert arrays["left_at"].shape == (stand_in.POINTS, 3)
     before = light.key
