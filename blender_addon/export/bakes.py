@@ -11,9 +11,11 @@ Points are balls, so edges are harder than those of splats.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -77,7 +79,8 @@ def folder_of(thing: bpy.types.Object) -> Path:
 def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> None:
     """Finishes a bake: what the engine made of the recordings is moved into the folder, over the bake before.
 
-    The stamp goes first and comes last: who is killed half-way leaves no bake instead of a mixture.
+    The stamp goes first and comes last: who is killed half-way leaves no bake instead of a mixture. Where a file cannot
+    be moved, as on Windows one that another program reads, all others go back.
     JGHandFailure: cannot_write, disk_full.
     """
     hands = [
@@ -93,13 +96,29 @@ def put_in_place(made: Path, folder: Path, recordings: Sequence[Recording]) -> N
     ]
     content = {"format": _FORMAT, "version": _VERSION, "hands": [asdict(hand) for hand in hands]}
     write_whole(made / STAMP, json.dumps(content, indent=1).encode())
+    aside = folder.with_name(f".{folder.name}.before")
+    names = sorted((path.name for path in made.iterdir()), key=lambda name: name == STAMP)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / STAMP).unlink(missing_ok=True)
-        for path in sorted(made.iterdir(), key=lambda path: path.name == STAMP):
-            os.replace(path, folder / path.name)
+        aside.mkdir(exist_ok=True)
+        old = [(folder / name, aside / name) for name in reversed(names) if (folder / name).exists()]
+        _move_all([*old, *((made / name, folder / name) for name in names)])
     except OSError as error:
+        with contextlib.suppress(OSError):  # it is not empty: what could not go back stays there
+            aside.rmdir()
         raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
+    """Moves files, in this order; where one cannot be moved, those before it go back. OSError."""
+    for done, (source, target) in enumerate(moves):
+        try:
+            os.replace(source, target)
+        except OSError:
+            for before, now in reversed(moves[:done]):
+                os.replace(now, before)
+            raise
 
 
 def read_bake(folder: Path) -> list[BakedHand]:

@@ -69,7 +69,7 @@ def test_a_bake_that_is_killed_at_any_move_leaves_a_whole_one_or_none(tmp_path, 
             raise KilledError
         replace_file(source, target)
 
-    for moves in range(6):
+    for moves in range(11):
         folder = tmp_path / str(moves) / "bake"
         folder.parent.mkdir()
         a_bake(folder, a_recording())
@@ -80,8 +80,8 @@ def test_a_bake_that_is_killed_at_any_move_leaves_a_whole_one_or_none(tmp_path, 
         monkeypatch.setattr(os, "replace", replace_file)
         with contextlib.suppress(JGHandFailure):
             finished += [(moves, hand.first_frame) for hand in bakes.read_bake(folder)]
-    # its recording and its stamp are written beside the folder before the old stamp goes; four files come into it
-    assert finished == [(0, 7), (1, 7), (5, 8)]
+    # two moves before the first that touches the folder; four files out of it, and four into it
+    assert finished == [(0, 7), (1, 7), (2, 7), (10, 8)]
 
 
 def test_the_next_bake_sweeps_what_a_killed_one_left(tmp_path):
