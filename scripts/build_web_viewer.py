@@ -8,7 +8,7 @@ folder).
 
     index.html     page.html with page.css
     pose.js        scripts/web_viewer/pose, with the engine's kernels compiled to WebAssembly: what poses the hand
-    viewer.js      scripts/web_viewer/viewer with three.js and Spark, packed: it unpacks itself
+    viewer.js      scripts/web_viewer/viewer with three.js, packed: it unpacks itself
     LICENSES.txt   of all that is in them
 """
 
@@ -42,8 +42,8 @@ FLAGS = (
 )
 # browsers of 2023 and later: vectors in WebAssembly and the unpacking of gzip ask for those anyway
 BROWSERS = "--target=chrome111,firefox113,safari16.4"
-LICENSED = ("three", "@sparkjsdev/spark", "fflate")
-UNPACK = """/*! three.js, Spark and JGHand's viewer, MIT: see LICENSES.txt */
+LICENSED = ("three",)
+UNPACK = """/*! three.js and JGHand's viewer, MIT: see LICENSES.txt */
 (async () => {
   const bytes = Uint8Array.from(atob('@PACKED@'), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'));

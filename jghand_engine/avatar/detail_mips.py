@@ -53,6 +53,21 @@ def mips(texture: np.ndarray, face_uv: np.ndarray) -> Mips:
     return Mips(packed_texels(np.concatenate(in_squares)), np.array(most))
 
 
+def filled(texture: np.ndarray, face_uv: np.ndarray) -> np.ndarray:
+    """The texture (S, S, 3) with means of the skin nearby wherever it shows none: its own means are those of the skin
+    then, on any level."""
+    skin = skin_texels(face_uv, len(texture))
+    sums, weights = [np.where(skin[..., None], texture, np.float32(0))], [skin.astype(np.float32)]
+    while len(sums[-1]) > 1:
+        sums.append(_halved(sums[-1]))
+        weights.append(_halved(weights[-1]))
+    mean = sums[-1] / np.maximum(weights[-1], 1)[..., None]
+    for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
+        coarser = mean.repeat(2, 0).repeat(2, 1)
+        mean = np.where(weight[..., None] > 0, total / np.maximum(weight, 1)[..., None], coarser)
+    return np.rint(mean).astype(np.uint8)
+
+
 def _in_squares(texels: np.ndarray) -> np.ndarray:
     """(S * S, 3) of (S, S, 3): squares of 4 x 4, which share a cache line, one after the other."""
     count = len(texels) // SQUARE

@@ -143,12 +143,16 @@ def unpack_detail(packed: dict[str, np.ndarray], about: DetailAbout, thing: str)
     )
 
 
-def _deflated(texture: np.ndarray) -> np.ndarray:
+def differences(texture: np.ndarray) -> np.ndarray:
+    """(3, S, S) bytes of (S, S, 3), channel by channel: what is alike lies together."""
     shades = texture.copy()
     shades[..., ::2] -= texture[..., 1:2]
     shades[1:] -= shades[:-1].copy()
-    # channel by channel: what is alike lies together
-    return np.frombuffer(zlib.compress(np.moveaxis(shades, -1, 0).tobytes(), DEFLATE_LEVEL), np.uint8)
+    return np.moveaxis(shades, -1, 0)
+
+
+def _deflated(texture: np.ndarray) -> np.ndarray:
+    return np.frombuffer(zlib.compress(differences(texture).tobytes(), DEFLATE_LEVEL), np.uint8)
 
 
 def _inflated(deflated: np.ndarray, size: int, thing: str) -> np.ndarray:

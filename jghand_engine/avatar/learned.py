@@ -196,6 +196,7 @@ class Learned:
     distilled:     cheaper tiers of the correctives, and what they cost; None where nothing was measured
     response:      how the skin answers the light of a scene; then light and shine are none, and the cast shadow has a
                    lamp for each cell of a world. None where it was learned in one unknown light
+    in_studio:     whether it learned in known light and carries that of a studio, see `relighting.in_studio`
     """
 
     normal: np.ndarray
@@ -208,11 +209,17 @@ class Learned:
     cast: CastShadow | None = None
     distilled: Distilled | None = None
     response: SkinResponse | None = None
+    in_studio: bool = False
 
     @property
     def reflects(self) -> bool:
         """Whether colors depend on where the camera stands."""
         return self.response is not None or (bool(self.shine.any()) and bool(self.light.lobe_rgb.any()))
+
+    @property
+    def fades(self) -> bool:
+        """Whether what faces away from the camera fades out: a hand of known light learned with that."""
+        return self.response is not None or self.in_studio
 
     def with_tier(self, wanted: Tier) -> tuple[Learned, Price | None]:
         """The same with the correctives of a tier, and its price where it has one. InputError for a tier without."""

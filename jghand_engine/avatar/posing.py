@@ -91,8 +91,8 @@ class Posing:
         )
 
 
-def new_rows(rows: int, *, ellipsoids: bool, lit: bool) -> GaussianArrays:
-    """Arrays for Gaussians that are posed. lit: whether any of them stand in the light of a scene"""
+def new_rows(rows: int, *, ellipsoids: bool, fades: bool) -> GaussianArrays:
+    """Arrays for Gaussians that are posed. fades: whether what faces away fades out, of any of them"""
     covariance_m2 = aligned_zeros((rows, 6)) if ellipsoids else None
     return GaussianArrays(
         aligned_zeros((rows, 3)),
@@ -100,7 +100,7 @@ def new_rows(rows: int, *, ellipsoids: bool, lit: bool) -> GaussianArrays:
         aligned_zeros((rows,)),
         aligned_zeros((rows, 3)),
         covariance_m2,
-        np.ones(rows, np.float32) if lit else None,
+        np.ones(rows, np.float32) if fades else None,
     )
 
 
@@ -123,8 +123,8 @@ class Poser:
         self._call, self._maps, learned = library.call, avatar.map_count, avatar.learned
         self.blocks = blocks = Blocks(avatar.position_m)
         ellipsoids = learned is not None and learned.ellipsoid is not None
-        lit = learned is not None and learned.response is not None
-        self.into = new_rows(blocks.rows, ellipsoids=ellipsoids, lit=lit) if into is None else into
+        fades = learned is not None and learned.fades
+        self.into = new_rows(blocks.rows, ellipsoids=ellipsoids, fades=fades) if into is None else into
         self.into.opacity[:], self.into.rgb[:] = blocks.in_rows(avatar.opacity), blocks.in_rows(avatar.rgb)
         self._team, self._gloss_team = new_team(), new_team()
         self.teams = [self._team, self._gloss_team]
@@ -223,6 +223,7 @@ class _Light:
     def __init__(self, library: Library, avatar: HandAvatar, learned: Learned, blocks: Blocks, limits: Limits) -> None:
         _check_size(library, library.call.jg_learned_task_bytes(), LearnedTask)
         self.task, self.reflects, self._rows = learned_task(learned, avatar.handedness), learned.reflects, blocks.rows
+        self._fades = learned.fades
         self._arrays = learned_arrays(avatar, learned, blocks)
         set_pointers(self.task, self._arrays)
         self.task.lobes = len(self._arrays["lobe"])
@@ -242,7 +243,7 @@ class _Light:
             self._scene.prepare(light or SceneLight(), bones, keep_pose=keep_pose)
 
     def prepare(self, bones: Bones, into: GaussianArrays, others: Capsules | None, *, keep_correctives: bool) -> None:
-        task, front = self.task, into.front
+        task, front = self.task, into.front if self._fades else None
         task.rgb = address(into.rgb, np.float32, "rgb", (self._rows, 3), writable=True)
         task.front = None if front is None else address(front, np.float32, "front", (self._rows,), writable=True)
         if not keep_correctives:

@@ -150,5 +150,5 @@ def in_studio(avatar: HandAvatar) -> HandAvatar:
     bounced = (response.ambient + response.bounce / (1 - np.minimum(response.bounce, ALBEDO_MAX))) * mean
     cast = replace(learned.cast, lamp_rgb=terms.light.astype(np.float32), bounced_rgb=bounced.astype(np.float32))
     shine = (response.reflectance / max(reflected, 1e-6)).astype(np.float32)
-    shown = replace(learned, light=light, shine=shine, cast=cast, response=None)
+    shown = replace(learned, light=light, shine=shine, cast=cast, response=None, in_studio=True)
     return replace(avatar, rgb=linear_to_srgb(avatar.rgb), learned=shown)

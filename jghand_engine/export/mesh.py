@@ -26,7 +26,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.builtin import template_called
 from jghand_engine.template.mesh import HandTemplate, mirrored, skinned
-from jghand_engine.template.surface import vertex_normals
+from jghand_engine.template.surface import one_uv_each, vertex_normals
 from jghand_engine.template.texture import rasterize_uv
 
 # format of `jghand export` -> suffix of its files
@@ -121,11 +121,7 @@ class _Surface:
         if detail is not None and self._textured:
             self._ratio = np.exp(detail_power(motion.avatar, in_scene=False) * log_ratios(detail.texture))
         if self._textured:
-            # a vertex has one UV in these files: it is written once for each that its faces have
-            corners = np.column_stack([template.faces.reshape(-1), template.face_uv.reshape(-1, 2)])
-            rows, number = np.unique(corners, axis=0, return_inverse=True)
-            self.vertex, self._uv = rows[:, 0].astype(int), rows[:, 1:]
-            self.faces = number.reshape(-1, 3)
+            self.vertex, self._uv, self.faces = one_uv_each(template.faces, template.face_uv)
             points_m, covered = rasterize_uv(template.face_uv, template.vertices_m[template.faces], TEXTURE_PX)
             # beyond the islands the nearest texel goes on, or filtering brings black over their edges
             nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)

@@ -20,6 +20,8 @@ class Gaussians:
     opacity:       (N,)   0..1
     rgb:           (N, 3) display-referred sRGB, blended as such
     covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the same frame, square meters; None: sigma_m decides
+    front:         (N,)   0..1 part of each that is seen from outside, in which a pixel's color is that of these parts
+                          alone; None: all of all
     pixel_m:       of the pictures that they were learned from, where the Gaussians are, meters: in finer ones the low
                    pass stays as wide there as in those (Yu et al., Mip-Splatting), without a gradient; 0: it is that
                    of the pixels
@@ -30,6 +32,7 @@ class Gaussians:
     opacity: torch.Tensor
     rgb: torch.Tensor
     covariance_m2: torch.Tensor | None = None
+    front: torch.Tensor | None = None
     pixel_m: float = 0.0
 
     def __len__(self) -> int:

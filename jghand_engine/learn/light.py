@@ -22,6 +22,9 @@ from torch import Tensor
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX
 from jghand_engine.avatar.skin_task import NORMAL_LENGTH2_MIN
 
+# cosines to the eye over which skin that faces away fades out; of native/learned.h
+AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
+
 
 @dataclass(frozen=True)
 class LightTensors:
@@ -55,6 +58,17 @@ def harmonics(normal: Tensor) -> Tensor:
 def unit(vector: Tensor) -> Tensor:
     """(..., 3) of length 1; a zero vector stays zero and has a finite gradient."""
     return vector * (vector * vector).sum(-1, keepdim=True).clamp_min(NORMAL_LENGTH2_MIN).rsqrt()
+
+
+def smooth(part: Tensor) -> Tensor:
+    """Smoothstep of part, clamped to 0..1."""
+    t = part.clamp(0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def seen_from_outside(facing: Tensor) -> Tensor:
+    """0..1, the part of skin that is seen, of its cosines to the eye: what faces away shows through gaps only."""
+    return smooth((facing - AWAY_FROM) / AWAY_WIDTH)
 
 
 def lit(albedo: Tensor, normal: Tensor, light: LightTensors, shade: Tensor | None = None) -> Tensor:

@@ -7,7 +7,7 @@ one after the other and recomputed in the backward pass.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch.utils.checkpoint import checkpoint
@@ -94,7 +94,14 @@ def rasterize_reference(
         kept, invalid = _select(gaussians, position_c, camera, alpha_min)
     ellipses = _project(gaussians, position_c, kept, camera)
     planes = _draw_tiles(ellipses, camera, alpha_min=alpha_min, smooth=smooth)
-    return Picture.from_planes(planes, visible_gaussians=len(kept), invalid_gaussians=invalid)
+    picture = Picture.from_planes(planes, visible_gaussians=len(kept), invalid_gaussians=invalid)
+    if gaussians.front is None:
+        return picture
+    parts = replace(gaussians, rgb=gaussians.front[:, None].expand(-1, 3), front=None)
+    front = rasterize_reference(parts, camera, alpha_min=alpha_min, smooth=smooth).rgb[..., :1]
+    alpha = picture.alpha[..., None]
+    least = (contract.FRONT_MIN * alpha).clamp_min(torch.finfo(alpha.dtype).tiny)
+    return replace(picture, rgb=picture.rgb * alpha / torch.maximum(front, least))
 
 
 def check_gaussians(gaussians: Gaussians) -> None:

@@ -34,14 +34,13 @@ from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
 from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
 from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
 from jghand_engine.learn.cast_shadow import CastTensors, capsules, soft_edge
-from jghand_engine.learn.light import harmonics, unit
+from jghand_engine.learn.light import harmonics, seen_from_outside, smooth, unit
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
 
 # see native/scene_light.cpp
 CORNER_MIN, CORNER_MAX = 0.02, 0.95
 DISTANCE2_MIN = 1e-12
 FACING_MIN = 1e-3
-AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
 GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
 EDGE_GAIN = 100.0
 HIDDEN_MIN, WEIGHT_MIN = 1e-9, 1e-6
@@ -146,12 +145,6 @@ def soft_cosine(cosine: Tensor, width: Tensor) -> Tensor:
     """max(cosine, 0) with its corner rounded over |cosine| < width; 0 below."""
     within = torch.minimum(torch.maximum(cosine, -width), width)
     return (within + width).square() / (4 * width) + (cosine - width).clamp_min(0)
-
-
-def smooth(part: Tensor) -> Tensor:
-    """Smoothstep of part, clamped to 0..1."""
-    t = part.clamp(0, 1)
-    return t * t * (3 - 2 * t)
 
 
 def world_irradiance(light: SceneLight, response: ResponseTensors, normal: Tensor) -> Tensor:
@@ -377,7 +370,7 @@ def towards_eye(
         base = torch.minimum(r0 * r0, torch.exp2(-9.28 * cosine_eye)) * r0 + r1
         gain = response.reflectance * (r2 - 1.04 * base) + rise * (r3 + 1.04 * base)
         rgb = rgb + sky * (gain * got.sky)[:, None]
-    return rgb * smooth((facing - AWAY_FROM) / AWAY_WIDTH)[:, None]
+    return rgb * seen_from_outside(facing)[:, None]
 
 
 def _drawn(seen: Tensor, row: np.ndarray) -> Tensor | float:

@@ -17,7 +17,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
 from jghand_engine.learn.gaussians import Gaussians, posed_covariance
-from jghand_engine.learn.light import gloss, lit, unit
+from jghand_engine.learn.light import gloss, lit, seen_from_outside, unit
 from jghand_engine.learn.pose_features import PoseAngles
 from jghand_engine.learn.pose_net import Correction
 from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors
@@ -202,7 +202,11 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandTensors) -> Gaus
         return skin.matt
     to_eye = unit(eye_m.to(skin.normal) - skin.matt.position_m.detach())
     reflected = skin.shine[:, None] * gloss(skin.normal, to_eye, avatar.learned.light.to(skin.normal.dtype))
-    return replace(skin.matt, rgb=skin.matt.rgb + reflected)
+    rgb = skin.matt.rgb + reflected
+    if not avatar.learned.in_studio:
+        return replace(skin.matt, rgb=rgb)
+    front = seen_from_outside((skin.normal * to_eye).sum(-1))
+    return replace(skin.matt, rgb=front[:, None] * rgb, front=front)
 
 
 def posed_skin(

@@ -46,6 +46,7 @@ class LearnedTensors:
     ellipsoid: EllipsoidTensors | None = None
     cast: CastTensors | None = None
     response: ResponseTensors | None = None
+    in_studio: bool = False
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,6 @@ namespace jg {
 
 constexpr float ROUNDING_M = 1e-5f;  // that distances in single precision are good for
 
-JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
-
 // Rays from points in a ball, nearly one way. turn: the largest difference of one's unit direction from `direction`
 // half_width: the largest of the lamp per distance
 struct Rays {

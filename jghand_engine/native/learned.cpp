@@ -93,7 +93,8 @@ void gloss_block(const LearnedTask& t, int32_t block) {
   add_lobes(t.lobe, t.lobes, mirrored, lobes);
   const vf grazing = 1.f - min(max(facing, vf{}), all(1.f)), square = grazing * grazing;
   const vf shine = load(t.look + LOOK * row + LANES * 6) * (1.f + t.rim * (square * square * grazing));
-  for (int i = 0; i < 3; i++) rgb[i] += shine * lobes[i];
+  const vf fade = t.front ? seen_from_outside(t, row, facing) : all(1.f);
+  for (int i = 0; i < 3; i++) rgb[i] = fade * (rgb[i] + shine * lobes[i]);
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
 }
 

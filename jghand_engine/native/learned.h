@@ -72,6 +72,7 @@ constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
 constexpr float LOBE_LOG2_MIN = -31.f;  // of a lobe's strength: less than 2^-31 of it is not seen, nor computed well
 constexpr int BONES = 20, ANCHORS_AROUND = 3, HARMONICS = 16;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
+constexpr float AWAY_FROM = -0.7f, AWAY_WIDTH = 0.5f;  // cosines over which skin that faces away fades out
 constexpr int HIDDEN_MAX = 256;   // wider networks are refused: two layers of two blocks lie on the stack
 
 // One block's offset (canonical axes, meters) and shade by the linear tier.
@@ -109,6 +110,19 @@ JG_INLINE void turn_by(const vf turn[9], const vf v[3], vf out[3]) {
 }
 
 JG_INLINE vf dot(const vf a[3], const vf b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
+JG_INLINE vf smooth(vf x) {
+  const vf t = clamped(x);
+  return t * t * (3.f - 2.f * t);
+}
+
+// Skin that faces away is seen through gaps only: in back light it would shine through them. `facing`: cosines to the eye
+JG_INLINE vf seen_from_outside(const LearnedTask& t, int64_t row, vf facing) {
+  const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
+  if (t.front) store(t.front + row, fade);
+  return fade;
+}
 
 // Real spherical harmonics of degrees 0 to 3, without constants; `harmonics` in learn/light.py.
 JG_INLINE void harmonics(const vf n[3], vf out[HARMONICS]) {

@@ -13,7 +13,6 @@ constexpr float PI = 3.14159265358979f;
 constexpr float DISTANCE2_MIN = 1e-12f;                   // m2, of a point at a lamp
 constexpr float CORNER_MIN = 0.02f, CORNER_MAX = 0.95f;   // of a cosine's rounded corner
 constexpr float FACING_MIN = 1e-3f;                       // cosine to the eye, as a divisor
-constexpr float AWAY_FROM = -0.7f, AWAY_WIDTH = 0.5f;     // cosines over which skin that faces away fades out
 constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, on skin
 constexpr float GRAZING_FROM = 50.f;                      // what reflects less than 1 / 50 does not rise to all of it
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
@@ -26,11 +25,6 @@ constexpr int POSED = 9, MATERIAL = 3, BAKED = 12;
 // what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
 // with wide edges and, where things of the scene stand in the light, what these leave
 constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_MAX * SLOTS_MAX + LANES - 1) / LANES * LANES;
-
-JG_INLINE vf smooth(vf x) {
-  const vf t = clamped(x);
-  return t * t * (3.f - 2.f * t);
-}
 
 // mu above w, 0 below -w, smooth between (C1): light does not leak to the far side. Takes w^2.
 JG_INLINE vf soft_cosine(vf mu, vf w2) {
@@ -372,9 +366,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
   }
   make_unit(eye, t.length2_min);
   const vf facing = dot(n, eye), cosine_eye = max(facing, all(FACING_MIN)), k = 0.5f * alpha;
-  // skin that faces away is seen through gaps only: in back light it would shine through them
-  const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);
-  if (t.front) store(t.front + row, fade);
+  const vf fade = seen_from_outside(t, row, facing);
   if (!bit_mask(fade > 0)) return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;

@@ -115,7 +115,7 @@ class Backend:
         self.variant = library.variant if self._device is None else f"{library.variant}, {self._device.name}"
         self._library, self._settings = library, settings
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
-        self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), lit=any(map(_is_lit, avatars)))
+        self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), fades=any(map(_fades, avatars)))
         self._hands: list[Poser] = []
         self._pixels_m = [avatar.pixel_m for avatar in avatars]
         first = 0
@@ -233,8 +233,8 @@ def _has_ellipsoids(avatar: HandAvatar) -> bool:
     return avatar.learned is not None and avatar.learned.ellipsoid is not None
 
 
-def _is_lit(avatar: HandAvatar) -> bool:
-    return avatar.learned is not None and avatar.learned.response is not None
+def _fades(avatar: HandAvatar) -> bool:
+    return avatar.learned is not None and avatar.learned.fades
 
 
 def _part(every: GaussianArrays, rows: slice) -> GaussianArrays:

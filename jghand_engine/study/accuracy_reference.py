@@ -97,6 +97,5 @@ def pose_count(size_px: Sequence[int]) -> int:
 
 
 def _double(gaussians: Gaussians) -> Gaussians:
-    covariance = gaussians.covariance_m2
-    changed = {name: getattr(gaussians, name).double() for name in ("position_m", "sigma_m", "opacity", "rgb")}
-    return replace(gaussians, **changed, covariance_m2=None if covariance is None else covariance.double())
+    tensors = {name: value for name, value in vars(gaussians).items() if isinstance(value, Tensor)}
+    return replace(gaussians, **{name: tensor.double() for name, tensor in tensors.items()})

@@ -46,6 +46,14 @@ def disk_uv(count: int, center: tuple[float, float], radius: float) -> np.ndarra
     return np.stack([np.roll(ring, -1, axis=0), ring, np.broadcast_to(np.array(center), ring.shape)], axis=1)
 
 
+def one_uv_each(faces: np.ndarray, face_uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A surface whose vertices have one UV each, as files and graphics cards want it: numbers (V,) of the vertices of
+    `faces` (F, 3) that they are, their UVs (V, 2) of those of the corners (F, 3, 2), and faces (F, 3) of these."""
+    corners = np.column_stack([faces.reshape(-1), face_uv.reshape(-1, 2)])
+    rows, number = np.unique(corners, axis=0, return_inverse=True)
+    return rows[:, 0].astype(int), rows[:, 1:], number.reshape(-1, 3)
+
+
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(F, 3) unit outward normals; 0 for a face without area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))

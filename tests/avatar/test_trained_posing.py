@@ -76,7 +76,7 @@ def natively(
 ) -> Gaussians:
     """In the avatar's order, as the last of the eyes sees it."""
     into, count, pool = (
-        new_rows(padded_rows(len(avatar)), ellipsoids=True, lit=False),
+        new_rows(padded_rows(len(avatar)), ellipsoids=True, fades=False),
         len(avatar),
         shared_pool(threads),
     )

@@ -165,9 +165,9 @@ def test_the_scripts_were_built_from_these_sources():
 def test_every_license_is_with_the_scripts():
     text = (web.ASSETS / "LICENSES.txt").read_text()
     lock = json.loads((build_web_viewer.SOURCES / "package-lock.json").read_text())["packages"]
-    for name in ("three", "@sparkjsdev/spark", "fflate"):
+    for name in ("three",):
         assert f"{name} {lock[f'node_modules/{name}']['version']}" in text
-    assert text.count("Permission is hereby granted") >= 5
+    assert text.count("Permission is hereby granted") >= 4
     assert all("integrity" in about for name, about in lock.items() if name)
 
 
@@ -265,7 +265,7 @@ def test_the_page_poses_as_the_engine_does(tmp_path, kind, hand):
 
 
 def lit_by_the_engine(avatar: HandAvatar, joints_m: np.ndarray, towards: tuple[float, float, float]) -> np.ndarray:
-    """(N, 3) display-referred colors toward EYE_M, in the rows of the kernel."""
+    """(N, 3) scene-linear colors toward EYE_M, in the rows of the kernel."""
     avatar = relightable(avatar)
     poser = Poser(native_library.load(), avatar)
     bones = avatar.skeleton().bones(joints_m)
@@ -274,7 +274,7 @@ def lit_by_the_engine(avatar: HandAvatar, joints_m: np.ndarray, towards: tuple[f
     # positions are relative to the root
     assert poser.prepare_gloss(EYE_M - bones.root_m)
     poser.run_gloss()
-    return linear_to_srgb(poser.into.rgb).clip(0, 1)
+    return poser.into.rgb
 
 
 @pytest.mark.parametrize("hand", Handedness)
@@ -289,8 +289,9 @@ def test_the_page_lights_a_hand_as_the_engine_does_and_gives_it_its_own_light_ba
     lit = left_by_the_page(tmp_path, 4)["rgb"]
     for frame, towards in ((1, suns[1]), (2, suns[2])):
         shown, _ = with_cheap_correctives(avatar)
-        # sixteen bits of what is read, and of albedo near 0 as a display shows it
-        assert np.abs(lit[frame] - lit_by_the_engine(shown, joints_m[frame], towards)).max() < 5e-3
+        # sixteen bits of what is read
+        wanted = linear_to_srgb(lit_by_the_engine(shown, joints_m[frame], towards))
+        assert np.abs(linear_to_srgb(lit[frame]) - wanted).max() < 5e-3
     asked(tmp_path, joints=joints_m.reshape(4, 63))
     own = left_by_the_page(tmp_path, 4)["rgb"]
     assert np.array_equal(own[[0, 3]], lit[[0, 3]])

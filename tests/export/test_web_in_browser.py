@@ -83,7 +83,7 @@ def test_a_hand_of_coarse_pictures_is_shown_softer(page, tmp_path):
 
 
 def test_what_cannot_be_drawn_is_said_at_the_beginning_and_later(page, tmp_path):
-    breaks = "Worker.prototype.postMessage = () => { throw new Error('broken on purpose'); };"
+    breaks = "WebGL2RenderingContext.prototype.drawElementsInstanced = () => { throw new Error('broken on purpose'); };"
     shots = [
         {"name": "at once", **WINDOW, "before": breaks, "steps": []},
         {"name": "later", **WINDOW, "steps": [["run", breaks], ["drag", 160, 30], ["pose", "fist"], ["seek", 3]]},

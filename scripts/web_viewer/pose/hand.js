@@ -1,6 +1,7 @@
 // An avatar that is posed again and again: jghand_engine/avatar/posing.py with the same kernels.
 import { Capsules } from './capsules.js';
 import { LinearTier, Network } from './correctives.js';
+import { Detail } from './detail.js';
 import { Light } from './light.js';
 import { Memory } from './memory.js';
 
@@ -30,8 +31,9 @@ export class Hand {
     this.floats = new Float32Array(views.task.buffer, pointers.task, task.words.length);
     this.words.set(task.words);
     for (const [field, place] of Object.entries(task.pointers)) if (field in pointers) this.words[place] = pointers[field];
+    if (!description.fades) this.words[task.pointers.front] = 0;
     this.fields = task.fields;
-    const { correctives, cast } = description;
+    const { correctives, cast, detail } = description;
     this.correctives = correctives && new TIERS[correctives.kind](correctives, views);
     this.capsules = cast && new Capsules(cast, views);
     this.painted = !('look' in views);
@@ -41,7 +43,9 @@ export class Hand {
     this.sigmas = views['skin.sigma'];
     this.covariances = views['skin.covariance'];
     this.rgb = views.rgb;
+    this.front = views.front?.fill(1);
     this.opacities = views.opacity;
+    this.detail = detail && new Detail(detail, views);
     this.light = light && new Light(light, this);
   }
 
@@ -73,14 +77,14 @@ export class Hand {
     this.pose(this.joints);
   }
 
-  // Gives `rgb` as the eye (3) sees it, after `pose`.
+  // Gives `rgb` as the eye (3) sees it, after `pose`, of light where a light is turned, and `front`, the part of each that
+  // is seen from outside.
   shine(eye) {
     if (!this.reflects) return;
     const { views, pointers } = this.memory;
     this.set('eye', eye);
     views.team.fill(0);
     this.kernels.jg_learned_gloss(pointers.team, pointers.task);
-    if (this.light?.on) this.light.display(this.rgb);
   }
 
   // The palm's map of the last pose, 3 x 4 row by row: posed - root = L (canonical - canonical root) + t.

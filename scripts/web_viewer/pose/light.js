@@ -16,14 +16,15 @@ export class Light {
     this.capsules = new Capsules({ ...description.cast, direction: about.direction }, { ...views, 'cast.capsule_lamp': views['scene.capsule_lamp'] });
     this.showAlbedo(views.look, views['scene.look']);
     const at = description.task.pointers;
-    this.places = [at.scene, at.look, at['cast.lamp'], at['cast.capsule_lamp'], fields['cast.groups']];
+    this.places = [at.scene, at.front, at.look, at['cast.lamp'], at['cast.capsule_lamp'], fields['cast.groups']];
     this.carried = this.places.map((place) => words[place]);
-    this.turned = [...['task', 'look', 'cell', 'capsule_lamp'].map((name) => pointers[`scene.${name}`]), about.direction.length / LANES];
+    this.turned = [pointers['scene.task'], pointers.front, ...['look', 'cell', 'capsule_lamp'].map((name) => pointers[`scene.${name}`]), about.direction.length / LANES];
   }
 
   // towards: (3) unit, to the sun; undefined: back to the light that the hand carries
   turn(towards) {
     this.on = towards !== undefined;
+    this.views.front.fill(1);
     const values = this.on ? this.turned : this.carried;
     this.places.forEach((place, k) => { this.words[place] = values[k]; });
     if (!this.on) return;
@@ -36,11 +37,6 @@ export class Light {
     if (this.grown === 1) return;
     sigmas.forEach((sigma, i) => { sigmas[i] = this.grown * sigma; });
     covariances?.forEach((value, i) => { covariances[i] = this.grown ** 2 * value; });
-  }
-
-  // Light as a display shows it
-  display(rgb) {
-    rgb.forEach((x, i) => { rgb[i] = x > 0.0031308 ? Math.min(1.055 * x ** (1 / 2.4) - 0.055, 1) : 12.92 * x; });
   }
 
   showAlbedo(from, to) {

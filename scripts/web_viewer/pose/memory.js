@@ -2,10 +2,10 @@
 
 const LINE = 64;  // bytes that a vector of sixteen floats takes
 const PAGE = 65536;
-const VIEWS = { f8: Float64Array, f4: Float32Array, i4: Int32Array, i1: Int8Array };
+const VIEWS = { f8: Float64Array, f4: Float32Array, i4: Int32Array, i1: Int8Array, b1: Uint8Array };
 // how an array stands in the file -> as what it lies in memory
-const IN_MEMORY = { f8: 'f8', f4: 'f4', i4: 'i4', i1: 'i1', rounded: 'f4', u1: 'i4', u2: 'i4', empty: 'f4' };
-const IN_FILE = { f8: Float64Array, f4: Float32Array, i4: Int32Array, i1: Int8Array, rounded: Uint16Array, u1: Uint8Array, u2: Uint16Array };
+const IN_MEMORY = { f8: 'f8', f4: 'f4', i4: 'i4', i1: 'i1', b1: 'b1', rounded: 'f4', u1: 'i4', u2: 'i4', empty: 'f4' };
+const IN_FILE = { f8: Float64Array, f4: Float32Array, i4: Int32Array, i1: Int8Array, b1: Uint8Array, rounded: Uint16Array, u1: Uint8Array, u2: Uint16Array };
 
 export class Memory {
   // arrays: name -> { kind, shape, at?, low?, step? } · content: the ArrayBuffer that `at` counts bytes of

@@ -29,7 +29,7 @@ export class Controls {
     find('credit').textContent = license;
     const lines = [...(name === document.title ? [] : [name]), ...(learned ? [`Learned from ${learned}`] : []), `License: ${license}`, ...notes];
     find('about').append(...lines.map((line) => Object.assign(document.createElement('p'), { textContent: line })));
-    const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn by three.js and Spark; licenses in LICENSES.txt.` });
+    const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn with three.js; licenses in LICENSES.txt.` });
     find('about').append(credit);
   }
 

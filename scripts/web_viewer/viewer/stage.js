@@ -1,12 +1,11 @@
 // Canvas, camera and orbit; draws when something changed, and only then.
 import * as THREE from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
-import { newSpark, Splats } from './splats.js';
+import { Painter } from './painter.js';
 
 const NEAR_M = 0.01, FAR_M = 100;
 const NEAREST = 0.3, FARTHEST = 6;  // of the first distance, how far one may zoom
 const PIXEL_RATIO_MAX = 2;
-const SAMPLES = 200, SOFTEST_M = 0.1;  // Gaussians whose mean is the middle; an eye within the hand is taken as so far
 const FADE_MS = 100;  // between pictures, above which turning stops at once
 const SLOW_MS = 45, SLOW_FRAMES = 8;  // so many frames as slow as this, and the picture gets coarser
 
@@ -17,16 +16,12 @@ export class Stage {
     this.canvas = canvas;
     this.beforeDrawing = beforeDrawing;
     this.view = view;
-    this.contract = contract;
     this.points = points;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: true, powerPreference: 'high-performance' });
     this.renderer.setClearColor(0, 0);
-    this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(30, 1, NEAR_M, FAR_M);
     this.camera.up.fromArray(view.up);
-    this.spark = newSpark(this.renderer, hand, contract);
-    this.splats = new Splats(hand);
-    this.scene.add(this.spark, this.splats);
+    this.painter = new Painter(this.renderer, hand, contract);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.dampingFactor = 0.12;
     this.controls.zoomSpeed = 0.8;
@@ -171,10 +166,10 @@ export class Stage {
   }
 
   // A picture that fails because the graphics card is taken away is drawn again when it is back
-  async tryToDraw(now) {
+  tryToDraw(now) {
     const { losses } = this;
     try {
-      await this.draw(now);
+      this.draw(now);
     } catch (error) {
       if (losses === this.losses) this.fail(error ?? new Error('It could not be drawn.'));
       else this.ask();
@@ -189,16 +184,9 @@ export class Stage {
     this.told(error.message);
   }
 
-  // Poses, then waits until Spark has sorted what was posed: nothing is ever seen in the order of the picture before
-  async draw(now) {
+  draw(now) {
     this.asked = undefined;
     if (this.lost) return;
-    if (this.drawing) {
-      this.again = true;
-      return;
-    }
-    this.drawing = true;
-    this.again = false;
     const took = this.running ? now - this.last : 0;
     this.last = now;
     const more = this.beforeDrawing(now);
@@ -206,39 +194,24 @@ export class Stage {
     this.controls.enableDamping = took < FADE_MS;
     if (!this.fixed) this.controls.update();
     this.camera.updateMatrixWorld();
-    this.soften();
     this.show();
-    try {
-      await this.spark.update({ scene: this.scene, camera: this.camera });
-      this.renderer.render(this.scene, this.camera);
-      this.drawn = (this.drawn ?? 0) + 1;
-    } finally {
-      this.drawing = false;
+    this.painter.draw(this.camera);
+    this.drawn = (this.drawn ?? 0) + 1;
+    if (more) {
+      this.ask();
+      this.watchSpeed(took);
     }
-    if (more || this.again) this.ask();
-    if (more) this.watchSpeed(took);
     this.running = Boolean(this.asked);
-  }
-
-  // Never sharper than the pictures that the hand was learned from (RENDERING 3), at the depth of the hand's middle
-  soften() {
-    const { camera, contract } = this, { positions, count } = this.hand, middle = new THREE.Vector3();
-    const step = Math.ceil(count / SAMPLES);
-    for (let i = 0; i < count; i += step) middle.add(new THREE.Vector3().fromArray(positions, 3 * i));
-    middle.divideScalar(Math.ceil(count / step)).applyMatrix4(camera.matrixWorldInverse);
-    const focal = (camera.projectionMatrix.elements[5] * this.renderer.domElement.height) / 2;
-    const width = focal / Math.max(-middle.z, SOFTEST_M);
-    this.spark.preBlurAmount = Math.max(contract.blur_px2, contract.low_pass_m2 * width ** 2);
   }
 
   // What changed goes to the graphics card
   show() {
     const eye = this.camera.position;
     const turned = this.hand.reflects && !this.eye?.equals(eye);
-    if (this.posed) this.splats.showPose();
+    if (this.posed) this.painter.showPose();
     if (this.posed || turned) {
       this.hand.shine(eye.toArray());
-      this.splats.showColors();
+      this.painter.showColors();
       this.eye = eye.clone();
     }
     this.posed = false;
@@ -259,7 +232,7 @@ export class Stage {
     for (let calm = 0; calm < 3;) {
       if (this.error) throw this.error;
       await new Promise((done) => setTimeout(done, 50));
-      calm = this.asked || this.drawing || this.lost || !this.spark.activeSplats ? 0 : calm + 1;
+      calm = this.asked || this.lost || !this.drawn ? 0 : calm + 1;
     }
   }
 }
