@@ -23,6 +23,7 @@ from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.detail_mips import skin_texels
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.tiers import Distilled
@@ -40,6 +41,7 @@ from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native import library as native_library
+from jghand_engine.template.surface import one_uv_each
 
 VIEW = WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21)
 FILES = {"index.html", "hand.js", "pose.js", "viewer.js", "LICENSES.txt"}
@@ -206,15 +208,15 @@ def posed_by_the_page(folder: Path, joints_m: np.ndarray) -> dict[str, np.ndarra
 
 def left_by_the_page(folder: Path, frames: int) -> dict[str, np.ndarray]:
     """What is in the file that web_pose.mjs wrote."""
-    rows = description_of(folder)["rows"]
-    table = np.fromfile(folder / "out", "<f4").reshape(frames, -1)
-    widths = {"position_m": 3, "sigma_m": 1, "rgb": 3, "covariance_m2": 6}
-    found, at = {}, 0
-    for name, width in widths.items():
-        if at < table.shape[1]:
-            found[name] = table[:, at : at + width * rows].reshape(frames, rows, width)
-        at += width * rows
-    return found
+    about = description_of(folder)
+    rows, arrays = about["rows"], about["arrays"]
+    widths = {"position_m": 3, "sigma_m": 1, "rgb": 3}
+    widths |= {"front": 1} if "front" in arrays else {}
+    widths |= {"covariance_m2": 6} if "skin.covariance" in arrays else {}
+    ends = np.cumsum([width * rows for width in widths.values()])
+    *parts, surface = np.split(np.fromfile(folder / "out", "<f4").reshape(frames, -1), ends, 1)
+    found = {name: part.reshape(frames, rows, -1) for name, part in zip(widths, parts, strict=True)}
+    return found | {"surface_m": surface.reshape(frames, -1, 3)}
 
 
 def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RIGHT) -> dict[str, float]:
@@ -227,7 +229,7 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
     origin_m = np.array(description_of(folder)["origin_m"])
     joints_m = sequence.joints_m[[0, 20, 38, 55, -1]] - origin_m
     found = posed_by_the_page(folder, joints_m)
-    order, transform, worst = Blocks(shown.position_m).order, transform_of(shown), dict.fromkeys(found, 0.0)
+    order, transform, worst = Blocks(shown.position_m).order, transform_of(shown), dict[str, float]()
     for frame, joints in enumerate(joints_m):
         bones = transform.bones(torch.from_numpy(joints))
         with torch.no_grad():
@@ -237,10 +239,12 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
         scale = {"position_m": 1e-3, "sigma_m": wanted.sigma_m.numpy()[order][:, None], "rgb": 1.0}
         if wanted.covariance_m2 is not None:
             scale["covariance_m2"] = np.linalg.norm(wanted.covariance_m2.numpy()[order], axis=1, keepdims=True)
+        if wanted.front is not None:
+            scale["front"] = 1.0
         for name, unit in scale.items():
             exact = getattr(wanted, name).numpy()[order].reshape(count, -1)
             off = float((np.abs(found[name][frame, :count] - exact) / unit).max())
-            worst[name] = max(worst[name], off)
+            worst[name] = max(worst.get(name, 0.0), off)
     return worst
 
 
@@ -262,6 +266,29 @@ def test_the_page_poses_as_the_engine_does(tmp_path, kind, hand):
     assert worst["sigma_m"] < 1.2e-4
     assert worst["rgb"] < 4e-4
     assert worst.get("covariance_m2", 0.0) < 3.5e-4
+    assert worst.get("front", 0.0) < 4e-4
+    assert ("front" in worst) is (kind == "builtin")
+
+
+@pytest.mark.parametrize("hand", Handedness)
+def test_the_surface_of_the_detail_moves_with_the_skin_and_has_its_texture(tmp_path, hand):
+    avatar = load_avatar_called("builtin").prefix(500).for_hand(hand)
+    detail, sequence = avatar.detail, motion(avatar, hand)
+    stiff = avatar.with_stiff_wrist().skeleton()
+    assert detail is not None
+    export_web(tmp_path, avatar, sequence, VIEW)
+    joints_m = sequence.joints_m[[0, 20]] - np.array(description_of(tmp_path)["origin_m"])
+    found, vertex = posed_by_the_page(tmp_path, joints_m)["surface_m"], one_uv_each(detail.faces, detail.face_uv)[0]
+    for frame, joints in enumerate(joints_m):
+        bones = stiff.bones(joints)
+        relative_m = detail.position_m - avatar.canonical_joints_m[0]
+        maps = np.einsum("vb,bij->vij", detail.bone_weights, bones.linear_offset)
+        wanted_m = np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + joints[0]
+        # the four largest weights, in 16 bits
+        assert np.abs(found[frame] - wanted_m[vertex]).max() < 2e-5
+    texture = np.fromfile(tmp_path / "out.texture", np.uint8).reshape(detail.size, detail.size, 4)
+    skin = skin_texels(detail.face_uv, detail.size)
+    assert np.array_equal(texture[skin][:, :3], detail.texture[skin])
 
 
 def lit_by_the_engine(avatar: HandAvatar, joints_m: np.ndarray, towards: tuple[float, float, float]) -> np.ndarray:
