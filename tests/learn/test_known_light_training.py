@@ -64,7 +64,7 @@ def test_some_steps_find_the_albedo_and_an_avatar_that_answers_light(samples, tm
 
 def test_the_finished_hand_is_drawn_in_light_as_it_was_while_learning(samples, monkeypatch):
     # gaps between Gaussians are filled in what is drawn alone
-    monkeypatch.setattr(backend, "_is_lit", lambda _avatar: False)
+    monkeypatch.setattr(backend, "_fades", lambda _avatar: False)
     training = training_of(samples)
     for number in range(4):
         training.step(number)
