@@ -35,15 +35,15 @@ void prepare_depth(const ShadeTask& s, int y) {
 namespace {
 
 JG_INLINE vf visibility_of(Block& b, const Curve& curve, const float* c, int x0, int y, const ShadeTask& s) {
-  if (!set_block(b, c, x0, y, s)) return all(1.f);
+  if (!set_block(b, curve, c, x0, y, s)) return all(1.f);
   vf sum = {};
   const auto add = [&](const Tap& t) __attribute__((always_inline)) {
-    sum += select(t.inside, t.soft * t.fall * t.fall, vf{});
+    sum = select(t.inside, sum + t.soft * t.fall * t.fall, sum);
   };
-  for_taps(
+  for_taps<false>(
       b, curve, c, s, [&](int32_t, const Shift&, const Tap& t) __attribute__((always_inline)) { add(t); },
       [&](vi, const Shift&, const Tap& t) __attribute__((always_inline)) { add(t); });
-  return select(b.valid, exp2_of_negative<5>(max(sum * curve.exponent, all(-32.f))), all(1.f));
+  return select(b.valid, exp2_of_negative<5>(max(sum * curve.exponent, all(EXPONENT_MIN))), all(1.f));
 }
 
 // Four planes of 16 pixels -> 16 interleaved RGBA pixels.

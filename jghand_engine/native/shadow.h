@@ -1,8 +1,8 @@
 // What the forward and the backward pass of the self-shadow share: the task, and one block of 16 pixels of a row.
 //
 // The torch form in learn/shadow.py is the specification (METHOD 5.2). Depth lies in a padded plane. A pixel without
-// depth holds SHADOW_FAR_M: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
-// The padding is at least the largest sample offset plus one, so that every read of a block is legal.
+// depth holds SHADOW_FAR_M: it is farther than the radius from everything, so it occludes nothing and needs no test of
+// its own. The padding is at least the largest sample offset plus one, so that every read of a block is legal.
 #pragma once
 #include <stdint.h>
 
@@ -54,22 +54,20 @@ JG_INLINE vf gather(const float* p, vi index) {
 }
 #endif
 
-// 2^-|e|; without AVX-512 it ends at 2^-32, where softplus has long become its asymptote.
-JG_INLINE vf exp2_of_minus_abs(vf e) {
-#if defined(__AVX512DQ__)
-  return exp2_of_negative<5>(-abs(e));
-#else
-  return exp2_of_negative<5>(max(-abs(e), all(-32.f)));
-#endif
-}
+// 2^-32 is nothing to a shadow, and as far as exp2_of_negative<5> goes without AVX-512.
+constexpr float EXPONENT_MIN = -32.f;
 
-// log2(1 + y) for 0 <= y <= 1; error 1.5e-5, which is 6e-6 of visibility at most
-JG_INLINE vf log2_of_one_plus(vf y) {
-  vf p = y * 4.638534e-2f - 1.9626960e-1f;
-  p = p * y + 4.1759576e-1f;
-  p = p * y - 7.0966282e-1f;
-  p = p * y + 1.44196562e0f;
-  return p * y;
+// log2(1 + 2^e), error 7e-5, which is 3e-5 of visibility at most: the part of |e| as the eighth power of a polynomial.
+JG_INLINE vf log2_of_one_plus_exp2(vf e) {
+  const float reach = 14.f;  // of the polynomial; the part is below its error beyond
+  const vf x = min(abs(e), all(reach));
+  vf p = x * 1.1008914e-6f - 5.1000613e-5f;
+  p = p * x + 7.8422198e-4f;
+  p = p * x - 3.2166585e-3f;
+  p = p * x - 6.2351362e-2f;
+  p = p * x + 9.9999131e-1f;
+  p = p * p, p = p * p;
+  return p * p + max(e, vf{});
 }
 
 JG_INLINE float lowest(vf a) {
@@ -82,17 +80,18 @@ JG_INLINE float highest(vf a) { return -lowest(-a); }
 
 // Constants of the occlusion curve: softplus argument in powers of two is slope * cosine + shift.
 struct Curve {
-  float eps2, radius2, inverse_radius, slope, shift, height_min;
+  float eps2, radius2, inverse_radius, slope, shift, height_min;  // height_min: times slope
   float exponent;  // visibility = 2^(exponent * sum of the taps)
 };
 JG_INLINE Curve curve_of(const ShadeTask& s) {
   const float log2e = 1.4426950408889634f, eps = s.length_eps * s.radius;
   return {eps * eps, s.radius * s.radius, 1.f / s.radius, log2e / s.softness, -log2e * s.bias / s.softness,
-          s.height_min, -s.gain * s.softness / (float)s.samples};
+          s.height_min * log2e / s.softness, -s.gain * s.softness / (float)s.samples};
 }
 
-// 16 pixels of one row: depth relative to the origin, ray (x/z, y/z; zero where rays are parallel), unit normal; and its taps. Where the offset is the same for all pixels
-// of the block (three quarters and more) the tap is one contiguous load, elsewhere a gather.
+// 16 pixels of one row: depth relative to the origin, ray (x/z, y/z; zero where rays are parallel), unit normal times
+// the curve's slope; and its taps. Where the offset is the same for all pixels of the block (four of five and more) the
+// tap is one contiguous load, elsewhere a gather.
 struct Block {
   vf z, ray_x, ray_y, nx, ny, nz;
   vi valid;
@@ -136,7 +135,7 @@ JG_INLINE Slope slope_along(const Block& b, vf z, const float* c, vf ray, float 
   return slope_of(b.z, load_at(c, offset, same), load_at(c, -offset, same), ray + turn, ray - turn, change * z, s);
 }
 
-JG_INLINE void set_normal(Block& b, vf z, const float* c, const ShadeTask& s) {
+JG_INLINE void set_normal(Block& b, const Curve& curve, vf z, const float* c, const ShadeTask& s) {
   const Slope h = slope_along(b, z, c, b.ray_x, s.fx, 1, s), v = slope_along(b, z, c, b.ray_y, s.fy, s.stride, s);
   // a pixel without neighbors along an axis takes the axis itself
   const vf hx = select(h.any, h.along, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
@@ -145,7 +144,7 @@ JG_INLINE void set_normal(Block& b, vf z, const float* c, const ShadeTask& s) {
   b.ny = vz * hx - vx * hz;
   b.nz = vx * hy - vy * hx;
   vf scale = inverse_sqrt(max(b.nx * b.nx + (b.ny * b.ny + b.nz * b.nz), all(s.normal_min2)));
-  scale = select(b.nx * b.ray_x + (b.ny * b.ray_y + b.nz) > 0, -scale, scale);
+  scale = curve.slope * select(b.nx * b.ray_x + (b.ny * b.ray_y + b.nz) > 0, -scale, scale);
   b.nx *= scale;
   b.ny *= scale;
   b.nz *= scale;
@@ -194,7 +193,7 @@ JG_INLINE void sort_taps(Block& b, float step_x, float step_y, const ShadeTask& 
 
 // Everything about the block at (x0, y) that does not depend on the sample; c points at its depth in the padded plane.
 // False when no pixel of it has a depth.
-JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTask& s) {
+JG_INLINE bool set_block(Block& b, const Curve& curve, const float* c, int x0, int y, const ShadeTask& s) {
   const vf lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   b.z = load(c);
   b.valid = b.z < SHADOW_FAR_M;
@@ -203,7 +202,7 @@ JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTas
   b.ray_x = s.orthographic ? vf{} : (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
   b.ray_y = s.orthographic ? vf{} : all(((float)y + 0.5f - s.cy) * step_y);
   const vf z = s.orthographic ? all(1.f) : b.z + s.origin;
-  set_normal(b, z, c, s);
+  set_normal(b, curve, z, c, s);
   const vf reach = s.radius / z, least = all(s.reach_min_px), most = all(s.reach_max_px);
   b.reach_x = min(max(s.fx * reach, least), most);
   b.reach_y = min(max(s.fy * reach, least), most);
@@ -211,10 +210,11 @@ JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTas
   return true;
 }
 
-// One tap of a block: the vector to the sample, and its part of the sum. Lanes outside the radius or without a depth are
-// not inside, even when the arithmetic overflowed: a comparison with NaN is false.
+// One tap of a block: the vector to the sample, and its part of the sum; steep: the cosine times the curve's slope.
+// Lanes outside the radius or without a depth are not inside, even when the arithmetic overflowed: a comparison with NaN
+// is false. (Of parallel rays a pixel without a depth may find another one; its sum is nobody's.)
 struct Tap {
-  vf vx, vy, vz, d2, inverse, cosine, power, soft, fall;
+  vf vx, vy, vz, d2, inverse, steep, soft, fall;
   vi inside;
 };
 // shift: change of the ray from the pixel to the sample; base: shift times the origin of depth.
@@ -228,20 +228,20 @@ JG_INLINE bool aim(Tap& t, const Block& b, const Curve& c, vf z, const Shift& sh
   t.vx = z * shift.x + shift.base_x + b.ray_x * t.vz;
   t.vy = z * shift.y + shift.base_y + b.ray_y * t.vz;
   t.d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
-  t.inside = (t.d2 < c.radius2) & b.valid;
+  t.inside = t.d2 < c.radius2;
   return bit_mask(t.inside);
 }
+template <bool EXACT>
 JG_INLINE void occlude(Tap& t, const Block& b, const Curve& c) {
-  t.inverse = inverse_sqrt(t.d2);
-  t.cosine = (t.vx * b.nx + (t.vy * b.ny + (t.vz * b.nz - c.height_min))) * t.inverse;
-  const vf e = t.cosine * c.slope + c.shift;
-  t.power = exp2_of_minus_abs(e);
-  t.soft = log2_of_one_plus(t.power) + max(e, vf{});
+  t.inverse = EXACT ? inverse_sqrt(t.d2) : rough_inverse_sqrt(t.d2);
+  t.steep = (t.vx * b.nx + (t.vy * b.ny + (t.vz * b.nz - c.height_min))) * t.inverse;
+  t.soft = log2_of_one_plus_exp2(t.steep + c.shift);
   t.fall = 1.f - t.d2 * t.inverse * c.inverse_radius;
 }
 
-// Calls same(offset, shift, tap) or mixed(indices, shift, tap) for every tap of a block with a lane inside.
-template <class Same, class Mixed>
+// Calls same(offset, shift, tap) or mixed(indices, shift, tap) for every tap of a block with a lane inside. Distances are
+// rounded as floats are for gradients (EXACT); 14 bits of them are enough for pictures.
+template <bool EXACT, class Same, class Mixed>
 JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Same same, Mixed mixed) {
   const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
@@ -251,7 +251,7 @@ JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, cons
     const int k = b.same[i];
     const Shift shift = {all(b.shift_x[k]), all(b.shift_y[k]), all(b.base_x[k]), all(b.base_y[k])};
     if (!aim(t, b, curve, load(c + b.offset[k]), shift)) continue;
-    occlude(t, b, curve);
+    occlude<EXACT>(t, b, curve);
     same(b.offset[k], shift, t);
   }
   for (int i = 0; i < b.mixed_count; i++) {
@@ -261,7 +261,7 @@ JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, cons
     const vf sx = x * step_x, sy = y * step_y;
     const Shift shift = {sx * reach.turn, sy * reach.turn, sx * reach.base, sy * reach.base};
     if (!aim(t, b, curve, gather(c, index), shift)) continue;
-    occlude(t, b, curve);
+    occlude<EXACT>(t, b, curve);
     mixed(index, shift, t);
   }
 }

@@ -45,7 +45,7 @@ JG_INLINE float* stripe_row(const ShadeTask& s, const ShadeGradient& g, int i, i
 
 void block_gradient(Block& b, const Curve& curve, const ShadeTask& s, const ShadeGradient& g, float* to, int x, int y) {
   const float* c = s.depth + (int64_t)y * s.stride + x;
-  if (!set_block(b, c, x, y, s)) return;
+  if (!set_block(b, curve, c, x, y, s)) return;
   const int64_t pixels = (int64_t)s.width * s.height, at = (int64_t)y * s.width + x;
   const int n = s.width - x;
   vf to_v = {};
@@ -58,23 +58,24 @@ void block_gradient(Block& b, const Curve& curve, const ShadeTask& s, const Shad
   // a sample that is the pixel itself moves with it: skipped, because its two huge parts would cancel only nearly
   const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   const auto push = [&](vi counts, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
-    const vf sigmoid = select(t.cosine * curve.slope + curve.shift > 0, all(1.f), t.power) / (1.f + t.power);
-    const vf along = sigmoid * curve.slope * t.fall * t.fall * t.inverse;
-    const vf radial = -along * t.cosine * t.inverse - 2.f * t.soft * t.fall * curve.inverse_radius * t.inverse;
+    const vf e = t.steep + curve.shift, power = exp2_of_negative<5>(max(-abs(e), all(EXPONENT_MIN)));
+    const vf sigmoid = select(e > 0, all(1.f), power) / (1.f + power);
+    const vf along = sigmoid * t.fall * t.fall * t.inverse;
+    const vf radial = -along * t.steep * t.inverse - 2.f * t.soft * t.fall * curve.inverse_radius * t.inverse;
     const vf at_ray = along * normal_ray + radial * (t.vx * b.ray_x + (t.vy * b.ray_y + t.vz));
     const vf shifted = along * (b.nx * shift.x + b.ny * shift.y) + radial * (t.vx * shift.x + t.vy * shift.y);
     own -= select(counts, at_ray * to_sum, vf{});
     return select(counts, (at_ray + shifted) * to_sum, vf{});
   };
-  for_taps(
+  for_taps<true>(
       b, curve, c, s,
       [&](int32_t offset, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
         if (!offset) return;
-        const vf gradient = push(t.inside, shift, t);
+        const vf gradient = push(t.inside & b.valid, shift, t);
         store(to + offset, load(to + offset) + gradient);
       },
       [&](vi index, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
-        const vf gradient = push(t.inside & (index != lane), shift, t);
+        const vf gradient = push(t.inside & b.valid & (index != lane), shift, t);
         for (int i = 0; i < LANES; i++) to[index[i]] += gradient[i];
       });
   store(to, load(to) + own);

@@ -16,14 +16,13 @@ typedef double vd __attribute__((vector_size(128)));  // where single precision 
 
 constexpr int LANES = 16;
 
-JG_INLINE vf all(float x) { return vf{} + x; }
+JG_INLINE vf all(float x) { return x - vf{}; }  // zero plus x would be an addition: -0 becomes 0
 JG_INLINE vi all(int32_t x) { return vi{} + x; }
 JG_INLINE vd wide(vf x) { return __builtin_convertvector(x, vd); }
 JG_INLINE vf narrow(vd x) { return __builtin_convertvector(x, vf); }
 // A NaN in `a` gives `b`: comparisons with NaN are false.
 JG_INLINE vf max(vf a, vf b) { return a > b ? a : b; }
 JG_INLINE vf min(vf a, vf b) { return a < b ? a : b; }
-JG_INLINE vf abs(vf a) { return a < 0 ? -a : a; }
 JG_INLINE vf select(vi condition, vf yes, vf no) { return condition ? yes : no; }
 JG_INLINE vf sqrt(vf a) {
 #if defined(__clang__)
@@ -34,14 +33,21 @@ JG_INLINE vf sqrt(vf a) {
 #endif
 }
 
-// Of normal positive numbers.
-JG_INLINE vf inverse_sqrt(vf a) {
+// Of normal positive numbers, to 14 bits at least.
+JG_INLINE vf rough_inverse_sqrt(vf a) {
 #if defined(__AVX512F__)
-  // one Newton step from 14 bits to rounding
-  const vf y = (vf)_mm512_rsqrt14_ps((__m512)a);
-  return y * (1.5f - 0.5f * a * y * y);
+  return (vf)_mm512_rsqrt14_ps((__m512)a);
 #else
   return 1.f / sqrt(a);
+#endif
+}
+// The same to rounding: one Newton step more.
+JG_INLINE vf inverse_sqrt(vf a) {
+  const vf y = rough_inverse_sqrt(a);
+#if defined(__AVX512F__)
+  return y * (1.5f - 0.5f * a * y * y);
+#else
+  return y;
 #endif
 }
 
@@ -73,6 +79,7 @@ JG_INLINE vf float_of(vi b) {
   memcpy(&v, &b, sizeof v);
   return v;
 }
+JG_INLINE vf abs(vf a) { return float_of(bits_of(a) & 0x7fffffff); }
 
 // Rounds towards minus infinity. By conversion, not by the (x + M) - M trick, which fast-math folds away.
 JG_INLINE vi floor_to_int(vf x) {
