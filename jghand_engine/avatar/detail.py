@@ -1,7 +1,7 @@
 """What Gaussians cannot hold: creases, pores and nail edges, as a texture on a skinned surface.
 
 A renderer draws the Gaussians, finds where the surface is hit at each pixel, and multiplies the color there by the
-ratio that the texture has. What exports Gaussians leaves it out.
+ratio that the texture has. What exports Gaussians gives them means of it (export/skin.py).
 """
 
 from __future__ import annotations

@@ -53,10 +53,9 @@ def mips(texture: np.ndarray, face_uv: np.ndarray) -> Mips:
     return Mips(packed_texels(np.concatenate(in_squares)), np.array(most))
 
 
-def filled(texture: np.ndarray, face_uv: np.ndarray) -> np.ndarray:
-    """The texture (S, S, 3) with means of the skin nearby wherever it shows none: its own means are those of the skin
-    then, on any level."""
-    skin = skin_texels(face_uv, len(texture))
+def filled(texture: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """The texture (S, S, 3), bytes, with means of the skin nearby wherever it shows none: no level of it holds anything
+    else. skin: (S, S) bool, where it shows some, S a power of two"""
     sums, weights = [np.where(skin[..., None], texture, np.float32(0))], [skin.astype(np.float32)]
     while len(sums[-1]) > 1:
         sums.append(_halved(sums[-1]))

@@ -2,7 +2,7 @@
 
 GLB and OBJ have UV and a texture, PLY a color for each vertex: those of the nearest Gaussians, in the light and shade
 of the pose; the texture times the hand's detail, where it has one. What training adds to the shape of a pose is in the
-Gaussians alone. trimesh (extra learn) writes the files; meters, y up.
+Gaussians alone. trimesh (extra learn) writes the files; meters, y up. The skinned mesh of a stage has such a texture.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.detail import log_ratios
-from jghand_engine.avatar.relighting import detail_power
+from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.export.motion import HandMotion
+from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, nearest_gaussians
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
 from jghand_engine.files import make_folder, writing
@@ -27,16 +27,11 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.builtin import template_called
 from jghand_engine.template.mesh import HandTemplate, mirrored, skinned
 from jghand_engine.template.surface import one_uv_each, vertex_normals
-from jghand_engine.template.texture import rasterize_uv
 
 # format of `jghand export` -> suffix of its files
 MESH_FORMATS = {"mesh": "glb", "mesh-obj": "obj", "mesh-ply": "ply"}
 # suffixes of what an OBJ needs beside it: its material and its texture
 COMPANIONS = (".mtl", ".png")
-# a texel of the built-in hand is then 0.7 mm wide, as its Gaussians are
-TEXTURE_PX = 512
-# Gaussians around a texel or a vertex whose mean color it gets
-COLOR_NEIGHBORS = 4
 
 
 @dataclass(frozen=True)
@@ -105,68 +100,40 @@ class _Surface:
     """The skin of a motion. suffix: of the files, which decides between texture and colors of vertices."""
 
     def __init__(self, motion: HandMotion, template: HandTemplate, suffix: str) -> None:
-        trimesh = _trimesh()
-        from scipy.ndimage import distance_transform_edt
-        from scipy.spatial import KDTree
-
-        self._motion, self._template, self._trimesh = motion, template, trimesh
+        self._motion, self._template, self._trimesh = motion, template, _trimesh()
         self._skeleton = motion.avatar.skeleton()
         self._right = mirrored(template) if motion.handedness is Handedness.LEFT else template
         self._weights = motion.map_weights(template)
         rest_m = motion.rest_arrays()[0].astype(np.float64)
         self._textured = suffix != "ply"
-        detail = motion.avatar.detail
-        self.texture_px = TEXTURE_PX if detail is None else max(TEXTURE_PX, detail.size)
-        self._ratio = None
-        if detail is not None and self._textured:
-            self._ratio = np.exp(detail_power(motion.avatar, in_scene=False) * log_ratios(detail.texture))
         if self._textured:
             self.vertex, self._uv, self.faces = one_uv_each(template.faces, template.face_uv)
-            points_m, covered = rasterize_uv(template.face_uv, template.vertices_m[template.faces], TEXTURE_PX)
-            # beyond the islands the nearest texel goes on, or filtering brings black over their edges
-            nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)
-            colored_m = points_m[nearest[0], nearest[1]].reshape(-1, 3)
+            self._texture = SkinTexture(motion.avatar, template, rest_m)
         else:
             self.vertex, self.faces = np.arange(len(template.vertices_m)), template.faces
-            colored_m = template.vertices_m
-        nearest_of_each: Any = KDTree(rest_m).query(colored_m, k=min(COLOR_NEIGHBORS, len(rest_m)))[1]
-        self._nearest = nearest_of_each.reshape(len(colored_m), -1)
+            self._nearest = nearest_gaussians(template.vertices_m, rest_m, COLOR_NEIGHBORS)
 
     def mesh(self, index: int, axes: np.ndarray) -> Any:
         """The skin in one frame, a trimesh.Trimesh. axes: (3, 3) a turn of everything."""
         trimesh, motion = self._trimesh, self._motion
         rgb = motion.frame(index).rgb
         rgb = np.asarray(motion.avatar.rgb if rgb is None else rgb, np.float64).clip(0, 1)
-        mean = rgb[self._nearest].mean(axis=1)
-        colors = np.rint(255 * mean).astype(np.uint8)
         pose, rest_m = motion.sequence.pose(index), self._right.vertices_m
         vertices_m = skinned(rest_m, self._weights, self._skeleton, pose.joints_m, pose.forearm) @ axes.T
         if self._textured:
             from PIL import Image
 
-            image = Image.fromarray(colors.reshape(TEXTURE_PX, TEXTURE_PX, 3))
-            if self._ratio is not None:
-                image = Image.fromarray(self._with_detail(image))
+            image = Image.fromarray(self._texture.of_colors(rgb))
             material = trimesh.visual.material.PBRMaterial(
                 name="skin", baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.6
             )
             visual = trimesh.visual.TextureVisuals(uv=self._uv, material=material)
         else:
-            visual = trimesh.visual.ColorVisuals(vertex_colors=colors)
+            visual = trimesh.visual.ColorVisuals(vertex_colors=to_bytes(rgb[self._nearest].mean(axis=1)))
         normals = vertex_normals(vertices_m, self._template.faces)[self.vertex]
         return trimesh.Trimesh(
             vertices_m[self.vertex], self.faces, vertex_normals=normals, visual=visual, process=False
         )
-
-    def _with_detail(self, image: Any) -> np.ndarray:
-        """(texture_px, texture_px, 3) bytes: the picture of the Gaussians' colors, times the detail."""
-        from PIL import Image
-
-        size = (self.texture_px, self.texture_px)
-        smooth = np.asarray(image.resize(size, Image.Resampling.BILINEAR), np.float32)
-        assert self._ratio is not None
-        finer = self.texture_px // len(self._ratio)
-        return np.rint((smooth * self._ratio.repeat(finer, 0).repeat(finer, 1)).clip(0, 255)).astype(np.uint8)
 
 
 def _encoded(mesh: Any, path: Path) -> dict[str, bytes]:

@@ -15,7 +15,8 @@ from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import ratio_bytes
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
-from jghand_engine.export.mesh import MESH_FORMATS, TEXTURE_PX, export_meshes
+from jghand_engine.export.mesh import MESH_FORMATS, export_meshes
+from jghand_engine.export.skin import TEXTURE_PX
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
 from jghand_engine.hand.joints import Handedness

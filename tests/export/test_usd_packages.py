@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from pxr import Usd
+from detail_samples import detail_of
+from PIL import Image
+from pxr import Ar, Usd, UsdShade
 from usd_samples import lively_motion, small_avatar
 from usd_stages import opened
 
+from jghand_engine.avatar.detail import ratio_bytes
+from jghand_engine.avatar.relighting import material_of
+from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
 from jghand_engine.export.usd import package
 from jghand_engine.export.usd.check import NO_SPLATS, check_usd
@@ -102,6 +110,39 @@ def test_one_file_leaves_layers_of_the_same_name_alone(tmp_path):
     exported(tmp_path, package="usdz", overwrite=True)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.suffix != ".usdz"} == before
     assert check_usd(layers.stage) == []
+
+
+# ---- a hand with detail ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", package.PACKAGES)
+def test_the_mesh_of_a_hand_with_detail_shows_it_by_its_uv(tmp_path, kind):
+    """The ratio of half in a column of texels is in the picture that the mesh's material reads, and nowhere else."""
+    texture = np.full((64, 64, 3), 128, np.uint8)
+    texture[:, 16:32] = ratio_bytes(np.full(3, np.log(0.5)))
+    avatar, motion = small_avatar(), lively_motion(Handedness.LEFT, 3)
+    avatar = replace(avatar, rgb=np.full_like(avatar.rgb, 0.4), detail=detail_of(texture))
+    report = export_usd(tmp_path, avatar, motion, options=UsdOptions(package=kind, default_variant=Variant.MESH))
+    assert set(report.bytes) >= ({"hand.usdz"} if kind == "usdz" else {"hand.skin.png"})
+    found = [str(finding) for path in (report.stage, report.shot) if path for finding in check_usd(path)]
+    assert found == ([NO_SPLATS] if kind == "usdc" else [])
+    stage = opened(report.stage, Variant.MESH)
+    material, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/Hand/Rig/Mesh")).ComputeBoundMaterial()
+    surface = material.ComputeSurfaceSource()[0]
+    reader = UsdShade.Shader(surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source)
+    assert reader.GetShaderId() == "UsdUVTexture"
+    coordinates = UsdShade.Shader(reader.GetInput("st").GetConnectedSources()[0][0].source)
+    assert coordinates.GetInput("varname").Get() == "st"
+    asset = reader.GetInput("file").Get()
+    assert asset.path == "./hand.skin.png"
+    content = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
+    with content:
+        image = np.asarray(Image.open(io.BytesIO(bytes(content.GetBuffer()))), float)
+    columns = image.shape[1] // 64
+    dark, plain = image[:, 17 * columns : 31 * columns], image[:, 33 * columns :]
+    wanted = 255 * linear_to_srgb(material_of(avatar).albedo[0])
+    assert np.abs(plain - wanted).max() <= 1
+    assert np.abs(dark - 0.5 * wanted).max() <= 1
 
 
 # ---- long takes ------------------------------------------------------------------------------------------------------

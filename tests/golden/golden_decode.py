@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd
+from pxr import Sdf, Usd
 
 Arrays = dict[str, np.ndarray]
 ROWS = 200
@@ -94,7 +94,7 @@ def usd_values(name: str, attribute: Usd.Attribute, span: np.ndarray) -> Arrays:
 
 
 def usd_array(name: str, value: Any) -> np.ndarray:
-    array = np.array(value)
+    array = np.array(value.path if isinstance(value, Sdf.AssetPath) else value)
     is_turn = name.rpartition(".")[2] in ("rotations", "orientations", "orientationsh")
     return upright(array[..., [3, 0, 1, 2]]) if is_turn else array
 

@@ -16,6 +16,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.errors import InputError
 from jghand_engine.export.motion import HandMotion, check_balls
+from jghand_engine.export.skin import with_detail_in_colors
 from jghand_engine.export.splats import gltf as gltf_splats
 from jghand_engine.export.splats import ply, spz
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
@@ -213,7 +214,7 @@ class SplatMotion:
         light: SceneLight | None = None,
     ) -> None:
         check_balls(avatar)
-        self._motion, self._axes, self._up = HandMotion(avatar, sequence, light, up), axes, up
+        self._motion, self._axes, self._up = HandMotion(with_detail_in_colors(avatar), sequence, light, up), axes, up
         self.light = self._motion.light
 
     def cloud(self, index: int) -> SplatCloud:

@@ -3,13 +3,14 @@
     hand.usda          what others reference: the variants        stage
     hand.splats.usdc   the Gaussians, posed, per frame            splats
     hand.rig.usdc      skeleton, animation, skinned mesh          rig
+    hand.skin.png      its albedo, of a hand with detail          mesh
     hand.skinned.usdc  Gaussians that follow the skeleton         rig
     hand.shot.usda     the hand and the cameras                   shot
 
-or one file of all that. The colors of a trained avatar change with the pose, as its light falls on it: every frame then
-has its own, and the file is three times as large. What its skin mirrors depends on the camera, and is left out, as is
-the self-shadow. The mesh carries no light, but a material that other programs light; so do splats and points where
-that is asked for.
+or one file of all that, a .usdc with the picture beside it. The colors of a trained avatar change with the pose, as its
+light falls on it: every frame then has its own, and the file is three times as large. What its skin mirrors depends on
+the camera, and is left out, as is the self-shadow. The mesh carries no light, but a material that other programs light;
+so do splats and points where that is asked for.
 
 Everything is written into a temporary folder beside the target and renamed into place when it is complete.
 """
@@ -41,7 +42,10 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
 from jghand_engine.export.mesh import template_of
 from jghand_engine.export.motion import HandMotion, check_balls
+from jghand_engine.export.skin import SkinTexture, with_detail_in_colors
 from jghand_engine.export.usd.rig import (
+    SKIN,
+    TEXTURE,
     build_skeleton,
     in_motion,
     vertex_material,
@@ -52,6 +56,7 @@ from jghand_engine.export.usd.shot import write_shot
 from jghand_engine.export.usd.splats import Cloud, Look, Sample, SplatLayer
 from jghand_engine.export.usd.stage import (
     HAND_PATH,
+    RIG_PATH,
     LayerNames,
     TimeRange,
     Variant,
@@ -118,13 +123,13 @@ class UsdOptions:
         """Whether other programs light splats and points."""
         return self.radiance == "albedo"
 
-    @property
-    def files(self) -> tuple[str, ...]:
+    def files(self, avatar: HandAvatar) -> tuple[str, ...]:
         """Names of the files, those that refer to others after them."""
         names = LayerNames(self.name)
+        picture = () if avatar.detail is None or self.package == "usdz" else (names.picture,)
         if self.package != "layers":
-            return (f"{self.name}.{self.package}",)
-        return names.rig, names.splats, names.skinned, names.interface, names.shot
+            return *picture, f"{self.name}.{self.package}"
+        return *picture, names.rig, names.splats, names.skinned, names.interface, names.shot
 
 
 @dataclass(frozen=True)
@@ -209,22 +214,23 @@ def export_usd(
     """
     options = options or UsdOptions()
     check_balls(avatar)
-    motion = HandMotion(avatar, sequence, up=options.up)
+    motion = HandMotion(with_detail_in_colors(avatar), sequence, up=options.up)
     named_cameras = name_cameras(cameras)
     template = template_of(avatar, options.template, motion.handedness)
     target = make_folder(folder)
-    _check_place(target, options)
+    files = options.files(avatar)
+    _check_place(target, files, overwrite=options.overwrite)
     stamp = made_from(avatar, sequence)
     span = TimeRange(
         len(motion), float(sequence.fps), options.first_frame, options.up, provenance(motion.avatar, stamp)
     )
     writer = _Writer(motion, options, span, progress)
-    with usd_errors(target), _arriving(target, options) as (layers, arrived):
-        writer.write(layers, arrived, template, named_cameras)
+    with usd_errors(target), _arriving(target, files, single=options.package != "layers") as (layers, arrived):
+        writer.write(layers, arrived, avatar, template, named_cameras)
         sizes = {path.name: path.stat().st_size for path in sorted(arrived.iterdir())}
     names, is_single = writer.names, options.package != "layers"
     return UsdReport(
-        target / (options.files[0] if is_single else names.interface), None if is_single else target / names.shot,
+        target / (files[-1] if is_single else names.interface), None if is_single else target / names.shot,
         len(motion), len(avatar), sizes, writer.seconds, writer.sigma_error, stamp,
     )  # fmt: skip
 
@@ -300,14 +306,18 @@ class _Writer:
                 self._cloud = replace(self._cloud, rgb=linear_to_srgb(self._material.albedo), material=self._material)
             self._has_sizes = self._changes_size()
 
-    def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
-        """Writes layers into `layers`, and the single file, where one is wanted, into `arrived`."""
+    def write(
+        self, layers: Path, arrived: Path, avatar: HandAvatar, template: HandTemplate, cameras: Mapping[str, Camera]
+    ) -> None:
+        """Writes layers into `layers`, and the single file, where one is wanted, into `arrived`. avatar: as it was
+        given, with its detail"""
         options, motion, names, span = self._options, self._motion, self.names, self._span
         with self._clock("rig"):
             skeleton = build_skeleton(motion.rest_poses())
             material = vertex_material(template.vertices_m, self._cloud.rest_m, self._material)
             poses, weights = in_motion(skeleton, motion.poses()), motion.map_weights(template)
-            write_rig(layers / names.rig, skeleton, poses, template, weights, material, span)
+            picture = self._picture(layers if options.package == "usdz" else arrived, avatar, template)
+            write_rig(layers / names.rig, skeleton, poses, template, weights, material, picture, span)
         with self._clock("skinned points"):
             weights = motion.avatar.map_weights(motion.avatar.position_m, motion.avatar.bone_weights)
             write_skinned(layers / names.skinned, self._cloud, weights, options.width_factor, span)
@@ -328,13 +338,23 @@ class _Writer:
                 write_shot(layers, names, cameras, motion.sequence.joints_m, span)
         with self._clock("package"):
             if options.package == "usdz":
-                files = (names.interface, names.rig, names.splats, names.skinned)
-                write_archive([layers / name for name in files], arrived / options.files[0])
+                files = (names.interface, names.rig, names.splats, names.skinned, *filter(None, [picture]))
+                write_archive([layers / name for name in files], arrived / f"{options.name}.usdz")
             elif options.package == "usdc":
-                frames = self._flattened(layers / names.interface, arrived / options.files[0])
+                frames = self._flattened(layers / names.interface, arrived / f"{options.name}.usdc")
         if options.package == "usdc":
             # after the rest: flattened with it they would all be in memory at once
             self._write_frames(frames)
+
+    def _picture(self, folder: Path, avatar: HandAvatar, template: HandTemplate) -> str:
+        """Writes the texture of the mesh into `folder` and gives its name; empty for a hand without detail."""
+        if avatar.detail is None:
+            return ""
+        from jghand_engine.export.pictures import write_png
+
+        texture = SkinTexture(avatar, template, self._cloud.rest_m)
+        write_png(folder / self.names.picture, texture.of_colors(linear_to_srgb(material_of(avatar).albedo)))
+        return self.names.picture
 
     def _flattened(self, interface: Path, target: Path) -> SplatLayer | None:
         """Puts a stage with its chosen variant into one file; gives what adds the frames of Gaussians to it, None where
@@ -342,6 +362,8 @@ class _Writer:
         # the comment would tell a place on our disk, as the identifier does that flattening makes of a relative one
         layer = Usd.Stage.Open(str(interface)).Flatten(addSourceFileComment=False)
         layer.GetPrimAtPath(HAND_PATH).assetInfo["identifier"] = Sdf.AssetPath(f"./{target.name}")
+        if picture := layer.GetAttributeAtPath(f"{RIG_PATH}/{SKIN}/{TEXTURE}.inputs:file"):
+            picture.default = Sdf.AssetPath(f"./{self.names.picture}")
         if not layer.Export(str(target)):
             raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
         variant = Variant(self._options.default_variant)
@@ -411,31 +433,31 @@ def write_archive(files: Sequence[Path], target: Path) -> None:
                 shutil.copyfileobj(source, out, 2**20)
 
 
-def _check_place(folder: Path, options: UsdOptions) -> None:
+def _check_place(folder: Path, files: Sequence[str], *, overwrite: bool) -> None:
     """InputError for files in the way."""
-    for path in (folder / name for name in options.files):
+    for path in (folder / name for name in files):
         if path.is_dir():
             raise InputError(f"{path}", wanted="no folder of that name", came="a folder", remedy="Choose another name.")
-        if path.exists() and not options.overwrite:
+        if path.exists() and not overwrite:
             remedy = "Choose another name or folder, or replace it (--overwrite)."
             raise InputError(f"{path}", wanted="no file of that name", came="one that is there", remedy=remedy)
 
 
 @contextlib.contextmanager
-def _arriving(folder: Path, options: UsdOptions) -> Iterator[tuple[Path, Path]]:
+def _arriving(folder: Path, files: Sequence[str], *, single: bool) -> Iterator[tuple[Path, Path]]:
     """Two temporary folders in `folder`, for layers and for files that arrive; on success these are renamed into place,
     what refers to others last. They are the same folder where the layers are what arrives."""
-    temporary = Path(tempfile.mkdtemp(prefix=f".{options.name}.", dir=folder))
+    temporary = Path(tempfile.mkdtemp(prefix=f".{files[-1]}.", dir=folder))
     try:
-        layers, single, earlier = (temporary / name for name in ("layers", "single", "earlier"))
-        for made in (layers, single, earlier):
+        layers, alone, earlier = (temporary / name for name in ("layers", "single", "earlier"))
+        for made in (layers, alone, earlier):
             made.mkdir()
-        arrived = layers if options.package == "layers" else single
+        arrived = alone if single else layers
         yield layers, arrived
-        for name in options.files:
+        for name in files:
             sync(arrived / name)
-        replaced = [(folder / name, earlier / name) for name in options.files if (folder / name).exists()]
-        _move_all([*replaced, *((arrived / name, folder / name) for name in options.files)])
+        replaced = [(folder / name, earlier / name) for name in files if (folder / name).exists()]
+        _move_all([*replaced, *((arrived / name, folder / name) for name in files)])
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -28,10 +28,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from jghand_engine.avatar.relighting import Material
 from jghand_engine.export.motion import BonePoses
+from jghand_engine.export.skin import nearest_gaussians
 from jghand_engine.export.usd.splats import Cloud
 from jghand_engine.export.usd.stage import (
     PROXY_PATH,
@@ -65,6 +66,8 @@ PROXY_STEP = 10
 SKIN_BONES = 8
 # Gaussians around a vertex whose mean the mesh gets
 NEIGHBORS = 8
+# material of a mesh with a texture, and its shader that has the file
+SKIN, TEXTURE = "Skin", "Texture"
 # inputs of the material: of which kind, as input and as read, and the primvar that is read
 _READ = {
     "diffuseColor": ("float3", TYPES.Color3f, TYPES.Float3, "displayColor"),
@@ -227,6 +230,7 @@ def write_rig(
     skin: HandTemplate,
     map_weights: np.ndarray,
     material: Material,
+    picture: str,
     time: TimeRange,
 ) -> None:
     """Writes /Rig with Skeleton, Skeleton/Anim, Mesh and its material Look. One prim at the root, so that one
@@ -235,6 +239,7 @@ def write_rig(
     motion:   of the skeleton, in parts that are saved one by one
     skin:     the surface of the hand itself, mirrored for a left one; map_weights: (V, 21 or more) of its vertices
     material: of its vertices
+    picture:  file of the texture that has its albedo, relative to this; empty: that of the vertices is all
     """
     stage = new_layer(path, time)
     root = UsdSkel.Root.Define(stage, RIG_PATH).GetPrim()
@@ -245,7 +250,7 @@ def write_rig(
     prim.CreateRestTransformsAttr(_matrices(skeleton.rest))
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
     UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    _add_mesh(stage, skin, map_weights, material, prim)
+    _add_mesh(stage, skin, map_weights, material, picture, prim)
     animation.CreateJointsAttr(skeleton.tokens)
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
@@ -267,7 +272,12 @@ def write_rig(
 
 
 def _add_mesh(
-    stage: Usd.Stage, template: HandTemplate, map_weights: np.ndarray, material: Material, skeleton: UsdSkel.Skeleton
+    stage: Usd.Stage,
+    template: HandTemplate,
+    map_weights: np.ndarray,
+    material: Material,
+    picture: str,
+    skeleton: UsdSkel.Skeleton,
 ) -> None:
     mesh = UsdGeom.Mesh.Define(stage, f"{RIG_PATH}/Mesh")
     mesh.CreatePointsAttr(vec3f(template.vertices_m))
@@ -278,7 +288,10 @@ def _add_mesh(
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
     set_display(mesh.GetPrim(), material.albedo, material=material)
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_add_look(stage, f"{RIG_PATH}/Look"))
+    look = _add_look(stage, f"{RIG_PATH}/Look")
+    if picture:
+        look = _add_look(stage, f"{RIG_PATH}/{SKIN}", picture)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(look)
     corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     coordinates.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(corners, np.float32)))
@@ -291,16 +304,30 @@ def _add_mesh(
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
 
 
-def _add_look(stage: Usd.Stage, path: str) -> UsdShade.Material:
-    """A surface that light falls on, with the albedo, roughness and index of refraction of what has it."""
+def _add_look(stage: Usd.Stage, path: str, picture: str = "") -> UsdShade.Material:
+    """A surface that light falls on, with the albedo, roughness and index of refraction of what has it. picture: file
+    of a texture that has the albedo instead"""
     look = UsdShade.Material.Define(stage, path)
     surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
     surface.CreateIdAttr("UsdPreviewSurface")
     for name, (kind, input_kind, read_kind, primvar) in _READ.items():
+        is_texture = bool(picture) and name == "diffuseColor"
+        if is_texture:
+            kind, primvar, read_kind = "float2", "st", TYPES.Float2
         reader = UsdShade.Shader.Define(stage, f"{path}/{name}")
         reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
         reader.CreateInput("varname", TYPES.String).Set(primvar)
-        surface.CreateInput(name, input_kind).ConnectToSource(reader.CreateOutput("result", read_kind))
+        read = reader.CreateOutput("result", read_kind)
+        if is_texture:
+            texture = UsdShade.Shader.Define(stage, f"{path}/{TEXTURE}")
+            texture.CreateIdAttr("UsdUVTexture")
+            texture.CreateInput("file", TYPES.Asset).Set(Sdf.AssetPath(f"./{picture}"))
+            texture.CreateInput("sourceColorSpace", TYPES.Token).Set("sRGB")
+            for side in ("wrapS", "wrapT"):
+                texture.CreateInput(side, TYPES.Token).Set("clamp")
+            texture.CreateInput("st", TYPES.Float2).ConnectToSource(read)
+            read = texture.CreateOutput("rgb", TYPES.Float3)
+        surface.CreateInput(name, input_kind).ConnectToSource(read)
     look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
     return look
 
@@ -308,23 +335,7 @@ def _add_look(stage: Usd.Stage, path: str) -> UsdShade.Material:
 def vertex_material(vertices_m: np.ndarray, rest_m: np.ndarray, material: Material) -> Material:
     """Of vertices (V, 3): means of the Gaussians, whose centers (N, 3) are in the same pose, that are nearest."""
     values = np.column_stack([material.albedo, material.roughness, material.reflectance]).astype(np.float64)
-    neighbors = min(NEIGHBORS, len(values))
-    # along the longest axis in blocks, each against the Gaussians that are near it there
-    axis, margin_m = int(np.ptp(vertices_m, axis=0).argmax()), 0.006
-    points_m, order = rest_m.astype(np.float64), np.argsort(rest_m[:, axis], kind="stable")
-    along = points_m[order, axis]
-    means = np.empty((len(vertices_m), 5))
-    for block in np.array_split(np.argsort(vertices_m[:, axis]), max(1, len(vertices_m) // 64)):
-        low, high = vertices_m[block, axis].min() - margin_m, vertices_m[block, axis].max() + margin_m
-        near = order[np.searchsorted(along, low) : np.searchsorted(along, high, "right")]
-        for candidates in (near, order):
-            squares_m2 = ((vertices_m[block, None] - points_m[candidates]) ** 2).sum(-1)
-            if candidates is order or (
-                len(near) > neighbors and np.partition(squares_m2, neighbors - 1)[:, neighbors - 1].max() <= margin_m**2
-            ):
-                nearest = np.argpartition(squares_m2, neighbors - 1)[:, :neighbors]
-                means[block] = values[candidates[nearest]].mean(axis=1)
-                break
+    means = values[nearest_gaussians(vertices_m, rest_m, NEIGHBORS)].mean(axis=1)
     return Material(means[:, :3], means[:, 3], means[:, 4])
 
 

@@ -58,6 +58,8 @@ class LayerNames:
         self.rig, self.splats = f"{name}.rig.usdc", f"{name}.splats.usdc"
         # points that follow the skeleton: all of them, and the tenth that stands in for splats
         self.skinned = f"{name}.skinned.usdc"
+        # texture of the mesh, of a hand with detail
+        self.picture = f"{name}.skin.png"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,63 @@
+"""What of the skin's detail files hold: the nearest Gaussians of a place, textures, and colors of Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from detail_samples import detailed, flat, noise
+from show_splat_file import BLACK, psnr_db
+
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.detail_mips import filled, skin_texels
+from jghand_engine.export.pictures import flatten
+from jghand_engine.export.skin import MEAN_PX, nearest_gaussians, with_detail_in_colors
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.settings import preset
+
+
+@pytest.mark.parametrize(("centers", "count"), [(3000, 4), (3, 4), (3000, 8)])
+def test_the_nearest_gaussians_are_those_of_all_that_are_nearest(centers, count):
+    """On a sheet as skin is, and far from it."""
+    g = np.random.default_rng(4)
+    rest_m = g.uniform(-0.05, 0.05, (centers, 3)) * [1, 1, 0.02]
+    points_m = np.concatenate([g.uniform(-0.06, 0.06, (700, 3)) * [1, 1, 0.02], g.normal(0, 1, (5, 3))])
+    found = nearest_gaussians(points_m, rest_m, count)
+    squares_m2 = ((points_m[:, None] - rest_m) ** 2).sum(-1)
+    np.testing.assert_array_equal(np.sort(found), np.sort(np.argsort(squares_m2)[:, :count]))
+
+
+def test_beside_the_skin_a_texture_goes_on():
+    """What it held there is seen on no level."""
+    texture = noise(256)
+    skin = skin_texels(detailed(texture).detail.face_uv, 256)
+    np.testing.assert_array_equal(filled(texture, skin)[skin], texture[skin])
+    of_one_color = np.where(skin[..., None], np.uint8([200, 90, 40]), texture)
+    assert (filled(of_one_color, skin) == [200, 90, 40]).all()
+
+
+def test_gaussians_have_the_ratio_of_the_texture_under_them():
+    avatar = detailed(flat(MEAN_PX, np.log(0.5)))
+    colored = with_detail_in_colors(avatar)
+    assert colored.detail is None
+    ratio = colored.rgb / avatar.rgb
+    changed = np.abs(ratio - 0.5).max(1) < 0.01
+    assert changed.mean() > 0.5
+    np.testing.assert_array_equal(colored.rgb[~changed], avatar.rgb[~changed])
+
+
+@pytest.mark.parametrize(("pose", "view"), [("open", "front"), ("fist", "back")])
+def test_a_picture_of_these_gaussians_is_nearer_to_that_of_the_texture(pose, view):
+    avatar = load_avatar_called("builtin")
+    joints_m = named_pose(pose, avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+    camera = framing_camera(joints_m[None], Handedness.RIGHT, view, width=768, height=768)
+    true, colored, without = (
+        flatten(HandRenderer(one, preset("viewport")).render(joints_m, camera).rgba, BLACK)
+        for one in (avatar, with_detail_in_colors(avatar), replace(avatar, detail=None))
+    )
+    print(f"{psnr_db(true, colored):.2f} dB, {psnr_db(true, without):.2f} dB without")
+    assert psnr_db(true, colored) > psnr_db(true, without) + 0.8
