@@ -25,9 +25,10 @@ class GpuBlend:
         self._buffers: dict[str, Any] = {}
         self._pipeline: Any = None
 
-    def draw(self, inputs: dict[str, np.ndarray], planes: np.ndarray, log2_alpha_min: float, t_stop: float) -> None:
+    def draw(self, inputs: dict[str, np.ndarray], planes: np.ndarray, cuts: tuple[float, float], *, fills: bool) -> None:
         """Draws into planes (5, H, W) float32. inputs: records (Gaussians, 16) float32, tile_start (tiles + 1,) and
-        tile_list (pairs,) int32 as native/raster.h has them, in this order.
+        tile_list (pairs,) int32 as native/raster.h has them, in this order; cuts: its log2_alpha_min and t_stop; fills:
+        whether it has `front`.
 
         MemoryLimitError for arrays that the device does not hold, RetryError when it fails or was lost.
         """
@@ -38,7 +39,7 @@ class GpuBlend:
             raise RetryError(f"{device.name} belongs to another process")
         try:
             with device.turn:
-                self._draw(inputs, planes, (log2_alpha_min, contract.ALPHA_MAX, t_stop))
+                self._draw(inputs, planes, cuts, fills)
         except wgpu.GPUOutOfMemoryError as error:  # the next picture may be smaller
             self._buffers.clear()
             raise MemoryLimitError(f"picture on {device.name}: {_last_line(error)}") from error
@@ -47,7 +48,7 @@ class GpuBlend:
             forget(device)
             raise RetryError(f"{device.name} stopped drawing: {_last_line(error)}") from error
 
-    def _draw(self, inputs: dict[str, np.ndarray], planes: np.ndarray, cuts: tuple[float, ...]) -> None:
+    def _draw(self, inputs: dict[str, np.ndarray], planes: np.ndarray, cuts: tuple[float, float], fills: bool) -> None:
         from wgpu import BufferUsage, MapMode
 
         handle, (height, width) = self.device.handle, planes.shape[1:]
@@ -57,7 +58,7 @@ class GpuBlend:
         given = [self._buffer(name, array.nbytes, stored) for name, array in inputs.items()]
         drawn = self._buffer("planes", planes.nbytes, BufferUsage.STORAGE | BufferUsage.COPY_SRC)
         read = self._buffer("read", planes.nbytes, BufferUsage.MAP_READ | BufferUsage.COPY_DST)
-        numbers = struct.pack("4I4f", width, height, tiles_x, 0, *cuts, 0)
+        numbers = struct.pack("4I4f", width, height, tiles_x, fills, cuts[0], contract.ALPHA_MAX, cuts[1], 0)
         handle.queue.write_buffer(picture, 0, numbers)
         for buffer, array in zip(given, inputs.values(), strict=True):
             if array.size:

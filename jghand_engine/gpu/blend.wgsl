@@ -2,7 +2,7 @@
 // (RENDERING 3). A workgroup per tile, a thread per pixel. Records and lists are those of native/raster.h.
 
 struct Picture {
-  width: u32, height: u32, tiles_x: u32, unused: u32,
+  width: u32, height: u32, tiles_x: u32, fills: u32,  // fills: see `front` in native/raster.h
   log2_alpha_min: f32, alpha_max: f32, t_stop: f32, also_unused: f32,
 }
 
@@ -14,6 +14,7 @@ struct Picture {
 
 // as in native/constants.h
 const FRONT_MIN = 0.04;
+const COVER_FROM = 0.15;
 // 12 KiB of the 16 that every WebGPU device has
 const CHUNK = 256u;
 var<workgroup> shapes: array<vec4f, CHUNK>;
@@ -68,8 +69,13 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
     workgroupBarrier();
   }
   if (!on_picture) { return; }
-  let alpha = 1.0 - T;
-  color *= select(1.0, alpha / max(front, FRONT_MIN * alpha), alpha > 0.0);
+  var alpha = 1.0 - T;
+  if (picture.fills != 0u && alpha > 0.0) {
+    let cover = smoothstep(COVER_FROM, 1.0, alpha);
+    color *= cover / max(front, FRONT_MIN * alpha);
+    depth *= cover / alpha;
+    alpha = cover;
+  }
   let size = picture.width * picture.height;
   let pixel = at.y * picture.width + at.x;
   planes[pixel] = color.x;

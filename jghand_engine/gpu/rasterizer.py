@@ -48,7 +48,8 @@ class GpuRasterizer(NativeRasterizer):
         try:
             inputs = {name: arrays[name] for name in ("records", "tile_start")}
             inputs["tile_list"] = arrays["tile_list"][: job.pairs]
-            self._blend.draw(inputs, self._planes, job.log2_alpha_min, job.t_stop)
+            cuts = job.log2_alpha_min, job.t_stop
+            self._blend.draw(inputs, self._planes, cuts, fills=bool(job.front))
         except MemoryLimitError as error:
             self._draw_here(str(error))
         except RetryError as error:

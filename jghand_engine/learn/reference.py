@@ -14,6 +14,7 @@ from torch.utils.checkpoint import checkpoint
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.light import smooth as smoothstep
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
 
@@ -99,9 +100,11 @@ def rasterize_reference(
         return picture
     parts = replace(gaussians, rgb=gaussians.front[:, None].expand(-1, 3), front=None)
     front = rasterize_reference(parts, camera, alpha_min=alpha_min, smooth=smooth).rgb[..., :1]
-    alpha = picture.alpha[..., None]
-    least = (contract.FRONT_MIN * alpha).clamp_min(torch.finfo(alpha.dtype).tiny)
-    return replace(picture, rgb=picture.rgb * alpha / torch.maximum(front, least))
+    alpha, tiny = picture.alpha, torch.finfo(picture.alpha.dtype).tiny
+    cover = smoothstep((alpha - contract.COVER_FROM) / (1 - contract.COVER_FROM))
+    gain = cover[..., None] / torch.maximum(front, (contract.FRONT_MIN * alpha[..., None]).clamp_min(tiny))
+    depth_sum = picture.depth_sum * cover / alpha.clamp_min(tiny)
+    return replace(picture, rgb=picture.rgb * gain, alpha=cover, depth_sum=depth_sum)
 
 
 def check_gaussians(gaussians: Gaussians) -> None:

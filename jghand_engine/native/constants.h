@@ -8,6 +8,7 @@ constexpr float VAR_MAX_PX2 = 1e9f;
 constexpr float RGB_MAX = 1e6f;
 constexpr float POSITION_MAX_M = 1e6f;
 constexpr float FRONT_MIN = 0.04f;
+constexpr float COVER_FROM = 0.15f;
 constexpr double COVARIANCE_SLACK = 1e-6;
 constexpr int TILE_PX = 16;
 constexpr int BLOCK_PX = 4;

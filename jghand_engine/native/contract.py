@@ -26,6 +26,8 @@ VAR_MAX_PX2 = 1e9
 RGB_MAX = 1e6
 # part of a pixel's alpha, at least, that is taken for seen from outside: from below on its color goes to black
 FRONT_MIN = 0.04
+# coverage from which such a picture shows anything: Gaussians are round, and wider at an outline than skin ends
+COVER_FROM = 0.15
 # coordinates beyond this are counted as invalid, meters: depth is blended like a color, and has the same limit
 POSITION_MAX_M = 1e6
 # a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32

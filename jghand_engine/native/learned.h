@@ -111,12 +111,6 @@ JG_INLINE void turn_by(const vf turn[9], const vf v[3], vf out[3]) {
 
 JG_INLINE vf dot(const vf a[3], const vf b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
-JG_INLINE vf smooth(vf x) {
-  const vf t = clamped(x);
-  return t * t * (3.f - 2.f * t);
-}
-
 // Skin that faces away is seen through gaps only: in back light it would shine through them. `facing`: cosines to the eye
 JG_INLINE vf seen_from_outside(const LearnedTask& t, int64_t row, vf facing) {
   const vf fade = smooth((facing - AWAY_FROM) / AWAY_WIDTH);

@@ -32,12 +32,17 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
   block = {T, r, g, b, depth, front};
 }
 
+// FRONT: with the color of what is seen from outside, and a sharper outline: coverage goes up from COVER_FROM on.
 template <bool FRONT>
 JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
   const vf alpha = 1.0f - block.transmittance;
-  vf gain = all(1.0f);
-  if (FRONT) gain = select(alpha > 0, alpha / max(block.front, FRONT_MIN * alpha), gain);
-  const vf planes[5] = {block.r * gain, block.g * gain, block.b * gain, alpha, block.depth};
+  vf gain = all(1.0f), cover = alpha, nearer = gain;
+  if (FRONT) {
+    cover = smooth((alpha - COVER_FROM) / (1.0f - COVER_FROM));
+    gain = select(alpha > 0, cover / max(block.front, FRONT_MIN * alpha), vf{});
+    nearer = select(alpha > 0, cover / alpha, vf{});
+  }
+  const vf planes[5] = {block.r * gain, block.g * gain, block.b * gain, cover, block.depth * nearer};
   for (int plane = 0; plane < 5; plane++) store_pixels(job, job.planes, plane, x, y, planes[plane]);
 }
 

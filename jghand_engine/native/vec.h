@@ -23,6 +23,11 @@ JG_INLINE vf narrow(vd x) { return __builtin_convertvector(x, vf); }
 // A NaN in `a` gives `b`: comparisons with NaN are false.
 JG_INLINE vf max(vf a, vf b) { return a > b ? a : b; }
 JG_INLINE vf min(vf a, vf b) { return a < b ? a : b; }
+JG_INLINE vf clamped(vf x) { return min(max(x, vf{}), all(1.f)); }
+JG_INLINE vf smooth(vf x) {
+  const vf t = clamped(x);
+  return t * t * (3.f - 2.f * t);
+}
 JG_INLINE vf select(vi condition, vf yes, vf no) { return condition ? yes : no; }
 JG_INLINE vf sqrt(vf a) {
 #if defined(__clang__)

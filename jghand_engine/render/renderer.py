@@ -376,7 +376,7 @@ class SceneRenderer:
             normal = surface_normals(whole.depth_m, camera)
             report.ran(NORMALS, 1e3 * (time.perf_counter() - started))
         if settings.ids and whole.weights is not None:
-            covered = whole.weights.sum(-1) > contract.DEPTH_ALPHA_MIN
+            covered = whole.rgba[..., 3] > contract.DEPTH_ALPHA_MIN
             ids = np.where(covered, 1 + whole.weights.argmax(-1), 0).astype(np.uint8)
         depth_m = whole.depth_m if settings.depth else None
         if depth_m is None:

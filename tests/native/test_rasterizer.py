@@ -87,10 +87,14 @@ def test_pixels_have_the_color_of_what_is_seen_of_them_from_outside():
     plain = rasterizer().forward(dimmed, view).copy()
     part = rasterizer().forward(replace(arrays, rgb=np.repeat(front[:, None], 3, 1)), view)[0].copy()
     drawn = rasterizer().forward(replace(dimmed, front=front), view)
-    gain = plain[3] / np.maximum(np.maximum(part, contract.FRONT_MIN * plain[3]), 1e-9)
+    t = np.clip((plain[3] - contract.COVER_FROM) / (1 - contract.COVER_FROM), 0, 1)
+    cover = t * t * (3 - 2 * t)
+    gain = cover / np.maximum(np.maximum(part, contract.FRONT_MIN * plain[3]), 1e-9)
     assert (part < contract.FRONT_MIN * plain[3]).any(), "some pixels show hardly anything from outside"
     assert np.abs(drawn[:3] - gain * plain[:3]).max() < 1e-5
-    assert np.array_equal(drawn[3:], plain[3:])
+    assert np.abs(drawn[3] - cover).max() < 1e-6
+    covered = cover > 0
+    assert np.abs(drawn[4][covered] / drawn[3][covered] - plain[4][covered] / plain[3][covered]).max() < 1e-5
 
 
 def test_gradients_of_filled_gaps_are_refused():

@@ -20,7 +20,8 @@ const FRAGMENT = `
   uniform mat4 projectionMatrix;
   uniform sampler2D picture, more, ratios;
   uniform vec2 size, alphas, fades, mixes;
-  uniform float texels, logRatioMax, depth, grazeMax, middle, scale;
+  uniform float texels, logRatioMax, depth, grazeMax, middle, scale, coverFrom;
+  uniform bool fills;
   out vec4 ratio;
   void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -29,7 +30,8 @@ const FRAGMENT = `
     // what lies below a surface is farther along a ray that grazes it
     vec2 focal = 0.5 * size * vec2(projectionMatrix[0][0], projectionMatrix[1][1]), slope = vec2(dFdx(z), dFdy(z)) * focal / z;
     float apart = abs(drawn - z - scale * depth) / min(sqrt(1.0 + dot(slope, slope)), grazeMax);
-    float weight = smoothstep(alphas.x, alphas.y, alpha) * (1.0 - smoothstep(scale * fades.x, scale * fades.y, apart));
+    float cover = fills ? smoothstep(coverFrom, 1.0, alpha) : alpha;
+    float weight = smoothstep(alphas.x, alphas.y, cover) * (1.0 - smoothstep(scale * fades.x, scale * fades.y, apart));
     vec2 x = dFdx(at), y = dFdy(at);
     float level = max(0.5 * log2(0.5 * texels * texels * (dot(x, x) + dot(y, y))), 0.0);
     level = floor(level) + clamp((fract(level) - mixes.x) / (mixes.y - mixes.x), 0.0, 1.0);

@@ -11,15 +11,15 @@ const VERTEX = `
   void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const FRAGMENT = `
   uniform sampler2D picture, more;
-  uniform float frontMin;
-  uniform bool linear;
+  uniform float frontMin, coverFrom;
+  uniform bool linear, fills;
   out vec4 shown;
   void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 sum = texelFetch(picture, at, 0);
     vec3 rgb = sum.rgb / max(texelFetch(more, at, 0).r, max(frontMin * sum.a, 1e-6));
     if (linear) rgb = mix(12.92 * rgb, 1.055 * pow(max(rgb, 1e-6), vec3(1.0 / 2.4)) - 0.055, greaterThan(rgb, vec3(0.0031308)));
-    shown = vec4(clamp(rgb, 0.0, 1.0) * sum.a, sum.a);
+    shown = vec4(clamp(rgb, 0.0, 1.0), 1.0) * (fills ? smoothstep(coverFrom, 1.0, sum.a) : sum.a);
   }`;
 
 export class Painter {
@@ -33,13 +33,17 @@ export class Painter {
       count: 2, type: THREE.HalfFloatType, depthBuffer: false, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter,
     });
     const [picture, more] = this.target.textures.map((value) => ({ value }));
-    this.common = { size: { value: new THREE.Vector2() }, middle: { value: 0 } };
+    this.fills = { value: false };
+    const cover = { fills: this.fills, coverFrom: { value: contract.cover_from } };
+    this.common = { size: { value: new THREE.Vector2() }, middle: { value: 0 }, ...cover };
     this.splats = new Splats(hand, contract, this.common);
     this.detail = hand.detail && new Detail(hand, { ...this.common, picture, more });
     this.linear = { value: false };
     const geometry = new THREE.BufferGeometry().setIndex([0, 1, 2]);
     this.resolve = new THREE.Mesh(geometry, shader(VERTEX, FRAGMENT, {
-      blending: THREE.NoBlending, uniforms: { picture, more, frontMin: { value: contract.front_min }, linear: this.linear },
+      blending: THREE.NoBlending, uniforms: {
+        picture, more, frontMin: { value: contract.front_min }, linear: this.linear, ...cover,
+      },
     }));
     this.resolve.frustumCulled = false;
   }
@@ -62,6 +66,7 @@ export class Painter {
     common.middle.value = this.middle(camera);
     splats.sort(camera);
     this.linear.value = Boolean(this.hand.light?.on);
+    this.fills.value = this.linear.value || this.hand.description.fades;
     renderer.setRenderTarget(target);
     renderer.clear();
     renderer.render(splats, camera);
