@@ -5,7 +5,6 @@ Inside the engine a picture is premultiplied RGBA in display-referred sRGB (REND
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,15 +12,12 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from PIL.PngImagePlugin import PngInfo
 
 from jghand_engine.captures.image_files import read_image
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
+from jghand_engine.export.png import encode_png
 from jghand_engine.files import writing
-
-# zlib level of PNG files, 0..9: on a hand, level 6 saves 3 % and takes 1.6 times as long, level 1 costs 16 % of size
-PNG_COMPRESSION = 4
 
 RGB = tuple[float, float, float]
 
@@ -53,26 +49,13 @@ def flatten(rgba_premultiplied: np.ndarray, background: RGB) -> np.ndarray:
     return to_bytes(rgba[..., :3] + (1.0 - rgba[..., 3:]) * np.asarray(background, rgba.dtype))
 
 
-def encode_png(picture: np.ndarray, texts: Mapping[str, str] | None = None) -> bytes:
-    """A premultiplied float RGBA picture (H, W, 4), or ready bytes (H, W, 3 | 4) uint8, as an 8-bit PNG. texts: by key,
-    packed into its head.
-
-    Raises InputError for another shape or for values that are not finite.
-    """
-    pixels = picture if picture.dtype == np.uint8 else straight_rgba8(picture)
-    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
-        raise InputError("picture", wanted="shape (height, width, 3 or 4)", came=str(pixels.shape))
-    stream = io.BytesIO()
-    head = PngInfo()
-    for key, text in (texts or {}).items():
-        head.add_text(key, text, zip=True)
-    Image.fromarray(pixels).save(stream, format="PNG", pnginfo=head, compress_level=PNG_COMPRESSION)
-    return stream.getvalue()
-
-
 def write_png(path: Path | str, picture: np.ndarray, texts: Mapping[str, str] | None = None) -> None:
-    """Writes what `encode_png` makes, whole or not at all; RetryError when the disk is full."""
-    content = encode_png(picture, texts)
+    """A premultiplied float RGBA picture (H, W, 4), or ready bytes (H, W, 3 | 4), as an 8-bit PNG, written whole or not
+    at all. texts: by key, packed into its head.
+
+    Raises InputError for another shape or for values that are not finite, RetryError when the disk is full.
+    """
+    content = encode_png(picture if picture.dtype == np.uint8 else straight_rgba8(picture), texts)
     with writing(path) as temporary:
         temporary.write_bytes(content)
 

@@ -12,7 +12,7 @@ from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.avatar.detail_mips import filled, skin_texels
 from jghand_engine.avatar.relighting import detail_power
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.texture import rasterize_uv
+from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # texels along a side: of the built-in hand 0.7 mm wide, as its Gaussians are
 TEXTURE_PX = 512
@@ -56,15 +56,14 @@ class SkinTexture:
 
     def of_colors(self, rgb: np.ndarray) -> np.ndarray:
         """(S, S, 3) bytes, row 1 - v, of display-referred colors (N, 3), 0..1."""
-        from PIL import Image
-
         texels = np.zeros((TEXTURE_PX, TEXTURE_PX, 3), np.float32)
         texels[self._covered] = 255 * rgb[self._nearest].mean(axis=1)
         texels = filled(texels, self._covered)
         if self._ratio is None:
             return texels
         size = max(TEXTURE_PX, len(self._ratio))
-        smooth = np.asarray(Image.fromarray(texels).resize((size, size), Image.Resampling.BILINEAR), np.float32)
+        middles = (np.arange(size) + 0.5) / size
+        smooth = sample_bilinear(texels, np.stack(np.meshgrid(middles, 1 - middles), -1))
         finer = size // len(self._ratio)
         return np.rint((smooth * self._ratio.repeat(finer, 0).repeat(finer, 1)).clip(0, 255)).astype(np.uint8)
 

@@ -25,7 +25,9 @@ class GpuBlend:
         self._buffers: dict[str, Any] = {}
         self._pipeline: Any = None
 
-    def draw(self, inputs: dict[str, np.ndarray], planes: np.ndarray, cuts: tuple[float, float], *, fills: bool) -> None:
+    def draw(
+        self, inputs: dict[str, np.ndarray], planes: np.ndarray, cuts: tuple[float, float], *, fills: bool
+    ) -> None:
         """Draws into planes (5, H, W) float32. inputs: records (Gaussians, 16) float32, tile_start (tiles + 1,) and
         tile_list (pairs,) int32 as native/raster.h has them, in this order; cuts: its log2_alpha_min and t_stop; fills:
         whether it has `front`.

@@ -42,6 +42,7 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
 from jghand_engine.export.mesh import template_of
 from jghand_engine.export.motion import HandMotion, check_balls
+from jghand_engine.export.png import encode_png
 from jghand_engine.export.skin import SkinTexture, with_detail_in_colors
 from jghand_engine.export.usd.rig import (
     SKIN,
@@ -350,10 +351,9 @@ class _Writer:
         """Writes the texture of the mesh into `folder` and gives its name; empty for a hand without detail."""
         if avatar.detail is None:
             return ""
-        from jghand_engine.export.pictures import write_png
-
         texture = SkinTexture(avatar, template, self._cloud.rest_m)
-        write_png(folder / self.names.picture, texture.of_colors(linear_to_srgb(material_of(avatar).albedo)))
+        colors = texture.of_colors(linear_to_srgb(material_of(avatar).albedo))
+        (folder / self.names.picture).write_bytes(encode_png(colors))
         return self.names.picture
 
     def _flattened(self, interface: Path, target: Path) -> SplatLayer | None:
