@@ -23,7 +23,7 @@ from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX
 from jghand_engine.avatar.skin_task import NORMAL_LENGTH2_MIN
 
 # cosines to the eye over which skin that faces away fades out; of native/learned.h
-AWAY_FROM, AWAY_WIDTH = -0.7, 0.5
+AWAY_FROM, AWAY_WIDTH = -0.1, 0.2
 
 
 @dataclass(frozen=True)

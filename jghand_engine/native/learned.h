@@ -72,7 +72,7 @@ constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
 constexpr float LOBE_LOG2_MIN = -31.f;  // of a lobe's strength: less than 2^-31 of it is not seen, nor computed well
 constexpr int BONES = 20, ANCHORS_AROUND = 3, HARMONICS = 16;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
-constexpr float AWAY_FROM = -0.7f, AWAY_WIDTH = 0.5f;  // cosines over which skin that faces away fades out
+constexpr float AWAY_FROM = -0.1f, AWAY_WIDTH = 0.2f;  // cosines over which skin that faces away fades out
 constexpr int HIDDEN_MAX = 256;   // wider networks are refused: two layers of two blocks lie on the stack
 
 // One block's offset (canonical axes, meters) and shade by the linear tier.

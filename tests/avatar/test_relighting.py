@@ -64,7 +64,8 @@ def test_what_is_exported_of_a_lit_hand_is_what_its_renderer_shows_but_for_the_g
         # what faces away is darker there: it is seen through gaps
         assert (seen < posed.rgb + 1e-5).all()
         same += (np.abs(seen - posed.rgb) < 1e-5).all(1).mean()
-    assert same > 1
+    # of two views from opposite sides: each sees about half of the skin
+    assert same > 0.8
 
 
 def test_what_is_exported_of_a_known_hand_is_what_the_renderer_shows_without_a_scene():
