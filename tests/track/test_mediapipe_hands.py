@@ -71,14 +71,14 @@ def test_both_hands_of_a_picture_are_found():
 
 
 def test_a_small_hand_that_is_overlooked_is_found_by_the_second_look():
-    truth = right_joints_m(31)[30] + np.array([0.15, 0.0, 1.4])
+    truth = right_joints_m(31)[30] + np.array([0.15, 0.0, 1.8])
     picture = shown(Handedness.RIGHT, truth)
     with MediaPipeHands(follows=False) as detector:
         assert detector.detect(picture, 0.0) == [], "if it finds it today, take a smaller hand"
         found = SecondLook(detector, detector).detect(picture, 0.0)
     assert [hand.handedness for hand in found] == [Handedness.RIGHT]
     distance = np.linalg.norm(found[0].image_px - CAMERA.project(truth), axis=-1) / found[0].size_px
-    assert np.median(distance) < 0.1, "seen: 0.05"
+    assert np.median(distance) < 0.1, "seen: 0.06"
 
 
 def test_a_picture_without_a_hand_has_none():
