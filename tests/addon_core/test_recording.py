@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.errors import JGHandFailure
 from blender_addon.export.recording import (
     USD_PRESETS,
     Recording,
     avatar_digest,
-    check_place,
     file_names,
     usd_options,
-    with_file_name,
 )
-from blender_addon.hand.motion_files import read_motion
 from blender_addon.train.training_folder import capture_words, train_words
 
 
@@ -47,39 +43,11 @@ def test_names_of_objects_become_names_of_files_each_its_own(names, expected):
     assert all(name.isidentifier() and name.isascii() for name in found)
 
 
-def test_names_beyond_ascii_are_told_apart_in_exports_of_two_days():
-    assert file_names(["Рука"]) != file_names(["Ладонь"])
-
-
 def test_no_file_has_a_name_that_windows_keeps_for_a_device():
     assert file_names(["CON", "nul", "com1", "Console", "com10"]) == ["CON_", "nul_", "com1_", "Console", "com10"]
 
 
-def test_files_of_one_folder_have_folders_of_their_own():
-    assert with_file_name("//jghand_bake/{blend_name}", "/shots/one.blend") == "//jghand_bake/one"
-    assert with_file_name("//jghand_bake/{blend_name}", "") == "//jghand_bake/untitled"
-    assert with_file_name("//mine", "/shots/one.blend") == "//mine"
-
-
-@pytest.mark.parametrize(("folder", "saved", "fine"), [("", True, False), ("//x", False, False), ("//x", True, True)])
-def test_a_folder_beside_a_file_needs_a_file(folder, saved, fine):
-    if fine:
-        check_place(folder, saved=saved)
-    else:
-        with pytest.raises(JGHandFailure) as caught:
-            check_place(folder, saved=saved)
-        assert caught.value.kind == "no_place"
-
-
 # ---- motion files ----------------------------------------------------------------------------------------------------
-
-
-def test_a_motion_that_is_written_is_read_back_to_the_bit(tmp_path):
-    recording = a_recording()
-    recording.save(tmp_path / "motion.npz")
-    back = read_motion(tmp_path / "motion.npz")
-    assert (back.joints_m == recording.joints_m).all()
-    assert (back.fps, back.handedness, back.notes) == (24.0, "right", ())
 
 
 def test_the_engine_reads_it_back_too(tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import (
@@ -15,9 +14,7 @@ from blender_addon.core.view import (
     SceneLight,
     avatar_stamp,
     picture_request,
-    pinhole_from,
 )
-from jghand_engine.errors import InputError
 from jghand_engine.service.image_request import read_request
 from jghand_engine.service.protocol import Message
 
@@ -79,15 +76,6 @@ def test_a_light_arrives_with_its_lamps_and_its_world():
     assert dark.light.radiance is None
 
 
-@pytest.mark.parametrize(
-    ("world", "picture"), [({}, np.ones((2, 4, 3))), ({"key": "a"}, None), ({"key": "a"}, np.ones((2, 2000, 3)))]
-)
-def test_a_world_without_key_or_picture_is_refused(world, picture):
-    light = SceneLight((), world, picture)
-    with pytest.raises(InputError):
-        understood(*picture_request([Moment(VIEW, HANDS)], outputs=["rgba_f32"], preset="draft", light=light))
-
-
 def test_settings_lens_and_rays_arrive():
     view = replace(VIEW, aperture_m=0.01, focus_m=0.7)
     request, _ = understood(*picture_request([Moment(view, HANDS)], outputs=["ids"], preset="final", budget_ms=9.5))
@@ -117,34 +105,6 @@ def test_moments_arrive_in_their_order_with_their_weights():
         came = exposure.camera_from_world @ exposure.world_from_hand
         wanted = [moment.view.camera_from_world @ hand.world_from_hand for hand in moment.hands]
         np.testing.assert_allclose(came, wanted, atol=1e-9)
-
-
-def test_parallel_rays_project_what_is_far_as_large_as_what_is_near():
-    view = Pinhole(96, 64, 200.0, 200.0, 48.0, 32.0, np.eye(4), orthographic=True)
-    near, far = view.project(np.array([[0.1, -0.05, 0.3], [0.1, -0.05, 30.0]]))
-    assert near[:2] == pytest.approx((68.0, 22.0))
-    assert far[:2] == pytest.approx(near[:2])
-    assert far[2] == 30.0
-
-
-def test_a_perspective_of_blenders_is_a_pinhole():
-    """A point 2 m before the camera, 0.3 to the right and 0.2 up, through a shifted lens."""
-    projection = np.zeros((4, 4))
-    projection[0, 0], projection[1, 1], projection[0, 2], projection[1, 2], projection[3, 2] = 2.0, 3.0, 0.1, -0.2, -1.0
-    view = pinhole_from(projection, np.eye(4), (200, 100), 0.01, orthographic=False)
-    point = np.array([0.3, 0.2, -2.0])
-    clip = projection @ (*point, 1.0)
-    wanted = (100 * (1 + clip[0] / clip[3]), 50 * (1 - clip[1] / clip[3]), 2.0)
-    np.testing.assert_allclose(view.project(point), wanted, atol=1e-12)
-
-
-def test_an_orthographic_view_of_blenders_keeps_its_scale_in_any_unit():
-    projection = np.diag([2.0, 3.0, -0.1, 1.0])
-    projection[:2, 3] = 0.1, -0.2
-    view = pinhole_from(projection, np.eye(4), (200, 100), 0.01, orthographic=True)
-    point = np.array([0.3, 0.2, -2.0])  # scene units
-    clip = projection @ (*point, 1.0)
-    np.testing.assert_allclose(view.project(0.01 * point), (100 * (1 + clip[0]), 50 * (1 - clip[1]), 0.02), atol=1e-12)
 
 
 def test_the_stamp_of_an_avatar_changes_with_its_file(tmp_path):
