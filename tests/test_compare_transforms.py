@@ -29,12 +29,6 @@ def test_our_matrices_hit_every_joint(scores, name):
     assert scores[name].joints_matrices_mm < 1e-9  # worst observed 3e-14
 
 
-@pytest.mark.parametrize("name", ["ours, uniform", "ours, axial"])
-def test_skin_at_a_joint_is_blended_and_misses_it_by_a_little(scores, name):
-    """METHOD 3.5: neighboring bones have weight there, too."""
-    assert 0.1 < scores[name].joints_skinned_mm < 1  # observed 0.17
-
-
 def test_our_skin_is_nearest_to_the_truth(scores):
     for ours in ("ours, uniform", "ours, axial"):
         for other in ("naive", "HALO-like"):
@@ -42,25 +36,11 @@ def test_our_skin_is_nearest_to_the_truth(scores):
             assert scores[ours].skin_mm < scores[other].skin_mm
 
 
-def test_a_skin_of_its_own_lengths_misses_the_joints_of_another_hand_by_the_other_transforms(scores):
-    assert scores["HALO-like"].joints_matrices_mm > 1
-    assert scores["naive"].joints_matrices_mm > 0.3
-
-
-def test_joints_by_blended_matrices_are_measured_apart_from_those_by_their_own(scores):
-    assert 0.05 < scores["ours, axial"].joints_skinned_mm < 1
-
-
 def test_chamfer_counts_both_ways():
     """Every point of one surface lies on the other, which has one more, 8 m away: nothing one way, 4 m the other."""
     joints_m, one, two = np.zeros((21, 3)), np.zeros((2, 3)), np.array([[0.0, 0, 0], [8.0, 0, 0]])
     for skin, truth_m in ((one, two), (two, one)):
         assert list(_distances_m((joints_m, joints_m, skin), joints_m, truth_m)) == [0, 0, 2, 4]
-
-
-def test_nothing_reproduces_the_skin_of_another_hand_exactly(scores):
-    """No inverse crime: the truth has another shape and another rig."""
-    assert all(score.chamfer_mm > 0.3 for score in scores.values())
 
 
 def test_the_table_holds_the_mean_of_all_hands_with_its_spread_the_papers_rows_and_the_caveat(scores):

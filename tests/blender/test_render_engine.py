@@ -3,6 +3,7 @@ nothing. A stand-in engine draws discs; at the end the real one draws a hand."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -213,33 +214,6 @@ def test_every_view_layer_shows_its_own_hands(scene, tmp_path):
 
 # ---- what a scene may ask for ---------------------------------------------------------------------------------------
 
-VIEWS = {
-    "half size": {"resolution_percentage": 50},
-    "oblong pixels": {"pixel_aspect_x": 1.6},
-    "upright pixels": {"pixel_aspect_y": 1.4},
-    "shifted": {"shift_x": 0.12, "shift_y": -0.2},
-    "orthographic": {"type": "ORTHO", "ortho_scale": 0.3},
-    "orthographic, shifted, oblong": {"type": "ORTHO", "ortho_scale": 0.3, "shift_y": 0.1, "pixel_aspect_x": 1.6},
-}
-
-
-@pytest.mark.parametrize("settings", VIEWS.values(), ids=VIEWS.keys())
-def test_joints_are_drawn_where_blender_projects_them(scene, settings):
-    camera.set_picture_size(scene.render, 4 * SIZE[0], 4 * SIZE[1])
-    for name, value in settings.items():
-        owner = scene.render if hasattr(scene.render, name) else scene.camera.data
-        setattr(owner, name, value)
-    picture = f12()
-    size = camera.picture_size(scene.render)
-    assert picture.shape == (*size[::-1], 4)
-    (hand,) = armature.hands_at_any_frame(bpy.context.view_layer)
-    seen = armature.read_hand(hand, bpy.context.evaluated_depsgraph_get())
-    places = hands.blenders_pixels(scene, scene.camera, seen.joints_world_m, size)
-    inside = [place for place in places if (place > 4).all() and (place < np.array(size) - 4).all()]
-    assert len(inside) > 5
-    assert all(picture[int(row), int(column), 3] == 1 for column, row in inside)
-    assert 0 < (picture[..., 3] == 1).sum() < 0.2 * picture[..., 3].size
-
 
 @pytest.mark.parametrize("region", [(0.25, 0.8, 0.1, 0.55), (0.0, 0.333, 0.501, 1.0), (0.41, 0.421, 0.0, 1.0)])
 def test_a_region_is_the_same_part_of_the_whole_picture(scene, region):
@@ -290,16 +264,6 @@ def asked_for() -> Iterator[list[dict]]:
     link.request = spy
     yield headers
     del link.request
-
-
-def test_the_avatar_of_each_hand_is_asked_for(scene, tmp_path, asked_for):
-    avatar = tmp_path / "mine.jghand"
-    bpy.data.objects["right"].jghand.avatar = str(avatar)
-    avatar.touch()
-    scene.jghand.render_preset = "draft"
-    f12()
-    assert [hand["avatar"] for hand in asked_for[0]["hands"]] == [str(avatar)]
-    assert asked_for[0]["settings"] == {"preset": "draft", "budget_ms": None}
 
 
 def test_persistent_data_do_not_hide_what_was_changed(scene, tmp_path, asked_for):
@@ -463,38 +427,32 @@ def test_a_mistake_of_our_own_fails_the_render_instead_of_writing_an_empty_pictu
     assert "Traceback" in capsys.readouterr().err
 
 
+@contextlib.contextmanager
+def linked_to(link: EngineLink) -> Iterator[None]:
+    before, runtime._link = runtime._link, link
+    try:
+        yield
+    finally:
+        runtime._link = before
+
+
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [("die", "stopped unexpectedly"), ("memory", "Out of memory"), ("bug", "Internal error")],
+    [
+        ("die", "stopped unexpectedly"),
+        ("memory", "Out of memory"),
+        ("bug", "Internal error"),
+        ("slow", "does not answer in time"),
+    ],
 )
-def test_an_engine_that_fails_fails_the_render(scene, stand_in_command, fault, words):
-    before = runtime.link()
-    faulty = EngineLink(lambda: [*stand_in_command, fault])
-    runtime._link = faulty
-    try:
-        refused_once(scene, words)
-    finally:
-        runtime._link = before
-        faulty.close()
+def test_an_engine_that_fails_or_takes_too_long_fails_the_render(scene, stand_in_command, monkeypatch, fault, words):
+    if fault == "slow":
+        monkeypatch.setattr(render_engine, "REQUEST_S", 0.2)
+    with contextlib.closing(EngineLink(lambda: [*stand_in_command, fault])) as faulty, linked_to(faulty):
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.render.render(animation=True)
+        assert not list(Path(scene.render.filepath).parent.glob("*.png"))
     assert f12().any()
-
-
-def refused_once(scene: bpy.types.Scene, words: str) -> None:
-    with pytest.raises(RuntimeError, match=words):
-        bpy.ops.render.render(animation=True)
-    assert not list(Path(scene.render.filepath).parent.glob("*.png"))
-
-
-def test_a_picture_that_takes_too_long_fails_the_render(scene, stand_in_command, monkeypatch):
-    before = runtime.link()
-    slow = EngineLink(lambda: [*stand_in_command, "slow"])
-    runtime._link = slow
-    monkeypatch.setattr(render_engine, "REQUEST_S", 0.2)
-    try:
-        refused_once(scene, "does not answer in time")
-    finally:
-        runtime._link = before
-        slow.close()
 
 
 # ---- Blender's other ways to render ---------------------------------------------------------------------------------
@@ -537,22 +495,14 @@ def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
     link.close()
 
 
-def with_link(link: EngineLink):
-    runtime._link, before = link, runtime.link()
-    return before
-
-
 @pytest.mark.parametrize(("dither", "steps"), [(0.0, 1.0), (1.0, 1.5)])
 def test_under_standard_the_picture_is_the_engines_own(scene, real_engine, dither, steps):
     """Premultiplied and within one 8-bit step, at edges and inside. Blender's writer dithers by half a step more,
     unless that is off."""
     scene.render.dither_intensity = dither
-    before = with_link(real_engine)
-    try:
+    with linked_to(real_engine):
         (wanted,) = asked(scene, "rgba_f32")
         came = f12()
-    finally:
-        runtime._link = before
     assert 0.05 < (wanted[..., 3] > 0.5).mean() < 0.8
     assert (wanted[..., 3] > 0.02).sum() > (wanted[..., 3] > 0.98).sum() + 50  # there are soft edges
     premultiplied = np.concatenate([came[..., :3] * came[..., 3:], came[..., 3:]], -1)
@@ -564,14 +514,11 @@ def test_under_standard_the_picture_is_the_engines_own(scene, real_engine, dithe
 def test_depth_of_field_and_bones_come_from_the_real_engine(scene, real_engine, tmp_path):
     scene.view_layers[0].use_pass_z = scene.jghand.use_pass_ids = True
     scene.jghand.render_preset = "draft"
-    before = with_link(real_engine)
-    try:
+    with linked_to(real_engine):
         sharp = layers(scene, tmp_path)
         depth_of_field = scene.camera.data.dof
         depth_of_field.use_dof, depth_of_field.aperture_fstop, depth_of_field.focus_distance = True, 0.8, 0.9
         blurred = layers(scene, tmp_path)
-    finally:
-        runtime._link = before
     edge = [np.abs(np.diff(passes["Combined.A"], axis=1)).max() for passes in (sharp, blurred)]
     assert edge[1] < 0.6 * edge[0]
     np.testing.assert_allclose(blurred["Depth.Z"], sharp["Depth.Z"], rtol=1e-5)

@@ -225,15 +225,6 @@ def never():
     raise AssertionError("refused too late: the model was built")
 
 
-def test_a_folder_with_a_training_wants_to_be_told_what_to_do(options):
-    train(StandIn, options)
-    with pytest.raises(InputError, match=r"--resume.*--fresh"):
-        train(never, options)
-    outcome = train(StandIn, replace(options, start=Start.FRESH, budget=Budget(steps=10)))
-    assert outcome.state.step == 10
-    assert [step for step, *_ in curve(options.work)] == [5, 10]
-
-
 def test_a_folder_with_other_things_is_refused(options):
     options.work.mkdir()
     (options.work / "thesis.tex").write_text("years of work")

@@ -358,17 +358,6 @@ def test_a_gradient_that_is_not_finite_changes_nothing(build):
     assert [name for name, tensor in training.tensors().items() if not torch.equal(tensor, before[name])] == []
 
 
-def test_steps_make_the_pictures_more_alike(build):
-    training = build(scheduled(waves=None, strides=((0.0, 1),), levels=((0.0, 1.0),), warm_up_steps=1), moved=False)
-    training.plan(100)
-    training._refine(0.0)
-    before = training.fixed_psnr()
-    for number in range(100):
-        training.step(number)
-    # observed: 0.82 dB; 300 small Gaussians do not fill the discs so soon
-    assert training.fixed_psnr() > before + 0.6
-
-
 # ---- conventions -----------------------------------------------------------------------------------------------------
 
 

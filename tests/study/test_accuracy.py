@@ -16,15 +16,15 @@ from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
-from jghand_engine.render.timing import Measurement, frame_case, measure
+from jghand_engine.render.timing import Measurement, frame_case
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants
 from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than, pareto_front
-from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Growth, Reach, growth_cases
+from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Reach
 from jghand_engine.study.accuracy_measures import (
     Plan,
     measure_accuracy,
 )
-from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
+from jghand_engine.study.accuracy_reference import Error, ExactPictures64, spread_poses
 from jghand_engine.study.accuracy_variants import (
     AXES,
     CORRECTIVES,
@@ -83,14 +83,6 @@ def test_a_painted_hand_has_no_correctives_to_compare():
     assert not [one for one in found if one.axis == CORRECTIVES]
 
 
-def test_another_form_of_the_correctives_is_a_choice_that_says_how_it_is_made():
-    avatar = trained_avatar(100)
-    choices = [one for one in variants(avatar, SMALL, linear_tiers(avatar)) if one.axis == TOGETHER]
-    made = {one.made_by for one in choices if one.avatar is not None}
-    assert made == {"jghand distill --basis 2", "jghand distill --basis 3"}
-    assert all(bool(one.made_by) is (one.avatar is not None) for one in choices)
-
-
 # ---- errors ----------------------------------------------------------------------------------------------------------
 
 
@@ -122,13 +114,6 @@ def test_an_error_is_that_of_all_pictures_together():
     error = exact.error(lambda pose_m: exact.pictures[int(not np.array_equal(pose_m, exact.poses_m[0]))] + next(off))
     assert error.worst == pytest.approx(0.1)
     assert error.psnr_db == pytest.approx(-10 * np.log10(0.005))
-
-
-def test_large_pictures_are_drawn_in_double_precision_less_often(monkeypatch):
-    assert pose_count((512, 334)) == 2  # as set above
-    monkeypatch.setattr(accuracy_reference, "POSES", 6)
-    assert pose_count((512, 334)) == 6
-    assert pose_count((3840, 2160)) == 2
 
 
 # ---- the whole -------------------------------------------------------------------------------------------------------
@@ -173,15 +158,6 @@ def test_the_front_has_nothing_that_is_both_slower_and_worse():
     assert pareto_front([(1, 5, "a"), (1, 6, "b"), (2, 6, "c")]) == ["b"]
 
 
-@needs_native
-def test_many_hands_are_all_in_the_picture():
-    cases = list(growth_cases(small_avatar(60), SMALL, replace(PRESETS["viewport"], reuse=False), SHORT))
-    reports = {case.name: case.run() for case in cases if case.section.endswith(HANDS)}
-    assert {name: report.gaussians for name, report in reports.items() if report} == {"1": 60, "2": 120}
-    points = Growth.of(measure(cases, rounds=1, warm_up=0))
-    assert len(points) == len(cases)
-
-
 # ---- words and front -------------------------------------------------------------------------------------------------
 
 
@@ -204,15 +180,6 @@ def test_the_headline_says_what_less_time_takes_away():
     assert made_up(*rows).headline == "14 ms: looks the same; 6 ms: soft fingertips"
     assert made_up(rows[0]).headline == "3 ms: soft fingertips"
     assert made_up().headline == "nothing can be chosen"
-
-
-def test_the_headline_may_name_what_has_to_be_distilled_first():
-    linear = replace(row("linear, K = 16", 6, 46, looks="looks the same"), made_by="jghand distill --basis 16")
-    found = made_up(
-        row("viewport", 5, 41, looks="nearly the same"), linear, row("final", 10, 68, looks="looks the same")
-    )
-    assert found.headline == "6 ms: looks the same, after `jghand distill --basis 16`; 5 ms: nearly the same"
-    assert "linear, K = 16: after `jghand distill --basis 16`." in found.tables()[0].notes
 
 
 def test_the_headline_says_what_pictures_of_a_capture_say():
@@ -254,13 +221,6 @@ def test_every_setting_is_compared_with_the_same_pictures_of_a_capture(tmp_path,
     drawn = [draw(one.joints_m, one.handedness, one.camera)[..., :3] for one in truth.samples]
     own_db = [psnr(ours.clip(0, 1), picture.rgb) for ours, picture in zip(drawn, pictures, strict=True)]
     assert scores["draft"].psnr_db == pytest.approx(np.mean(own_db))
-
-
-def test_a_hundred_pictures_and_more_are_taken_evenly_from_the_kinds_that_there_are():
-    assert accuracy_measures.pictures_of_each([96, 72, 16], 120) == 52
-    assert accuracy_measures.pictures_of_each([5], 120) == 120
-    assert accuracy_measures.pictures_of_each([40, 40, 40], 9) == 3
-    assert accuracy_measures.PICTURES >= 100
 
 
 @needs_native

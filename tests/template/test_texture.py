@@ -39,15 +39,6 @@ def test_values_are_laid_out_as_texel_by_texel(seed: int):
     np.testing.assert_allclose(got[0], want[0], atol=1e-11)
 
 
-def test_a_triangle_reaches_the_first_and_the_last_texel():
-    whole = np.array([[[0.0, 0], [1, 0], [0, 1]], [[1.0, 1], [0, 1], [1, 0]]])
-    values, covered = rasterize_uv(whole, whole, 7)
-    assert covered.all()
-    column, row = np.meshgrid(np.arange(7), np.arange(7))
-    np.testing.assert_allclose(values[..., 0], (column + 0.5) / 7, atol=1e-12)
-    np.testing.assert_allclose(values[..., 1], 1 - (row + 0.5) / 7, atol=1e-12)
-
-
 @pytest.mark.parametrize("shape", [(5, 9), (1, 1), (1, 6), (8, 2)])
 def test_lookups_are_those_of_scipy(shape: tuple[int, int]):
     random = np.random.default_rng(0)
