@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -61,15 +61,14 @@ class Reporting:
         ui.redraw()
         return DONE
 
-    def tell(self, *sentences: str) -> None:
-        """One report of all that was done, none of nothing."""
-        text = " ".join(sentence for sentence in sentences if sentence)
+    def tell(self, *sentences: str, doubts: Sequence[str] = ()) -> None:
+        """One report of all that was done, none of nothing. doubts: what an artist should look at"""
+        text = " ".join(sentence for sentence in (*sentences, *doubts) if sentence)
         if text:
-            self.report(INFO, text)
+            self.report(WARNING if doubts else INFO, text)
 
     def warn(self, *sentences: str) -> None:
-        """The same for what an artist should look at."""
-        self.report(WARNING, " ".join(sentences))
+        self.tell(doubts=sentences)
 
 
 class Elsewhere(float):
@@ -275,9 +274,12 @@ def active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
     return thing if thing is not None and armature.is_hand(thing) else None
 
 
-def chosen_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
-    hands = [thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None]
-    return list(dict.fromkeys(hand for hand in hands if armature.is_hand(hand)))
+def chosen_hands(
+    context: bpy.types.Context, wanted: Callable[[bpy.types.Object], bool] = armature.is_hand
+) -> list[bpy.types.Object]:
+    """The active one first, then those that are selected."""
+    things = dict.fromkeys((context.object, *context.view_layer.objects.selected))
+    return [thing for thing in things if thing is not None and wanted(thing)]
 
 
 def poll_hand(operator: type, context: bpy.types.Context) -> bool:

@@ -115,12 +115,15 @@ def figure(layout: bpy.types.UILayout, line: Line) -> None:
 PANELS = ("VIEW_3D", "PROPERTIES", "PREFERENCES")
 
 
-def redraw(*kinds: str) -> None:
-    """All areas of these types, in every window; without any: views and their sidebars."""
+def areas(*kinds: str) -> Iterator[tuple[bpy.types.Window, bpy.types.Area]]:
+    """Those of these types, in every window; without any: 3D views and their sidebars."""
     for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in (kinds or ("VIEW_3D",)):
-                area.tag_redraw()
+        yield from ((window, area) for area in window.screen.areas if area.type in (kinds or ("VIEW_3D",)))
+
+
+def redraw(*kinds: str) -> None:
+    for _, area in areas(*kinds):
+        area.tag_redraw()
 
 
 # what is shown when the timer comes to it: a sentence, its icon, its operators

@@ -12,7 +12,23 @@ lamps           Blender's lights as the engine's lamps (numpy)
 worlds          pictures of a world: averaged, or from what a light probe measured; facets for baked light (numpy)
 film            that picture as Blender's passes (numpy)
 files           files that appear under their name only when they are whole
-wire            what extension and engine share: the protocol, and how other people name the bones of a hand
 pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show
 panel_text      what panels say: the renderer's state, a picture's receipt, a bone map
+
+And what extension and engine share: `protocol`, and `conventions`, how other people name the bones of a hand. The
+extension's build copies them here; a checkout has them there.
 """
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+# the file decides, not whether its import works: a broken copy must not be taken for a missing one
+if TYPE_CHECKING or not Path(__file__).with_name("protocol.py").is_file():
+    from jghand_engine.motion import conventions
+    from jghand_engine.service import protocol
+else:
+    from . import conventions, protocol
+
+__all__ = ["conventions", "protocol"]

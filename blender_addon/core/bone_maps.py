@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from ..errors import JGHandFailure
+from . import conventions
 from .joints import FINGERS, HANDEDNESSES, NAMES, OTHER, TIPS
-from .wire import conventions
 
 # so many of the 16 joints other than tips must have a bone before a convention counts as recognized: a wrist and one
 # finger. Fewer are chance hits (a lone "wrist" empty)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from . import protocol
 from .joints import MIDDLE, WRIST
 from .posing import forearm_rotations
 from .stand_in import FINE_POINTS, points_m
-from .wire import protocol
 
 # a hand is looked at from near: where new cameras, and the part of a view that can show hands, begin, meters
 CLIP_START_M = 0.01

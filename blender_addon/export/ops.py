@@ -218,9 +218,7 @@ def _clean(made: Sequence[_NewBake]) -> None:
 
 def _poll_baked(operator: type, context: bpy.types.Context) -> bool:
     thing = context.object
-    if thing is None or not thing.jghand.bake:
-        return missing(operator, "Select a hand that was baked")
-    return True
+    return (thing is not None and bool(thing.jghand.bake)) or missing(operator, "Select a hand that was baked")
 
 
 class PlayBake(Reporting, bpy.types.Operator):

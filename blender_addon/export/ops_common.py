@@ -19,7 +19,7 @@ from ..core.view import HandInSpace
 from ..errors import JGHandFailure
 from ..hand import armature, avatar_files, sources
 from ..hand.seen_hands import avatar_of
-from ..ops import DONE, InTurns, followed, missing, seen_frames
+from ..ops import DONE, InTurns, chosen_hands, followed, missing, seen_frames
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from .recording import Recording, check_place, file_names, with_file_name
@@ -112,11 +112,9 @@ class StartsJob(InTurns):
 
 
 def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:
-    layer = context.view_layer
     if context.scene.jghand.output.hands == "all":
-        return armature.hands_at_any_frame(layer)
-    chosen = {thing for thing in (context.object, *layer.objects.selected) if thing is not None}
-    return sorted(filter(armature.is_any_hand, chosen), key=lambda thing: thing.name)
+        return armature.hands_at_any_frame(context.view_layer)
+    return sorted(chosen_hands(context, armature.is_any_hand), key=lambda thing: thing.name)
 
 
 def frames_to_write(context: bpy.types.Context) -> range:
@@ -200,9 +198,8 @@ def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
 
 
 def poll_job(operator: type, key: str) -> bool:
-    if runtime.jobs().runs(key):
-        return missing(operator, "This is running already: wait until it has ended, or cancel it")
-    return True
+    text = "This is running already: wait until it has ended, or cancel it"
+    return not runtime.jobs().runs(key) or missing(operator, text)
 
 
 def place(context: bpy.types.Context, text: str) -> Path:

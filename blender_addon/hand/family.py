@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 import bpy.utils.previews
+from bpy_extras.io_utils import ImportHelper
 
 from .. import folders
 from ..core.view import BUILTIN_AVATAR
@@ -52,29 +53,22 @@ class JGHandChoice(bpy.types.PropertyGroup):
     hand: bpy.props.EnumProperty(name="Hand", description="The hand that Add Hand adds", items=items)
 
 
-class InstallHands(Reporting, bpy.types.Operator):
+class InstallHands(Reporting, ImportHelper, bpy.types.Operator):
     bl_idname = "jghand.install_hands"
     bl_label = "Install Hands"
     bl_description = "Choose a zip of hands: they are offered by Add Hand from then on, in every file"
     bl_options = REGISTERED
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filename_ext = ".zip"
     filter_glob: bpy.props.StringProperty(default="*.zip", options={"HIDDEN"})
 
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def run(self, context: bpy.types.Context) -> None:
+    def run(self, _context: bpy.types.Context) -> None:
         path = Path(bpy.path.abspath(self.filepath))
         if not path.is_file():
             raise JGHandFailure("bad_pack", str(path))
         names, broken = avatar_files.unpack(path, folders.user_folder(HANDS))
-        told = f"Installed hands: {', '.join(names) or '0'}."
-        if broken:
-            self.warn(told, f"Damaged, and left out: {', '.join(broken)}. Get the zip again.")
-        else:
-            self.tell(told)
+        doubts = [f"Damaged, and left out: {', '.join(broken)}. Get the zip again."] if broken else []
+        self.tell(f"Installed hands: {', '.join(names) or '0'}.", doubts=doubts)
 
 
 CLASSES = (JGHandChoice, InstallHands)

@@ -15,7 +15,7 @@ from mathutils import Vector
 from .. import folders, versions
 from .. import ops as common
 from ..core import bone_maps, posing
-from ..core.bone_maps import BoneMap, Recognition
+from ..core.bone_maps import BoneMap
 from ..core.joints import FOREARM, HANDEDNESSES, NAMES, RIGHT
 from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
@@ -32,6 +32,11 @@ FLAT_DETERMINANT = 1e-12
 HOLDER_SHAPE_M = 0.02
 
 _EITHER = (("BOTH", "Both", "Every hand that is found", "NONE", -1), *HANDS)
+
+
+def _sides(handedness: str) -> tuple[str, ...]:
+    """Those that one of _EITHER means."""
+    return HANDEDNESSES if handedness == "BOTH" else (handedness,)
 
 
 class AddHand(Reporting, bpy.types.Operator):
@@ -71,13 +76,10 @@ class AddHand(Reporting, bpy.types.Operator):
         scene_light.follow(context.scene, [hand])
         stand_ins.update()
         context.view_layer.update()
-        told = f"Added {hand.name}."
+        more = " and keeps lamps from it" if scene_light.is_chosen(context.scene) else ""
         around = next(_meshes_around(context, hand.location), None)
-        if around is not None:
-            more = " and keeps lamps from it" if scene_light.is_chosen(context.scene) else ""
-            self.warn(told, f"It is inside {around.name}, which hides it in the viewport{more}.")
-        else:
-            self.tell(told)
+        hidden = f"It is inside {around.name}, which hides it in the viewport{more}." if around is not None else ""
+        self.tell(f"Added {hand.name}.", doubts=[hidden] if hidden else [])
 
 
 class AddForearmBone(Reporting, bpy.types.Operator):
@@ -91,9 +93,7 @@ class AddForearmBone(Reporting, bpy.types.Operator):
         hand = context.object
         if hand is None or not armature.is_hand(hand):
             return missing(cls, "Select a hand")
-        if armature.has_forearm_bone(hand):
-            return missing(cls, "This hand has one already")
-        return True
+        return not armature.has_forearm_bone(hand) or missing(cls, "This hand has one already")
 
     def run(self, context: bpy.types.Context) -> None:
         hand = context.object
@@ -136,7 +136,7 @@ class UseArmature(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         rig = context.object
-        found = _recognized(rig, self.handedness)
+        found = [sources.recognize(rig, side) for side in _sides(self.handedness)]
         maps = [one.candidates[: self.answer][-1] for one in found if one.candidates]
         doubts = [one.sentences[0] for one in found if len(one.candidates) > 1]
         if doubts:
@@ -156,7 +156,8 @@ class UseArmature(Reporting, bpy.types.Operator):
         elif doubts or not all(bone_map.complete for bone_map in maps):
             self.warn(*doubts, *(text for bone_map in maps for text in bone_map.missing))
         else:
-            self.tell(*(text for one in found if one.candidates for text in _told(one)))
+            known = [one for one in found if one.candidates]
+            self.tell(*(text for one in known for text in (f"{one.handedness.capitalize()}:", *one.sentences)))
 
 
 class UseObjects(Reporting, bpy.types.Operator):
@@ -183,8 +184,7 @@ class UseObjects(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         things = list(context.view_layer.objects.selected)
-        sides = HANDEDNESSES if self.handedness == "BOTH" else (self.handedness,)
-        found = [sources.recognize_objects(things, side) for side in sides]
+        found = [sources.recognize_objects(things, side) for side in _sides(self.handedness)]
         maps = [one.bone_map for one in found if one.bone_map is not None and one.bone_map.complete]
         if not maps:
             near = next((one for one in found if one.candidates), found[0])
@@ -249,11 +249,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         sources.store_map(rig, bone_map)
         sources.prepare(rig)
         count = sum(old is None and new is not None for old, new in zip(kept, filled, strict=True))
-        told = f"{count} of 21 bones found by name."
-        if bone_map.complete:
-            self.tell(told)
-        else:
-            self.warn(told, *bone_map.missing)
+        self.tell(f"{count} of 21 bones found by name.", doubts=bone_map.missing)
 
 
 class Forget(Reporting, bpy.types.Operator):
@@ -364,8 +360,7 @@ class DropAvatar(bpy.types.FileHandler):
 
 
 def _any_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
-    chosen = {thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None}
-    return [thing for thing in chosen if armature.is_any_hand(thing)]
+    return common.chosen_hands(context, armature.is_any_hand)
 
 
 def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -380,16 +375,6 @@ def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.
     common.link_to_active_collection(context, camera)
     context.scene.camera = camera
     return camera
-
-
-def _recognized(rig: bpy.types.Object, handedness: str) -> list[Recognition]:
-    sides = HANDEDNESSES if handedness == "BOTH" else (handedness,)
-    return [sources.recognize(rig, side) for side in sides]
-
-
-def _told(found: Recognition) -> list[str]:
-    """What to tell of one hand: which it is, and the sentences."""
-    return [f"{found.handedness.capitalize()}:", *found.sentences]
 
 
 def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.types.Object]:

@@ -216,15 +216,10 @@ class KeysFile(FromFile):
         ]
         if stiff:
             notes.append(f"The turn of the forearm is left out on {', '.join(stiff)}: its bones are shared, or linked.")
-        if notes:
-            self.warn(*done, *notes)
-        else:
-            self.tell(*done)
+        self.tell(*done, doubts=notes)
 
 
 class ImportMotion(KeysFile, bpy.types.Operator):
-    """Operator: a motion file onto a hand."""
-
     bl_idname = "jghand.import_motion"
     bl_label = "Import Motion"
     bl_description = (
@@ -340,8 +335,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
 
 
 class TrackVideo(KeysFile, bpy.types.Operator):
-    """Operator: the hands in a video, keyed."""
-
     bl_idname = "jghand.track_video"
     bl_label = "Track Video"
     bl_description = (
@@ -444,8 +437,6 @@ class TrackVideo(KeysFile, bpy.types.Operator):
 
 
 class MotionDrop(bpy.types.FileHandler):
-    """Motion files dropped into the viewport."""
-
     bl_idname = "JGHAND_FH_motion"
     bl_label = "JGHand motion"
     bl_import_operator = "jghand.import_motion"
@@ -453,7 +444,6 @@ class MotionDrop(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Where it may be dropped."""
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
@@ -461,7 +451,6 @@ CLASSES = (ImportMotion, TrackVideo, MotionDrop)
 
 
 def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
-    """In Blender's own File > Import."""
     self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv, .bvh, .usd, …)")
 
 

@@ -25,8 +25,6 @@ _WARNINGS = 2
 
 
 class HandPanel(Sidebar, bpy.types.Panel):
-    """Hand."""
-
     bl_idname = "VIEW3D_PT_jghand_hand"
     bl_label = "Hand"
     bl_order = ui.HAND
@@ -47,7 +45,7 @@ class HandPanel(Sidebar, bpy.types.Panel):
             ui.paragraph(layout, context, hint, icon="INFO")
         hand = ui.active(context)
         if hand is not None:
-            _draw_active(layout, hand)
+            ui.settings(layout).prop(hand.jghand, "avatar", placeholder="Built-in")
         _draw_add(layout, context, icon="ADD")
         _draw_existing(layout, context)
 
@@ -122,12 +120,6 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
         ui.explained(layout, line, icon="ERROR")
 
 
-def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:
-    """The settings of the active hand."""
-    column = ui.settings(layout)
-    column.prop(hand.jghand, "avatar", placeholder="Built-in")
-
-
 def _icon(hand: bpy.types.Object) -> str:
     if armature.is_hand(hand):
         return "VIEW_PAN"
@@ -135,8 +127,6 @@ def _icon(hand: bpy.types.Object) -> str:
 
 
 class CardPanel(Sidebar, bpy.types.Panel):
-    """What the avatar of the active hand says of itself."""
-
     bl_idname = "VIEW3D_PT_jghand_card"
     bl_label = "Avatar Details"
     bl_parent_id = HandPanel.bl_idname
@@ -175,7 +165,6 @@ class JointList(bpy.types.UIList):
     bl_idname = "JGHAND_UL_joints"
 
     def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property):
-        """One row."""
         rig = item.id_data
         row = layout.split(factor=0.28)
         row.label(text=item.name, translate=False)
@@ -193,8 +182,6 @@ class JointList(bpy.types.UIList):
 
 
 class BonesPanel(Sidebar, bpy.types.Panel):
-    """Bones."""
-
     bl_idname = "VIEW3D_PT_jghand_bones"
     bl_label = "Bones"
     bl_order = ui.BONES
@@ -257,8 +244,6 @@ def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, holder
 
 
 class PosePanel(Sidebar, bpy.types.Panel):
-    """Pose."""
-
     bl_idname = "VIEW3D_PT_jghand_pose"
     bl_label = "Pose"
     bl_order = ui.POSE
@@ -278,8 +263,6 @@ class PosePanel(Sidebar, bpy.types.Panel):
 
 
 class ControlsPanel(Sidebar, bpy.types.Panel):
-    """Finger controls."""
-
     bl_idname = "VIEW3D_PT_jghand_controls"
     bl_label = "Finger Controls"
     bl_parent_id = PosePanel.bl_idname
@@ -341,8 +324,6 @@ class PinsPanel(Sidebar, bpy.types.Panel):
 
 
 class MotionPanel(ui.HandSidebar, bpy.types.Panel):
-    """Motion."""
-
     bl_idname = "VIEW3D_PT_jghand_motion"
     bl_label = "Import Motion"
     bl_order = ui.MOTION

@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 from mathutils import Quaternion, Vector
 
-from .. import clock, versions
+from .. import clock, ui, versions
 from ..core import controls as control_numbers
 from ..core.controls import CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS, NAMES, WRIST
@@ -236,12 +236,7 @@ def _library() -> bpy.types.UserAssetLibrary | None:
 def _try_to_show() -> float | None:
     global _tries_left
     _tries_left -= 1
-    spaces = [
-        area.spaces.active
-        for window in bpy.context.window_manager.windows
-        for area in window.screen.areas
-        if area.type == "VIEW_3D"
-    ]
+    spaces = [area.spaces.active for _, area in ui.areas()]
     ready = [space for space in spaces if not space.is_property_readonly("show_region_asset_shelf")]
     for space in ready:
         space.show_region_asset_shelf = True

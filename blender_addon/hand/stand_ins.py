@@ -16,14 +16,13 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from .. import clock, versions
+from .. import clock, ui, versions
 from ..core.bone_maps import BoneMap
 from ..core.joints import FOREARM, KNUCKLES, NAMES
 from ..core.stand_in import knuckle_ways, surface_at, with_forearm_bone
@@ -115,7 +114,7 @@ def tend() -> None:
     """For the timer: brings up to date what was changed, and shows stand-ins to those views alone that trace them."""
     if _changed_s is not None and time.monotonic() - _changed_s >= _REST_S:
         update()
-    show(any(space.shading.type in _TRACED for space in _views()))
+    show(any(area.spaces.active.shading.type in _TRACED for _, area in ui.areas()))
 
 
 def show(traced: bool) -> None:
@@ -128,13 +127,6 @@ def show(traced: bool) -> None:
             hidden = not traced or hand is None or hand.hide_viewport or hand.hide_get(view_layer=seen)
             if thing.hide_viewport != hidden:
                 thing.hide_viewport = hidden
-
-
-def _views() -> Iterator[bpy.types.SpaceView3D]:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                yield area.spaces.active
 
 
 def _shapes(hand: bpy.types.Object) -> list[_Shape] | None:

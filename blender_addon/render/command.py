@@ -27,7 +27,7 @@ import bpy
 from .. import versions
 from ..core.files import write_whole
 from ..errors import BAD_INPUT, JGHandFailure
-from ..hand import instances
+from ..hand import seen_hands
 from ..renderer import runtime
 from . import ENGINE, composite
 from .properties import PRESETS
@@ -107,7 +107,7 @@ def _render(options: argparse.Namespace, report: dict[str, Any]) -> None:
     if bpy.app.autoexec_fail:  # nobody is there to see that Blender says so
         raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
     current = bpy.context.scene
-    if not instances.sources_at_any_frame(bpy.context.view_layer):
+    if not seen_hands.sources_at_any_frame(bpy.context.view_layer):
         raise JGHandFailure("no_hand", str(options.file))
     frames = options.frames or range(current.frame_start, current.frame_end + 1, current.frame_step)
     folders = _folders(current, options.camera, frames[0])

@@ -16,7 +16,7 @@ import bpy
 
 from .. import versions
 from ..errors import JGHandFailure
-from ..hand import armature, instances
+from ..hand import armature, seen_hands
 from . import ENGINE, worlds
 from .scene_shadows import SOLID
 
@@ -87,7 +87,7 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
 
     layer: the view layer that is combined with. Raises JGHandFailure: no_hand, no_camera.
     """
-    if not instances.sources_at_any_frame(layer):
+    if not seen_hands.sources_at_any_frame(layer):
         raise JGHandFailure("no_hand", scene.name)
     if scene.camera is None:
         raise JGHandFailure("no_camera")
@@ -208,13 +208,13 @@ def _things(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.type
     """The objects of the scene of the hands: hands, what moves them, cameras, the lamps that light them, and what may
     stand in that light."""
     cameras = [marker.camera for marker in scene.timeline_markers]
-    parts = [part for hand in instances.sources_at_any_frame(layer) for part in armature.parts_of(hand)]
-    known: instances.Known = {}
+    parts = [part for hand in seen_hands.sources_at_any_frame(layer) for part in armature.parts_of(hand)]
+    known: seen_hands.Known = {}
     of_light = _is_lamp
     if scene.jghand.light == "SCENE":
         throws_back = scene.jghand.use_surroundings or scene.jghand.use_exact_light
         of_light = _is_of_all_light if throws_back else _is_of_light
-    lights = armature.rendered_at_any_frame(layer, lambda thing: instances.shows(thing, of_light, known))
+    lights = armature.rendered_at_any_frame(layer, lambda thing: seen_hands.shows(thing, of_light, known))
     return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras, *lights)) if thing is not None]
 
 

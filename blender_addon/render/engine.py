@@ -21,7 +21,7 @@ from bpy.app.handlers import persistent
 from ..core import film, panel_text
 from ..core.view import Moment, Part, SceneLight, picture_request
 from ..errors import JGHandFailure
-from ..hand import instances
+from ..hand import seen_hands
 from ..ops import sentence_of
 from ..preferences import preferences
 from ..renderer import runtime
@@ -108,7 +108,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         part = camera.region(scene.render, size)
         frame = samples.Frame(lambda: self.camera_override or depsgraph.scene_eval.camera, size, part)
         seen = samples.read_moments(depsgraph, frame, self.frame_set)
-        light = scene_light.of_render(depsgraph, instances.evaluated_sources(depsgraph), self._is_canceled)
+        light = scene_light.of_render(depsgraph, seen_hands.evaluated_sources(depsgraph), self._is_canceled)
         hands = seen[(len(seen) - 1) // 2].hands
         light = scene_light.shaded(light, hands, depsgraph)
         light = exact_light.with_baked(light, depsgraph, hands, self._is_canceled)

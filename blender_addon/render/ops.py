@@ -6,9 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy_extras.io_utils import ExportHelper
 
 from ..errors import JGHandFailure
-from ..hand import armature, instances
+from ..hand import armature, seen_hands
 from ..hand.ops import add_camera
 from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
 from . import ENGINE, composite, scene_light
@@ -25,9 +26,7 @@ class UseEngine(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.render.engine == ENGINE:
-            return missing(cls, "This scene uses the JGHand engine already")
-        return True
+        return context.scene.render.engine != ENGINE or missing(cls, "This scene uses the JGHand engine already")
 
     def run(self, context: bpy.types.Context) -> None:
         context.scene.render.engine = ENGINE
@@ -61,9 +60,8 @@ class UseStandard(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not has_standard(context.scene.view_settings):
-            return missing(cls, "The color management (OCIO) in use has no view transform Standard")
-        return True
+        text = "The color management (OCIO) in use has no view transform Standard"
+        return has_standard(context.scene.view_settings) or missing(cls, text)
 
     def run(self, context: bpy.types.Context) -> None:
         use_standard(context.scene.view_settings)
@@ -78,9 +76,7 @@ class AddCamera(Reporting, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         thing = context.object
-        if thing is None or not armature.is_any_hand(thing):
-            return missing(cls, "Select a hand")
-        return True
+        return (thing is not None and armature.is_any_hand(thing)) or missing(cls, "Select a hand")
 
     def run(self, context: bpy.types.Context) -> None:
         self.tell(f"Added {add_camera(context, context.object).name}.")
@@ -122,7 +118,7 @@ class CombineWithScene(Reporting, bpy.types.Operator):
             return missing(cls, "Choose Cycles or EEVEE first: this scene is rendered by JGHand alone")
         if scene.camera is None:
             return missing(cls, "The scene has no camera")
-        if not instances.sources_at_any_frame(context.view_layer):
+        if not seen_hands.sources_at_any_frame(context.view_layer):
             return missing(cls, "There is no hand in this scene that is rendered")
         return True
 
@@ -139,36 +135,26 @@ class RemoveCombination(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not composite.has_combination(context.scene):
-            return missing(cls, "This scene is not combined with hands")
-        return True
+        return composite.has_combination(context.scene) or missing(cls, "This scene is not combined with hands")
 
     def run(self, context: bpy.types.Context) -> None:
         composite.remove(context.scene)
         self.tell("This scene is not combined with hands any more.")
 
 
-class SaveLight(Reporting, bpy.types.Operator):
+class SaveLight(Reporting, ExportHelper, bpy.types.Operator):
     bl_idname = "jghand.save_light"
     bl_label = "Save Light"
     bl_description = "Write the lamps and the world of this scene, as they light hands, for renders outside Blender"
     bl_options = REGISTERED
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    # Blender's file browser asks before it overwrites
-    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    filename_ext = ".json"
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not scene_light.is_chosen(context.scene):
-            return missing(cls, "Hands are in the light of their captures: choose Scene first")
-        return True
-
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        self.filepath = self.filepath or str(Path(context.blend_data.filepath or "light").with_suffix(".json"))
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        text = "Hands are in the light of their captures: choose Scene first"
+        return scene_light.is_chosen(context.scene) or missing(cls, text)
 
     def run(self, context: bpy.types.Context) -> None:
         if not self.filepath:

@@ -39,8 +39,6 @@ class RenderPanel(ui.HandSidebar, bpy.types.Panel):
 
 
 class LightPanel(ui.HandSidebar, bpy.types.Panel):
-    """What lights hands, and whether they throw a shadow on the scene."""
-
     bl_idname = "VIEW3D_PT_jghand_light"
     bl_label = "Light"
     bl_parent_id = RenderPanel.bl_idname

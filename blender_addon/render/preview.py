@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from .. import clock, ui, versions
 from ..errors import JGHandFailure
-from ..hand import instances, stand_ins
+from ..hand import seen_hands, stand_ins
 from ..ops import REGISTERED, Reporting, missing, seen_frames
 from . import camera, composite, rendering
 from .ops import has_standard, use_standard
@@ -64,7 +64,7 @@ class PreviewMovie(Reporting, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if _now is not None or bpy.app.is_job_running("RENDER"):
             return missing(cls, "Blender is rendering already")
-        if not instances.sources_at_any_frame(context.view_layer):
+        if not seen_hands.sources_at_any_frame(context.view_layer):
             return missing(cls, "There is no hand in this scene that is rendered")
         if context.scene.camera is None and _view_of(context) is None:
             return missing(cls, "The scene has no camera")
@@ -91,11 +91,8 @@ class PreviewMovie(Reporting, bpy.types.Operator):
             if isinstance(error, RuntimeError) and _WRITING.search(str(error)):
                 raise JGHandFailure("cannot_write", str(error).strip()) from error
             raise
-        told, failed = f"Wrote {_end()}.", rendering.said_of_failed_hands()
-        if failed:
-            self.warn(told, failed)
-        else:
-            self.tell(told)
+        failed = rendering.said_of_failed_hands()
+        self.tell(f"Wrote {_end()}.", doubts=[failed] if failed else [])
 
 
 def _render_aside(context: bpy.types.Context, copy: bpy.types.Scene) -> None:

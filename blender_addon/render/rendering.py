@@ -26,7 +26,7 @@ from bpy.app.handlers import persistent
 
 from .. import ui
 from ..errors import JGHandFailure
-from ..hand import instances
+from ..hand import seen_hands
 from ..renderer import runtime
 from . import ENGINE, composite
 
@@ -78,7 +78,7 @@ def hands_left_out(scene: bpy.types.Scene) -> list[str]:
         return []
     if not scene.jghand.show_in_viewport:
         return []
-    found = {hand.name for layer in scene.view_layers if layer.use for hand in instances.sources_at_any_frame(layer)}
+    found = {hand.name for layer in scene.view_layers if layer.use for hand in seen_hands.sources_at_any_frame(layer)}
     return sorted(found)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from .. import versions
 from ..core.view import HandInSpace, Moment, Part, picture_of
 from ..errors import JGHandFailure
-from ..hand import armature, instances, seen_hands
+from ..hand import armature, seen_hands
 from . import camera
 
 # where in the open time of the shutter its frame lies
@@ -38,12 +38,12 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand, hidden;
     scripts_blocked: of a file whose scripts are blocked only the drivers that are needed matter.
     """
-    there = instances.evaluated_sources(depsgraph)
+    there = seen_hands.evaluated_sources(depsgraph)
     if not (there or _hands_elsewhere(depsgraph)):
         raise JGHandFailure("no_hand")
     things = [thing for thing in there if not thing.hide_render]
-    known: instances.Known = {}
-    hands = [hand for thing in things for hand, _ in instances.hands_shown(thing, known, for_render=True)]
+    known: seen_hands.Known = {}
+    hands = [hand for thing in things for hand, _ in seen_hands.hands_shown(thing, known, for_render=True)]
     if bpy.app.autoexec_fail and any(map(_has_scripts, _parts(*things, *hands, frame.eye()))):
         raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
     times = shutter_times(depsgraph.scene_eval)
@@ -101,13 +101,13 @@ def _hands_elsewhere(depsgraph: bpy.types.Depsgraph) -> bool:
     Of another layer a render knows what the file says, and nothing else; it is asked where nothing else can tell.
     """
     layers = depsgraph.scene.view_layers
-    return len(layers) > 1 and any(instances.sources_at_any_frame(layer) for layer in layers)
+    return len(layers) > 1 and any(seen_hands.sources_at_any_frame(layer) for layer in layers)
 
 
 def _moment(names: list[tuple[str, str]], frame: Frame, depsgraph: bpy.types.Depsgraph) -> Moment:
     """The hands of these names, those of instances too, and the camera. What Blender evaluated is looked for at each
     moment: at another frame it may be another object."""
-    found = {armature.name_in_files(thing): thing for thing in instances.evaluated_sources(depsgraph)}
+    found = {armature.name_in_files(thing): thing for thing in seen_hands.evaluated_sources(depsgraph)}
     gone = [each[0] for each in names if each not in found]
     if gone:
         raise JGHandFailure("hidden", ", ".join(gone))
@@ -118,14 +118,14 @@ def _moment(names: list[tuple[str, str]], frame: Frame, depsgraph: bpy.types.Dep
 
 def hands_at(depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
     """The hands of a render, at the moment that was evaluated. Raises JGHandFailure as `sources.read_hands`."""
-    return _hands_of((thing for thing in instances.evaluated_sources(depsgraph) if not thing.hide_render), depsgraph)
+    return _hands_of((thing for thing in seen_hands.evaluated_sources(depsgraph) if not thing.hide_render), depsgraph)
 
 
 def hands_to_render(depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
     """The same of a depsgraph of views, on the main thread: it has hands that are disabled in renders, and lacks those
     that are disabled in viewports. JGHandFailure (hidden), too."""
-    wanted = {armature.name_in_files(thing): thing for thing in instances.sources_at_any_frame(depsgraph.view_layer)}
-    there = {armature.name_in_files(thing): thing for thing in instances.evaluated_sources(depsgraph)}
+    wanted = {armature.name_in_files(thing): thing for thing in seen_hands.sources_at_any_frame(depsgraph.view_layer)}
+    there = {armature.name_in_files(thing): thing for thing in seen_hands.evaluated_sources(depsgraph)}
     gone = [name for name, thing in wanted.items() if name not in there and not thing.hide_render]
     if gone:
         raise JGHandFailure("hidden", ", ".join(name for name, _ in gone))
@@ -133,10 +133,10 @@ def hands_to_render(depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
 
 
 def _hands_of(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
-    known: instances.Known = {}
+    known: seen_hands.Known = {}
     hands: list[HandInSpace] = []
     for thing in things:
-        for hand, placed in instances.hands_shown(thing, known, for_render=True):
+        for hand, placed in seen_hands.hands_shown(thing, known, for_render=True):
             hands += seen_hands.read_shown(hand, depsgraph, placed)
     return hands
 

@@ -27,7 +27,7 @@ from ..core.pacing import SETTLE_S
 from ..core.stand_in import POINTS, points_on, surface_at
 from ..core.view import LIGHT_FROM_WORLD, HandInSpace, SceneLight
 from ..errors import JGHandFailure
-from ..hand import avatar_files, instances, seen_hands
+from ..hand import avatar_files, seen_hands
 from . import handover, lamps, probe, scene_shadows, worlds
 from .lamps import SceneLamps
 from .properties import LIGHT_OF_HANDS
@@ -173,7 +173,7 @@ def follow(scene: bpy.types.Scene, given: Collection[bpy.types.Object]) -> None:
     """Hands were given their avatars: where these are all hands of a scene, and no artist chose its light, that follows
     what they learned in. Known light answers the scene's."""
     is_free = LIGHT_OF_HANDS in scene or not scene.jghand.is_property_set("light")
-    hands = (hand for thing in scene.objects for hand in instances.hands_below(thing))
+    hands = (hand for thing in scene.objects for hand in seen_hands.hands_below(thing))
     if is_free and scene.is_editable and all(hand in given for hand in hands):
         scene.jghand.light = "SCENE" if all(map(_learned_in_known_light, given)) else "CAPTURE"
         scene[LIGHT_OF_HANDS] = True
@@ -186,7 +186,7 @@ def on_import(imported: bpy.types.BlendImportContext, *_: Any) -> None:
     objects = [thing for thing in came if isinstance(thing, bpy.types.Object)]
     for collection in came:  # of a linked one no object is named
         objects += collection.all_objects if isinstance(collection, bpy.types.Collection) else ()
-    hands = [hand for thing in objects for hand in instances.hands_below(thing)]
+    hands = [hand for thing in objects for hand in seen_hands.hands_below(thing)]
     if hands and bpy.context.scene is not None:
         follow(bpy.context.scene, hands)
 
@@ -224,7 +224,7 @@ def measure(depsgraph: bpy.types.Depsgraph) -> None:
     """Measures the world of a scene that lights its hands, where that is stale. On the main thread; of handlers only
     in render_pre."""
     if is_chosen(depsgraph.scene):
-        reading = _world(depsgraph, instances.evaluated_sources(depsgraph))
+        reading = _world(depsgraph, seen_hands.evaluated_sources(depsgraph))
         if reading.stale:
             _measure(depsgraph, reading)
 
@@ -233,7 +233,7 @@ def save(depsgraph: bpy.types.Depsgraph, path: Path) -> None:
     """Writes the light of a scene that lights its hands as a file for the engine, with the picture of its world beside
     it. JGHandFailure as `of_render`, and cannot_write, disk_full."""
     measure(depsgraph)
-    light = of_render(depsgraph, instances.evaluated_sources(depsgraph))
+    light = of_render(depsgraph, seen_hands.evaluated_sources(depsgraph))
     assert light is not None  # who asks has seen that it is chosen
     record = {"format": "jghand-light", "version": 1, **light.record}
     if light.world is not None and light.picture is not None:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core.wire import protocol
+from ..core import protocol
 from ..errors import JGHandFailure
 from . import state as machine
 from .process import EngineProcess, LostError

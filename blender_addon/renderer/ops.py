@@ -15,7 +15,7 @@ import bpy
 
 from ..errors import JGHandFailure
 from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, Reporting, missing, sentence_of
-from ..ui import PANELS, redraw
+from ..ui import PANELS, areas, redraw
 from . import runtime
 from .jobs import JobSpec
 
@@ -72,14 +72,11 @@ def _show_text(context: bpy.types.Context, name: str, content: str) -> None:
     text.write(content)
     if bpy.app.background or context.window is None:
         return
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "TEXT_EDITOR":
-                area.spaces.active.text = text
-                return
-    bpy.ops.wm.window_new()
-    area = context.window_manager.windows[-1].screen.areas[0]
-    area.type = "TEXT_EDITOR"
+    area = next((area for _, area in areas("TEXT_EDITOR")), None)
+    if area is None:
+        bpy.ops.wm.window_new()
+        area = context.window_manager.windows[-1].screen.areas[0]
+        area.type = "TEXT_EDITOR"
     area.spaces.active.text = text
 
 

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from ..core.wire import protocol
+from ..core import protocol
 from ..errors import JGHandFailure, kind_of_exit
 from . import state as machine
 from .waiting import failure_told

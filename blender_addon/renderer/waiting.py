@@ -13,7 +13,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..core.wire import protocol
+from ..core import protocol
 from ..errors import GIVEN_UP, JGHandFailure
 from . import state as machine
 from .state import PASSING

@@ -135,8 +135,6 @@ class Train(StartsJob, bpy.types.Operator):
 
 
 class HandFromFilm(FromFile, StartsJob, bpy.types.Operator):
-    """Operator: the hand of whoever films it."""
-
     bl_idname = "jghand.hand_from_film"
     bl_label = "My Hand from a Film"
     bl_description = (

@@ -23,8 +23,6 @@ from .training_folder import TOLD, TrainingFolder, folder_of
 
 
 class TrainPanel(Sidebar, bpy.types.Panel):
-    """Learning an avatar."""
-
     bl_idname = "VIEW3D_PT_jghand_train"
     bl_label = "Train"
     bl_order = ui.TRAIN
@@ -51,8 +49,6 @@ class TrainPanel(Sidebar, bpy.types.Panel):
 
 
 class TrainingSetPanel(Sidebar, bpy.types.Panel):
-    """Pictures to learn from."""
-
     bl_idname = "VIEW3D_PT_jghand_training_set"
     bl_label = "Training Set"
     bl_parent_id = TrainPanel.bl_idname
@@ -123,8 +119,6 @@ _FILMING = (
 
 
 class FilmPanel(Sidebar, bpy.types.Panel):
-    """A hand of one's own: how to film it, how far the work is, what came of it."""
-
     bl_idname = "VIEW3D_PT_jghand_film"
     bl_label = "My Hand from a Film"
     bl_parent_id = HandPanel.bl_idname

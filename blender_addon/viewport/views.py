@@ -18,7 +18,7 @@ import bpy
 import gpu
 import numpy as np
 
-from .. import clock
+from .. import clock, ui
 from ..core import pacing
 from ..core.pacing import Activity, DrawMoment, Pace, ViewSettings, Want
 from ..core.panel_text import HANDS
@@ -286,16 +286,12 @@ def look(view: View, moment: DrawMoment, *, drawing: bool) -> None:
 
 
 def read_again(
-    view: View,
-    things: list[bpy.types.Object],
-    depsgraph: bpy.types.Depsgraph,
-    space: bpy.types.SpaceView3D | None = None,
+    view: View, things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D
 ) -> None:
-    """Reads the hands of a view that is not drawn yet, from where it looked last; and, of its `space`, their light."""
+    """Reads the hands of a view that is not drawn yet, from where it looked last, and their light."""
     view.hands, view.unreadable = seen_hands.read(things, depsgraph, switched_on_only=view.kind == SOLID)
-    if space is not None:
-        light = scene_light.in_view(depsgraph, space, things)
-        view.light = scene_light.shaded_in_view(light, view.hands, depsgraph, view.slot)
+    light = scene_light.in_view(depsgraph, space, things)
+    view.light = scene_light.shaded_in_view(light, view.hands, depsgraph, view.slot)
     view.part = part_with(view.camera.whole, view.hands) if view.camera is not None else None
 
 
@@ -403,12 +399,8 @@ def forget_failures() -> None:
 
 
 def open_regions() -> Iterator[tuple[bpy.types.Window, bpy.types.Area, bpy.types.Region]]:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "WINDOW":
-                        yield window, area, region
+    for window, area in ui.areas():
+        yield from ((window, area, region) for region in area.regions if region.type == "WINDOW")
 
 
 # ---- what panels show ------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stand_ins import PATIENCE_S, command, linked, picture, until
 
-from blender_addon.core.wire import protocol
+from blender_addon.core import protocol
 from blender_addon.errors import JGHandFailure
 from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.link import Answer, EngineLink

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from blender_addon.core.wire import protocol
+from blender_addon.core import protocol
 from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.waiting import Call, Waiting
 

@@ -55,8 +55,7 @@ def main(archive: str) -> None:
         addon_utils.disable(name)
         assert addon_utils.enable(name) is not None
     again = ours()
-    wire = importlib.import_module(f"{name}.core.wire")
-    protocol = wire.protocol.__name__
+    protocol = importlib.import_module(f"{name}.core").protocol.__name__
     addon_utils.disable(name)
     engine_here = sorted(module for module in sys.modules if module.split(".")[0] in ("jghand_engine", "torch"))
     print("\n" + json.dumps({

@@ -14,7 +14,7 @@ from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES, OTHER
 from blender_addon.errors import JGHandFailure
 from blender_addon.export import ops_common
-from blender_addon.hand import armature, instances, seen_hands, sources
+from blender_addon.hand import armature, seen_hands, sources
 from blender_addon.render import camera, samples
 
 EXACT_M = 1e-6
@@ -115,7 +115,7 @@ def test_a_render_finds_the_instanced_hand_beside_instances_without_any(extensio
     instance_of(bpy.data.collections.new("grass"), "bush", extension.scene.collection)
     instance_of(asset(extension), "placed", extension.scene.collection)
     extension.view_layer.update()
-    found = [thing.name for thing in instances.evaluated_sources(extension.evaluated_depsgraph_get())]
+    found = [thing.name for thing in seen_hands.evaluated_sources(extension.evaluated_depsgraph_get())]
     assert found == ["placed"]
 
 
