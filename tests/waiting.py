@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
@@ -17,5 +17,15 @@ def wait_until(found: Callable[[], Found], what: str, most_s: float = 90.0) -> F
     while time.monotonic() < until_s:
         if value := found():
             return value
-        time.sleep(0.05)
+        time.sleep(0.01)
     pytest.fail(f"for {most_s:g} s nothing came of: {what}")
+
+
+def wait_for_count(job: Any) -> None:
+    """Until a job of the extension has said how far it is."""
+
+    def total() -> float:
+        job.tick()
+        return job.state.total
+
+    wait_until(total, "a count")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +39,3 @@ def linked(*faults: str, **options) -> Iterator[EngineLink]:
         link.close()
         assert link._engine is None
         assert link._thread is None
-
-
-def until(condition: Callable[[], object], what: str = "it") -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"{what} never happened"
-        time.sleep(0.005)

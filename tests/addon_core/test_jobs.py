@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import wait_for_count, wait_until
 
 from blender_addon.errors import ADVICE, JGHandFailure
 from blender_addon.renderer import jobs
@@ -37,10 +38,7 @@ def ended(job: Job, wait_s: float = LONG_S) -> JobState:
 
 
 def until_it_counts(job: Job) -> None:
-    until = time.monotonic() + LONG_S
-    while not job.state.total and time.monotonic() < until:
-        job.tick()
-        time.sleep(0.01)
+    wait_for_count(job)
     assert job.state.text == "Counting"
 
 
@@ -296,7 +294,5 @@ while not job.state.total:
 os.kill(os.getpid(), 9)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == -9
-    until = time.monotonic() + LONG_S
-    while not (tmp_path / "left").exists() and time.monotonic() < until:
-        time.sleep(0.02)
+    wait_until((tmp_path / "left").exists, "its checkpoint")
     assert (tmp_path / "left").read_text() == "checkpoint"

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from stand_ins import PATIENCE_S, command, linked, picture, until
+from stand_ins import PATIENCE_S, command, linked, picture
+from waiting import wait_until
 
 from blender_addon.core import protocol
 from blender_addon.errors import JGHandFailure
@@ -56,7 +57,7 @@ def test_a_picture_starts_the_engine_and_comes():
 def test_a_slot_that_is_dropped_gets_nothing_and_its_picture_stops():
     with linked("patient") as link:
         link.ask("viewport", *picture(), tag="a")
-        until(lambda: link.status.busy)
+        wait_until(lambda: link.status.busy, "work")
         link.drop("viewport")
         link.drop("viewport")
         assert link.answer("viewport") is None
@@ -74,7 +75,7 @@ def test_a_picture_that_failed_is_not_asked_for_again_until_the_user_starts_anew
             assert link.answer("viewport").failure.kind == "out_of_memory"
         link.start()
         link.ask("viewport", *picture(), tag="a")
-        until(lambda: link.status.busy)
+        wait_until(lambda: link.status.busy, "work")
 
 
 # ---- exact requests --------------------------------------------------------------------------------------------------
@@ -122,7 +123,7 @@ def test_an_engine_that_does_not_stop_what_was_given_up_is_ended(monkeypatch):
     with linked("hang") as link:
         with pytest.raises(JGHandFailure):
             link.request(*picture(), timeout_s=0.1)
-        until(lambda: link.status.state == "failed")
+        wait_until(lambda: link.status.state == "failed", "failed")
         assert link.status.failure.kind == "hung"
         assert "does not end" in link.status.failure.detail
 
@@ -168,7 +169,7 @@ def test_an_engine_that_is_killed_from_outside_is_noticed_by_everybody():
     with linked("hang") as link:
         pid = pid_of(link)
         link.ask("viewport", *picture(), tag="a")
-        until(lambda: link.status.busy)
+        wait_until(lambda: link.status.busy, "work")
         thread = threading.Thread(target=render)
         thread.start()
         time.sleep(0.1)  # it waits, too
@@ -203,7 +204,7 @@ def test_what_a_killed_engine_was_at_is_asked_for_again(monkeypatch):
         link.ask("viewport", *picture(), tag="a")
         assert answered(link, "a").failure.kind == "killed"
         link.ask("viewport", *picture(), tag="a")
-        until(lambda: link.answer("viewport").failure is None)
+        wait_until(lambda: link.answer("viewport").failure is None, "a picture")
 
 
 def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
@@ -216,7 +217,7 @@ def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
         assert link.answer("viewport").failure.kind == "crashed"
         assert link.status.state == "failed"
         link.start()
-        until(lambda: link.status.state == "ready")
+        wait_until(lambda: link.status.state == "ready", "ready")
 
 
 def test_no_engine_is_a_failure_and_a_button_looks_anew(tmp_path):
@@ -236,11 +237,11 @@ def test_no_engine_is_a_failure_and_a_button_looks_anew(tmp_path):
         assert caught.value.kind == "no_interpreter"
         found.append([str(tmp_path / "nothing")])
         link.start()
-        until(lambda: link.status.state == "failed")
+        wait_until(lambda: link.status.state == "failed", "failed")
         assert link.status.failure.kind == "no_interpreter"
         found[0] = command()
         link.start()
-        until(lambda: link.status.state == "ready")
+        wait_until(lambda: link.status.state == "ready", "ready")
     finally:
         link.close()
 
@@ -439,13 +440,13 @@ def test_of_all_that_was_asked_meanwhile_only_the_newest_is_sent():
         for tag in range(1, 50):
             engine.link.ask("viewport", *picture(), tag=tag)
             if tag == 1:
-                until(lambda: engine.link.status.busy)
+                wait_until(lambda: engine.link.status.busy, "work")
         for tag in (1, 49):
             asked = protocol.receive(engine.connection)
             assert asked.header["id"] == tag
             protocol.send(engine.connection, {"kind": "reply", "id": tag, "ok": True})
             assert answered(engine.link, tag).failure is None
-        until(lambda: not engine.link.status.busy)
+        wait_until(lambda: not engine.link.status.busy, "rest")
 
 
 def test_a_reply_that_comes_in_pieces_is_one_reply():
@@ -454,7 +455,7 @@ def test_a_reply_that_comes_in_pieces_is_one_reply():
         engine.link.ask("viewport", *picture(), tag="a")
         values = np.arange(3000, dtype="<f4")
         content = b"".join(protocol.encode({"kind": "reply", "id": 1, "ok": True}, {"x": protocol.Array.of(values)}))
-        until(lambda: engine.link.status.busy)
+        wait_until(lambda: engine.link.status.busy, "work")
         for start in range(0, len(content), 997):
             engine.connection.sendall(content[start : start + 997])
             time.sleep(0.001)

@@ -42,6 +42,12 @@ def keyed_hand(context: bpy.types.Context, handedness: str, joints_m: np.ndarray
     return hand
 
 
+def joints_of(hand: bpy.types.Object) -> np.ndarray:
+    """(21, 3) joints of a hand as it is now, meters, in its own space."""
+    bpy.context.view_layer.update()
+    return armature.read_hand(hand, bpy.context.evaluated_depsgraph_get()).joints_m
+
+
 def stand_ins_of(hand: bpy.types.Object) -> list[bpy.types.Object]:
     """Of a rig with two hands, two."""
     return [thing for thing in bpy.data.objects if stand_ins.MARK in thing and thing.parent == hand]

@@ -25,17 +25,12 @@ def controlled_hand(context: bpy.types.Context, handedness: str) -> bpy.types.Ob
     return hand
 
 
-def joints_of(context: bpy.types.Context, hand: bpy.types.Object) -> np.ndarray:
-    context.view_layer.update()
-    return armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
-
-
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
 @pytest.mark.parametrize("unit_m", [1.0, 0.01])
 def test_neutral_controls_change_nothing_and_need_no_script(context, handedness, unit_m):
     context.scene.unit_settings.scale_length = unit_m
     hand = controlled_hand(context, handedness)
-    np.testing.assert_allclose(joints_of(context, hand), posing.rest_joints_m(handedness), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(hand), posing.rest_joints_m(handedness), atol=EXACT_M)
     assert controls.has_controls(hand)
     assert hand.animation_data is None or not hand.animation_data.drivers
     assert not any(hand.data.bones[name].use_deform for name in CONTROLS)
@@ -43,7 +38,7 @@ def test_neutral_controls_change_nothing_and_need_no_script(context, handedness,
 
 def test_an_axis_that_rounding_alone_has_moved_is_put_back(context):
     hand = controlled_hand(context, "right")
-    joints_of(context, hand)
+    hands.joints_of(hand)
     edits = bpy.app.handlers.depsgraph_update_post
     edits.append(handlers.on_change)
     try:
@@ -60,13 +55,13 @@ def test_an_axis_that_rounding_alone_has_moved_is_put_back(context):
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
 def test_curl_fist_spread_and_splay_move_the_fingers_they_name(context, handedness):
     hand = controlled_hand(context, handedness)
-    rest = joints_of(context, hand)
+    rest = hands.joints_of(hand)
     across = rest[NAMES.index("index1")] - rest[NAMES.index("pinky1")]
     for finger, name in zip(FINGERS, FINGER_CONTROLS, strict=True):
         bone, tip = hand.pose.bones[name], NAMES.index(f"{finger}4")
         others = [place for place, joint in enumerate(NAMES) if not joint.startswith(finger)]
         bone.rotation_euler = (np.pi / 2, 0, 0)
-        curled = joints_of(context, hand)
+        curled = hands.joints_of(hand)
         np.testing.assert_allclose(curled[others], rest[others], atol=EXACT_M)
         if finger == "thumb":
             assert np.linalg.norm(curled[tip] - rest[tip]) > 0.03
@@ -74,7 +69,7 @@ def test_curl_fist_spread_and_splay_move_the_fingers_they_name(context, handedne
             assert np.linalg.norm(curled[tip] - curled[tip - 3]) < 0.55 * np.linalg.norm(rest[tip] - rest[tip - 3])
             assert curled[tip, 2] > 0
         bone.rotation_euler = (0, 0, np.radians(15))
-        spread = joints_of(context, hand)
+        spread = hands.joints_of(hand)
         if finger == "middle":  # to the thumb's side
             assert (spread[tip] - rest[tip]) @ across > 0
         else:
@@ -82,11 +77,11 @@ def test_curl_fist_spread_and_splay_move_the_fingers_they_name(context, handedne
             assert np.linalg.norm(spread[tip] - middle) > np.linalg.norm(rest[tip] - middle) + 0.005
         bone.rotation_euler = (0, 0, 0)
     hand.pose.bones[HAND_CONTROL].rotation_euler = (np.pi / 2, 0, 0)
-    fist = joints_of(context, hand)
+    fist = hands.joints_of(hand)
     tips = list(TIPS[1:])
     assert (np.linalg.norm(fist[tips] - fist[0], axis=-1) < 0.65 * np.linalg.norm(rest[tips] - rest[0], axis=-1)).all()
     hand.pose.bones[HAND_CONTROL].rotation_euler = (0, 0, np.radians(25))
-    splayed = joints_of(context, hand)
+    splayed = hands.joints_of(hand)
     wide = np.linalg.norm(splayed[NAMES.index("index4")] - splayed[NAMES.index("pinky4")])
     assert wide > 1.2 * np.linalg.norm(rest[NAMES.index("index4")] - rest[NAMES.index("pinky4")])
 
@@ -97,7 +92,7 @@ def test_left_controls_are_the_mirror_image_of_right_ones(context):
         hand = controlled_hand(context, handedness)
         for at, name in enumerate((HAND_CONTROL, *FINGER_CONTROLS)):
             hand.pose.bones[name].rotation_euler = (0.1 + 0.1 * at, 0, 0.05 * at)
-        seen[handedness] = joints_of(context, hand)
+        seen[handedness] = hands.joints_of(hand)
     np.testing.assert_allclose(seen["left"], seen["right"] * (-1, 1, 1), atol=EXACT_M)
 
 
@@ -105,29 +100,29 @@ def test_left_controls_are_the_mirror_image_of_right_ones(context):
 def test_a_held_tip_stays_and_does_not_jump_when_it_is_taken(context, handedness):
     hand = controlled_hand(context, handedness)
     hand.pose.bones[FINGER_CONTROLS[1]].rotation_euler = (0.5, 0, 0)
-    before = joints_of(context, hand)
+    before = hands.joints_of(hand)
     assert not hand.data.collections[controls.TIP_COLLECTION].is_visible
     controls.hold_tip(hand, "index")
     assert hand.data.collections[controls.TIP_COLLECTION].is_visible
-    np.testing.assert_allclose(joints_of(context, hand), before, atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(hand), before, atol=EXACT_M)
     hand.pose.bones[TIP_CONTROLS[1]].location.z -= 0.02
-    moved = joints_of(context, hand)
+    moved = hands.joints_of(hand)
     place = hand.pose.bones[TIP_CONTROLS[1]].head
     np.testing.assert_allclose(moved[NAMES.index("index4")], place, atol=EXACT_M)
     assert np.linalg.norm(moved[NAMES.index("index4")] - before[NAMES.index("index4")]) > 0.015
     hand.pose.bones["wrist"].location = (0.005, 0, 0.005)
-    assert np.linalg.norm(joints_of(context, hand)[NAMES.index("index4")] - place) < EXACT_M
+    assert np.linalg.norm(hands.joints_of(hand)[NAMES.index("index4")] - place) < EXACT_M
     controls.reset_controls(hand)
     hand.pose.bones["wrist"].location = (0, 0, 0)
-    np.testing.assert_allclose(joints_of(context, hand), posing.rest_joints_m(handedness), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(hand), posing.rest_joints_m(handedness), atol=EXACT_M)
 
 
 def test_joint_limits_stop_a_finger_and_can_be_switched_off(context):
     hand = controlled_hand(context, "right")
     hand.pose.bones["index2"].rotation_quaternion = (np.cos(-0.5), np.sin(-0.5), 0, 0)
-    limited = joints_of(context, hand)
+    limited = hands.joints_of(hand)
     controls.use_joint_limits(hand, False)
-    free = joints_of(context, hand)
+    free = hands.joints_of(hand)
     place = NAMES.index("index3")
     assert np.linalg.norm(free[place] - limited[place]) > 0.005
     fingertip = limited[place] - limited[place - 1]
@@ -204,21 +199,21 @@ def test_a_motion_is_keyed_under_muted_controls(context):
 def test_joint_limits_that_were_off_stay_off_when_the_controls_are_on_again(context):
     hand = controlled_hand(context, "right")
     hand.pose.bones["index2"].rotation_quaternion = (np.cos(-0.5), np.sin(-0.5), 0, 0)
-    limited = joints_of(context, hand)
+    limited = hands.joints_of(hand)
     controls.use_joint_limits(hand, False)
-    free = joints_of(context, hand)
+    free = hands.joints_of(hand)
     controls.mute_controls(hand, True)
     assert controls.controls_are_muted(hand)
     assert not controls.joint_limits_are_used(hand)
     controls.mute_controls(hand, False)
     assert not controls.joint_limits_are_used(hand)
-    np.testing.assert_array_equal(joints_of(context, hand), free)
+    np.testing.assert_array_equal(hands.joints_of(hand), free)
     controls.mute_controls(hand, True)
     controls.use_joint_limits(hand, True)  # of a muted layer: how they will be
     assert controls.controls_are_muted(hand)
     assert controls.joint_limits_are_used(hand)
     controls.mute_controls(hand, False)
-    np.testing.assert_allclose(joints_of(context, hand), limited, atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(hand), limited, atol=EXACT_M)
 
 
 def test_hands_that_share_their_bones_part_before_one_gets_controls(context):
@@ -254,10 +249,10 @@ def test_a_duplicated_hand_has_controls_of_its_own(context, linked):
     bpy.ops.object.duplicate(linked=linked)
     twin = context.view_layer.objects.active
     assert twin is not hand
-    rest = joints_of(context, hand)
+    rest = hands.joints_of(hand)
     twin.pose.bones[HAND_CONTROL].rotation_euler.x = 1.0
-    assert np.linalg.norm(joints_of(context, twin) - rest, axis=-1).max() > 0.03
-    np.testing.assert_allclose(joints_of(context, hand), rest, atol=EXACT_M)
+    assert np.linalg.norm(hands.joints_of(twin) - rest, axis=-1).max() > 0.03
+    np.testing.assert_allclose(hands.joints_of(hand), rest, atol=EXACT_M)
     controls.remove_controls(context, twin)
     assert controls.has_controls(hand)
 
@@ -276,7 +271,7 @@ def test_undo_takes_the_controls_away_and_redo_brings_them_back(context):
     assert controls.has_controls(hand)
     hand.pose.bones[HAND_CONTROL].rotation_euler.x = 1.0
     rest = posing.rest_joints_m("right")
-    assert np.linalg.norm(joints_of(bpy.context, hand) - rest, axis=-1).max() > 0.03
+    assert np.linalg.norm(hands.joints_of(hand) - rest, axis=-1).max() > 0.03
 
 
 def key_around(hand: bpy.types.Object) -> None:

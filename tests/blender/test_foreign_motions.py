@@ -126,15 +126,6 @@ def _check_without_tips(motion, joints):
 # ---- Import Motion ---------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def extension(context):
-    import blender_addon
-
-    blender_addon.register()
-    yield context
-    blender_addon.unregister()
-
-
 @pytest.mark.parametrize("name", ["sample.bvh", "sample.json"])
 def test_import_motion_takes_files_of_other_programs(extension, samples, capfd, name):
     extension.scene.render.fps = 30

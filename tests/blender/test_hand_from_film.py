@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +12,7 @@ import bpy
 import pytest
 from recording_layout import RecordingLayout, draw
 from test_avatar_cards import write_avatar  # pyright: ignore[reportMissingImports]
+from waiting import wait_for_count
 
 from blender_addon import folders
 from blender_addon.errors import JGHandFailure
@@ -93,10 +93,7 @@ def panel() -> RecordingLayout:
 def test_the_hand_of_a_film_is_made_while_blender_is_free_and_can_be_added_then(engine, film, tmp_path):
     (engine / "wait").touch()
     job = started(film, hand="left", hand_length=187.0)
-    until = time.monotonic() + LONG_S
-    while not job.state.total and time.monotonic() < until:
-        job.tick()
-        time.sleep(0.01)
+    wait_for_count(job)
     assert "Fitting the hand 2 of 5" in panel().texts, "the stage is seen"
     with pytest.raises(RuntimeError, match="running already"):
         bpy.ops.jghand.hand_from_film(filepath=str(film))

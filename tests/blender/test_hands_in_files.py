@@ -18,11 +18,6 @@ from blender_addon.hand import armature, controls, seen_hands, sources
 EXACT_M = 1e-6
 
 
-def joints_of(thing: bpy.types.Object) -> np.ndarray:
-    bpy.context.view_layer.update()
-    return armature.read_hand(thing, bpy.context.evaluated_depsgraph_get()).joints_m
-
-
 def two_hands() -> dict[str, bpy.types.Object]:
     made = {}
     for side in HANDEDNESSES:
@@ -43,14 +38,14 @@ def test_a_duplicate_has_its_own_settings_and_pose(extension):
     bpy.ops.jghand.apply_pose(pose="fist")
     first = bpy.data.objects["Left Hand"]
     assert first.jghand.avatar == "left.jghand"
-    np.testing.assert_allclose(joints_of(first), posing.rest_joints_m("left"), atol=EXACT_M)
-    assert np.abs(joints_of(twin) - joints_of(first)).max() > 0.05
+    np.testing.assert_allclose(hands.joints_of(first), posing.rest_joints_m("left"), atol=EXACT_M)
+    assert np.abs(hands.joints_of(twin) - hands.joints_of(first)).max() > 0.05
     assert len({thing.session_uid for thing in armature.hands_at_any_frame(bpy.context.view_layer)}) == 3
 
 
 def test_a_file_keeps_hands_settings_and_bone_maps(extension, tmp_path):
     two_hands()["left"].pose.bones[HAND_CONTROL].rotation_euler.x = 0.6
-    wanted = joints_of(bpy.data.objects["Left Hand"])
+    wanted = hands.joints_of(bpy.data.objects["Left Hand"])
     rig, _ = hands.mixamo_rig(extension)
     bpy.ops.jghand.use_armature()
     rig.jghand.joints["index1"].bone = ""
@@ -62,7 +57,7 @@ def test_a_file_keeps_hands_settings_and_bone_maps(extension, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=path)
     left = bpy.data.objects["Left Hand"]
     assert (left.jghand.avatar, left.jghand.show_in_viewport) == ("left.jghand", False)
-    np.testing.assert_allclose(joints_of(left), wanted, atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(left), wanted, atol=EXACT_M)
     assert bpy.context.scene.jghand.viewport_preset == "draft"
     assert bpy.context.scene.jghand.viewport_budget_ms == 12.5
     rows = bpy.data.objects["Body"].jghand.joints
@@ -86,7 +81,7 @@ def test_hands_of_another_file_keep_their_settings(extension, tmp_path, linked):
     assert come["right"].jghand.avatar == "right.jghand"
     assert controls.has_controls(come["left"])
     for side, thing in come.items():
-        np.testing.assert_allclose(joints_of(thing), posing.rest_joints_m(side), atol=EXACT_M)
+        np.testing.assert_allclose(hands.joints_of(thing), posing.rest_joints_m(side), atol=EXACT_M)
     assert len(armature.hands_at_any_frame(bpy.context.view_layer)) == 3
     bpy.context.view_layer.objects.active = come["left"]
     come["left"].select_set(True)
@@ -112,7 +107,7 @@ def test_a_library_override_of_a_hand_can_be_posed_and_has_settings_of_its_own(e
     bpy.context.view_layer.objects.active = own
     own.select_set(True)
     bpy.ops.jghand.apply_pose(pose="fist")
-    assert np.abs(joints_of(own) - posing.rest_joints_m("right")).max() > 0.05
+    assert np.abs(hands.joints_of(own) - posing.rest_joints_m("right")).max() > 0.05
     assert own.jghand.avatar == "right.jghand"
     own.jghand.avatar = "other.jghand"
     own.jghand.show_in_viewport = False

@@ -25,7 +25,6 @@ from blender_addon.hand import properties as hand_properties
 from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE, sentence_of
 from blender_addon.render import properties as scene_properties
 
-ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = [
     each for module in registration.WITH_CLASSES for each in module.CLASSES if issubclass(each, bpy.types.Operator)
 ]
@@ -54,11 +53,6 @@ ALL_CURLS = (HAND_CONTROL, *FINGER_CONTROLS)
 def add(side: str = "right", **options: object) -> bpy.types.Object:
     assert bpy.ops.jghand.add_hand(handedness=side, **options) == {"FINISHED"}
     return bpy.context.object
-
-
-def joints_of(context: bpy.types.Context, thing: bpy.types.Object) -> np.ndarray:
-    context.view_layer.update()
-    return armature.read_hand(thing, context.evaluated_depsgraph_get()).joints_m
 
 
 def posed(name: str, side: str) -> np.ndarray:
@@ -139,7 +133,7 @@ def test_undo_takes_a_hand_away_and_redo_brings_it_back_whole(extension):
     bpy.ops.ed.redo()
     (thing,) = armature.hands_at_any_frame(bpy.context.view_layer)
     assert thing.jghand.avatar == "somebody.jghand"
-    np.testing.assert_allclose(joints_of(bpy.context, thing), posing.rest_joints_m("left"), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), posing.rest_joints_m("left"), atol=EXACT_M)
 
 
 def test_a_character_becomes_two_hands_and_is_forgotten_one_by_one(extension):
@@ -237,7 +231,7 @@ def test_a_pose_is_applied_whatever_the_controls_were(extension, side, name):
     thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.5
     controls.hold_tip(thing, "index")
     assert bpy.ops.jghand.apply_pose(pose=name) == {"FINISHED"}
-    np.testing.assert_allclose(joints_of(extension, thing), posed(name, side), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), posed(name, side), atol=EXACT_M)
 
 
 def test_half_a_pose_lies_between(extension):
@@ -257,7 +251,7 @@ def test_a_pose_goes_to_all_selected_hands_each_of_its_side(extension):
     right.select_set(True)
     bpy.ops.jghand.apply_pose(pose="fist")
     for thing, side in ((right, "right"), (left, "left")):
-        np.testing.assert_allclose(joints_of(extension, thing), posed("fist", side), atol=EXACT_M)
+        np.testing.assert_allclose(hands.joints_of(thing), posed("fist", side), atol=EXACT_M)
 
 
 def test_a_pose_is_keyed_where_it_is_asked_for_and_with_auto_keying(extension):
@@ -273,7 +267,7 @@ def test_a_pose_is_keyed_where_it_is_asked_for_and_with_auto_keying(extension):
     bpy.ops.jghand.apply_pose(pose="flat")
     assert {key.co[0] for curve in versions.fcurves(thing) for key in curve.keyframe_points} == {7.0, 20.0}
     extension.scene.frame_set(7)
-    np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), posed("fist", "right"), atol=EXACT_M)
 
 
 @pytest.mark.parametrize("is_selected", [True, False])
@@ -399,14 +393,14 @@ def test_keys_of_a_pose_hold_all_that_it_changed(extension, what):
         extension.scene.frame_set(frame)
         extension.view_layer.update()
         assert call() == {"FINISHED"}
-        wanted[frame] = joints_of(extension, thing)
+        wanted[frame] = hands.joints_of(thing)
         if frame == 1:  # what is keyed between is to end at the next pose
             extension.scene.frame_set(10)
             key_by_hand(thing, bones=what == "reset_pose")
             key_by_hand(other, bones=False)
     for frame in (1, 20, 1):
         extension.scene.frame_set(frame)
-        np.testing.assert_allclose(joints_of(extension, thing), wanted[frame], atol=EXACT_M)
+        np.testing.assert_allclose(hands.joints_of(thing), wanted[frame], atol=EXACT_M)
         extension.scene.frame_set(30)
 
 
@@ -418,14 +412,14 @@ def test_auto_keying_keys_a_held_tip_and_where_it_is(extension):
     extension.scene.frame_set(6)
     thing.pose.bones[FINGER_CONTROLS[1]].rotation_euler.x = 0.5
     bpy.ops.jghand.hold_tip(finger="index")
-    wanted = joints_of(extension, thing)
+    wanted = hands.joints_of(thing)
     curves = versions.fcurves(thing)
     assert len(curves) == 4  # the influence, and the place of the control
     assert {curve.group.name for curve in curves} == {"tip_index", "index3"}
     extension.scene.frame_set(5)
     assert controls.tip_rule(thing, 1).influence == 0
     extension.scene.frame_set(6)
-    np.testing.assert_allclose(joints_of(extension, thing), wanted, atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), wanted, atol=EXACT_M)
 
 
 def test_bones_that_an_artist_keeps_in_euler_angles_stay_so(extension):
@@ -434,9 +428,9 @@ def test_bones_that_an_artist_keeps_in_euler_angles_stay_so(extension):
         thing.pose.bones[name].rotation_mode = mode
     bpy.ops.jghand.apply_pose(pose="fist", use_keys=True)
     assert thing.pose.bones["index1"].rotation_mode == "XYZ"
-    np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), posed("fist", "right"), atol=EXACT_M)
     extension.scene.frame_set(3)
-    np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), posed("fist", "right"), atol=EXACT_M)
 
 
 def test_the_other_hand_takes_the_mirrored_pose_and_the_controls(extension):
@@ -448,8 +442,8 @@ def test_the_other_hand_takes_the_mirrored_pose_and_the_controls(extension):
     controls.hold_tip(left, "pinky")
     left.pose.bones["tip_pinky"].location += controls.Vector((0.004, -0.003, 0.002))
     assert bpy.ops.jghand.flip_pose() == {"FINISHED"}
-    wanted = joints_of(extension, left) * (-1, 1, 1)
-    np.testing.assert_allclose(joints_of(extension, right), wanted, atol=EXACT_M)
+    wanted = hands.joints_of(left) * (-1, 1, 1)
+    np.testing.assert_allclose(hands.joints_of(right), wanted, atol=EXACT_M)
 
 
 def test_a_hand_of_the_same_side_takes_the_pose_as_it_is(extension):
@@ -459,7 +453,7 @@ def test_a_hand_of_the_same_side_takes_the_pose_as_it_is(extension):
     bpy.ops.jghand.reset_pose()
     second.pose.bones["index1"].rotation_quaternion = (math.cos(0.2), math.sin(0.2), 0, 0)
     bpy.ops.jghand.flip_pose()
-    np.testing.assert_allclose(joints_of(extension, first), joints_of(extension, second), atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(first), hands.joints_of(second), atol=EXACT_M)
 
 
 def test_flip_needs_a_hand_to_take_the_pose(extension):
@@ -478,7 +472,7 @@ def test_reset_puts_fingers_and_controls_to_rest_and_leaves_the_wrist(extension)
     thing.pose.bones["wrist"].location = (0, 0.05, 0)
     bpy.ops.jghand.reset_pose()
     wanted = posing.rest_joints_m("right") + np.array(thing.pose.bones["wrist"].matrix.translation)
-    np.testing.assert_allclose(joints_of(extension, thing), wanted, atol=EXACT_M)
+    np.testing.assert_allclose(hands.joints_of(thing), wanted, atol=EXACT_M)
     assert thing.pose.bones["wrist"].location[1] == pytest.approx(0.05)
 
 
@@ -511,14 +505,14 @@ def test_baking_takes_all_selected_hands_over_the_preview_range(extension):
         thing.select_set(True)
         thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.6
     extension.view_layer.objects.active = second
-    wanted = [joints_of(extension, thing) for thing in (first, second)]
+    wanted = [hands.joints_of(thing) for thing in (first, second)]
     scene = extension.scene
     scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 5, 7
     assert bpy.ops.jghand.bake_controls() == {"FINISHED"}
     for thing, joints in zip((first, second), wanted, strict=True):
         assert not controls.has_controls(thing)
         assert {key.co[0] for curve in versions.fcurves(thing) for key in curve.keyframe_points} == {5.0, 6.0, 7.0}
-        np.testing.assert_allclose(joints_of(extension, thing), joints, atol=EXACT_M)
+        np.testing.assert_allclose(hands.joints_of(thing), joints, atol=EXACT_M)
     assert not versions.fcurves(bare)
 
 
@@ -570,7 +564,7 @@ def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extensio
         np.testing.assert_allclose(seen.joints_world_m, wanted, atol=EXACT_M)
     # the controls act on top again
     thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
-    assert np.abs(joints_of(extension, thing) - joints[-1]).max() > 0.01
+    assert np.abs(hands.joints_of(thing) - joints[-1]).max() > 0.01
 
 
 def test_a_motion_of_the_other_side_or_without_a_hand_makes_a_new_hand(extension, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 import build_pose_table
+import hands
 import numpy as np
 import pytest
 
@@ -13,11 +14,6 @@ from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, controls
 from blender_addon.hand import poses as hand_poses
 from blender_addon.hand import poses as pose_library
-
-
-def joints_of(context: bpy.types.Context, hand: bpy.types.Object) -> np.ndarray:
-    context.view_layer.update()
-    return armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
 
 
 def wanted_of(name: str, handedness: str) -> np.ndarray:
@@ -54,7 +50,7 @@ def test_every_asset_is_the_pose_of_the_table(context, handedness):
         (action,) = shipped_actions([pose.title])
         hand.pose.apply_pose_from_action(action, evaluation_time=1.0)
         # worst observed 3.2e-8 m
-        np.testing.assert_allclose(joints_of(context, hand), wanted_of(pose.name, handedness), atol=2e-7)
+        np.testing.assert_allclose(hands.joints_of(hand), wanted_of(pose.name, handedness), atol=2e-7)
 
 
 def test_an_asset_puts_the_controls_back_to_neutral(context):
@@ -64,7 +60,7 @@ def test_an_asset_puts_the_controls_back_to_neutral(context):
     hand.pose.bones["control_hand"].rotation_euler.x = 0.5
     (action,) = shipped_actions(["Point (right)"])
     hand.pose.apply_pose_from_action(action, evaluation_time=1.0)
-    np.testing.assert_allclose(joints_of(context, hand), wanted_of("point", "right"), atol=2e-7)
+    np.testing.assert_allclose(hands.joints_of(hand), wanted_of("point", "right"), atol=2e-7)
 
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
@@ -73,7 +69,7 @@ def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handed
     controls.add_controls(context, hand)
     for pose in poses.all_poses(handedness):
         hand_poses.take_pose(hand, pose)
-        away = np.linalg.norm(joints_of(context, hand) - wanted_of(pose.name, handedness), axis=-1)
+        away = np.linalg.norm(hands.joints_of(hand) - wanted_of(pose.name, handedness), axis=-1)
         assert away.max() < 5e-7, (pose.name, NAMES[int(away.argmax())], away.max())
 
 

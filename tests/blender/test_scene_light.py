@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from mathutils import Vector
 from test_avatar_cards import write_avatar
 from test_combine import f12
 from test_limits import material
-from test_render_engine import layers, with_link
+from test_render_engine import layers, linked_to
 
 from blender_addon import clock
 from blender_addon.core import posing
@@ -34,14 +35,10 @@ pytestmark = pytest.mark.usefixtures("linked_extension")
 
 @pytest.fixture(scope="module")
 def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
-    from blender_addon.renderer import runtime
     from blender_addon.renderer.process import engine_command
 
-    link = EngineLink(lambda: engine_command(engine_python))
-    before = with_link(link)
-    yield link
-    runtime._link = before
-    link.close()
+    with contextlib.closing(EngineLink(lambda: engine_command(engine_python))) as link, linked_to(link):
+        yield link
 
 
 @pytest.fixture

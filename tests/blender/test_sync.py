@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Iterator
 from types import SimpleNamespace
 
@@ -12,6 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from hands import camera_on, keyed_hand, moving_hand_m, put
+from waiting import wait_until
 
 from blender_addon import clock
 from blender_addon.core import pacing, posing
@@ -91,15 +91,13 @@ def view_on(context: bpy.types.Context, hand: bpy.types.Object) -> views.View:
 def look(context: bpy.types.Context, view: views.View, hand: bpy.types.Object) -> None:
     """What a draw does, but for the drawing."""
     view.settings = views.settings_of(context.scene)
-    views.read_again(view, [hand], context.evaluated_depsgraph_get())
+    solid = SimpleNamespace(shading=SimpleNamespace(type="SOLID"))
+    views.read_again(view, [hand], context.evaluated_depsgraph_get(), solid)
     views.look(view, views.moment_of(context.scene), drawing=True)
 
 
 def wait_for(context: bpy.types.Context, view: views.View) -> None:
-    end = time.monotonic() + 20
-    while not views.take(view, views.moment_of(context.scene)):
-        assert time.monotonic() < end, "no answer"
-        time.sleep(0.01)
+    wait_until(lambda: views.take(view, views.moment_of(context.scene)), "an answer")
 
 
 # ---- handlers and timer ----------------------------------------------------------------------------------------------
@@ -383,12 +381,13 @@ def test_a_view_at_rest_brings_a_killed_renderer_back_and_asks_again(link, exten
 
 def follow_until(name: str) -> None:
     """The timer's look at the renderer, until that is in this state."""
-    end = time.monotonic() + 20
-    while runtime.link().status.state != name:
+
+    def is_seen() -> bool:
+        state = runtime.link().status.state
         handlers._follow_status()
-        assert time.monotonic() < end, f"never {name}"
-        time.sleep(0.02)
-    handlers._follow_status()
+        return state == name
+
+    wait_until(is_seen, name)
 
 
 def test_a_view_survives_undo_and_asks_for_what_is_there_then(link, extension, installed):

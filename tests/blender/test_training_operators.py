@@ -7,13 +7,13 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
 import pytest
 from recording_layout import draw
+from waiting import wait_for_count, wait_until
 
 from blender_addon.export import bakes
 from blender_addon.export.properties import IDENTITIES
@@ -51,10 +51,7 @@ def running(key: str) -> Job:
     """The job of a key, once it has said how far it is."""
     job = runtime.jobs().get(key)
     assert job is not None
-    until = time.monotonic() + LONG_S
-    while not job.state.total and time.monotonic() < until:
-        job.tick()
-        time.sleep(0.01)
+    wait_for_count(job)
     assert job.state.phase is Phase.RUNNING
     return job
 
@@ -310,7 +307,5 @@ while not job.state.total:
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path / "profile")}
     # however it ends: the module of 4.5 crashes at its exit when a handler is registered (BLENDER 5)
     subprocess.run(command, env=environment, check=False, timeout=120)
-    until = time.monotonic() + LONG_S
-    while not (tmp_path / "checkpoint").exists() and time.monotonic() < until:
-        time.sleep(0.05)
+    wait_until((tmp_path / "checkpoint").exists, "its checkpoint")
     assert (tmp_path / "checkpoint").read_text() == "checkpoint"

@@ -82,6 +82,12 @@ def receive(connection: socket.socket) -> protocol.Message:
     return protocol.receive(connection, deadline=time.monotonic() + PATIENCE_S)
 
 
+def welcomes(engine: Engine) -> bool:
+    """Whether it takes another client."""
+    with engine.connected() as later:
+        return receive(later).header["kind"] == "welcome"
+
+
 def answer(connection: socket.socket, header: dict, arrays: dict | None = None) -> protocol.Message:
     """The reply to a request, heart-beats left out."""
     protocol.send(connection, header, arrays)
@@ -254,12 +260,7 @@ def test_a_second_client_is_refused_and_a_later_one_is_welcome(engine):
         with engine.connected() as second:
             assert receive(second).header["error"]["kind"] == "busy"
         assert answer(first, {"kind": "info", "id": 1}).header["ok"]
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        with engine.connected() as later:
-            if receive(later).header["kind"] == "welcome":
-                return
-    pytest.fail("the place of the first client was never given back")
+    wait_until(lambda: welcomes(engine), "the place of the first client")
 
 
 @pytest.mark.parametrize(
@@ -377,13 +378,7 @@ def test_a_picture_that_nobody_waits_for_any_more_stops():
         receive(connection)
         protocol.send(connection, PICTURE, picture_arrays())
         assert receive(connection).header["kind"] == "heartbeat"
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        with engine.connected() as later:
-            if receive(later).header["kind"] == "welcome":
-                break
-    else:
-        pytest.fail("the place of the client that left was never given back")
+    wait_until(lambda: welcomes(engine), "the place of the client that left")
     assert ended(engine) == 0
 
 
@@ -421,10 +416,7 @@ def test_a_parent_that_is_killed_leaves_no_orphan():
         engine = int(parent.stdout.readline())
     parent.kill()
     parent.wait(PATIENCE_S)
-    deadline = time.monotonic() + PATIENCE_S
-    while _runs(engine) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not _runs(engine)
+    wait_until(lambda: not _runs(engine), "its end")
 
 
 def _runs(pid: int) -> bool:
