@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -38,9 +39,12 @@ SH_COUNT = 16
 ANCHOR_NEIGHBORS = 3
 SHARE_UNITS = 255
 
+# NumPy's arrays; tensors while a hand is learned
+Array = TypeVar("Array", bound=Any)
+
 
 @dataclass(frozen=True)
-class Light:
+class Light(Generic[Array]):
     """The light of the capture, in the world's frame, that of the joints.
 
     irradiance:     (16, 3) coefficients of the logarithm of the color that matt skin gets
@@ -50,11 +54,11 @@ class Light:
     rim:            () how much more is reflected at grazing angles, 0 and up
     """
 
-    irradiance: np.ndarray
-    lobe_direction: np.ndarray
-    lobe_sharpness: np.ndarray
-    lobe_rgb: np.ndarray
-    rim: np.ndarray
+    irradiance: Array
+    lobe_direction: Array
+    lobe_sharpness: Array
+    lobe_rgb: Array
+    rim: Array
 
 
 def no_light() -> Light:
@@ -83,23 +87,23 @@ class ShadowLook:
 
 
 @dataclass(frozen=True)
-class Ellipsoid:
+class Ellipsoid(Generic[Array]):
     """How canonical Gaussians differ from spheres of their sigma.
 
     log_stretch: (N, 3) logarithm of each axis over sigma
     quaternion:  (N, 4) wxyz of any length, turns the axes
     """
 
-    log_stretch: np.ndarray
-    quaternion: np.ndarray
+    log_stretch: Array
+    quaternion: Array
 
-    def prefix(self, count: int) -> Ellipsoid:
+    def prefix(self, count: int) -> Self:
         """The same for the first `count` Gaussians."""
-        return Ellipsoid(self.log_stretch[:count], self.quaternion[:count])
+        return replace(self, log_stretch=self.log_stretch[:count], quaternion=self.quaternion[:count])
 
 
 @dataclass(frozen=True)
-class Anchors:
+class Anchors(Generic[Array]):
     """Where the cast shadow is computed, and how it is spread to N Gaussians.
 
     position_m:   (A, 3) float32 canonical, meters
@@ -109,22 +113,22 @@ class Anchors:
     share:        (N, 3) float32 of each, sums to 1
     """
 
-    position_m: np.ndarray
-    normal: np.ndarray
-    bone_weights: np.ndarray
-    nearest: np.ndarray
-    share: np.ndarray
+    position_m: Array
+    normal: Array
+    bone_weights: Array
+    nearest: Array
+    share: Array
 
     def __len__(self) -> int:
         return len(self.position_m)
 
-    def prefix(self, count: int) -> Anchors:
+    def prefix(self, count: int) -> Self:
         """The same for the first `count` Gaussians."""
         return replace(self, nearest=self.nearest[:count], share=self.share[:count])
 
 
 @dataclass(frozen=True)
-class CastShadow:
+class CastShadow(Generic[Array]):
     """Shadows that the fingers cast on the hand, see `native/learned_cast.cpp`.
 
     lamp_rgb:    (K, 3) what each lamp around the hand sends, 0 and up
@@ -133,18 +137,18 @@ class CastShadow:
     own:         (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it
     """
 
-    lamp_rgb: np.ndarray
-    bounced_rgb: np.ndarray
-    anchors: Anchors
-    own: np.ndarray
+    lamp_rgb: Array
+    bounced_rgb: Array
+    anchors: Anchors[Array]
+    own: Array
 
-    def prefix(self, count: int) -> CastShadow:
+    def prefix(self, count: int) -> Self:
         """The same for the first `count` Gaussians."""
         return replace(self, anchors=self.anchors.prefix(count))
 
 
 @dataclass(frozen=True)
-class SkinResponse:
+class SkinResponse(Generic[Array]):
     """How the skin of N Gaussians answers light. The avatar's colors are its albedo then, linear.
 
     spread:      (N,) of the softness at each Gaussian, 1 on average
@@ -159,22 +163,22 @@ class SkinResponse:
                  skin, for the axes of its camera, y up; None of a hand that has no light of its own
     """
 
-    spread: np.ndarray
-    roughness: np.ndarray
-    reflectance: np.ndarray
-    softness: np.ndarray
-    bounce: np.ndarray
-    ambient: np.ndarray
+    spread: Array
+    roughness: Array
+    reflectance: Array
+    softness: Array
+    bounce: Array
+    ambient: Array
     shade_gain: float
     trained_on: Mapping[str, int] = field(default_factory=dict)
-    film_light: np.ndarray | None = None
+    film_light: Array | None = None
 
     @cached_property
     def mirrors(self) -> bool:
         """Whether anything has gloss."""
         return bool((self.reflectance > 0).any())
 
-    def prefix(self, count: int) -> SkinResponse:
+    def prefix(self, count: int) -> Self:
         """The same for the first `count` Gaussians."""
         own = {name: getattr(self, name)[:count] for name in ("spread", "roughness", "reflectance")}
         return replace(self, **own)

@@ -14,7 +14,7 @@ weights. What a bone hides in the canonical pose from the skin around it is in t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -32,7 +32,14 @@ from jghand_engine.avatar.cast_task import (
     LIGHT_TO_DISPLAY,
     Capsules,
 )
-from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, CAPSULE_RADII_MM, SHARE_UNITS, lamp_directions
+from jghand_engine.avatar.learned import (
+    ANCHOR_NEIGHBORS,
+    CAPSULE_RADII_MM,
+    SHARE_UNITS,
+    Anchors,
+    CastShadow,
+    lamp_directions,
+)
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.learn.planes import weighted_rows
 
@@ -41,22 +48,7 @@ ANCHOR_SOFTENING_M = 1e-4
 
 
 @dataclass(frozen=True)
-class AnchorTensors:
-    """See learned.Anchors."""
-
-    position_m: Tensor
-    normal: Tensor
-    bone_weights: Tensor
-    nearest: Tensor
-    share: Tensor
-
-    def __len__(self) -> int:
-        return self.position_m.shape[0]
-
-    def prefix(self, count: int) -> AnchorTensors:
-        """The same for the first `count` Gaussians."""
-        return replace(self, nearest=self.nearest[:count], share=self.share[:count])
-
+class AnchorTensors(Anchors[Tensor]):
     def spread(self, values: Tensor) -> Tensor:
         """(N, C) at the Gaussians of values (A, C) at the anchors."""
         return weighted_rows(values, self.nearest.T, self.share.T.to(values.dtype))
@@ -86,17 +78,8 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
 
 
 @dataclass(frozen=True)
-class CastTensors:
-    """See learned.CastShadow."""
-
-    lamp_rgb: Tensor
-    bounced_rgb: Tensor
+class CastTensors(CastShadow[Tensor]):
     anchors: AnchorTensors
-    own: Tensor
-
-    def prefix(self, count: int) -> CastTensors:
-        """The same for the first `count` Gaussians."""
-        return replace(self, anchors=self.anchors.prefix(count))
 
 
 def capsules(joints_m: Tensor, hand_scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX
+from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, Light
 from jghand_engine.avatar.skin_task import NORMAL_LENGTH2_MIN
 
 # cosines to the eye over which skin that faces away fades out; of native/learned.h
@@ -27,14 +27,8 @@ AWAY_FROM, AWAY_WIDTH = -0.1, 0.2
 
 
 @dataclass(frozen=True)
-class LightTensors:
-    """See learned.Light; the coefficients of the irradiance are in the order of `harmonics`."""
-
-    irradiance: Tensor
-    lobe_direction: Tensor
-    lobe_sharpness: Tensor
-    lobe_rgb: Tensor
-    rim: Tensor
+class LightTensors(Light[Tensor]):
+    """The coefficients of the irradiance are in the order of `harmonics`."""
 
     def to(self, dtype: torch.dtype) -> LightTensors:
         """The same light in another precision."""

@@ -24,7 +24,7 @@ from jghand_engine.avatar.avatar import (
     sigma_scale_for_prefix,
 )
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, ShadowLook, own_flesh
+from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, Ellipsoid, ShadowLook, own_flesh
 from jghand_engine.avatar.relighting import AMBIENT, BOUNCE, REFLECTANCE, SHADE_GAIN, SOFTNESS
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.canonical_points import CanonicalPoints
@@ -33,7 +33,7 @@ from jghand_engine.learn.light import LightTensors, unit
 from jghand_engine.learn.planes import IdentityPlanes
 from jghand_engine.learn.pose_net import PoseNet
 from jghand_engine.learn.scene_light import CORNER_MAX, CORNER_MIN, ResponseTensors
-from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors, LearnedTensors, mapped
+from jghand_engine.learn.tensors import HandTensors, LearnedTensors, mapped
 from jghand_engine.native import contract
 
 # standard deviation of feature planes at the start (METHOD 4.2)
@@ -239,11 +239,11 @@ class LearnedHand(nn.Module):
             self._own = self._own.to(device)
         return self
 
-    def ellipsoid(self, count: int) -> EllipsoidTensors | None:
+    def ellipsoid(self, count: int) -> Ellipsoid[Tensor] | None:
         """Of the first `count` Gaussians, with gradients; None for spheres."""
         if not self.options.anisotropic:
             return None
-        return EllipsoidTensors(self.log_stretch[:count], self.quaternion[:count])
+        return Ellipsoid(self.log_stretch[:count], self.quaternion[:count])
 
     def light_parameters(self) -> list[nn.Parameter]:
         """What the light is made of: few numbers that every pixel speaks for."""

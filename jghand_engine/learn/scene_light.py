@@ -14,8 +14,7 @@ the far side. phi takes skin that faces away, which is seen through gaps between
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -47,18 +46,7 @@ HIDDEN_MIN, WEIGHT_MIN = 1e-9, 1e-6
 
 
 @dataclass(frozen=True)
-class ResponseTensors:
-    """See learned.SkinResponse."""
-
-    spread: Tensor
-    roughness: Tensor
-    reflectance: Tensor
-    softness: Tensor
-    bounce: Tensor
-    ambient: Tensor
-    shade_gain: float
-    trained_on: Mapping[str, int] = field(default_factory=dict)
-
+class ResponseTensors(SkinResponse[Tensor]):
     @classmethod
     def of(cls, response: SkinResponse, dtype: torch.dtype = torch.float64) -> ResponseTensors:
         """A copy, without gradients."""

@@ -12,6 +12,7 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.cast_task import Capsules
+from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -20,7 +21,7 @@ from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.light import gloss, lit, seen_from_outside, unit
 from jghand_engine.learn.pose_features import PoseAngles
 from jghand_engine.learn.pose_net import Correction
-from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors
+from jghand_engine.learn.tensors import HandTensors
 
 
 class PoseTransforms(Protocol):
@@ -246,7 +247,9 @@ def pose_gaussians(
     return skin.matt if eye_m is None else seen_from(skin, eye_m, hand)
 
 
-def _covariance(sigma_m: torch.Tensor, ellipsoid: EllipsoidTensors | None, linear: torch.Tensor) -> torch.Tensor | None:
+def _covariance(
+    sigma_m: torch.Tensor, ellipsoid: Ellipsoid[torch.Tensor] | None, linear: torch.Tensor
+) -> torch.Tensor | None:
     if ellipsoid is None:
         return None
     log_scale = sigma_m.log()[:, None] + ellipsoid.log_stretch

@@ -26,14 +26,6 @@ Record = TypeVar("Record")
 
 
 @dataclass(frozen=True)
-class EllipsoidTensors:
-    """See learned.Ellipsoid."""
-
-    log_stretch: Tensor
-    quaternion: Tensor
-
-
-@dataclass(frozen=True)
 class LearnedTensors:
     """See learned.Learned; without cheaper tiers of the correctives."""
 
@@ -43,7 +35,7 @@ class LearnedTensors:
     correctives: PoseNet | LinearNet | None
     shadow: ShadowLook | None
     world_offsets: bool = False
-    ellipsoid: EllipsoidTensors | None = None
+    ellipsoid: Ellipsoid[Tensor] | None = None
     cast: CastTensors | None = None
     response: ResponseTensors | None = None
     in_studio: bool = False
@@ -93,7 +85,7 @@ _TENSORS_OF = {
     HandAvatar: HandTensors,
     Learned: LearnedTensors,
     Light: LightTensors,
-    Ellipsoid: EllipsoidTensors,
+    Ellipsoid: Ellipsoid,
     CastShadow: CastTensors,
     Anchors: AnchorTensors,
     SkinResponse: ResponseTensors,

@@ -9,6 +9,7 @@ import torch
 from small_avatars import small_tensors, trained_tensors
 from small_hands import bones_of, joints_of
 
+from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of
@@ -27,7 +28,7 @@ from jghand_engine.learn.skinning import (
     skin_maps,
     turning,
 )
-from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors, LearnedTensors
+from jghand_engine.learn.tensors import HandTensors, LearnedTensors
 
 POSES = ("open", "fist", "claw")
 MIRROR = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
@@ -43,7 +44,7 @@ def learned_of(avatar: HandTensors) -> LearnedTensors:
 def elliptic(avatar: HandTensors = AVATAR) -> HandTensors:
     g = torch.Generator().manual_seed(6)
     count = len(avatar)
-    ellipsoid = EllipsoidTensors(0.5 * torch.randn(count, 3, generator=g), torch.randn(count, 4, generator=g))
+    ellipsoid = Ellipsoid(0.5 * torch.randn(count, 3, generator=g), torch.randn(count, 4, generator=g))
     return replace(avatar, learned=replace(learned_of(avatar), ellipsoid=ellipsoid))
 
 
@@ -219,7 +220,7 @@ def test_round_gaussians_have_no_covariance_and_round_ellipsoids_that_of_their_m
     bones = bones_of(joints_of("fist"))
     assert pose_skin(AVATAR, bones).matt.covariance_m2 is None
     count = len(AVATAR)
-    around = EllipsoidTensors(torch.zeros(count, 3), torch.tensor([[2.0, 0.0, 0.0, 0.0]]).expand(count, 4))
+    around = Ellipsoid(torch.zeros(count, 3), torch.tensor([[2.0, 0.0, 0.0, 0.0]]).expand(count, 4))
     avatar = replace(AVATAR, learned=replace(learned_of(AVATAR), ellipsoid=around))
     got = matrices(pose_skin(avatar, bones).matt.covariance_m2)
     L = skin_maps(AVATAR.bone_weights, bones).linear
@@ -277,9 +278,7 @@ def test_gradients_of_the_skin_are_those_of_finite_differences():
 
     def drawn(position_m, sigma_m, rgb, normal, shine, irradiance, lobes, stretch, quaternion, offset, shade):
         light = replace(learned.light.to(torch.float64), irradiance=irradiance, lobe_direction=lobes)
-        live = replace(
-            learned, normal=normal, shine=shine, light=light, ellipsoid=EllipsoidTensors(stretch, quaternion)
-        )
+        live = replace(learned, normal=normal, shine=shine, light=light, ellipsoid=Ellipsoid(stretch, quaternion))
         one = replace(avatar, position_m=position_m, sigma_m=sigma_m, rgb=rgb, learned=live)
         skin = pose_skin(one, bones, Correction(0.01 * offset, shade))
         seen = seen_from(skin, EYE_M, one)
