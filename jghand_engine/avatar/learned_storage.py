@@ -24,9 +24,9 @@ of 0.1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -54,7 +54,7 @@ from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.json_files import JsonObject
 from jghand_engine.native.learned_tasks import HIDDEN_MAX
 
-NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
+NORMAL, SHINE = "normal", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
 RESPONSE, RANGE, FILM_LIGHT = "response.", "response.range", "response.film_light"
 # of a response: values per Gaussian, then per channel
@@ -243,191 +243,164 @@ def _parsed_net(of: JsonObject) -> PoseNetShape:
 # ---- arrays ----------------------------------------------------------------------------------------------------------
 
 
-def expected_learned_arrays(about: LearnedAbout, gaussians: int, storage: Storage) -> dict[str, tuple[str, tuple]]:
-    """Name -> (safetensors dtype, shape) of every array that training adds."""
-    exact = storage is Storage.EXACT
-    arrays: dict[str, tuple[str, tuple]] = {}
-    arrays |= {NORMAL: ("F32", (gaussians, 3))} if exact else {PACKED_NORMAL: ("U16", (gaussians, 2))}
+class _Stored(NamedTuple):
+    """Shape of an array, and as what exact and compact files have it: a dtype of safetensors, or one of the below."""
+
+    shape: tuple[int, ...]
+    exact: str = "F32"
+    compact: str = "F32"
+
+
+# unit vectors as two numbers, under another name; values of a response over their range, see RANGE
+_UNIT, _RANGED = "octahedral", "ranged"
+_DTYPES = {"F32": np.float32, "F16": np.float16, "U16": np.uint16, "U8": np.uint8, "I8": np.int8}
+
+
+def _layout(about: LearnedAbout, gaussians: int) -> dict[str, _Stored]:
+    """Every array that training adds, by name."""
+    each, net = (gaussians,), about.net
+    arrays = {NORMAL: _Stored((*each, 3), compact=_UNIT)}
     if about.light.is_known:
-        arrays |= {RESPONSE + name: ("F32" if exact else "U8", (gaussians,)) for name in MATERIAL}
-        arrays |= {RESPONSE + name: ("F32", (3,)) for name in PER_CHANNEL} | {RESPONSE + "shade_gain": ("F32", (1,))}
-        arrays |= {} if exact else {RANGE: ("F32", (len(MATERIAL), 2))}
-        arrays |= {FILM_LIGHT: ("F32", (CELLS, 3))} if about.light.is_estimated else {}
+        arrays |= {RESPONSE + name: _Stored(each, compact=_RANGED) for name in MATERIAL}
+        arrays |= {RESPONSE + name: _Stored((3,)) for name in PER_CHANNEL} | {RESPONSE + "shade_gain": _Stored((1,))}
+        arrays |= {FILM_LIGHT: _Stored((CELLS, 3))} if about.light.is_estimated else {}
     else:
-        arrays[SHINE] = ("F32" if exact else "F16", (gaussians,))
-        arrays |= {LIGHT + name: ("F32", shape) for name, shape in _light_shapes(about.lobes).items()}
-    if about.net is not None:
-        for name, shape in about.net.arrays().items():
-            arrays[NET + name] = ("F32" if exact else "F16", shape)
-    if about.net is not None and about.baked is not None and about.baked.basis:
-        for name, kind in _linear_arrays(about.net, about.baked.basis, gaussians).items():
-            arrays[LINEAR + name] = kind
+        arrays |= {SHINE: _Stored(each, compact="F16"), LIGHT + "irradiance": _Stored((SH_COUNT, 3))}
+        arrays |= {LIGHT + name: _Stored((about.lobes, 3)) for name in ("lobe_direction", "lobe_rgb")}
+        arrays |= {LIGHT + "lobe_sharpness": _Stored((about.lobes,)), LIGHT + "rim": _Stored((1,))}
+    if net is not None:
+        arrays |= {NET + name: _Stored(shape, compact="F16") for name, shape in net.arrays().items()}
+    if net is not None and about.baked is not None and about.baked.basis:
+        basis, channels = about.baked.basis, net.angle_channels
+        arrays |= {
+            LINEAR + "mean": _Stored((channels,)),
+            LINEAR + "projection": _Stored((channels, min(basis, channels))),
+            LINEAR + "constant": _Stored((*each, 6), "F16", "F16"),
+            LINEAR + "direction": _Stored((*each, basis, 6), "I8", "I8"),
+            LINEAR + "scale": _Stored((*each, 2)),
+        }
     if about.cast is not None:
-        for name, kind in _cast_arrays(about.cast, gaussians, storage).items():
-            arrays[CAST + name] = kind
+        anchors = (about.cast.anchors,)
+        arrays |= {
+            CAST + "lamp_rgb": _Stored((about.cast.lamps, 3)),
+            CAST + "bounced_rgb": _Stored((3,)),
+            CAST + "position_m": _Stored((*anchors, 3)),
+            CAST + NORMAL: _Stored((*anchors, 3), compact=_UNIT),
+            CAST + "bone_weights": _Stored((*anchors, JOINT_COUNT), compact="F16"),
+            CAST + "nearest": _Stored((*each, ANCHOR_NEIGHBORS), "U16", "U16"),
+            CAST + "share": _Stored((*each, ANCHOR_NEIGHBORS), "U8", "U8"),
+        }
     if about.ellipsoids:
-        for name, width in (("log_stretch", 3), ("quaternion", 4)):
-            arrays[ELLIPSOID + name] = ("F32" if exact else "F16", (gaussians, width))
+        widths = {"log_stretch": 3, "quaternion": 4}
+        arrays |= {ELLIPSOID + name: _Stored((*each, width), compact="F16") for name, width in widths.items()}
     return arrays
 
 
-def _light_shapes(lobes: int) -> dict[str, tuple[int, ...]]:
-    return {
-        "irradiance": (SH_COUNT, 3), "lobe_direction": (lobes, 3), "lobe_sharpness": (lobes,), "lobe_rgb": (lobes, 3),
-        "rim": (1,),
-    }  # fmt: skip
+def _values(learned: Learned) -> dict[str, np.ndarray]:
+    """The same arrays as they are in memory, and others."""
+    parts = {LIGHT: learned.light, ELLIPSOID: learned.ellipsoid, CAST: learned.cast, RESPONSE: learned.response}
+    if isinstance(learned.correctives, PoseNetwork) and learned.distilled is not None:
+        parts[LINEAR] = learned.distilled.linear
+    values = {NORMAL: learned.normal, SHINE: learned.shine}
+    for prefix, part in parts.items():
+        values |= {} if part is None else {prefix + name: value for name, value in vars(part).items()}
+    if isinstance(learned.correctives, PoseNetwork):
+        values |= {NET + name: value for name, value in learned.correctives.weights.items()}
+    if learned.cast is not None:
+        values |= {CAST + name: value for name, value in vars(learned.cast.anchors).items()}
+        values[CAST + "share"] = np.rint(SHARE_UNITS * learned.cast.anchors.share)
+    return values
 
 
-def _linear_arrays(net: PoseNetShape, basis: int, gaussians: int) -> dict[str, tuple[str, tuple]]:
-    return {
-        "mean": ("F32", (net.angle_channels,)),
-        "projection": ("F32", (net.angle_channels, min(basis, net.angle_channels))),
-        "constant": ("F16", (gaussians, 6)),
-        "direction": ("I8", (gaussians, basis, 6)),
-        "scale": ("F32", (gaussians, 2)),
-    }
-
-
-def _cast_arrays(about: CastAbout, gaussians: int, storage: Storage) -> dict[str, tuple[str, tuple]]:
-    exact = storage is Storage.EXACT
-    normal = (NORMAL, ("F32", (about.anchors, 3))) if exact else (PACKED_NORMAL, ("U16", (about.anchors, 2)))
-    return {
-        "lamp_rgb": ("F32", (about.lamps, 3)),
-        "bounced_rgb": ("F32", (3,)),
-        "position_m": ("F32", (about.anchors, 3)),
-        "bone_weights": ("F32" if exact else "F16", (about.anchors, JOINT_COUNT)),
-        "nearest": ("U16", (gaussians, ANCHOR_NEIGHBORS)),
-        "share": ("U8", (gaussians, ANCHOR_NEIGHBORS)),
-        normal[0]: normal[1],
-    }
-
-
-def _pack_cast(cast: CastShadow, storage: Storage) -> dict[str, np.ndarray]:
-    anchors, normal = cast.anchors, _single(cast.anchors.normal)
-    packed = {
-        "lamp_rgb": _single(cast.lamp_rgb),
-        "bounced_rgb": _single(cast.bounced_rgb),
-        "position_m": _single(anchors.position_m),
-        "nearest": anchors.nearest.astype(np.uint16),
-        "share": np.rint(SHARE_UNITS * anchors.share).astype(np.uint8),
-        "bone_weights": _single(anchors.bone_weights).astype(np.float32 if storage is Storage.EXACT else np.float16),
-    }
-    packed |= {NORMAL: normal} if storage is Storage.EXACT else {PACKED_NORMAL: octahedral(normal)}
-    return {CAST + name: array for name, array in packed.items()}
-
-
-def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: np.ndarray) -> CastShadow:
-    own = {name.removeprefix(CAST): array for name, array in packed.items() if name.startswith(CAST)}
-    anchors = Anchors(
-        position_m=_single(own["position_m"]),
-        normal=_single(own[NORMAL] if NORMAL in own else octahedral_normal(own[PACKED_NORMAL])),
-        bone_weights=_single(own["bone_weights"]),
-        nearest=own["nearest"].astype(np.int64),
-        share=_single(own["share"]) / SHARE_UNITS,
-    )
-    flesh = own_flesh(anchors.position_m, canonical_joints_m)
-    return CastShadow(_single(own["lamp_rgb"]), _single(own["bounced_rgb"]), anchors, flesh)
-
-
-def _pack_response(response: SkinResponse, storage: Storage) -> dict[str, np.ndarray]:
-    packed = {RESPONSE + name: _single(getattr(response, name)) for name in (*MATERIAL, *PER_CHANNEL)}
-    packed[RESPONSE + "shade_gain"] = np.array([response.shade_gain], np.float32)
-    if response.film_light is not None:
-        packed[FILM_LIGHT] = _single(response.film_light)
-    if storage is Storage.COMPACT:
-        every = [packed[RESPONSE + name].astype(np.float64) for name in MATERIAL]
-        packed[RANGE] = np.array([[values.min(), values.max()] for values in every], np.float32)
-        for name, values in zip(MATERIAL, every, strict=True):
-            step = (values.max() - values.min()) / UINT8_MAX
-            packed[RESPONSE + name] = np.rint((values - values.min()) / (step or 1.0)).astype(np.uint8)
-    return packed
-
-
-def _unpack_response(packed: dict[str, np.ndarray], about: LightAbout) -> SkinResponse:
-    values = {name: packed[RESPONSE + name] for name in (*MATERIAL, *PER_CHANNEL)}
-    if RANGE in packed:
-        for name, (low, high) in zip(MATERIAL, packed[RANGE].astype(np.float64), strict=True):
-            with np.errstate(invalid="ignore"):  # a range that is not finite gives values that are refused
-                values[name] = low + values[name] * ((high - low) / UINT8_MAX)
-    gain = float(packed[RESPONSE + "shade_gain"][0])
-    return SkinResponse(
-        **{name: _single(array) for name, array in values.items()},
-        shade_gain=gain,
-        trained_on=about.trained_on,
-        film_light=_single(packed[FILM_LIGHT]) if about.is_estimated else None,
-    )
-
-
-def _pack_linear(linear: LinearCorrectives) -> dict[str, np.ndarray]:
-    packed = {LINEAR + name: _single(getattr(linear, name)) for name in ("mean", "projection", "scale")}
-    packed[LINEAR + "constant"] = _single(linear.constant).astype(np.float16)
-    packed[LINEAR + "direction"] = linear.direction
-    return packed
-
-
-def _unpack_linear(packed: dict[str, np.ndarray], net: PoseNetwork) -> LinearCorrectives:
-    names = ("mean", "projection", "constant", "scale")
-    direction = np.ascontiguousarray(packed[LINEAR + "direction"])
-    return LinearCorrectives(
-        angles=net.angles, direction=direction, **{name: _single(packed[LINEAR + name]) for name in names}
-    )
+def expected_learned_arrays(about: LearnedAbout, gaussians: int, storage: Storage) -> dict[str, tuple[str, tuple]]:
+    """Name -> (safetensors dtype, shape) of every array that training adds."""
+    arrays: dict[str, tuple[str, tuple]] = {}
+    for name, stored in _layout(about, gaussians).items():
+        kind = stored.exact if storage is Storage.EXACT else stored.compact
+        if kind == _UNIT:
+            arrays[f"{name}_{_UNIT}"] = ("U16", (*stored.shape[:-1], 2))
+        elif kind == _RANGED:
+            arrays |= {name: ("U8", stored.shape), RANGE: ("F32", (len(MATERIAL), 2))}
+        else:
+            arrays[name] = (kind, stored.shape)
+    return arrays
 
 
 def pack_learned(learned: Learned, storage: Storage) -> dict[str, np.ndarray]:
     """Arrays as they stand in a file."""
-    exact = storage is Storage.EXACT
-    real = np.float32 if exact else np.float16
-    normal = _single(learned.normal)
-    packed = {NORMAL: normal} if exact else {PACKED_NORMAL: octahedral(normal)}
-    if learned.response is not None:
-        packed |= _pack_response(learned.response, storage)
-    with np.errstate(over="ignore"):  # what becomes infinite is refused when the file is read once before it is named
-        if learned.response is None:
-            packed[SHINE] = _single(learned.shine).astype(real)
-            for f in fields(Light):
-                packed[LIGHT + f.name] = np.atleast_1d(_single(getattr(learned.light, f.name)))
-        if isinstance(learned.correctives, PoseNetwork):
-            for name, array in learned.correctives.weights.items():
-                packed[NET + name] = _single(array).astype(real)
-        if learned.distilled is not None and learned.distilled.linear is not None:
-            packed |= _pack_linear(learned.distilled.linear)
-        if learned.cast is not None:
-            packed |= _pack_cast(learned.cast, storage)
-        if learned.ellipsoid is not None:
-            for f in fields(Ellipsoid):
-                packed[ELLIPSOID + f.name] = _single(getattr(learned.ellipsoid, f.name)).astype(real)
+    values, packed = _values(learned), {}
+    for name, stored in _layout(LearnedAbout.of(learned), len(learned.normal)).items():
+        kind, array = stored.exact if storage is Storage.EXACT else stored.compact, np.atleast_1d(_single(values[name]))
+        if kind == _UNIT:
+            packed[f"{name}_{_UNIT}"] = octahedral(array)
+        elif kind == _RANGED:
+            low, high = array.min().astype(np.float64), array.max().astype(np.float64)
+            packed[name] = np.rint((array - low) / ((high - low) / UINT8_MAX or 1.0)).astype(np.uint8)
+            packed[RANGE] = np.vstack([*packed.get(RANGE, ()), np.array([low, high], np.float32)])
+        else:
+            with np.errstate(over="ignore"):  # infinite ones are refused when the file is read once before it is named
+                packed[name] = array.astype(_DTYPES[kind])
     return {name: np.ascontiguousarray(array) for name, array in packed.items()}
 
 
 def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical_joints_m: np.ndarray) -> Learned:
     """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar."""
-    normal = packed[NORMAL] if NORMAL in packed else octahedral_normal(packed[PACKED_NORMAL])
-    response = _unpack_response(packed, about.light) if about.light.is_known else None
-    light, shine = no_light(), np.zeros(len(normal), np.float32)
-    if response is None:
-        arrays, shine = {f.name: _single(packed[LIGHT + f.name]) for f in fields(Light)}, _single(packed[SHINE])
+
+    def unit(prefix: str = "") -> np.ndarray:
+        exact = packed.get(prefix + NORMAL)
+        return octahedral_normal(packed[f"{prefix}{NORMAL}_{_UNIT}"]) if exact is None else _single(exact)
+
+    def part(prefix: str, names: Iterable[str]) -> dict[str, np.ndarray]:
+        return {name: _single(packed[prefix + name]) for name in names}
+
+    normal = unit()
+    response, light, shine = None, no_light(), np.zeros(len(normal), np.float32)
+    if about.light.is_known:
+        response = _unpacked_response(packed, about.light)
+    else:
+        arrays, shine = part(LIGHT, [f.name for f in fields(Light)]), _single(packed[SHINE])
         light = Light(**arrays | {"rim": arrays["rim"].reshape(())})
-    net = None
-    if about.net is not None:
-        net = PoseNetwork(about.net, {name: _single(packed[NET + name]) for name in about.net.arrays()})
+    net = None if about.net is None else PoseNetwork(about.net, part(NET, about.net.arrays()))
     distilled = None
     if about.baked is not None and net is not None:
-        linear = _unpack_linear(packed, net) if about.baked.basis else None
+        linear = None
+        if about.baked.basis:
+            direction = np.ascontiguousarray(packed[LINEAR + "direction"])
+            numbers = part(LINEAR, ("mean", "projection", "constant", "scale"))
+            linear = LinearCorrectives(angles=net.angles, direction=direction, **numbers)
         distilled = Distilled(linear, about.baked.prices, about.baked.measured_on)
-    ellipsoid = None
-    if about.ellipsoids:
-        ellipsoid = Ellipsoid(**{f.name: _single(packed[ELLIPSOID + f.name]) for f in fields(Ellipsoid)})
+    cast = None
+    if about.cast is not None:
+        around = part(CAST, ("position_m", "bone_weights", "share"))
+        around["share"] /= np.float32(SHARE_UNITS)
+        anchors = Anchors(normal=unit(CAST), nearest=packed[CAST + "nearest"].astype(np.int64), **around)
+        flesh = own_flesh(anchors.position_m, canonical_joints_m)
+        cast = CastShadow(**part(CAST, ("lamp_rgb", "bounced_rgb")), anchors=anchors, own=flesh)
     return Learned(
-        normal=_single(normal),
+        normal=normal,
         shine=shine,
         light=light,
         correctives=net,
         shadow=about.shadow,
         world_offsets=about.world_offsets,
-        ellipsoid=ellipsoid,
-        cast=None if about.cast is None else _unpack_cast(packed, canonical_joints_m),
+        ellipsoid=Ellipsoid(**part(ELLIPSOID, [f.name for f in fields(Ellipsoid)])) if about.ellipsoids else None,
+        cast=cast,
         distilled=distilled,
         response=response,
+    )
+
+
+def _unpacked_response(packed: dict[str, np.ndarray], about: LightAbout) -> SkinResponse:
+    values = {name: packed[RESPONSE + name] for name in (*MATERIAL, *PER_CHANNEL)}
+    if RANGE in packed:
+        for name, (low, high) in zip(MATERIAL, packed[RANGE].astype(np.float64), strict=True):
+            with np.errstate(invalid="ignore"):  # a range that is not finite gives values that are refused
+                values[name] = low + values[name] * ((high - low) / UINT8_MAX)
+    return SkinResponse(
+        **{name: _single(array) for name, array in values.items()},
+        shade_gain=float(packed[RESPONSE + "shade_gain"][0]),
+        trained_on=about.trained_on,
+        film_light=_single(packed[FILM_LIGHT]) if about.is_estimated else None,
     )
 
 
