@@ -75,8 +75,6 @@ class Capture:
     look: LookOptions = field(default_factory=LookOptions)
     motion: File = None
     """Poses from this motion instead of the generator; `jghand motion` makes one of any file that it reads."""
-    wrist_turn: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 25.0
-    """How far hands turn as a whole from pose to pose, so that light falls from different sides."""
     seed: Annotated[int, _OneNumber] = 0
     """Of poses, cameras and turns."""
     shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
@@ -179,7 +177,7 @@ class Capture:
             identity=self.identity, cameras=self.cameras,
             close_ups=self.cameras // 4 if self.close_ups is None else self.close_ups,
             poses=self.poses, width=width, height=height, skin=self._skin(), motion=motion,
-            wrist_turn_deg=self.wrist_turn, seed=self.seed,
+            seed=self.seed,
             light=VariedLight() if self.look.lights == "varied" else Light(self.look.lights),
             sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
         )  # fmt: skip

@@ -46,8 +46,6 @@ class Motion:
     """Keep the wrist where it first is: the hand turns and moves its fingers on the spot."""
     up: Annotated[Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Turn the motion so that this axis points up. Which one does in the file it or its format says, else --file-up."""
-    constant_bones: bool = False
-    """Give every bone its median length: estimates wobble."""
     on_missing: Literal["fill", "hold", "keep", "stop"] = "fill"
     """A frame without some joint: turn the bones evenly from before to after, hold the last whole pose, leave the gap,
     or stop with an error."""
@@ -105,8 +103,6 @@ class Motion:
         if self.on_missing in ("fill", "hold"):
             sequence, gaps = without_gaps(sequence, hold=self.on_missing == "hold")
             said += [gaps] if gaps else []
-        if self.constant_bones:
-            sequence = sequence.with_constant_bone_lengths()
         if self.to_fps is not None:
             sequence = sequence.resampled(self.to_fps)
         sequence = cut(sequence, self.start, self.end)

@@ -290,7 +290,6 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
         (["--shard", "3/2"], "--shard"),
         (["--samples", "0"], "samples"),
         (["--cameras", "0"], "cameras"),
-        (["--wrist-turn", "nan"], "wrist turn"),
         (["--lights", "moonbase"], "light"),
         (["--skin", "absent.json"], "absent.json"),
         (["--seed", "-1"], "seed"),
