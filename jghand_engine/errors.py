@@ -6,9 +6,11 @@ its exit code: 2 bad input, 3 try again, 4 out of memory.
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import sys
+from typing import Any
 
 # the exit code of a command that the user stopped
 STOPPED = 130
@@ -59,6 +61,15 @@ class MemoryLimitError(JGHandError):
     """The request does not fit into memory."""
 
     exit_code = 4
+
+
+def package(module: str, thing: str, extra: str) -> Any:
+    """A module of an optional extra. InputError says how to get what `thing` needs."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        wanted = f"the package {module}"
+        raise InputError(thing, wanted=wanted, came="none", remedy=install_extra(extra)) from error
 
 
 def install_extra(name: str) -> str:

@@ -110,6 +110,28 @@ def writing(path: Path | str) -> Iterator[Path]:
             temporary.unlink()
 
 
+def write_file(path: Path | str, content: bytes | str) -> None:
+    """Whole or not at all, as `writing`; text in UTF-8, its line ends as they are."""
+    with writing(path) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def remove_file(path: Path) -> None:
+    """Where it is there. RetryError, InputError as `file_error`."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise file_error(path, error) from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file that the user named. InputError when it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
+
+
 def sync(path: Path) -> None:
     """Waits until what was written to the file `path` is on the disk; OSError when it does not get there."""
     # opened for writing: Windows refuses to sync what is only read

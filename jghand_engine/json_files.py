@@ -11,6 +11,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.files import write_file
 
 # name, what was wanted, what came -> the error that names the file
 Wrong = Callable[[str, str, object], InputError]
@@ -53,6 +54,11 @@ def read_small_json(path: Path) -> Any:
         raise InputError(f"{path}", wanted="JSON", came=str(error)) from error
 
 
+def write_json(path: Path | str, content: dict[str, Any]) -> None:
+    """Writes it whole or not at all. ValueError for NaN: JSON has none."""
+    write_file(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
 def _no_number(word: str) -> None:
     """NaN and Infinity, which are Python's and not JSON's."""
     raise ValueError(f"{word}, which is no number")
@@ -63,10 +69,13 @@ def numbers(values: Any, shape: tuple[int, ...], what: str, remedy: str = "") ->
 
     `what` names it in the InputError for anything else. NaN and infinity pass.
     """
+    came = "no rows of numbers"
     try:
-        return np.array(values, dtype=np.float64).reshape(shape)
+        array = np.array(values, dtype=np.float64)
+        came = f"numbers of shape {array.shape}"
+        return array.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(what, wanted=f"numbers of shape {shape}", came=str(error)[:200], remedy=remedy) from error
+        raise InputError(what, wanted=f"numbers of shape {shape}", came=came, remedy=remedy) from error
 
 
 class JsonObject:

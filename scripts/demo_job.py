@@ -76,7 +76,7 @@ from jghand_engine.avatar import BUILTIN, SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.forearm import ended
-from jghand_engine.cli.console import progress, say, say_error, say_table, write_json
+from jghand_engine.cli.console import progress, say, say_error, say_table
 from jghand_engine.cli.export import export_stage, usd_figures
 from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
 from jghand_engine.cli.options import pixels, pose_list
@@ -99,6 +99,7 @@ from jghand_engine.files import make_folder
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.json_files import write_json
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.framing import framing_camera

@@ -12,7 +12,7 @@ from pathlib import Path
 from jghand_engine.avatar import BUILTIN, PAINTED, SHIPPED
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar
-from jghand_engine.errors import InputError
+from jghand_engine.files import read_bytes
 from jghand_engine.hand.joints import Handedness
 
 ASSETS = files("jghand_engine") / "assets"
@@ -25,10 +25,7 @@ def load_avatar_called(name: str) -> HandAvatar:
 
 def avatar_sha256(name: str) -> str:
     """Of the file that `load_avatar_called` reads. InputError when it cannot be read."""
-    try:
-        content = _asset(name).read_bytes() if name in SHIPPED else Path(name).read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {name}: {error.strerror}", remedy="Check the name.") from error
+    content = _asset(name).read_bytes() if name in SHIPPED else read_bytes(Path(name))
     return hashlib.sha256(content).hexdigest()
 
 

@@ -90,7 +90,7 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     if avatar.info.learned_from is not None:
         description["learnt_from"] = asdict(avatar.info.learned_from)
     if avatar.learned is not None:
-        description["learnt"] = LearnedAbout.of(avatar.learned).as_dict()
+        description["learnt"] = asdict(LearnedAbout.of(avatar.learned))
         packed |= pack_learned(avatar.learned, storage)
     if avatar.detail is not None:
         arrays, about = pack_detail(avatar.detail, storage)

@@ -25,8 +25,8 @@ of 0.1.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -190,13 +190,9 @@ class LearnedAbout:
         ellipsoids, light = learned.ellipsoid is not None, LightAbout.of(learned.response)
         return cls(lobes, shape, learned.shadow, learned.world_offsets, ellipsoids, cast, baked, light)
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
-
     @classmethod
     def parsed(cls, of: JsonObject) -> LearnedAbout:
-        """The inverse of `as_dict`, every field looked at."""
+        """From JSON, every field looked at."""
         net = None if (shape := of.object("net")) is None else _parsed_net(shape)
         distilled, cast, shadow = of.object("baked"), of.object("cast"), of.object("shadow")
         if distilled is not None and net is None:

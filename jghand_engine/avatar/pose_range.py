@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,10 +41,6 @@ class OutOfRange:
             math.degrees(value) for value in (self.angle_rad, self.low_rad, self.high_rad, self.beyond_rad)
         )
         return f"{self.name} {angle:.0f}°: {beyond:.0f}° outside the {low:.0f}° to {high:.0f}° that was trained"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return asdict(self)
 
 
 def trained_range(info: AvatarInfo) -> np.ndarray | None:

@@ -8,6 +8,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, Learned, Light
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.rotations import quaternion_rotation
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES, SkinTask
@@ -46,21 +47,10 @@ def ellipsoid_axes(avatar: HandAvatar) -> np.ndarray | None:
     if ellipsoid is None:
         return None
     scale_m = np.exp(np.log(avatar.sigma_m.astype(np.float64))[:, None] + ellipsoid.log_stretch)
-    return (rotations(ellipsoid.quaternion) * scale_m[:, None]).reshape(-1, 9)
-
-
-def rotations(quaternion: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) float64 of quaternions (N, 4) wxyz of any length; none of one that is too short."""
-    turn = quaternion.astype(np.float64)
-    length = np.linalg.norm(turn, axis=1, keepdims=True)
-    none = np.array([1.0, 0.0, 0.0, 0.0])
-    w, x, y, z = np.where(length > QUATERNION_MIN, turn / np.maximum(length, QUATERNION_MIN), none).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.array(rows).transpose(2, 0, 1)
+    turn = ellipsoid.quaternion.astype(np.float64)
+    length, none = np.linalg.norm(turn, axis=1, keepdims=True), np.array([1.0, 0.0, 0.0, 0.0])
+    turn = np.where(length > QUATERNION_MIN, turn / np.maximum(length, QUATERNION_MIN), none)
+    return (quaternion_rotation(turn) * scale_m[:, None]).reshape(-1, 9)
 
 
 def learned_task(learned: Learned, handedness: Handedness) -> LearnedTask:

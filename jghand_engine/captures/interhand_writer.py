@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.files import writing
+from jghand_engine.files import write_file
 from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_joint_shape, from_level
 from jghand_engine.render.camera import Camera
@@ -58,8 +58,7 @@ def write_interhand(folder: Path | str, hand: RecordedHand) -> list[Path]:
     """
     files = {Path(folder) / name: text for name, text in interhand_texts(hand).items()}
     for file, text in files.items():
-        with writing(file) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+        write_file(file, text)
     return list(files)
 
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import err, progress, say, say_whole_table, write_json
+from jghand_engine.cli.console import err, progress, say, say_whole_table
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
+from jghand_engine.json_files import write_json
 
 if TYPE_CHECKING:
     from jghand_engine.captures.sample import Sample
@@ -128,13 +129,12 @@ class Ablate:
         table_of: Callable[[Mapping[str, Evaluation]], Table],
     ) -> None:
         from jghand_engine.export.pictures import write_png
-        from jghand_engine.files import writing
+        from jghand_engine.files import write_file
         from jghand_engine.learn import sheets
 
         table = table_of(results)
         say_whole_table(table)
-        with writing(self.out / "ablation.md") as temporary:
-            temporary.write_text(f"{self.steps} steps each.\n\n{table.markdown()}", encoding="utf-8")
+        write_file(self.out / "ablation.md", f"{self.steps} steps each.\n\n{table.markdown()}")
         figures = {
             "command": "ablate", "steps": self.steps, "seed": self.seed,
             "variants": {name: one.as_dict() for name, one in results.items()},

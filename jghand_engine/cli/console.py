@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from jghand_engine.cli.progress_json import JsonProgress, json_lines
-from jghand_engine.files import writing
+from jghand_engine.json_files import write_json
 
 if TYPE_CHECKING:
     from jghand_engine.learn.tables import Table as Figures
@@ -94,13 +93,6 @@ def stages() -> Iterator[Callable[[str, int, int], None]]:
             bars[stage].update(bars[stage].task_ids[0], completed=done, total=max(done, total))
 
         yield told
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Writes the figures of a command, whole or not at all. NaN becomes an error: JSON has none."""
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    with writing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def write_figures(path: Path | None, content: dict[str, Any]) -> None:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, say_whole_table, write_json
+from jghand_engine.cli.console import progress, say, say_whole_table
 from jghand_engine.cli.learning import forearm_note, hand_template
 from jghand_engine.cli.options import File, PresetName
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
+from jghand_engine.json_files import write_json
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -167,12 +168,11 @@ class Evaluate:
         return tables
 
     def _write(self, out: Path, evaluation: Evaluation, tables: list[Table], settings: RenderSettings) -> None:
-        from jghand_engine.files import writing
+        from jghand_engine.files import write_file
         from jghand_engine.learn.metrics import BOX_RULE
 
         drawn = f"Drawn with preset {self.preset}."
-        with writing(out / "tables.md") as temporary:
-            temporary.write_text("\n".join([drawn, "", *(table.markdown() for table in tables)]), encoding="utf-8")
+        write_file(out / "tables.md", "\n".join([drawn, "", *(table.markdown() for table in tables)]))
         figures = {"command": "evaluate", "preset": self.preset, "settings": settings.as_dict(), "box": BOX_RULE}
         write_json(out / "evaluation.json", figures | evaluation.as_dict())
 

@@ -288,13 +288,4 @@ def export_stage(
 
 def usd_figures(report: UsdReport) -> dict[str, Any]:
     """What an export did, as plain data."""
-    return {
-        "stage": str(report.stage),
-        "shot": None if report.shot is None else str(report.shot),
-        "frames": report.frames,
-        "gaussians": report.gaussians,
-        "bytes": dict(report.bytes),
-        "seconds": dict(report.seconds),
-        "sigma_error": report.sigma_error,
-        "made_from": dict(report.made_from),
-    }
+    return {**vars(report), "stage": str(report.stage), "shot": None if report.shot is None else str(report.shot)}

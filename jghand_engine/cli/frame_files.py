@@ -19,6 +19,7 @@ from jghand_engine.cli.console import progress
 from jghand_engine.errors import InputError
 from jghand_engine.export.frame_folder import Outcome, Shard
 from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
+from jghand_engine.files import read_bytes
 from jghand_engine.hand.sequence import HandPose
 from jghand_engine.render.blur import shutter_at
 
@@ -169,8 +170,4 @@ def digest(content: Any) -> str:
 
 def file_digest(path: Path) -> str:
     """Of a file's content. InputError when it cannot be read."""
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()[:_DIGITS]
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
+    return hashlib.sha256(read_bytes(path)).hexdigest()[:_DIGITS]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import say, write_figures, write_json
+from jghand_engine.cli.console import say, write_figures
 from jghand_engine.cli.options import (
     EffectOptions,
     FiguresFile,
@@ -20,10 +20,10 @@ from jghand_engine.cli.options import (
     parse_shard,
 )
 from jghand_engine.errors import InputError
+from jghand_engine.json_files import write_json
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.avatar.pose_range import OutOfRange
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.export.frame_folder import Shard
     from jghand_engine.export.pass_writer import PassWriter
@@ -79,6 +79,7 @@ class Render:
         self.motion.check()
         from dataclasses import replace
 
+        from jghand_engine.avatar.pose_range import range_report
         from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
         from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.timings import Receipts, Timings
@@ -133,7 +134,7 @@ class Render:
         if self.video is not None:
             write_video(self.video, writer.shown(), motion.sequence.fps)
         seconds = time.perf_counter() - started
-        unseen, timings = out_of_range(avatar, motion), writer.timings
+        unseen, timings = range_report(avatar, joints_m), writer.timings
         timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
         if self.effect.explain and writer.receipts is not None:
             writer.receipts.show()
@@ -147,7 +148,7 @@ class Render:
             say(f"… and {len(unseen) - _OUT_OF_RANGE_SAID} angles more, less far outside; --json FILE lists all.")
         write_figures(self.json, {
             "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
-            "out_of_range": [one.as_dict() for one in unseen],
+            "out_of_range": [vars(one) for one in unseen],
             "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
             "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
             "effects": writer.receipts.figures() if writer.receipts is not None else {},
@@ -258,10 +259,3 @@ class Render:
         return framing_camera(
             sequence.joints_m, sequence.handedness, self.picture.camera, width=size[0], height=size[1]
         )
-
-
-def out_of_range(avatar: HandAvatar, motion: Motion) -> list[OutOfRange]:
-    """Angles that the avatar was not trained on, each once, in the frame where it is farthest outside."""
-    from jghand_engine.avatar.pose_range import range_report
-
-    return range_report(avatar, motion.sequence.joints_m)

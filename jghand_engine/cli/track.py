@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, stages, write_figures, write_json
+from jghand_engine.cli.console import progress, say, stages, write_figures
 from jghand_engine.cli.options import AvatarOptions, FiguresFile, File, check_places
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.json_files import write_json
 from jghand_engine.track import CAMERA_ANGLE_DEG
 from jghand_engine.track.hands_over_time import HAND_SEEN_FRAMES_MIN
 

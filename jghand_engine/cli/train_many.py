@@ -27,8 +27,8 @@ from jghand_engine.cli.console import say, say_table, write_figures
 from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 from jghand_engine.cli.options import FiguresFile
 from jghand_engine.cli.train import Train
-from jghand_engine.errors import STOPPED, InputError, RetryError, install_extra
-from jghand_engine.files import make_folder, writing
+from jghand_engine.errors import STOPPED, InputError, RetryError, package
+from jghand_engine.files import make_folder, write_file
 
 DESCRIPTION = """Train a list of hands, some at once here, or as an array of jobs of a SLURM cluster.
 
@@ -206,8 +206,7 @@ class TrainingJob:
         finally:
             code = self._stop()
         if code == 0:
-            with writing(self._finished) as temporary:
-                temporary.write_text(json.dumps(self.words), encoding="utf-8")
+            write_file(self._finished, json.dumps(self.words))
         return code
 
     def _stop(self) -> int:
@@ -275,11 +274,7 @@ def submit(jobs: list[TrainingJob], asked: tuple[str, ...], logs: Path) -> list[
         raise InputError("--slurm", wanted="NAME=VALUE, such as partition=cpu", came=" ".join(asked))
     if shutil.which("srun") is None:
         raise InputError("--slurm", wanted="the commands of a SLURM cluster", came="no srun on the PATH")
-    try:
-        import submitit
-    except ImportError as error:
-        remedy = install_extra("farm")
-        raise InputError("submitit", wanted="an installed package", came="none", remedy=remedy) from error
+    submitit = package("submitit", "--slurm", "farm")
     options = SLURM_DEFAULTS | dict(text.split("=", 1) for text in asked)
     # submitit reads its own files there back as Python objects, which can run anything
     make_folder(logs).chmod(0o700)

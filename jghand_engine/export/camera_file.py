@@ -30,7 +30,12 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
     for name, pixels in (("width", width), ("height", height)):
         if pixels != int(pixels):
             raise fields.wrong(name, "a whole number of pixels")
-    matrix = _matrix(content.get("camera_from_world"), f"{thing}: camera_from_world")
+    matrix = fields.array("camera_from_world", (4, 4))
+    # NaN is not within anything
+    outside = matrix[~(np.abs(matrix) <= CAMERA_NUMBER_MAX)]
+    if outside.size:
+        wanted = f"4 rows of 4 numbers of at most {CAMERA_NUMBER_MAX:g}"
+        raise InputError(f"{thing}: camera_from_world", wanted=wanted, came=f"{outside[0]:g}")
     rotation = matrix[:3, :3]
     rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
     if not rigid or not np.allclose(matrix[3], (0, 0, 0, 1)):
@@ -42,23 +47,6 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
 
 def _wrong(name: str, wanted: str, came: object) -> InputError:
     return InputError(name, wanted=wanted, came=repr(came)[:80])
-
-
-def _matrix(content: Any, thing: str) -> np.ndarray:
-    """(4, 4) float64. InputError says what came instead."""
-    try:
-        matrix, came = np.asarray(content, np.float64), ""
-    except (TypeError, ValueError, OverflowError):
-        matrix, came = np.empty(0), "no rows of numbers"
-    # NaN is not within anything
-    outside = matrix[~(np.abs(matrix) <= CAMERA_NUMBER_MAX)]
-    if matrix.shape != (4, 4):
-        came = came or f"numbers of shape {matrix.shape}"
-    elif outside.size:
-        came = f"{outside[0]:g}"
-    if came:
-        raise InputError(thing, wanted=f"4 rows of 4 numbers of at most {CAMERA_NUMBER_MAX:g}", came=came)
-    return matrix
 
 
 def read_camera(path: Path) -> Camera:

@@ -6,7 +6,6 @@ nerfstudio has maps from camera to world, and cameras that look along -z with y 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.files import make_folder, writing
+from jghand_engine.files import make_folder, write_file
 from jghand_engine.hand.rotations import quaternions
+from jghand_engine.json_files import write_json
 from jghand_engine.render.camera import Camera
 
 COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
@@ -53,8 +53,7 @@ def write_colmap(folder: Path | str, shots: Sequence[Shot]) -> Path:
         "# no points: the hand moves\n",
     )
     for name, text in zip(COLMAP_FILES, texts, strict=True):
-        with writing(target / name) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+        write_file(target / name, text)
     return target
 
 
@@ -62,9 +61,7 @@ def write_transforms(path: Path | str, shots: Sequence[Shot]) -> None:
     """Writes nerfstudio's transforms.json; names of pictures are taken relative to its folder. InputError without
     pictures, for parallel rays, and for names with blanks."""
     _check(shots)
-    text = json.dumps({"camera_model": "OPENCV", "frames": [_frame(shot) for shot in shots]}, indent=2, allow_nan=False)
-    with writing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_json(path, {"camera_model": "OPENCV", "frames": [_frame(shot) for shot in shots]})
 
 
 def _frame(shot: Shot) -> dict[str, Any]:

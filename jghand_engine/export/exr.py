@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.errors import InputError, install_extra
+from jghand_engine.errors import InputError, package
 from jghand_engine.files import writing
 
 
@@ -17,23 +17,15 @@ def write_exr(path: Path | str, channels: Mapping[str, np.ndarray], about: Mappi
 
     InputError where the package is missing, RetryError when the disk is full.
     """
-    package = exr_package()
-    header = {"type": package.scanlineimage, "compression": package.ZIP_COMPRESSION, **(about or {})}
+    exr = exr_package()
+    header = {"type": exr.scanlineimage, "compression": exr.ZIP_COMPRESSION, **(about or {})}
     arrays = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
     with writing(path) as temporary:
-        package.File(header, arrays).write(str(temporary))
+        exr.File(header, arrays).write(str(temporary))
 
 
 def exr_package() -> Any:
-    """The package OpenEXR. Raises InputError that says how to get it."""
-    try:
-        import OpenEXR  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise InputError(
-            "EXR files", wanted="the package OpenEXR", came="none",
-            remedy=install_extra("formats"),
-        ) from error  # fmt: skip
-    return OpenEXR
+    return package("OpenEXR", "EXR files", "formats")
 
 
 def probe_exr(path: Path, size_px: tuple[int, int]) -> None:
@@ -41,14 +33,14 @@ def probe_exr(path: Path, size_px: tuple[int, int]) -> None:
 
     An EXR has no checksums: single changed bytes may pass.
     """
-    package = exr_package()
+    exr = exr_package()
     try:
         # the size first: a broken one may claim more than there is memory
-        with package.File(str(path), header_only=True) as content:
+        with exr.File(str(path), header_only=True) as content:
             (left, top), (right, bottom) = (corner.tolist() for corner in content.header()["dataWindow"])
         if (right - left + 1, bottom - top + 1) != size_px:
             raise InputError(f"{path}", wanted=f"{size_px[0]} x {size_px[1]} pixels", came="another size")
-        with package.File(str(path)) as content:
+        with exr.File(str(path)) as content:
             content.channels()  # of a damaged file the package keeps no part, and says so only here
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"cannot read {path}", came=str(error)[:200] or type(error).__name__) from error

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jghand_engine.errors import InputError
-from jghand_engine.files import file_error, writing
+from jghand_engine.files import file_error, remove_file
+from jghand_engine.json_files import write_json
 
 STAMP = "made_from.json"
 # seconds in which another process has written the stamp that it has created
@@ -100,12 +101,8 @@ def settle_folder(folder: Path, stamp: Mapping[str, str], paths: Sequence[Path],
             )
         return
     for frame in (*old, *folder.glob(".frame_*.png")):
-        try:
-            frame.unlink(missing_ok=True)
-        except OSError as error:
-            raise file_error(frame, error) from error
-    with writing(path) as temporary:
-        temporary.write_text(json.dumps(dict(stamp), indent=2) + "\n", encoding="utf-8")
+        remove_file(frame)
+    write_json(path, dict(stamp))
 
 
 def _put_stamp(path: Path, stamp: Mapping[str, str]) -> Mapping[str, str] | None:

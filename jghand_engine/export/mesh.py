@@ -16,12 +16,12 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.color import to_bytes
-from jghand_engine.errors import InputError, install_extra
+from jghand_engine.errors import InputError, package
 from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, nearest_gaussians
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
-from jghand_engine.files import make_folder, writing
+from jghand_engine.files import make_folder, write_file
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.builtin import template_called
@@ -72,8 +72,7 @@ def export_meshes(
     kept = names.refuse_others(target, files, len(sequence), COMPANIONS if names.suffix == "obj" else ())
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         for name, content in _encoded(surface.mesh(index, RUB_FROM_UP[up]), path).items():
-            with writing(target / name) as temporary:
-                temporary.write_bytes(content)
+            write_file(target / name, content)
             size += len(content)
         if progress:
             progress(done, len(files))
@@ -100,7 +99,7 @@ class _Surface:
     """The skin of a motion. suffix: of the files, which decides between texture and colors of vertices."""
 
     def __init__(self, motion: HandMotion, template: HandTemplate, suffix: str) -> None:
-        self._motion, self._template, self._trimesh = motion, template, _trimesh()
+        self._motion, self._template, self._trimesh = motion, template, package("trimesh", "meshes", "learn")
         self._skeleton = motion.avatar.skeleton()
         self._right = mirrored(template) if motion.handedness is Handedness.LEFT else template
         self._weights = motion.map_weights(template)
@@ -142,19 +141,10 @@ def _encoded(mesh: Any, path: Path) -> dict[str, bytes]:
         material = mesh.visual.material.to_simple()
         material.name = path.stem
         mesh.visual.material = material
-        text, others = _trimesh().exchange.obj.export_obj(
+        text, others = package("trimesh", "meshes", "learn").exchange.obj.export_obj(
             mesh, include_normals=True, return_texture=True, mtl_name=f"{path.stem}.mtl", header=None
         )
         return {**others, path.name: text.encode()}
     if path.suffix == ".ply":
         return {path.name: mesh.export(file_type="ply", vertex_normal=True)}
     return {path.name: mesh.export(file_type="glb", include_normals=True)}
-
-
-def _trimesh() -> Any:
-    """The package, or InputError that says how to install it."""
-    try:
-        import trimesh
-    except ImportError as error:
-        raise InputError("meshes", wanted="the package trimesh", came="none", remedy=install_extra("learn")) from error
-    return trimesh

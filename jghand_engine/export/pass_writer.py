@@ -22,8 +22,9 @@ from jghand_engine.errors import InputError
 from jghand_engine.export.cameras import COLMAP_FILES, Shot, write_colmap, write_transforms
 from jghand_engine.export.exr import exr_package, probe_exr, write_exr
 from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
-from jghand_engine.files import file_error, writing
+from jghand_engine.files import remove_file
 from jghand_engine.hand.joints import STANDARD_NAMES
+from jghand_engine.json_files import write_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -76,11 +77,7 @@ class PassWriter:
         if self._withdrawn:
             return
         for name in ("joints.json", "transforms.json", *(f"colmap/{file}" for file in COLMAP_FILES)):
-            path = self._folder / name
-            try:
-                path.unlink(missing_ok=True)
-            except OSError as error:
-                raise file_error(path, error) from error
+            remove_file(self._folder / name)
         self._withdrawn = True
 
     def is_whole(self, picture: Path) -> bool:
@@ -104,8 +101,7 @@ class PassWriter:
                 "order": "standard", "names": list(STANDARD_NAMES), "unit": "m", "hand": str(self._hand),
                 "frames": [json.loads(image_texts(picture)[JOINTS_KEY]) for picture in pictures],
             }  # fmt: skip
-            with writing(self._folder / "joints.json") as temporary:
-                temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            write_json(self._folder / "joints.json", content)
         shots = [Shot(picture.name, self._camera) for picture in pictures]
         write_colmap(self._folder / "colmap", shots)
         write_transforms(self._folder / "transforms.json", shots)

@@ -17,7 +17,7 @@ from jghand_engine.captures.image_files import read_image
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
 from jghand_engine.export.png import encode_png
-from jghand_engine.files import writing
+from jghand_engine.files import write_file
 
 RGB = tuple[float, float, float]
 
@@ -56,8 +56,7 @@ def write_png(path: Path | str, picture: np.ndarray, texts: Mapping[str, str] | 
     Raises InputError for another shape or for values that are not finite, RetryError when the disk is full.
     """
     content = encode_png(picture if picture.dtype == np.uint8 else straight_rgba8(picture), texts)
-    with writing(path) as temporary:
-        temporary.write_bytes(content)
+    write_file(path, content)
 
 
 def read_png(path: Path | str) -> np.ndarray:

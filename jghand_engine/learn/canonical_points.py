@@ -22,7 +22,7 @@ import torch
 from scipy.spatial import KDTree
 
 from jghand_engine.errors import JGHandError
-from jghand_engine.files import cache_folder, writing
+from jghand_engine.files import cache_folder, write_file
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.sampling import FOREARM, bone_distances, sample_shell
@@ -178,8 +178,7 @@ def read_points(file: Path) -> Points | None:
 def write_points(file: Path, points: Points) -> None:
     """Writes a file of the cache, whole or not at all, and removes the oldest beyond POINTS_CACHE_FILES."""
     with contextlib.suppress(JGHandError, OSError):
-        with writing(file) as temporary:
-            temporary.write_bytes(safetensors.torch.save(points))
+        write_file(file, safetensors.torch.save(points))
         newest_first = sorted(file.parent.glob("points_*.safetensors"), key=lambda one: -one.stat().st_mtime)
         for old in newest_first[POINTS_CACHE_FILES:]:
             old.unlink(missing_ok=True)

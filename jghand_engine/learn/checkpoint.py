@@ -20,7 +20,7 @@ import torch
 
 from jghand_engine import __version__
 from jghand_engine.errors import InputError
-from jghand_engine.files import writing
+from jghand_engine.files import write_file
 from jghand_engine.learn.trainable import Trainable
 
 # checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
@@ -44,8 +44,7 @@ def save_checkpoint(path: Path, snapshot: Snapshot, stamp: Stamp) -> None:
     }
     tensors = {name: tensor.cpu().contiguous() for name, tensor in snapshot.tensors.items()}
     content = safetensors.torch.save(tensors, {METADATA_KEY: json.dumps(description, allow_nan=False)})
-    with writing(path) as temporary:
-        temporary.write_bytes(content)
+    write_file(path, content)
 
 
 def load_checkpoint(path: Path) -> tuple[Snapshot, Stamp]:

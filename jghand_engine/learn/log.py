@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.files import file_error, writing
+from jghand_engine.files import file_error, write_file
 from jghand_engine.learn.checkpoint import LoopState
 
 
@@ -52,8 +52,7 @@ class Log:
         lines = self._path.read_text(encoding="utf-8", errors="replace").splitlines()
         kept = [line for line in lines if (number := _step_of(line)) is not None and number <= step]
         if kept != lines:
-            with writing(self._path) as temporary:
-                temporary.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
+            write_file(self._path, "".join(line + "\n" for line in kept))
 
 
 def _step_of(line: str) -> int | None:

@@ -24,7 +24,8 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.captures.sample import Sample, image_names
 from jghand_engine.errors import InputError
-from jghand_engine.files import check_place, file_error, make_folder, writing
+from jghand_engine.files import check_place, file_error, make_folder, write_file
+from jghand_engine.json_files import write_json
 from jghand_engine.learn.checkpoint import CheckpointFolder, Stamp
 from jghand_engine.learn.schedule import Budget
 from jghand_engine.lock import locked
@@ -113,9 +114,7 @@ class WorkFolder:
         self._write_mark(_begun(self.path / MARK))
 
     def _write_mark(self, about: dict[str, Any]) -> None:
-        with writing(self.path / MARK) as temporary:
-            content = json.dumps({**about, "budget": asdict(self._budget)}, indent=2)
-            temporary.write_text(content + "\n", encoding="utf-8")
+        write_json(self.path / MARK, {**about, "budget": asdict(self._budget)})
 
     def _remove_leftovers(self) -> None:
         self.checkpoints.remove_leftovers()
@@ -148,8 +147,7 @@ def check_output(path: Path, work: Path, *, overwrite: bool) -> None:
 def write_output(path: Path, work: Path, avatar: HandAvatar) -> None:
     """Saves the finished avatar, and what it is known by when the training writes it again."""
     save_avatar(path, avatar)
-    with writing(work / OUTPUT) as temporary:
-        temporary.write_text(json.dumps({"sha256": [_hash(path)]}) + "\n", encoding="utf-8")
+    write_file(work / OUTPUT, json.dumps({"sha256": [_hash(path)]}) + "\n")
 
 
 def _written(record: Path) -> list[str]:

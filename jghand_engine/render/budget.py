@@ -18,7 +18,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -197,7 +197,7 @@ def profile_file(avatar: HandAvatar, backend: str = "auto") -> Path:
         repr(read_stamp(library.path)),
         None if device is None else device.name,
     ]
-    learned = None if avatar.learned is None else LearnedAbout.of(avatar.learned).as_dict()
+    learned = None if avatar.learned is None else asdict(LearnedAbout.of(avatar.learned))
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine, learned]).encode())
     detail = () if avatar.detail is None else (avatar.detail.texture,)
     for array in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, *detail):

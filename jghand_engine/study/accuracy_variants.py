@@ -58,7 +58,8 @@ def variants(avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, 
         made_by, viewport = f"jghand distill --basis {basis}", replace(PRESETS["viewport"], reuse=False)
         name = f"viewport, linear correctives, K = {basis}"
         found.append(Variant(TOGETHER, name, viewport, with_correctives(avatar, tier), made_by))
-    found += [Variant(GAUSSIANS, _thousands(n), replace(own, gaussians=n)) for n in _counts(len(avatar))]
+    counts = [count for count in COUNTS if count < len(avatar)] + [len(avatar)]
+    found += [Variant(GAUSSIANS, f"{count / 1000:g}k", replace(own, gaussians=count)) for count in counts]
     found += _correctives(avatar, own, linear)
     for name, rule in PRESETS.items():
         changed = replace(own, alpha_min=rule.alpha_min, t_stop=rule.t_stop)
@@ -104,17 +105,9 @@ def _correctives(avatar: HandAvatar, own: RenderSettings, linear: Mapping[int, L
     yield Variant(CORRECTIVES, "exact", own)
 
 
-def _counts(total: int) -> list[int]:
-    return [count for count in COUNTS if count < total] + [total]
-
-
 def _thread_counts() -> list[int]:
     most, count, found = thread_count(0), 1, []
     while count < most:
         found.append(count)
         count *= 2
     return [*found, most]
-
-
-def _thousands(count: int) -> str:
-    return f"{count / 1000:g}k"

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from jghand_engine.errors import InputError, install_extra
-from jghand_engine.files import make_folder, writing
+from jghand_engine.errors import InputError, package
+from jghand_engine.files import make_folder, write_file
 from jghand_engine.learn.tables import Table
 
 if TYPE_CHECKING:
@@ -74,11 +74,7 @@ def check_folder(folder: Path) -> None:
     """InputError, before anything is measured, for an output folder that is a file and for missing matplotlib."""
     if folder.exists() and not folder.is_dir():
         raise InputError("--out", wanted="a folder", came=f"the file {folder}")
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        remedy = install_extra("study")
-        raise InputError("matplotlib", wanted="an installed package", came="none", remedy=remedy) from error
+    package("matplotlib", "plots", "study")
 
 
 def write_report(report: Report, folder: Path) -> list[Path]:
@@ -92,8 +88,7 @@ def write_report(report: Report, folder: Path) -> list[Path]:
         content[f"{report.name}_{title}.csv"] = csv_of(table)
     make_folder(folder)
     for name, data in content.items():
-        with writing(folder / name) as temporary:
-            temporary.write_bytes(data)
+        write_file(folder / name, data)
     return [folder / name for name in content]
 
 

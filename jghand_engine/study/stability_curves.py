@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -32,7 +33,6 @@ from jghand_engine.study.stability_hands import (
 )
 from jghand_engine.study.stability_measures import (
     Formulation,
-    Skin,
     moved_mm,
     ours,
     random_nudges,
@@ -65,16 +65,9 @@ class Curve:
     visible: float | None = None
 
 
-def _ours(joints_m: Tensor, dtype: torch.dtype) -> Skin:
-    return ours(joints_m, dtype, handedness=RIGHT)
-
-
-def _usual(joints_m: Tensor, dtype: torch.dtype) -> Skin:
-    return usual(joints_m, dtype, handedness=RIGHT)
-
-
 def _both(xs: Sequence[float], one: Callable[[Formulation, float], float]) -> tuple[np.ndarray, np.ndarray]:
-    return tuple(np.array([one(way, x) for x in xs]) for way in (_ours, _usual))  # type: ignore[return-value]
+    mine, theirs = (partial(way, handedness=RIGHT) for way in (ours, usual))
+    return np.array([one(mine, x) for x in xs]), np.array([one(theirs, x) for x in xs])
 
 
 # ---- the curves -----------------------------------------------------------------------------------------------------
@@ -97,17 +90,14 @@ def straight_twist() -> Curve:
         cosine, sine = (y * exact[..., 1]).sum(-1), (y * exact[..., 0]).sum(-1)
         return math.degrees(float(torch.atan2(sine, cosine).square().mean().sqrt()))
 
-    def of_ours(joints_m: Tensor) -> Tensor:
-        return transform_for(RIGHT).frames(joints_m).S[:, 10 + _INDEX]
-
-    def of_usual(joints_m: Tensor) -> Tensor:
-        return crossed.frames(joints_m)[:, 10 + _INDEX]
-
+    middle = 10 + _INDEX
+    mine = [twist_deg(lambda joints_m: transform_for(RIGHT).frames(joints_m).S[:, middle], a) for a in angles_deg]
+    theirs = [twist_deg(lambda joints_m: crossed.frames(joints_m)[:, middle], a) for a in angles_deg]
     return Curve(
         "straight_twist", "A finger is straightened", "How far its skin spins, joints 0.5 mm off",
         "bend of the finger, degrees", "twist of the skin, degrees",
         "axis = cross product of two phalanges", angles_deg,
-        np.array([twist_deg(of_ours, a) for a in angles_deg]), np.array([twist_deg(of_usual, a) for a in angles_deg]),
+        np.array(mine), np.array(theirs),
         visible=10.0,
     )  # fmt: skip
 

@@ -19,7 +19,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.hand.rotations import unit
+from jghand_engine.hand.rotations import unit, vector_rotation
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.layout import obj_uv, projected_uv, room_for_disk
 from jghand_engine.template.mesh import HandTemplate
@@ -115,7 +115,7 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
 
 def _posed(fields: dict[str, np.ndarray], pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (778, 3) and joints (16, 3) of the mean shape in `pose` (16, 3) axis-angle, by MANO's skinning."""
-    rotation = rotations(pose)
+    rotation = vector_rotation(pose)
     rest_joints = fields["J_regressor"] @ fields["v_template"]
     vertices = fields["v_template"] + fields["posedirs"] @ (rotation[1:] - np.eye(3)).ravel()
     world, joints = rotation.copy(), rest_joints.copy()
@@ -125,16 +125,6 @@ def _posed(fields: dict[str, np.ndarray], pose: np.ndarray) -> tuple[np.ndarray,
     offset = joints - np.einsum("jab,jb->ja", world, rest_joints)
     blended = np.einsum("vj,jab->vab", fields["weights"], world)
     return np.einsum("vab,vb->va", blended, vertices) + fields["weights"] @ offset, joints
-
-
-def rotations(axis_angle: np.ndarray) -> np.ndarray:
-    """(n, 3) axis-angle vectors to (n, 3, 3) rotation matrices (Rodrigues)."""
-    angle = np.linalg.norm(axis_angle, axis=1)
-    x, y, z = unit(axis_angle).T
-    zero = np.zeros_like(x)
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-    sine, versine = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
-    return np.eye(3) + sine * cross + versine * (cross @ cross)
 
 
 def _canonical(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

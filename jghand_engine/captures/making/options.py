@@ -13,6 +13,7 @@ from jghand_engine.captures.making.lights import VariedLight
 from jghand_engine.captures.making.poses import POSES_MAX
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.errors import InputError
+from jghand_engine.files import read_bytes
 from jghand_engine.hand.sequence import PoseSequence
 
 # rays per pixel: 1 is a test, beyond the most the denoiser has nothing left to do
@@ -124,7 +125,7 @@ class CaptureOptions:
             motion = hashlib.sha256(self.motion.handedness.encode() + self.motion.joints_m.tobytes()).hexdigest()
         light = dataclasses.asdict(self.light)
         if isinstance(self.light, Light) and is_file(self.light.hdri):
-            light["hdri"] = hashlib.sha256(read_input(Path(self.light.hdri))).hexdigest()
+            light["hdri"] = hashlib.sha256(read_bytes(Path(self.light.hdri))).hexdigest()
         return {
             **plain,
             "skin": dataclasses.asdict(self.skin),
@@ -137,11 +138,3 @@ class CaptureOptions:
 def is_file(environment: str) -> bool:
     """Whether an environment is an image file, and not one of those that come with Blender."""
     return bool(Path(environment).suffix)
-
-
-def read_input(file: Path) -> bytes:
-    """The content of a user's file. InputError when it cannot be read."""
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {file}: {error.strerror}", remedy="Check the name.") from error

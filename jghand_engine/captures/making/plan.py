@@ -31,13 +31,13 @@ from jghand_engine.captures.making.cameras import CameraPlan, PlannedCamera, pla
 from jghand_engine.captures.making.close_ups import plan_close_ups
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
-from jghand_engine.captures.making.options import CaptureOptions, Light, is_file, read_input
+from jghand_engine.captures.making.options import CaptureOptions, Light, is_file
 from jghand_engine.captures.making.person_skin import MESH_FILE, PERSON_FILES, PersonSkin
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_name, load_identity
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
-from jghand_engine.files import file_error, make_folder, sync, writing
+from jghand_engine.files import file_error, make_folder, read_bytes, sync, write_file, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.hand.sequence import PoseSequence
@@ -239,7 +239,7 @@ def _light(light: Light | VariedLight) -> tuple[dict[str, Any], dict[str, bytes]
         return told, {}
     # a copy: the capture may go on in another place, where that file is not
     told["hdri"] = f"light{Path(light.hdri).suffix.lower()}"
-    return told, {told["hdri"]: read_input(Path(light.hdri))}
+    return told, {told["hdri"]: read_bytes(Path(light.hdri))}
 
 
 def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
@@ -273,18 +273,18 @@ def write_plan(folder: Path, plan: CapturePlan, mesh: Path) -> None:
     """Writes plan, annotations and split; each file whole or not at all, the plan itself last. mesh: `drafted_mesh`"""
     os.replace(mesh, folder / FOLDER / MESH_FILE)
     for name, data in plan.files.items():
-        _write(folder / FOLDER / name, data)
+        write_file(folder / FOLDER / name, data)
     with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
         np.savez_compressed(
             stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
         )
     write_interhand(folder, plan.record)
-    _write(folder / SPLITS_FILE, (json.dumps(plan.split(), indent=2) + "\n").encode())
+    write_file(folder / SPLITS_FILE, json.dumps(plan.split(), indent=2) + "\n")
     content = {
         "format": FORMAT, "options": plan.description, "render": plan.render, "poses": list(plan.pose_names),
         "cameras": [_camera_json(camera) for camera in plan.cameras],
     }  # fmt: skip
-    _write(folder / PLAN_FILE, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+    write_file(folder / PLAN_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = None) -> None:
@@ -423,8 +423,3 @@ def _camera_json(planned: PlannedCamera) -> dict[str, Any]:
 def _camera(content: dict[str, Any]) -> PlannedCamera:
     of_close_up = {name: content.pop(name) for name in ("pose", "samples") if name in content}
     return PlannedCamera(Camera(**content), **of_close_up)
-
-
-def _write(file: Path, data: bytes) -> None:
-    with writing(file) as temporary:
-        temporary.write_bytes(data)

@@ -22,7 +22,7 @@ from jghand_engine.captures.image_files import image_texts, probe_sized
 from jghand_engine.captures.known_light import groups_file, read_groups
 from jghand_engine.captures.making.plan import FOLDER, Job
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.files import writing
+from jghand_engine.files import write_file
 from jghand_engine.json_files import JsonObject
 
 # how long Blender may take to end, seconds, and how many lines of its last words are told
@@ -132,8 +132,7 @@ def _keep_to(folder: Path, blender: str) -> None:
     differ; JGHand's version is for the reader."""
     file = folder / FOLDER / MAKERS_FILE
     if not file.exists():
-        with writing(file) as temporary:
-            temporary.write_text(json.dumps({"Blender": blender, "JGHand": __version__}) + "\n", encoding="utf-8")
+        write_file(file, json.dumps({"Blender": blender, "JGHand": __version__}) + "\n")
         return
     remedy = "Take that Blender (--blender-python names its Python), or another --out."
     makers = JsonObject.of_file(file, remedy)

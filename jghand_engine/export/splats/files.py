@@ -20,7 +20,7 @@ from jghand_engine.export.skin import with_detail_in_colors
 from jghand_engine.export.splats import gltf as gltf_splats
 from jghand_engine.export.splats import ply, spz
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
-from jghand_engine.files import make_folder, writing
+from jghand_engine.files import make_folder, write_file
 from jghand_engine.hand.sequence import PoseSequence
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
@@ -188,8 +188,7 @@ def export_splats(
     kept = options.names.refuse_others(target, files, len(sequence))
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
-        with writing(path) as temporary:
-            temporary.write_bytes(content)
+        write_file(path, content)
         size += len(content)
         if progress:
             progress(done, len(files))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.color import to_bytes
-from jghand_engine.errors import InputError, install_extra
+from jghand_engine.errors import InputError, package
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 PROPERTIES = (
@@ -70,9 +70,4 @@ def sog_bytes(cloud: SplatCloud) -> bytes:
 
 def sog_converter() -> Any:
     """gaussforge's converter. InputError says how to get it."""
-    try:
-        import gaussforge  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        remedy = install_extra("formats")
-        raise InputError("SOG files", wanted="the package gaussforge", came="none", remedy=remedy) from error
-    return gaussforge.GaussForge()
+    return package("gaussforge", "SOG files", "formats").GaussForge()

@@ -31,7 +31,7 @@ from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.web.hand import pack_hand, with_cheap_correctives
 from jghand_engine.export.web.pack import Pack
-from jghand_engine.files import make_folder, writing
+from jghand_engine.files import make_folder, write_file
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
@@ -135,8 +135,7 @@ def export_web(
     sizes = {}
     for name, text in contents.items():
         content = text.encode()
-        with writing(target / name) as temporary:
-            temporary.write_bytes(content)
+        write_file(target / name, content)
         sizes[name] = len(content)
     return WebReport(target / PAGE, len(sequence), len(shown), correctives, sizes)
 
