@@ -109,55 +109,103 @@ def lamps_seen(
     hands beside this one, all in one frame."""
     direction = torch.from_numpy(lamp_directions(len(shadow.lamp_rgb))).to(normal)
     cosine = (normal @ direction.T).clamp_min(0)
-    hidden = 1 - shadow.own.to(position_m)
-    visible = torch.ones_like(cosine)
-    for bone, (start, end, radius_m) in enumerate(zip(*capsules(joints_m, hand_scale), strict=True)):
+    flesh = Flesh.of(shadow, joints_m, hand_scale, others)
+    return LampsSeen(
+        cosine, cosine * past_flesh(Skin(position_m, normal), flesh, direction, FLESH_SOFTNESS, LAMP_HALF_WIDTH)
+    )
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Points of posed skin. position_m, normal: (N, 3)"""
+
+    position_m: Tensor
+    normal: Tensor
+
+
+@dataclass(frozen=True)
+class Flesh:
+    """Capsules that stand before lamps.
+
+    start_m, end_m: (C, 3)
+    radius_m:       (C,)
+    hides:          (A, C) how much each counts for each anchor
+    far:            (C,) whether it is of another hand, see `past_capsule`
+    """
+
+    start_m: Tensor
+    end_m: Tensor
+    radius_m: Tensor
+    hides: Tensor
+    far: Tensor
+
+    @classmethod
+    def of(cls, cast: CastTensors, joints_m: Tensor, scale: Tensor, others: Capsules | None = None) -> Flesh:
+        """joints_m: (21, 3) posed · others: of hands beside this one"""
+        start_m, end_m, radius_m = capsules(joints_m, scale)
+        hides, far = 1 - cast.own.to(joints_m), torch.zeros(len(start_m), dtype=torch.bool)
+        if others is not None:
+            start, end, radius, part = (torch.from_numpy(values).to(joints_m) for values in vars(others).values())
+            start_m, end_m, radius_m = (torch.cat(p) for p in ((start_m, start), (end_m, end), (radius_m, radius)))
+            hides = torch.cat([hides, part.expand(len(hides), -1)], 1)
+            far = torch.arange(len(start_m)) >= len(far)
+        return cls(start_m, end_m, radius_m, hides, far)
+
+
+def past_flesh(skin: Skin, flesh: Flesh, towards: Tensor, softness: float, half_width: Tensor | float) -> Tensor:
+    """(A, K) part that is seen past all flesh. The rest as of `past_capsule`."""
+    visible = torch.ones(len(skin.position_m), towards.shape[-2]).to(towards)
+    each = zip(flesh.start_m, flesh.end_m, flesh.radius_m, flesh.hides.T, flesh.far.tolist(), strict=True)
+    for start, end, radius_m, hides, far in each:
         # with gradients, what lies between is computed again in the backward pass: it would be twice the memory
         stands_free: Tensor = checkpoint(
-            past_capsule, position_m, direction, start, end, radius_m, use_reentrant=False, preserve_rng_state=False
-        )  # type: ignore[assignment]
-        visible = visible * (1 - hidden[:, bone, None] * (1 - stands_free))
-    if others is not None:
-        values = (torch.from_numpy(values).to(position_m) for values in vars(others).values())
-        for start, end, radius_m, part in zip(*values, strict=True):
-            stands_free = past_capsule(position_m, direction, start, end, radius_m, far=True)
-            visible = visible * (1 - part * (1 - stands_free))
-    return LampsSeen(cosine, cosine * visible)
+            past_capsule, skin.position_m, towards, start, end, radius_m, softness, half_width, far,
+            use_reentrant=False, preserve_rng_state=False,
+        )  # type: ignore[assignment]  # fmt: skip
+        visible = visible * (1 - hides[:, None] * (1 - stands_free))
+    return visible
 
 
 def past_capsule(
-    position_m: Tensor, direction: Tensor, start: Tensor, end: Tensor, radius_m: Tensor, *, far: bool = False
+    position_m: Tensor,
+    towards: Tensor,
+    start: Tensor,
+    end: Tensor,
+    radius_m: Tensor,
+    softness: float,
+    half_width: Tensor | float,
+    far: bool = False,
 ) -> Tensor:
     """(A, K) how much of each lamp shines past one capsule: 0 behind it, 1 well beside it, smooth between.
 
     The least distance between ray and axis decides, by two rounds of alternating projection, which are exact where
-    neither end of the axis nor the ray's own start is nearest. The edge widens with the way to the capsule, like
-    that of a lamp of LAMP_HALF_WIDTH. position_m: (A, 3) · direction: (K, 3) unit · start, end: (3,)
+    neither end of the axis nor the ray's own start is nearest. The edge widens with the way to the capsule.
+    position_m: (A, 3) · towards: unit, (K, 3) or of each point (A, K, 3) · start, end: (3,) · half_width: of a lamp
+    per distance, one number or (A, K)
     far: a capsule that is smaller than the lamp, as the point sees it, hides only its share of the lamp, radius over
     half width; within a hand that is in what was learned.
     """
     axis, from_start = end - start, position_m - start
     length2 = (axis * axis).sum().clamp_min(CAPSULE_LENGTH2_MIN)
-    axis_along = direction @ axis
-    point_along_axis = from_start @ axis
-    point_along_ray = from_start @ direction.T
-    # |from_start + t direction - s axis|^2 is least over all t at this s
+    axis_along, point_along_axis = towards @ axis, (from_start @ axis)[:, None]
+    along_ray = from_start @ towards.T if towards.ndim == 2 else (towards * from_start[:, None]).sum(-1)
+    # |from_start + t towards - s axis|^2 is least over all t at this s
     sine2 = (length2 - axis_along * axis_along).clamp_min(CAPSULE_SINE2_MIN * length2)
-    s = ((point_along_axis[:, None] - axis_along * point_along_ray) / sine2).clamp(0, 1)
-    t = (s * axis_along - point_along_ray).clamp_min(0)
-    s = ((point_along_axis[:, None] + t * axis_along) / length2).clamp(0, 1)
+    s = ((point_along_axis - axis_along * along_ray) / sine2).clamp(0, 1)
+    t = (s * axis_along - along_ray).clamp_min(0)
+    s = ((point_along_axis + t * axis_along) / length2).clamp(0, 1)
     # |m|^2 + t^2 + s^2 |a|^2 + 2 t m.d - 2 s m.a - 2 s t a.d, without any (A, K, 3)
     distance2 = (
         (from_start * from_start).sum(-1, keepdim=True)
-        + t * (t + 2 * point_along_ray - 2 * s * axis_along)
-        + s * (s * length2 - 2 * point_along_axis[:, None])
+        + t * (t + 2 * along_ray - 2 * s * axis_along)
+        + s * (s * length2 - 2 * point_along_axis)
     )
     distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
-    width = FLESH_SOFTNESS * radius_m + LAMP_HALF_WIDTH * t
-    stands_free = soft_edge(distance, radius_m, width.clamp_min(CAPSULE_WIDTH_MIN_M))
+    width = (softness * radius_m + half_width * t).clamp_min(CAPSULE_WIDTH_MIN_M)
+    stands_free = soft_edge(distance, radius_m, width)
     if not far:
         return stands_free
-    return 1 - (1 - stands_free) * (radius_m / (LAMP_HALF_WIDTH * t).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
+    return 1 - (1 - stands_free) * (radius_m / (half_width * t).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
 
 
 def exponent(shadow: CastTensors, seen: LampsSeen) -> Tensor:

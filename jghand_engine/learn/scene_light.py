@@ -20,19 +20,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.cast_task import (
-    CAPSULE_LENGTH2_MIN,
-    CAPSULE_SINE2_MIN,
-    CAPSULE_WIDTH_MIN_M,
-    LAMP_HALF_WIDTH,
-    Capsules,
-)
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
+from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH
 from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
 from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
 from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
-from jghand_engine.learn.cast_shadow import CastTensors, capsules, soft_edge
+from jghand_engine.learn.cast_shadow import CastTensors, Flesh, Skin, past_flesh
 from jghand_engine.learn.light import harmonics, seen_from_outside, smooth, unit
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
 
@@ -53,14 +47,6 @@ class ResponseTensors(SkinResponse[Tensor]):
         names = ("spread", "roughness", "reflectance", "softness", "bounce", "ambient")
         arrays = {name: torch.tensor(getattr(response, name), dtype=dtype) for name in names}
         return cls(**arrays, shade_gain=response.shade_gain, trained_on=response.trained_on)
-
-
-@dataclass(frozen=True)
-class Skin:
-    """Points of posed skin, root-relative. position_m, normal: (N, 3)"""
-
-    position_m: Tensor
-    normal: Tensor
 
 
 @dataclass(frozen=True)
@@ -155,62 +141,6 @@ def mean_irradiance(light: SceneLight, response: ResponseTensors, normal: Tensor
 
 
 @dataclass(frozen=True)
-class Flesh:
-    """Capsules that stand before lamps, root-relative.
-
-    start_m, end_m: (C, 3)
-    radius_m:       (C,)
-    hides:          (A, C) how much each counts for each anchor
-    far:            (C,) whether it is of another hand, see `cast_shadow.past_capsule`
-    """
-
-    start_m: Tensor
-    end_m: Tensor
-    radius_m: Tensor
-    hides: Tensor
-    far: Tensor
-
-    @classmethod
-    def of(cls, cast: CastTensors, joints_m: Tensor, scale: Tensor, others: Capsules | None = None) -> Flesh:
-        """joints_m: (21, 3) posed · others: of hands beside this one"""
-        start_m, end_m, radius_m = capsules(joints_m, scale)
-        hides, far = 1 - cast.own.to(joints_m), torch.zeros(len(start_m), dtype=torch.bool)
-        if others is not None:
-            start, end, radius, part = (torch.from_numpy(values).to(joints_m) for values in vars(others).values())
-            start_m, end_m, radius_m = (torch.cat(p) for p in ((start_m, start), (end_m, end), (radius_m, radius)))
-            hides = torch.cat([hides, part.expand(len(hides), -1)], 1)
-            far = torch.arange(len(start_m)) >= len(far)
-        return cls(start_m, end_m, radius_m, hides, far)
-
-
-def past_flesh(skin: Skin, flesh: Flesh, towards: Tensor, softness: float, half_width: Tensor) -> Tensor:
-    """(A, K) part that is seen past all flesh. towards: (A or 1, K, 3) unit · half_width: (A or 1, K) of a lamp per
-    distance"""
-    visible = torch.ones(len(skin.position_m), towards.shape[1]).to(towards)
-    x, y, z = (part.contiguous() for part in towards.unbind(-1))
-    each = zip(flesh.start_m, flesh.end_m, flesh.radius_m, flesh.hides.T, flesh.far, strict=True)
-    for start, end, radius_m, hides, far in each:
-        axis, from_start = end - start, skin.position_m - start
-        length2 = (axis * axis).sum().clamp_min(CAPSULE_LENGTH2_MIN)
-        axis_along, point_along_axis = towards @ axis, (from_start @ axis)[:, None]
-        along = x * from_start[:, :1] + y * from_start[:, 1:2] + z * from_start[:, 2:]
-        sine2 = (length2 - axis_along * axis_along).clamp_min(CAPSULE_SINE2_MIN * length2)
-        s = ((point_along_axis - axis_along * along) / sine2).clamp(0, 1)
-        way = (s * axis_along - along).clamp_min(0)
-        s = ((point_along_axis + way * axis_along) / length2).clamp(0, 1)
-        # |from_start + way towards - s axis|^2, without any (A, K, 3)
-        distance2 = (from_start * from_start).sum(-1, keepdim=True) + way * (way + 2 * (along - s * axis_along))
-        distance2 = distance2 + s * (s * length2 - 2 * point_along_axis)
-        distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
-        width = (softness * radius_m + half_width * way).clamp_min(CAPSULE_WIDTH_MIN_M)
-        behind = 1 - soft_edge(distance, radius_m, width)
-        if far:
-            behind = behind * (radius_m / (half_width * way).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
-        visible = visible * (1 - hides[:, None] * behind)
-    return visible
-
-
-@dataclass(frozen=True)
 class Shadows:
     """What is seen past the flesh of one pose: nothing of it is learned.
 
@@ -250,8 +180,7 @@ def shadows(cast: CastTensors, anchors: Skin, skin: Skin, flesh: Flesh, light: S
         edge = (EDGE_GAIN * near_edge * (1 - near_edge)).clamp(0, 1)
         of_lamps = torch.cat([of_lamps[:slot], torch.lerp(of_lamps[slot], own, edge)[None], of_lamps[slot + 1 :]])
     directions = seen.new_tensor((BLACK if light.world is None else light.world).terms.direction)
-    half_width = seen.new_full((1, 1), LAMP_HALF_WIDTH)
-    visible = past_flesh(anchors, flesh, directions[None], DISTANT_FLESH_SOFTNESS, half_width)
+    visible = past_flesh(anchors, flesh, directions, DISTANT_FLESH_SOFTNESS, LAMP_HALF_WIDTH)
     return Shadows(visible, seen, of_lamps)
 
 

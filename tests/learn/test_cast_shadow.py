@@ -9,7 +9,7 @@ import pytest
 import torch
 from small_avatars import trained_tensors
 
-from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH, LIGHT_TO_DISPLAY
+from jghand_engine.avatar.cast_task import FLESH_SOFTNESS, LAMP_HALF_WIDTH, LIGHT_TO_DISPLAY
 from jghand_engine.avatar.learned import OWN_FLESH_RADII, own_flesh
 from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
 from jghand_engine.errors import InputError
@@ -29,6 +29,7 @@ from jghand_engine.learn.skinning import see_lamps
 AVATAR = trained_tensors(300)
 CAST: CastTensors = AVATAR.learned.cast  # type: ignore[union-attr,assignment]
 CANONICAL_M = AVATAR.canonical_joints_m
+EDGE = FLESH_SOFTNESS, LAMP_HALF_WIDTH
 
 
 def random(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -79,7 +80,7 @@ def test_rays_pass_a_capsule_as_far_as_they_truly_do():
     """Where the edge is: half of the light passes at a distance of one radius, all of it well beside, none inside."""
     start, end, radius = 0.1 * random(3, seed=1), 0.1 * random(3, seed=2), torch.tensor(0.03, dtype=torch.float64)
     point, direction = 0.3 * random(60, 3, seed=3), unit(random(40, 3, seed=4))
-    passed = past_capsule(point, direction, start, end, radius)
+    passed = past_capsule(point, direction, start, end, radius, *EDGE)
     wrong = 0
     for a in range(60):
         for k in range(40):
@@ -97,8 +98,8 @@ def test_a_ray_that_leaves_the_capsule_behind_passes_it():
     point = torch.tensor([[0.5, 0.0, 0.0]]).double()
     towards, away = torch.tensor([[-1.0, 0.0, 0.0]]).double(), torch.tensor([[1.0, 0.0, 0.0]]).double()
     radius = torch.tensor(0.1).double()
-    assert float(past_capsule(point, towards, start, end, radius)) == 0.0
-    assert float(past_capsule(point, away, start, end, radius)) == 1.0
+    assert float(past_capsule(point, towards, start, end, radius, *EDGE)) == 0.0
+    assert float(past_capsule(point, away, start, end, radius, *EDGE)) == 1.0
 
 
 def test_edges_are_soft_and_widen_with_the_distance():
@@ -108,7 +109,7 @@ def test_edges_are_soft_and_widen_with_the_distance():
 
     def partly(height: float) -> int:
         point = torch.stack([beside, torch.zeros_like(beside), torch.full_like(beside, height)], -1)
-        passed = past_capsule(point, up, start, end, radius)[:, 0]
+        passed = past_capsule(point, up, start, end, radius, *EDGE)[:, 0]
         assert bool((passed.diff() >= 0).all())
         return int(((passed > 0) & (passed < 1)).sum())
 
@@ -191,7 +192,7 @@ def test_bones_of_no_length_cast_the_shadow_of_a_ball():
     point = torch.tensor([[0.0, 0.0, 0.0]]).double()
     center = torch.tensor([0.0, 0.0, 0.2], dtype=torch.float64, requires_grad=True)
     direction = lamp_directions(64)
-    passed = past_capsule(point, direction, center, center, torch.tensor(0.05).double())
+    passed = past_capsule(point, direction, center, center, torch.tensor(0.05).double(), *EDGE)
     passed.sum().backward()
     assert bool(torch.isfinite(passed).all())
     assert bool(torch.isfinite(center.grad).all())
