@@ -248,7 +248,7 @@ def main() -> None:
     say(", ".join(f"{name} {value}" for name, value in facts.items()))
     chosen = list(cases(options.only, options.threads))
     with progress("Measuring", WARM_UP + options.rounds) as bar:
-        measured = measure(chosen, rounds=options.rounds, warm_up=WARM_UP, tick=lambda: bar.advance(bar.task_ids[0]))
+        measured = measure(chosen, rounds=options.rounds, warm_up=WARM_UP, tick=bar.advance)
     say_table("Milliseconds", COLUMNS, table_rows(measured))
     if options.json:
         content = {"machine": facts, "warm_up": WARM_UP, "measurements": [asdict(one) for one in measured]}

@@ -200,7 +200,7 @@ def main() -> None:
     options = parser.parse_args()
     names = identity_names()
     with progress("Measuring", POSES * len(names)) as bar:
-        scores = {name: measure_transforms(name, POSES, tick=lambda: bar.advance(bar.task_ids[0])) for name in names}
+        scores = {name: measure_transforms(name, POSES, tick=bar.advance) for name in names}
     say_whole_table(transform_table(scores, POSES))
     say(headline(scores))
     if options.json:

@@ -260,7 +260,7 @@ def in_blender(python: Path, script: str, words: list[Any], frames: int) -> None
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith("frame "):
-                bar.advance(bar.task_ids[0])
+                bar.advance()
     if process.returncode:
         raise SystemExit(process.returncode)
 

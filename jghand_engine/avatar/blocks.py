@@ -29,7 +29,6 @@ class Blocks:
 
     @property
     def count(self) -> int:
-        """How many blocks."""
         return self.rows // LANES
 
     def in_rows(self, values: np.ndarray, dtype: type = np.float32) -> np.ndarray:

@@ -7,6 +7,7 @@ angles of the joints near it (pose features, mixed by its skin weights), or a li
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -23,6 +24,19 @@ PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
 
 # planes of joint angles: that of the five metacarpals, then those of bones 6..20
 PLANES = 16
+
+
+class PerGaussian:
+    """A frozen record. ROWS: arrays with a row for each Gaussian · PARTS: what is such a record itself, or None"""
+
+    ROWS: ClassVar[tuple[str, ...]] = ()
+    PARTS: ClassVar[tuple[str, ...]] = ()
+
+    def prefix(self, count: int) -> Self:
+        """The same for the first `count` Gaussians."""
+        rows = {name: getattr(self, name)[:count] for name in self.ROWS}
+        parts = {name: part.prefix(count) for name in self.PARTS if (part := getattr(self, name)) is not None}
+        return replace(self, **rows, **parts)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)
@@ -75,7 +89,7 @@ class AnglePlanes:
 
 
 @dataclass(frozen=True)
-class PoseNetwork:
+class PoseNetwork(PerGaussian):
     """The network as plain numbers. It reads the avatar's uvd and bone weights, so that it holds nothing per Gaussian.
 
     weights: float32 by the names of `PoseNetShape.arrays`
@@ -89,17 +103,13 @@ class PoseNetwork:
         """Its angle planes."""
         return AnglePlanes(self.weights["angles.planes"], self.shape.level1)
 
-    def prefix(self, count: int) -> PoseNetwork:
-        """The same for the first `count` Gaussians."""
-        return self
-
     def longest_offset_m(self) -> float:
         """What no offset exceeds along an axis, in any pose."""
         return self.shape.reach_m
 
 
 @dataclass(frozen=True)
-class LinearCorrectives:
+class LinearCorrectives(PerGaussian):
     """correction = constant + sum_k c_k(x) direction_k,   c(x) = sum_i W_i(x) numbers(F_i)
 
     angles:     the network's planes, which give the features F_i of the bones
@@ -110,6 +120,8 @@ class LinearCorrectives:
     direction:  (N, K, 6) int8, in units of scale
     scale:      (N, 2) float32, of offset and shade
     """
+
+    ROWS = ("constant", "direction", "scale")
 
     angles: AnglePlanes
     mean: np.ndarray
@@ -122,11 +134,6 @@ class LinearCorrectives:
     def basis(self) -> int:
         """K."""
         return self.direction.shape[1]
-
-    def prefix(self, count: int) -> LinearCorrectives:
-        """The same for the first `count` Gaussians."""
-        names = ("constant", "direction", "scale")
-        return replace(self, **{name: getattr(self, name)[:count] for name in names})
 
     def longest_offset_m(self) -> float:
         """What no offset exceeds along an axis, in any pose: features are means of the planes' texels."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from jghand_engine.avatar.correctives import Correctives, PoseNetwork
+from jghand_engine.avatar.correctives import Correctives, PerGaussian, PoseNetwork
 from jghand_engine.avatar.tiers import Distilled, Price, Tier, choose
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
@@ -87,23 +87,21 @@ class ShadowLook:
 
 
 @dataclass(frozen=True)
-class Ellipsoid(Generic[Array]):
+class Ellipsoid(PerGaussian, Generic[Array]):
     """How canonical Gaussians differ from spheres of their sigma.
 
     log_stretch: (N, 3) logarithm of each axis over sigma
     quaternion:  (N, 4) wxyz of any length, turns the axes
     """
 
+    ROWS = ("log_stretch", "quaternion")
+
     log_stretch: Array
     quaternion: Array
 
-    def prefix(self, count: int) -> Self:
-        """The same for the first `count` Gaussians."""
-        return replace(self, log_stretch=self.log_stretch[:count], quaternion=self.quaternion[:count])
-
 
 @dataclass(frozen=True)
-class Anchors(Generic[Array]):
+class Anchors(PerGaussian, Generic[Array]):
     """Where the cast shadow is computed, and how it is spread to N Gaussians.
 
     position_m:   (A, 3) float32 canonical, meters
@@ -112,6 +110,8 @@ class Anchors(Generic[Array]):
     nearest:      (N, 3) int64 anchors around each Gaussian
     share:        (N, 3) float32 of each, sums to 1
     """
+
+    ROWS = ("nearest", "share")
 
     position_m: Array
     normal: Array
@@ -122,13 +122,9 @@ class Anchors(Generic[Array]):
     def __len__(self) -> int:
         return len(self.position_m)
 
-    def prefix(self, count: int) -> Self:
-        """The same for the first `count` Gaussians."""
-        return replace(self, nearest=self.nearest[:count], share=self.share[:count])
-
 
 @dataclass(frozen=True)
-class CastShadow(Generic[Array]):
+class CastShadow(PerGaussian, Generic[Array]):
     """Shadows that the fingers cast on the hand, see `native/learned_cast.cpp`.
 
     lamp_rgb:    (K, 3) what each lamp around the hand sends, 0 and up
@@ -137,18 +133,16 @@ class CastShadow(Generic[Array]):
     own:         (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it
     """
 
+    PARTS = ("anchors",)
+
     lamp_rgb: Array
     bounced_rgb: Array
     anchors: Anchors[Array]
     own: Array
 
-    def prefix(self, count: int) -> Self:
-        """The same for the first `count` Gaussians."""
-        return replace(self, anchors=self.anchors.prefix(count))
-
 
 @dataclass(frozen=True)
-class SkinResponse(Generic[Array]):
+class SkinResponse(PerGaussian, Generic[Array]):
     """How the skin of N Gaussians answers light. The avatar's colors are its albedo then, linear.
 
     spread:      (N,) of the softness at each Gaussian, 1 on average
@@ -162,6 +156,8 @@ class SkinResponse(Generic[Array]):
     film_light:  (64, 3) radiance times solid angle of the cells of the world that a film was taken in, found with the
                  skin, for the axes of its camera, y up; None of a hand that has no light of its own
     """
+
+    ROWS = ("spread", "roughness", "reflectance")
 
     spread: Array
     roughness: Array
@@ -178,14 +174,9 @@ class SkinResponse(Generic[Array]):
         """Whether anything has gloss."""
         return bool((self.reflectance > 0).any())
 
-    def prefix(self, count: int) -> Self:
-        """The same for the first `count` Gaussians."""
-        own = {name: getattr(self, name)[:count] for name in ("spread", "roughness", "reflectance")}
-        return replace(self, **own)
-
 
 @dataclass(frozen=True)
-class Learned:
+class Learned(PerGaussian):
     """What training adds to N Gaussians.
 
     normal:        (N, 3) float32 unit, canonical frame, outward
@@ -202,6 +193,8 @@ class Learned:
                    lamp for each cell of a world. None where it was learned in one unknown light
     in_studio:     whether it learned in known light and carries that of a studio, see `relighting.in_studio`
     """
+
+    ROWS, PARTS = ("normal", "shine"), ("correctives", "ellipsoid", "cast", "distilled", "response")
 
     normal: np.ndarray
     shine: np.ndarray
@@ -233,19 +226,6 @@ class Learned:
         if price is None or price.tier is Tier.EXACT or self.distilled is None:
             return self, price
         return replace(self, correctives=self.distilled.linear), price
-
-    def prefix(self, count: int) -> Learned:
-        """The same for the first `count` Gaussians."""
-        return replace(
-            self,
-            normal=self.normal[:count],
-            shine=self.shine[:count],
-            correctives=None if self.correctives is None else self.correctives.prefix(count),
-            ellipsoid=None if self.ellipsoid is None else self.ellipsoid.prefix(count),
-            cast=None if self.cast is None else self.cast.prefix(count),
-            distilled=None if self.distilled is None else self.distilled.prefix(count),
-            response=None if self.response is None else self.response.prefix(count),
-        )
 
 
 def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

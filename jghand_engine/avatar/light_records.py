@@ -52,7 +52,6 @@ def lamps_of(record: JsonObject) -> tuple[Lamp, ...]:
 
 
 def lamp_of(record: JsonObject) -> Lamp:
-    """A lamp from its record."""
     known = {field.name: field for field in fields(Lamp)}
     refuse_others(record, tuple(known))
     values: dict[str, Any] = {"kind": _KINDS[record.one_of("kind", tuple(_KINDS))]}

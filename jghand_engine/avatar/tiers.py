@@ -9,10 +9,10 @@ A tier without a price is not used: whoever trades accuracy for time has to see 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
-from jghand_engine.avatar.correctives import LinearCorrectives
+from jghand_engine.avatar.correctives import LinearCorrectives, PerGaussian
 from jghand_engine.errors import InputError
 
 # what a tier may lose to be taken unasked, dB (RENDERING 5)
@@ -57,7 +57,7 @@ class Price:
 
 
 @dataclass(frozen=True)
-class Distilled:
+class Distilled(PerGaussian):
     """What `jghand distill` adds to an avatar.
 
     linear:      None when no such tier is kept
@@ -65,13 +65,11 @@ class Distilled:
     measured_on: in words, what the prices are of
     """
 
+    PARTS = ("linear",)
+
     linear: LinearCorrectives | None
     prices: tuple[Price, ...]
     measured_on: str
-
-    def prefix(self, count: int) -> Distilled:
-        """The same for the first `count` Gaussians."""
-        return replace(self, linear=None if self.linear is None else self.linear.prefix(count))
 
 
 def choose(distilled: Distilled | None, wanted: Tier) -> Price | None:

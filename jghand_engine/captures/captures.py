@@ -97,10 +97,7 @@ class Capture:
 
     def by_pose(self) -> dict[tuple[str, int], tuple[Sample, ...]]:
         """The images of each pose, sorted: the same hand at the same moment, seen by several cameras."""
-        groups: dict[tuple[str, int], list[Sample]] = {}
-        for sample in self.samples:
-            groups.setdefault(sample.pose, []).append(sample)
-        return {pose: tuple(groups[pose]) for pose in sorted(groups)}
+        return dict(sorted(by_pose(self.samples).items()))
 
     def joints_m(self) -> np.ndarray:
         """(P, 21, 3) joints of every pose, level order, world, meters, in the order of `poses`."""
@@ -109,6 +106,14 @@ class Capture:
     def only(self, samples: Iterable[Sample]) -> Capture:
         """The same capture with these images alone."""
         return replace(self, samples=tuple(samples))
+
+
+def by_pose(samples: Iterable[Sample]) -> dict[tuple[str, int], tuple[Sample, ...]]:
+    """The images of each pose, poses and images in the order of `samples`."""
+    groups: dict[tuple[str, int], list[Sample]] = {}
+    for sample in samples:
+        groups.setdefault(sample.pose, []).append(sample)
+    return {pose: tuple(group) for pose, group in groups.items()}
 
 
 def sorted_samples(samples: Iterable[Sample]) -> tuple[Sample, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,16 +42,11 @@ def probe_image(path: Path) -> ImageFacts:
     Nothing is decoded, but a PNG's checksums are compared: a decoder would show its damaged parts as noise. A JPEG has
     none.
     """
-    try:
-        with Image.open(path) as image:
-            facts = ImageFacts(image.width, image.height, _has_alpha(image))
-            end = _ENDS.get(image.format or "")
-            image.verify()
+    with _opened(path, "image") as image:
+        facts = ImageFacts(image.width, image.height, _has_alpha(image))
+        end = _ENDS.get(image.format or "")
+        image.verify()
         cut_off = end is not None and end not in _tail(path)
-    except FileNotFoundError as error:
-        raise InputError(f"image {path}", came="no such file", remedy=_REMEDY) from error
-    except _DAMAGE as error:
-        raise InputError(f"cannot read the image {path}", came=_reason(error), remedy=_REMEDY) from error
     if cut_off:
         raise InputError(f"cannot read the image {path}", came="a file that is cut off", remedy=_REMEDY)
     return facts
@@ -58,13 +54,8 @@ def probe_image(path: Path) -> ImageFacts:
 
 def image_texts(path: Path) -> dict[str, str]:
     """The texts in the head of a PNG, by key; its pixels are not looked at. InputError for a missing or broken head."""
-    try:
-        with Image.open(path) as image:
-            return {str(key): str(text) for key, text in image.info.items() if isinstance(text, str)}
-    except FileNotFoundError as error:
-        raise InputError(f"image {path}", came="no such file", remedy=_REMEDY) from error
-    except _DAMAGE as error:
-        raise InputError(f"cannot read the image {path}", came=_reason(error), remedy=_REMEDY) from error
+    with _opened(path, "image") as image:
+        return {str(key): str(text) for key, text in image.info.items() if isinstance(text, str)}
 
 
 def probe_sized(path: Path, size_px: tuple[int, int], source: str) -> ImageFacts:
@@ -85,7 +76,8 @@ def read_image(path: Path) -> np.ndarray:
 
     InputError when it is missing or cannot be decoded whole.
     """
-    return _read(path, "image", lambda image: image.convert("RGBA" if _has_alpha(image) else "RGB"))
+    with _opened(path, "image") as image:
+        return np.asarray(image.convert("RGBA" if _has_alpha(image) else "RGB"))
 
 
 def read_mask(path: Path) -> np.ndarray:
@@ -93,14 +85,16 @@ def read_mask(path: Path) -> np.ndarray:
 
     A mask with an alpha channel is its alpha. InputError as in `read_image`.
     """
-    gray = _read(path, "mask", lambda image: image.getchannel("A") if "A" in image.getbands() else image.convert("L"))
+    with _opened(path, "mask") as image:
+        gray = np.asarray(image.getchannel("A") if "A" in image.getbands() else image.convert("L"))
     return (gray >= MASK_THRESHOLD).astype(np.float32)
 
 
-def _read(path: Path, what: str, convert: Callable[[Image.Image], Image.Image]) -> np.ndarray:
+@contextmanager
+def _opened(path: Path, what: str) -> Iterator[Image.Image]:
     try:
         with Image.open(path) as image:
-            return np.asarray(convert(image))
+            yield image
     except FileNotFoundError as error:
         raise InputError(f"{what} {path}", came="no such file", remedy=_REMEDY) from error
     except _DAMAGE as error:

@@ -99,8 +99,7 @@ class Ablate:
             new = light_drawers(name, avatar, options) if known_light else {name: LiveHand(avatar, preset("final"))}
             for row, draw in new.items():
                 with progress("Measuring", sum(map(len, categories.values()))) as bar:
-                    tick = partial(bar.advance, bar.task_ids[0])
-                    scores = measure_pictures(categories, draw, tick=tick)
+                    scores = measure_pictures(categories, draw, tick=bar.advance)
                 drawers[row], results[row] = draw, Evaluation(row, capture.name, split.origin, scores)
         self._show(capture.name, categories, drawers, results, light_table if known_light else ablation_table)
         return 0

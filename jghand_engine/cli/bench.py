@@ -55,7 +55,7 @@ class Bench:
             for said, backend in names.items()
         ]
         with progress("Measuring", WARM_UP + ROUNDS) as bar:
-            measured = measure(cases, rounds=ROUNDS, warm_up=WARM_UP, tick=lambda: bar.advance(bar.task_ids[0]))
+            measured = measure(cases, rounds=ROUNDS, warm_up=WARM_UP, tick=bar.advance)
         say(", ".join(f"{name} {value}" for name, value in facts.items()))
         say_table(f"From joints to picture, {len(avatar)} Gaussians", COLUMNS, table_rows(measured))
         card = {} if self.backend != GPU else self._remember(measured)

@@ -157,9 +157,9 @@ class Capture:
         with progress("pictures", len(todo)) as bar:
             for done in render(self.out, todo, python, self.threads or processors()):
                 finished.append(done)
-                bar.advance(bar.task_ids[0])
+                bar.advance()
                 now = time.monotonic()
-                if bar.disable and now - shown > _LINE_EVERY_S:
+                if bar.unseen and now - shown > _LINE_EVERY_S:
                     left_s = (now - started) / len(finished) * (len(todo) - len(finished))
                     say(f"{len(finished)} of {len(todo)} pictures, {duration(left_s)} left")
                     shown = now

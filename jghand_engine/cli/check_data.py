@@ -57,7 +57,7 @@ class CheckData:
                 choice=self.pictures.choice(),
                 template=None if self.template is None else hand_template(self.template),
                 most=ALL if self.all else CHECK_IMAGES,
-                tick=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
+                tick=bar.reach,
             )
         named = facts(checked)
         width = max((len(name) for name in named), default=0)

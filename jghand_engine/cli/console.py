@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from jghand_engine.cli.progress_json import JsonProgress, json_lines
+from jghand_engine.cli.progress_json import JsonLines, json_lines
 from jghand_engine.json_files import write_json
 
 if TYPE_CHECKING:
@@ -57,40 +57,58 @@ def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]])
 
 
 def say_whole_table(table: Figures) -> None:
-    """A table with its notes below it."""
     say_table(table.title, table.columns, list(table.rows))
     for note in table.notes:
         say(f"  {note}")
 
 
+class Bar:
+    """How far one task is: `bar` draws it, or `lines` tell it to the program that started this one."""
+
+    def __init__(self, bar: Progress, text: str, total: int, lines: JsonLines | None = None) -> None:
+        self._bar, self._lines, self._task = bar, lines, bar.add_task(text, total=total)
+        self._tell()
+
+    @property
+    def unseen(self) -> bool:
+        return self._bar.disable
+
+    def advance(self) -> None:
+        self._bar.advance(self._task)
+        self._tell()
+
+    def reach(self, done: float, total: float | None = None) -> None:
+        """total: None leaves it as it was"""
+        self._bar.update(self._task, completed=done, total=total)
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._lines is not None:
+            (task,) = self._bar.tasks
+            self._lines.progress(task.description, task.completed, task.total or 0, task.time_remaining)
+
+
 @contextmanager
-def progress(text: str, total: int) -> Iterator[Progress]:
-    """A bar with one task; call `advance(task_id=0)`. It stands on standard error and vanishes where nobody looks, or
-    is told in lines to the program that started this one."""
-    lines = json_lines()
-    if lines is not None:
-        told = JsonProgress(lines)
-        told.add_task(text, total=total)
-        yield told
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err(), transient=False, disable=not err().is_terminal) as bar:
-        bar.add_task(text, total=total)
-        yield bar
+def progress(text: str, total: int) -> Iterator[Bar]:
+    """It stands on standard error and vanishes where nobody looks."""
+    lines, columns = json_lines(), (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    hidden = lines is not None or not err().is_terminal
+    with Progress(*columns, TimeRemainingColumn(), console=err(), transient=False, disable=hidden) as bar:
+        yield Bar(bar, text, total, lines)
 
 
 @contextmanager
 def stages() -> Iterator[Callable[[str, int, int], None]]:
     """Call it with the name of a stage, how much of it is done, and of how much: a bar for each, in turn."""
     with ExitStack() as shown:
-        bars: dict[str, Progress] = {}
+        bars: dict[str, Bar] = {}
 
         def told(stage: str, done: int, total: int) -> None:
             if stage not in bars:
                 shown.close()
                 bars.clear()
                 bars[stage] = shown.enter_context(progress(stage, total))
-            bars[stage].update(bars[stage].task_ids[0], completed=done, total=max(done, total))
+            bars[stage].reach(done, max(done, total))
 
         yield told
 

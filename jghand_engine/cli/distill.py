@@ -83,12 +83,12 @@ class Distill:
         by = self._measure(avatar)
         poses = torch.cat([by.known_poses, poses_near(by.known_poses, DISTIL_POSES, seed=0)])
         with progress("Distilling", 100) as bar:
-            linear = distill(avatar, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
+            linear = distill(avatar, poses, bases, tick=lambda part: bar.reach(100 * part))
         measured_on = as_text(f"{by.on}; times on {processor()}, {thread_count(0)} threads")
         say(f"Measuring {len(linear) + 1} tiers on {measured_on}.")
         offers = price_tiers(avatar, linear, by)
         with progress("Measuring the shadow", 100) as bar:
-            measured = with_shadow_seen(avatar, lambda part: bar.update(bar.task_ids[0], completed=100 * part))
+            measured = with_shadow_seen(avatar, lambda part: bar.reach(100 * part))
         finished = distilled(measured, offers, measured_on)
         save_avatar(self.out, finished, storage=Storage.COMPACT)
         self._tell(offers, finished, measured_on)

@@ -148,10 +148,7 @@ class Evaluate:
         samples = [sample for group in categories.values() for sample in group]
         ceiling = ceiling_crops(samples, again, metrics) if again else ()
         with progress("Measuring", len(samples)) as bar:
-            task = bar.task_ids[0]
-            pictures = measure_pictures(
-                categories, draw, perceptual=metrics, crops=crops, tick=lambda: bar.advance(task)
-            )
+            pictures = measure_pictures(categories, draw, perceptual=metrics, crops=crops, tick=bar.advance)
         return Evaluation(Path(self.avatar).stem, capture.name, origin, pictures, ceiling)
 
     def _tables(self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture) -> list[Table]:

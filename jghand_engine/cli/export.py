@@ -215,11 +215,7 @@ class Export:
         light = None if self.splats.light is None else read_light(self.splats.light)
         options = SplatOptions(self.format, self.name, axes, start, self.up, self.overwrite, light)
         with progress(f"Writing {options.format}", len(motion.frames)) as bar:
-            task = bar.task_ids[0]
-            report = export_splats(
-                self.out, avatar, motion.whole, options, frames=motion.frames,
-                progress=lambda done, _: bar.update(task, completed=done),
-            )  # fmt: skip
+            report = export_splats(self.out, avatar, motion.whole, options, frames=motion.frames, progress=bar.reach)
         figures = {"axes": report.axes, "light": report.light, "gaussians": report.gaussians}
         about = f"axes {report.axes}, light: {report.light}"
         return self._told(report, about, figures, made_from(avatar, motion.sequence))
@@ -232,10 +228,9 @@ class Export:
         names = FrameFiles(self.name, MESH_FORMATS[self.format], self.first_frame, self.overwrite)
         template = None if self.template is None else hand_template(self.template)
         with progress("Writing meshes", len(motion.frames)) as bar:
-            task = bar.task_ids[0]
             report = export_meshes(
                 self.out, avatar, motion.whole, names, up=self.up, template=template, frames=motion.frames,
-                progress=lambda done, _: bar.update(task, completed=done),
+                progress=bar.reach,
             )  # fmt: skip
         figures = {"vertices": report.vertices, "faces": report.faces}
         about = f"{report.vertices} vertices, {report.faces} faces"
@@ -280,12 +275,8 @@ def export_stage(
     from jghand_engine.export.usd.package import export_usd
 
     with progress("Writing USD", len(sequence)) as bar:
-        task = bar.task_ids[0]
-        return export_usd(
-            folder, avatar, sequence, cameras, options, progress=lambda done, _: bar.update(task, completed=done)
-        )
+        return export_usd(folder, avatar, sequence, cameras, options, progress=bar.reach)
 
 
 def usd_figures(report: UsdReport) -> dict[str, Any]:
-    """What an export did, as plain data."""
     return {**vars(report), "stage": str(report.stage), "shot": None if report.shot is None else str(report.shot)}

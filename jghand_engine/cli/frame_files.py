@@ -104,7 +104,7 @@ class FrameWriter:
                     self.write(index)
                     outcome.made += 1
                     outcome.broken += there
-                bar.advance(bar.task_ids[0])
+                bar.advance()
         outcome.complete = all(self.files.path(index).exists() for index in range(total))
         return outcome
 
@@ -113,7 +113,7 @@ class FrameWriter:
         with progress("Writing the video", len(self.hands)) as bar:
             for index in range(len(self.hands)):
                 yield flatten(premultiplied(read_png(self.files.path(index))), VIDEO_BACKGROUND)
-                bar.advance(bar.task_ids[0])
+                bar.advance()
 
     def _is_whole(self, index: int) -> bool:
         """Whether picture and maps are there, undamaged."""

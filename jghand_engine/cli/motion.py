@@ -62,12 +62,12 @@ class Motion:
         self._check()
         with progress("Reading the motion", 3) as bar:
             read = read_file(self.file, self.format, self.foreign)
-            bar.advance(bar.task_ids[0])
+            bar.advance()
             sequence, said = self._changed(read.sequence, read.up)
             length_mm = _length_mm(sequence)
-            bar.advance(bar.task_ids[0])
+            bar.advance()
             write_motion(self.out, sequence)
-            bar.advance(bar.task_ids[0])
+            bar.advance()
         notes = [*read.notes, *said]
         for note in notes:
             say(note)

@@ -26,8 +26,6 @@ import time
 from collections.abc import Iterator
 from typing import IO, TYPE_CHECKING, Any
 
-from rich.progress import Progress
-
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
 from jghand_engine.errors import DiskFullError
 
@@ -55,7 +53,6 @@ class JsonLines:
         self._last_s = -math.inf
 
     def progress(self, text: str, done: float, total: float, eta_s: float | None, *, kind: str = "progress") -> None:
-        """How far a command is."""
         now_s = time.monotonic()
         if now_s - self._last_s < PROGRESS_JSON_S and 0 < done < total:
             return
@@ -64,11 +61,9 @@ class JsonLines:
         self._write(jghand=kind, text=text, done=done, total=total, eta_s=eta)
 
     def note(self, text: str) -> None:
-        """Something that happened."""
         self._write(jghand="note", text=text)
 
     def error(self, failure: Failure, error: BaseException) -> None:
-        """What ended the command."""
         full = isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in _FULL)
         kind = "disk_full" if full else _KINDS.get(failure.exit_code, "internal")
         self._write(jghand="error", kind=kind, text=failure.sentence, exit_code=failure.exit_code)
@@ -140,34 +135,6 @@ def _await_end_of_input(of: JsonLines, stdin: int, begun: threading.Event) -> No
         _thread.interrupt_main()
 
 
-class JsonProgress(Progress):
-    """rich's bookkeeping of a bar whose one task is told in lines instead of drawn."""
-
-    def __init__(self, lines: JsonLines) -> None:
-        super().__init__(disable=True)
-        self._json = lines
-
-    def add_task(self, *args: Any, **options: Any) -> Any:
-        """As rich's."""
-        task = super().add_task(*args, **options)
-        self._tell(task)
-        return task
-
-    def update(self, task_id: Any, **changes: Any) -> None:
-        """As rich's."""
-        super().update(task_id, **changes)
-        self._tell(task_id)
-
-    def advance(self, task_id: Any, advance: float = 1) -> None:
-        """As rich's."""
-        super().advance(task_id, advance)
-        self._tell(task_id)
-
-    def _tell(self, task_id: Any) -> None:
-        task = self._tasks[task_id]
-        self._json.progress(task.description, task.completed, task.total or 0, task.time_remaining)
-
-
 class JsonTraining:
     """Where a training says how it goes (`learn.progress.Display`), in lines."""
 
@@ -175,9 +142,7 @@ class JsonTraining:
         self._lines = lines
 
     def update(self, status: Status) -> None:
-        """Where it stands."""
         self._lines.progress(status.sentence(), status.step, status.steps, status.seconds_left, kind="training")
 
     def note(self, sentence: str) -> None:
-        """Something that happened."""
         self._lines.note(sentence)

@@ -80,7 +80,7 @@ class Study:
         from jghand_engine.study.stability_plot import draw_figure
 
         with progress("Measuring", stability.COUNT) as bar:
-            study = stability.measure_stability(lambda: bar.advance(bar.task_ids[0]))
+            study = stability.measure_stability(bar.advance)
         figure = draw_figure(study.curves, stability_views.view_pairs())
         return Report("stability", study.headline, study.tables(), study, figure)
 
@@ -106,5 +106,5 @@ class Study:
         camera = framing_camera(poses, avatar.handedness, "quarter", width=width, height=height)
         with progress("Measuring", len(poses)) as bar:
             subject, settings = Subject(name, avatar, poses, camera), preset("viewport")
-            study = effects.measure_effects(subject, settings, lambda: bar.advance(bar.task_ids[0]))
+            study = effects.measure_effects(subject, settings, bar.advance)
         return Report("effects", study.headline, study.tables(), study, draw_figure(study))

@@ -210,11 +210,10 @@ class Track:
             say(f"The networks that find a hand: {fetch_model()}")
         total = video.frames if self.most is None else min(self.most, video.frames or self.most)
         with video_detector() as detector, progress("Looking for hands", total or 1) as bar:
-            task = bar.task_ids[0]
             return look(
                 source_of(video),
                 detector,
-                lambda done: bar.update(task, completed=done, total=max(done, total or 0)),
+                lambda done: bar.reach(done, max(done, total or 0)),
                 notes,
                 most=self.most,
             )
@@ -300,7 +299,7 @@ class Track:
             def told() -> Iterator[np.ndarray]:
                 for frame in frames:
                     yield frame
-                    bar.advance(bar.task_ids[0])
+                    bar.advance()
 
             write_video(self.proof, told(), video.fps)
 

@@ -179,7 +179,6 @@ class TrainingJob:
 
     @property
     def last_words(self) -> str:
-        """What the training said last."""
         log = self.out / f"{self.name}.log"
         lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.is_file() else []
         for line in reversed(lines):

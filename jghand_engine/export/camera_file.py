@@ -50,5 +50,4 @@ def _wrong(name: str, wanted: str, came: object) -> InputError:
 
 
 def read_camera(path: Path) -> Camera:
-    """The camera of a JSON file."""
     return camera_from_dict(read_small_json(path), str(path))

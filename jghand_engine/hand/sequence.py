@@ -8,13 +8,12 @@ remove them; both say what they do, neither invents motion.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import bone_lengths, check_joint_shape
 from jghand_engine.hand.rotations import slerp, slerp_rotation, turns_between
 from jghand_engine.hand.skeleton import PALM_NORMAL_MIN, ZERO_BONE_EPS
@@ -187,25 +186,19 @@ class PoseSequence:
             )
         return self
 
-    def with_constant_bone_lengths(self, lengths_m: np.ndarray | Sequence[float] | None = None) -> PoseSequence:
-        """The same directions of every bone with lengths that do not change over time.
+    def with_constant_bone_lengths(self) -> PoseSequence:
+        """The same directions of every bone, each with its median length over the frames.
 
-        lengths_m: (20,) lengths of bones 1..20, meters; default: each bone's median over the frames. The joints are
-        rebuilt from the wrist outwards. A bone without length points where it pointed in the frame before.
-        Frames with gaps keep them: hold them first if they shall not stay.
+        The joints are rebuilt from the wrist outwards. A bone without length points where it pointed in the frame
+        before. Frames with gaps keep them: hold them first if they shall not stay.
         """
         measured = self.bone_lengths_m
-        if lengths_m is None:
-            usable = np.isfinite(measured)
-            if not usable.any(axis=0).all():
-                name = LEVEL_NAMES[int(np.argmin(usable.any(axis=0))) + 1]
-                raise InputError("motion", wanted="every bone in at least one frame", came=f"none with {name}")
-            lengths = np.nanmedian(measured, axis=0)
-        else:
-            lengths = np.asarray(lengths_m, dtype=np.float64)
-            if lengths.shape != (BONE_COUNT,) or not (np.isfinite(lengths) & (lengths >= 0)).all():
-                raise InputError("bone lengths", wanted="20 lengths in meters", came=str(lengths.shape))
-        return self._with(rebuilt(self.joints_m[:, 0], bone_directions(self.joints_m), lengths))
+        known = np.isfinite(measured).any(axis=0)
+        if not known.all():
+            name = LEVEL_NAMES[int(np.argmin(known)) + 1]
+            raise InputError("motion", wanted="every bone in at least one frame", came=f"none with {name}")
+        lengths_m = np.nanmedian(measured, axis=0)
+        return self._with(rebuilt(self.joints_m[:, 0], bone_directions(self.joints_m), lengths_m))
 
     def resampled(self, fps: float) -> PoseSequence:
         """The same motion at another rate: bones keep their lengths while their directions turn between frames.

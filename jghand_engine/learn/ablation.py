@@ -181,7 +181,6 @@ class _BalancedHand(AvatarPicturer):
     light: as near to that picture as a hand comes that no light changes."""
 
     def in_light(self, sample: Sample, light: SceneLight) -> np.ndarray:
-        """See AvatarPicturer."""
         rgba = self(sample.joints_m, sample.handedness, sample.camera)
         rgb, truth = srgb_to_linear(rgba[..., :3]), judged_mix(sample).rgb
         gain = (rgb * truth).sum((0, 1)) / np.maximum(np.square(rgb).sum((0, 1)), 1e-9)
@@ -200,5 +199,4 @@ class _HandWithout(AvatarPicturer):
         self._in_world = left_out in LAMPS_IN_WORLD
 
     def in_light(self, sample: Sample, light: SceneLight) -> np.ndarray:
-        """See AvatarPicturer."""
         return super().in_light(sample, lamps_in_world(light, sample.joints_m.mean(0)) if self._in_world else light)

@@ -41,6 +41,7 @@ from jghand_engine.avatar.learned import (
     lamp_directions,
 )
 from jghand_engine.hand.joints import PARENTS
+from jghand_engine.learn.light import smooth
 from jghand_engine.learn.planes import weighted_rows
 
 # distances of a Gaussian to its anchors count as longer by this, meters: no anchor takes all
@@ -202,7 +203,7 @@ def past_capsule(
     )
     distance = distance2.clamp_min(CAPSULE_LENGTH2_MIN).sqrt()
     width = (softness * radius_m + half_width * t).clamp_min(CAPSULE_WIDTH_MIN_M)
-    stands_free = soft_edge(distance, radius_m, width)
+    stands_free = smooth(0.5 + 0.5 * (distance - radius_m) / width)
     if not far:
         return stands_free
     return 1 - (1 - stands_free) * (radius_m / (half_width * t).clamp_min(CAPSULE_WIDTH_MIN_M)).clamp_max(1)
@@ -214,9 +215,3 @@ def exponent(shadow: CastTensors, seen: LampsSeen) -> Tensor:
     bounced = shadow.bounced_rgb.to(rgb.dtype).clamp_min(BOUNCED_MIN)
     left = (seen.seen @ rgb + bounced) / (seen.open @ rgb + bounced)
     return shadow.anchors.spread(LIGHT_TO_DISPLAY * left.log())
-
-
-def soft_edge(distance: Tensor, radius_m: Tensor, width: Tensor) -> Tensor:
-    """What passes at a distance from the axis of a capsule: 0 within it, 1 well beside it, smooth over 2 `width`."""
-    t = (0.5 + 0.5 * (distance - radius_m) / width).clamp(0, 1)
-    return t * t * (3 - 2 * t)

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
+
+Item = TypeVar("Item")
 
 # figures are given apart for pictures whose fingers are bent, on the mean of their joints, below, between and above
 # these angles, degrees: an open, a relaxed, a half closed hand and a fist
@@ -120,7 +122,6 @@ class PictureScore:
     crops: tuple[CropScore, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
         sample = self.sample
         where = {"sequence": sample.sequence, "frame": sample.frame, "camera": sample.camera_name}
         return where | {
@@ -200,12 +201,11 @@ def categories_of(split: Split, which: str, limit: int = 0) -> dict[str, tuple[S
     return {name: spread(samples, limit) for name, samples in groups.items()}
 
 
-def spread(samples: Sequence[Sample], limit: int) -> tuple[Sample, ...]:
-    """At most `limit` of the samples, evenly over their order; 0: all."""
-    if not 0 < limit < len(samples):
-        return tuple(samples)
-    places = np.linspace(0, len(samples) - 1, limit).round().astype(int)
-    return tuple(samples[place] for place in places)
+def spread(items: Sequence[Item], limit: int) -> tuple[Item, ...]:
+    """At most `limit` of the items, evenly over their order; 0: all."""
+    if not 0 < limit < len(items):
+        return tuple(items)
+    return tuple(items[place] for place in np.linspace(0, len(items) - 1, limit).round().astype(int))
 
 
 def measure_pictures(

@@ -83,7 +83,6 @@ class AnglePlanes(nn.Module):
         return planes
 
     def plain(self) -> correctives.AnglePlanes:
-        """As arrays."""
         return correctives.AnglePlanes(self.planes.detach().cpu().numpy().copy(), self.level1)
 
     def forward(self, frames: PoseAngles) -> Tensor:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from jghand_engine.captures.captures import by_pose
 from jghand_engine.captures.sample import Sample
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
@@ -110,11 +111,7 @@ def variant_sheet(samples: Sequence[Sample], drawers: Mapping[str, Picturer], ti
 
 def from_best_to_worst(pictures: Sequence[PictureScore], count: int) -> tuple[PictureScore, ...]:
     """`count` pictures, the best and the worst by PSNR among them, the others evenly between by rank."""
-    ranked = sorted(pictures, key=lambda picture: -picture.scores["psnr_full"])
-    if count >= len(ranked):
-        return tuple(ranked)
-    places = np.linspace(0, len(ranked) - 1, count).round().astype(int)
-    return tuple(ranked[place] for place in places)
+    return spread(sorted(pictures, key=lambda picture: -picture.scores["psnr_full"]), count)
 
 
 def view_sheet(samples: Sequence[Sample], draw: Picturer, title: str) -> np.ndarray:
@@ -176,11 +173,7 @@ def pairs_of(samples: Sequence[Sample], count: int) -> list[tuple[Sample, Sample
 
 def varied_samples(samples: Sequence[Sample], count: int) -> tuple[Sample, ...]:
     """One picture of each of at most `count` poses, evenly spread, each by another camera where there are several."""
-    by_pose: dict[tuple[str, int], list[Sample]] = {}
-    for sample in samples:
-        by_pose.setdefault(sample.pose, []).append(sample)
-    chosen = spread([group[place % len(group)] for place, group in enumerate(by_pose.values())], count)
-    return tuple(chosen)
+    return spread([group[place % len(group)] for place, group in enumerate(by_pose(samples).values())], count)
 
 
 def heat(values: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.avatar.learned import no_light
+from jghand_engine.captures.captures import by_pose
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -139,7 +140,7 @@ class HandTraining:
             scale_mode=model.scale_mode,
         )
         self._gate = ShadowGate(points.joints_m.numpy())
-        self._poses = _by_pose(material.train)
+        self._poses = by_pose(material.train)
         self._names = sorted(self._poses)
         steps = [-(-len(self._poses[name]) // options.schedule.views) for name in self._names]
         self._rounds = [[pose for pose, own in enumerate(steps) if own > turn] for turn in range(max(steps))]
@@ -186,11 +187,9 @@ class HandTraining:
     # ---- Trainable ---------------------------------------------------------------------------------------------------
 
     def plan(self, steps: int) -> None:
-        """See Trainable."""
         self._steps = max(steps, 1)
 
     def step(self, number: int) -> dict[str, float]:
-        """See Trainable."""
         self._part = part = min(number / self._steps, 1.0)
         self._refine(part)
         self._find_detail(part)
@@ -231,7 +230,6 @@ class HandTraining:
         return named
 
     def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """See Trainable."""
         with torch.no_grad():
             for name, own in self.tensors().items():
                 own.copy_(tensors[name])
@@ -242,15 +240,12 @@ class HandTraining:
         return {"count": self._count, "part": self._part}
 
     def load_scalars(self, scalars: Mapping[str, Any]) -> None:
-        """See Trainable."""
         self._count, self._part = int(scalars["count"]), float(scalars.get("part", 1.0))
 
     def gradients(self) -> dict[str, Tensor]:
-        """See Trainable."""
         return {name: parameter.grad for name, parameter in self.hand.named_parameters() if parameter.grad is not None}
 
     def preview(self) -> np.ndarray:
-        """See Trainable."""
         view, ours = self._drawn(self._material.judged[0])
         return torch.cat([view.rgb, ours], 1).numpy()
 
@@ -369,8 +364,8 @@ class HandTraining:
         frames = self._transform.frames(torch.from_numpy(sample.joints_m + self.options.joint_noise_m * noise).float())
         return mapped(frames, lambda tensor: tensor.to(self._device))
 
-    def _live(self, count: int = 0) -> HandTensors:
-        return self.hand.avatar(self._info, handedness=self._handedness, count=count or self._count)
+    def _live(self) -> HandTensors:
+        return self.hand.avatar(self._info, handedness=self._handedness, count=self._count)
 
     def _pose(
         self, avatar: HandTensors, posed: _PosedBones, part: float, read: HandFrames | None = None
@@ -483,10 +478,3 @@ def _check_joints(material: Material) -> None:
         if not np.isfinite(sample.joints_m).all():
             raise InputError(f"joints of {sample.image}", wanted="21 known joints", came="NaN or infinity",
                              remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip
-
-
-def _by_pose(samples: Sequence[Sample]) -> dict[tuple[str, int], list[Sample]]:
-    poses: dict[tuple[str, int], list[Sample]] = {}
-    for sample in samples:
-        poses.setdefault(sample.pose, []).append(sample)
-    return poses

@@ -56,11 +56,9 @@ class EffectRow:
 
     @property
     def bounds(self) -> list[str]:
-        """In words."""
         return sorted(template.format(*figures) for template, figures in self.stated.items())
 
     def skip(self, decision: Decision) -> None:
-        """Adds a frame without the effect."""
         self.skipped += 1
         before = self.stated.get(decision.lost, decision.figures)
         self.stated[decision.lost] = tuple(map(max, before, decision.figures))
@@ -86,7 +84,6 @@ class EffectsStudy:
         return f"{self.subject}: {', '.join(parts) or 'nothing could be skipped'}."
 
     def tables(self) -> list[Table]:
-        """What is printed."""
         rows = [
             (
                 str(row.effect), f"{row.skipped} of {row.frames}",

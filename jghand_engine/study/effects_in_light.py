@@ -75,7 +75,6 @@ def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]
 
 
 def light_table(rows: Sequence[LightRow]) -> Table:
-    """What is printed of them."""
     cells = [
         (
             row.name, f"{255 * max(row.errors):.2g}", number(float(np.median(row.ms)), 2),

@@ -204,7 +204,6 @@ def mirrored(joints_m: Tensor) -> Tensor:
 
 @cache
 def hand_cases() -> dict[str, HandCase]:
-    """All hard hands by name."""
     joints = _fingers() | _palms() | _places_and_units()
     cases = {name: HandCase(name, joints_m) for name, joints_m in joints.items()}
     cases["left hand"] = HandCase("left hand", mirrored(posed("relaxed")), Handedness.LEFT)

@@ -152,7 +152,6 @@ SCENES = {
 
 
 def scene_row(case: SceneCase) -> PictureRow:
-    """The row of a hard picture."""
     gaussians, camera = case.make()
     error = against_reference(gaussians, camera)
     finite, gradient = picture_gradient(gaussians, camera, template_size_m())

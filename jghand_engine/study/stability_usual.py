@@ -62,7 +62,6 @@ class UsualTransform:
         self._frames, self._lengths, _ = self._local(self._joints_m)
 
     def bones(self, joints_m: Tensor) -> UsualBones:
-        """See the class."""
         dtype, sign = joints_m.dtype, self._sign.to(joints_m.dtype)
         frames, lengths, angles = self._local(joints_m * sign)
         canonical = self._joints_m.to(dtype)

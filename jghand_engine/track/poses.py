@@ -127,7 +127,6 @@ class Landmarks:
         return np.asarray(np.isfinite(self.image_px).all(axis=(1, 2)))
 
     def part(self, frames: Frames) -> Landmarks:
-        """Some of the frames."""
         return replace(self, image_px=self.image_px[frames], directions=self.directions[frames])
 
 
@@ -143,7 +142,6 @@ class Poses:
         return len(self.angle_rad)
 
     def part(self, frames: Frames) -> Poses:
-        """Some of the frames."""
         return Poses(self.turn[frames], self.place_m[frames], self.angle_rad[frames])
 
     def moved(self, step: np.ndarray) -> Poses:
@@ -162,7 +160,6 @@ class Poses:
         return chain.joints(self.angle_rad) @ np.swapaxes(self.turn, -1, -2) + self.place_m[:, None]
 
     def replaced(self, frames: np.ndarray, there: Poses) -> Poses:
-        """These, but for some of the frames."""
         turn, place_m, angle_rad = self.turn.copy(), self.place_m.copy(), self.angle_rad.copy()
         turn[frames], place_m[frames], angle_rad[frames] = there.turn, there.place_m, there.angle_rad
         return Poses(turn, place_m, angle_rad)
@@ -184,7 +181,6 @@ class Poses:
 
 
 def joined(parts: list[Poses]) -> Poses:
-    """Poses one after the other."""
     return Poses(
         np.concatenate([part.turn for part in parts]),
         np.concatenate([part.place_m for part in parts]),

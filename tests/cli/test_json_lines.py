@@ -9,10 +9,11 @@ import subprocess
 import sys
 
 import pytest
+from rich.progress import Progress
 
-from jghand_engine.cli.console import progress
+from jghand_engine.cli.console import Bar, progress
 from jghand_engine.cli.failures import explain
-from jghand_engine.cli.progress_json import JsonLines, JsonProgress, JsonTraining, json_lines
+from jghand_engine.cli.progress_json import JsonLines, JsonTraining, json_lines
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.learn.progress import Status
 
@@ -23,10 +24,9 @@ def told(stream: io.StringIO) -> list[dict]:
 
 def test_a_bar_is_told_in_lines_its_first_and_its_last_always():
     stream = io.StringIO()
-    bar = JsonProgress(JsonLines(stream))
-    task = bar.add_task("Writing", total=500)
+    bar = Bar(Progress(disable=True), "Writing", 500, JsonLines(stream))
     for _ in range(500):
-        bar.advance(task)
+        bar.advance()
     lines = told(stream)
     assert (lines[0]["done"], lines[-1]["done"], lines[-1]["total"]) == (0, 500, 500)
     assert len(lines) < 50, "not one line for every step"
@@ -36,7 +36,7 @@ def test_a_bar_is_told_in_lines_its_first_and_its_last_always():
 def test_without_a_program_that_reads_along_nothing_is_told(capsys):
     assert json_lines() is None
     with progress("Writing", 3) as bar:
-        bar.advance(bar.task_ids[0])
+        bar.advance()
     assert capsys.readouterr().err == ""
 
 

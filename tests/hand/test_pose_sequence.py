@@ -139,16 +139,6 @@ def test_constant_lengths_are_the_medians_and_directions_stay():
     assert np.array_equal(steady.joints_m[:, 0], wobbling.joints_m[:, 0])
 
 
-def test_constant_lengths_can_be_given():
-    wanted = np.linspace(0.02, 0.09, 20)
-    steady = _wobbling().with_constant_bone_lengths(wanted)
-    assert np.abs(steady.bone_lengths_m - wanted).max() < 1e-15
-    with pytest.raises(InputError, match="20 lengths"):
-        _wobbling().with_constant_bone_lengths(wanted[:19])
-    with pytest.raises(InputError, match="20 lengths"):
-        _wobbling().with_constant_bone_lengths(-wanted)
-
-
 def test_a_vanished_bone_keeps_its_direction_of_the_frame_before():
     sequence = _moving()
     joints = sequence.joints_m.copy()
