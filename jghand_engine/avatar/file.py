@@ -49,7 +49,7 @@ from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
-from jghand_engine.json_files import JsonObject, is_number
+from jghand_engine.json_files import JsonObject
 
 FORMAT_VERSION = 4
 # the newest without a detail, without a known light, and without anything learned
@@ -184,7 +184,10 @@ class _Description:
         self.storage = Storage(of.one_of("storage", tuple(Storage)))
         self.handedness = Handedness(of.one_of("handedness", tuple(Handedness)))
         self.gaussians = of.count("gaussians", 1, AVATAR_MAX_GAUSSIANS)
-        self.box_m = of.value("position_box_m", _is_box, "two corners of three finite numbers")
+        box_m = of.array("position_box_m", (2, 3))
+        if not (np.abs(box_m) <= _FINITE_MAX).all():
+            raise of.wrong("position_box_m", "two corners of three finite numbers")
+        self.box_m = box_m.tolist()
         self.info = AvatarInfo(
             name=_text(of, "name"),
             template=_text(of, "template"),
@@ -244,14 +247,6 @@ def _pose_statistics(of: JsonObject) -> dict[str, tuple[float, float]]:
 _FINITE_MAX = 1e300
 # meters; coarser pixels show no hand
 PIXEL_MAX_M = 0.1
-
-
-def _is_box(value: object) -> bool:
-    rows = value if isinstance(value, list) and len(value) == 2 else [None]
-    return all(
-        isinstance(row, list) and len(row) == 3 and all(is_number(x, -_FINITE_MAX, _FINITE_MAX) for x in row)
-        for row in rows
-    )
 
 
 def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.ndarray]:

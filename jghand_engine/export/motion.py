@@ -96,7 +96,7 @@ class HandMotion:
 
     def rest_poses(self) -> BonePoses:
         """The canonical hand as one frame."""
-        return self._poses([HandPose(self._rest_joints_m)])
+        return self._poses([HandPose(self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64)))])
 
     def poses(self) -> Iterator[BonePoses]:
         for first in range(0, len(self), BATCH_FRAMES):
@@ -105,10 +105,6 @@ class HandMotion:
     def map_weights(self, skin: HandTemplate) -> np.ndarray:
         """(V, maps) weights of all maps of the vertices of a surface that is the hand itself."""
         return self.avatar.map_weights(self._mirrored(skin.vertices_m), skin.bone_weights)
-
-    @property
-    def _rest_joints_m(self) -> np.ndarray:
-        return self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64))
 
     def _mirrored(self, points_m: np.ndarray) -> np.ndarray:
         """Canonical points (..., 3) of the hand itself: the mirror image of the model's for a left hand."""

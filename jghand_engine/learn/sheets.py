@@ -121,7 +121,8 @@ def view_sheet(samples: Sequence[Sample], draw: Picturer, title: str) -> np.ndar
         for view in VIEWS:
             camera = _camera(sample.joints_m[None], sample.handedness, view)
             rgba = draw(sample.joints_m, sample.handedness, camera)
-            cells.append(Cell(f"{view} · pose {sample.frame}", _cut_out(rgba)))
+            hand = _Square.around(rgba[..., 3]).hand(rgba[..., :3], rgba[..., 3])
+            cells.append(Cell(f"{view} · pose {sample.frame}", hand))
     return _with_head(_sheet(cells, len(VIEWS)), title, "Each row: one pose that was not learned, from new sides")
 
 
@@ -183,10 +184,6 @@ def heat(values: np.ndarray) -> np.ndarray:
 
 
 # ---- the page -------------------------------------------------------------------------------------------------------
-
-
-def _cut_out(rgba: np.ndarray) -> np.ndarray:
-    return _Square.around(rgba[..., 3]).hand(rgba[..., :3], rgba[..., 3])
 
 
 def _sheet(cells: Sequence[Cell], columns: int) -> np.ndarray:

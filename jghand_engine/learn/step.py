@@ -221,7 +221,7 @@ class HandTraining:
         """See Trainable: parameters under their names, Adam's moments behind `adam.`."""
         named = {name: parameter.data for name, parameter in self.hand.named_parameters()}
         for name, parameter in self.hand.named_parameters():
-            state = self._state_of(parameter)
+            state = self._started(self._optimizer, parameter)
             named |= {f"adam.{name}.{moment}": state[moment] for moment in ("exp_avg", "exp_avg_sq", "step")}
         if self._detail is not None:
             state = self._started(self._texture_optimizer, self._detail.texture)
@@ -446,9 +446,6 @@ class HandTraining:
         """Canonical wrist to the tip of the middle finger."""
         joints_m = self.hand.points.joints_m
         return float((joints_m[18] - joints_m[0]).norm())
-
-    def _state_of(self, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
-        return self._started(self._optimizer, parameter)
 
     def _started(self, optimizer: torch.optim.Adam, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
         """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""

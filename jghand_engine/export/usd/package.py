@@ -377,23 +377,20 @@ class _Writer:
         if layer is None:
             self._progress(self._span.frames, self._span.frames)
             return
+        colors_move = self._motion.colors_move and not self._options.is_lit
         for index in range(self._span.frames):
             with self._clock("posing"):
                 posed = self._motion.frame(index)
                 if not self._has_sizes:
                     off = np.abs(self._cloud.sigma_m / posed.sigma_m - 1).max(initial=0)
                     self.sigma_error = max(self.sigma_error, float(off))
-                rgb = posed.rgb if self._colors_move else None
+                rgb = posed.rgb if colors_move else None
                 sample = Sample(posed.position_m, posed.sigma_m if self._has_sizes else None, rgb)
             with self._clock("splats"):
                 layer.put(index, sample)
             self._progress(index + 1, self._span.frames)
         with self._clock("splats"):
             layer.finish()
-
-    @property
-    def _colors_move(self) -> bool:
-        return self._motion.colors_move and not self._options.is_lit
 
     def _changes_size(self) -> bool:
         """Whether radii are written in every frame, of which some tell: elsewhere those of the mean hand do, in files
