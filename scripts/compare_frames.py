@@ -27,7 +27,7 @@ import numpy as np
 HERE = Path(__file__).resolve().parents[1]
 # frames of a turn; the first of each find caches that the other checkout filled, and do not count
 FRAMES, UNCOUNTED = 10, 2
-PRESETS, HANDS, LIGHTS = ("viewport", "final"), (1, 2), ("own", "scene")
+PRESETS, HANDS, LIGHTS = ("viewport", "final"), (1, 2), ("own", "scene", "lamps")
 # of two hands, from the middle between them, meters
 ASIDE_M = 0.08
 SUN_W_M2 = 3.0
@@ -42,11 +42,12 @@ def renderer_of(preset_name: str, hands: int, light: str, width: int, height: in
     from jghand_engine.render.renderer import SceneRenderer
     from jghand_engine.render.settings import preset
     from jghand_engine.render.subject import moving_subject
+    from jghand_engine.study.effects_in_light import LAMPS
 
     sides = (Handedness.RIGHT, Handedness.LEFT)[:hands]
     subjects = [moving_subject("trained", load_builtin(handedness=side), width, height) for side in sides]
     sun = Lamp(LampKind.SUN, (SUN_W_M2, SUN_W_M2, SUN_W_M2), (0.3, 1.0, 0.5), angle_rad=0.01)
-    lit = SceneLight(studio(), (sun,)) if light == "scene" else None
+    lit = {"own": None, "scene": SceneLight(studio(), (sun,)), "lamps": SceneLight(studio(), LAMPS)}[light]
     settings = replace(preset(preset_name), threads=threads)
     renderer = SceneRenderer([subject.avatar for subject in subjects], settings, lit)
     aside = (0.0,) if hands == 1 else (ASIDE_M, -ASIDE_M)

@@ -1,7 +1,7 @@
 """Gaussians in the order in which the kernels read them: blocks of sixteen neighbors in space.
 
-Blocks then share their bones, and the rasterizer, which reads them tile by tile, finds them in the cache. Only the
-order among Gaussians of exactly equal depth can tell (RENDERING 3, ties).
+Blocks then share their bones and their shadows, and the rasterizer, which reads them tile by tile, finds them in the
+cache. Only the order among Gaussians of exactly equal depth can tell (RENDERING 3, ties).
 """
 
 from __future__ import annotations
@@ -13,9 +13,6 @@ import numpy as np
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.tasks import LANES
 
-# bits per axis of the space-filling curve: cells of a hand's 0.2 m / 1024
-_MORTON_BITS = 10
-
 
 class Blocks:
     """Gaussians in blocks of sixteen neighbors, as the kernels read them.
@@ -23,8 +20,8 @@ class Blocks:
     order: (N,) which Gaussian stands in each row · rows: N rounded up to a multiple of 16
     """
 
-    def __init__(self, position_m: np.ndarray, order: np.ndarray | None = None) -> None:
-        self.order = spatial_order(position_m) if order is None else order
+    def __init__(self, position_m: np.ndarray) -> None:
+        self.order = compact_order(position_m)
         self.rows = padded_rows(len(position_m))
 
     @property
@@ -59,21 +56,9 @@ def padded_rows(count: int) -> int:
     return -(-count // LANES) * LANES
 
 
-def spatial_order(position_m: np.ndarray) -> np.ndarray:
-    """(N,) indices of points (N, 3) along a Z-order curve: near in the list means near in space."""
-    low = position_m.min(axis=0, initial=0.0)
-    size = float((position_m - low).max(initial=0.0)) or 1.0
-    cells = np.clip((position_m - low) / size * (2**_MORTON_BITS - 1), 0, 2**_MORTON_BITS - 1).astype(np.uint64)
-    code = np.zeros(len(position_m), np.uint64)
-    for bit in range(_MORTON_BITS):
-        for axis in range(3):
-            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return np.argsort(code, kind="stable")
-
-
 def compact_order(position_m: np.ndarray) -> np.ndarray:
-    """(N,) indices of points (N, 3) by halves of halves: sixteens are nearer to each other than along a curve, which
-    jumps. It takes longer to find."""
+    """(N,) indices of points (N, 3) by halves of halves: sixteens are nearer to each other than along a space-filling
+    curve, which jumps."""
     parts, order = [np.arange(len(position_m))], []
     while parts:
         part = parts.pop()

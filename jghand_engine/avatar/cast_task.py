@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.blocks import Blocks, compact_order, set_pointers
+from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
@@ -57,8 +57,7 @@ class CastStep:
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
         anchors, root_m = cast.anchors, avatar.canonical_joints_m[0]
-        # capsules are left out by the balls around blocks
-        own = Blocks(anchors.position_m, compact_order(anchors.position_m))
+        own = Blocks(anchors.position_m)
         rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
         self.joints_m = avatar.canonical_joints_m - root_m
         self.rows = own.rows
@@ -88,13 +87,11 @@ class CastStep:
 
     def _set_capsules(self, count: int) -> None:
         """Room for so many of them."""
-        self._capsule = aligned_zeros((-(-count // LANES) * LANES, 8))
-        self._capsule_lanes = aligned_zeros((len(self._capsule) // LANES, 8, LANES))
+        self._capsule = aligned_zeros((count, 8))
         self._capsule_lamp = aligned_zeros((count, self._groups, 2, LANES))
         self._other = aligned_zeros((max(count - BONE_COUNT, 1),))
         self._shadow.capsules = count
-        self.arrays |= {"capsule": self._capsule, "capsule_lanes": self._capsule_lanes}
-        self.arrays |= {"capsule_lamp": self._capsule_lamp, "other": self._other}
+        self.arrays |= {"capsule": self._capsule, "capsule_lamp": self._capsule_lamp, "other": self._other}
         set_pointers(self._shadow, self.arrays)
 
     def set_lamps(self, direction: np.ndarray, rgb: np.ndarray) -> None:
@@ -116,9 +113,8 @@ class CastStep:
         length2 = np.maximum((axis * axis).sum(1), CAPSULE_LENGTH2_MIN)
         along = axis @ self.direction.T
         sine2 = np.maximum(length2[:, None] - along * along, CAPSULE_SINE2_MIN * length2[:, None])
-        self._capsule[:count, :3], self._capsule[:count, 3:6] = start, axis
-        self._capsule[:count, 6], self._capsule[:count, 7] = 1 / length2, radius_m
-        self._capsule_lanes[...] = self._capsule.reshape(-1, LANES, 8).transpose(0, 2, 1)
+        self._capsule[:, :3], self._capsule[:, 3:6] = start, axis
+        self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m
         self._capsule_lamp[:, :, 0] = along.reshape(count, -1, LANES)
         self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(count, -1, LANES)
 

@@ -136,20 +136,22 @@ class SceneLightStep:
 
 
 def _standing_before(cast: CastStep) -> dict[str, np.ndarray]:
-    """How much each bone counts for the Gaussians, the mean of the anchors around them: partly, hides_start, hides of
-    SceneLightTask."""
+    """How much each bone counts for the Gaussians, the mean of the anchors around them: own, partly, hides_start and
+    hides of SceneLightTask."""
     of_anchor = cast.arrays["foreign"].transpose(0, 2, 1).reshape(cast.rows, BONE_COUNT)
     nearest, share = cast.around["nearest"], cast.around["share"]
     # (blocks, 16, BONE_COUNT)
     mean = np.sum([share[:, k, :, None] * of_anchor[nearest[:, k]] for k in range(nearest.shape[1])], 0)
-    partly = (mean < 1 - WHOLLY).any(1)
+    own = (mean == 0).all(1)
+    partly = (mean < 1 - WHOLLY).any(1) & ~own
     count = partly.sum(1)
-    hides = aligned_zeros((int(count.sum()), LANES))
-    hides[...] = mean.transpose(0, 2, 1)[partly]
-    bits = (partly << np.arange(BONE_COUNT)).sum(1)
+    hides = aligned_zeros((1 + int(count.sum()), LANES))
+    hides[0], hides[1:] = 1, mean.transpose(0, 2, 1)[partly]
+    bits = 1 << np.arange(BONE_COUNT)
     return {
-        "partly": bits.astype(np.uint32),
-        "hides_start": (np.cumsum(count) - count).astype(np.int32),
+        "own": (own @ bits).astype(np.uint32),
+        "partly": (partly @ bits).astype(np.uint32),
+        "hides_start": (1 + np.cumsum(count) - count).astype(np.int32),
         "hides": hides,
     }
 

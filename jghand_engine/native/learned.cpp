@@ -45,10 +45,7 @@ void pose_block(const LearnedTask& t, int32_t block, const vf correction[CORRECT
   for (int i = 0; i < 3; i++) rest[i] = load(look + LANES * i);
   turn_by(turn, rest, normal);
   make_unit(normal, t.length2_min);
-  if (t.scene) {
-    reflecting_block(t, block, normal, correction);
-    return light_block(t, block);
-  }
+  if (t.scene) return reflecting_block(t, block, normal, correction);
   harmonics(normal, waves);
   for (int i = 0; i < 3; i++) exponent[i] = correction[3 + i];
   if (t.nearest) add_fallen(t, block, exponent);
@@ -106,25 +103,29 @@ JG_API int32_t jg_learned_task_bytes() { return sizeof(jg::LearnedTask); }
 // Poses one avatar, or lights it anew in the pose that it has (`keeps_pose`), together with the other threads.
 JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   const jg::LearnedTask t = *task;
+  // calls work(begin, end) for all of a number of blocks, some at a time
+  const auto by_blocks = [&](int step, int32_t blocks, int32_t per_item, auto work) {
+    jg::share(*team, step, jg::items_of(blocks, per_item), [&](int32_t item) {
+      const int32_t begin = item * per_item, end = begin + per_item;
+      work(begin, end < blocks ? end : blocks);
+    });
+  };
   const int32_t anchor_blocks = t.nearest ? t.cast.blocks : 0;
   const auto at_anchors = [&](int step, auto work) {
-    jg::share(*team, step, jg::items_of(anchor_blocks, jg::ANCHOR_BLOCKS_PER_ITEM), [&](int32_t item) {
-      const int32_t end = (item + 1) * jg::ANCHOR_BLOCKS_PER_ITEM;
-      for (int32_t b = item * jg::ANCHOR_BLOCKS_PER_ITEM; b < end && b < anchor_blocks; b++) work(b);
+    by_blocks(step, anchor_blocks, jg::ANCHOR_BLOCKS_PER_ITEM, [&](int32_t begin, int32_t end) {
+      for (int32_t b = begin; b < end; b++) work(b);
     });
   };
   if (t.scene) {
-    at_anchors(0, [&](int32_t b) { jg::anchor_lamps(t, b); });
+    by_blocks(0, anchor_blocks, jg::LANES, [&](int32_t begin, int32_t end) { jg::anchor_lamps(t, begin, end); });
     jg::share(*team, 1, 1, [&](int32_t) { jg::sum_given(t); });
     at_anchors(2, [&](int32_t b) { jg::anchor_world(t, b); });
   } else {
     at_anchors(0, [&](int32_t b) { jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b); });
   }
-  jg::share(*team, 3, jg::items_of(t.skin.blocks, jg::BLOCKS_PER_ITEM), [&](int32_t item) {
-    const int32_t begin = item * jg::BLOCKS_PER_ITEM, end = begin + jg::BLOCKS_PER_ITEM;
-    const int32_t last = end < t.skin.blocks ? end : t.skin.blocks;
-    if (!t.scene || !t.scene->keeps_pose) return jg::pose_blocks(t, begin, last);
-    for (int32_t b = begin; b < last; b++) jg::light_block(t, b);
+  by_blocks(3, t.skin.blocks, jg::BLOCKS_PER_ITEM, [&](int32_t begin, int32_t end) {
+    if (!t.scene || !t.scene->keeps_pose) jg::pose_blocks(t, begin, end);
+    if (t.scene) jg::light_blocks(t, begin, end);
   });
 }
 

@@ -17,7 +17,6 @@ struct CastTask {
   const float* foreign;         // (blocks, BONES, 16): 1 - own
   const float* lamp;            // (groups, 6, 16): direction, rgb; those that fill up the last group are black
   const float* capsule;         // (capsules, 8): start, axis, 1 / squared length, radius; root-relative, meters
-  const float* capsule_lanes;   // (capsules / 16 and what is over, 8, 16): the same
   const float* capsule_lamp;    // (capsules, groups, 2, 16): axis . direction, 1 / (squared length sine^2)
   const float* other;           // (capsules - BONES): how much those of other hands count, behind the hand's own
   float* fallen;                // (16 blocks, 4): exponent per channel; the fourth is not used
@@ -94,8 +93,8 @@ void cast_block(const CastTask& t, const SkinTask& skin, float volume_min, float
 
 // v / |v|; a zero vector stays zero.
 JG_INLINE void make_unit(vf v[3], float length2_min) {
-  const vf inverse = 1.f / sqrt(max(v[0] * v[0] + v[1] * v[1] + v[2] * v[2], all(length2_min)));
-  for (int i = 0; i < 3; i++) v[i] *= inverse;
+  const vf shorter = inverse_sqrt(max(v[0] * v[0] + v[1] * v[1] + v[2] * v[2], all(length2_min)));
+  for (int i = 0; i < 3; i++) v[i] *= shorter;
 }
 
 // The blended rotation up to shear, L / |det L|^(1/3), row by row; what has collapsed counts as having some volume.

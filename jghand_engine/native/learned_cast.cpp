@@ -25,16 +25,17 @@ void cast_block(const CastTask& t, const SkinTask& skin, float volume_min, float
   posed_anchors(t, skin, volume_min, length2_min, block, p, normal);
   const float* foreign = t.foreign + BONES * LANES * (int64_t)block;
   const Ball ball = ball_around(p);
-  alignas(64) float visible[LANES * LANES];
-  vf cosines[LANES], open[3] = {}, seen[3] = {};
-  for (int g = 0; g < t.groups; g++) {
-    const float* rgb = t.lamp + LANES * (6 * g + 3);
-    uint32_t faced = distant_seen(t, foreign, ball, p, normal, g, false, cosines, visible);
+  alignas(64) float visible[FLOCK * LANES];
+  Distant lamps;
+  vf open[3] = {}, seen[3] = {};
+  for (int g = 0; g < t.groups; g += FLOCK / LANES) {
+    uint64_t faced = distant_seen(t, foreign, ball, p, normal, g, false, lamps, visible);
     for (; faced; faced &= faced - 1) {
-      const int lamp = __builtin_ctz(faced);
+      const int lamp = __builtin_ctzll(faced);
+      const float* rgb = t.lamp + 6 * LANES * (g + lamp / LANES) + 3 * LANES + lamp % LANES;
       const vf part = load(visible + LANES * lamp);
       for (int i = 0; i < 3; i++) {
-        const vf light = cosines[lamp] * rgb[LANES * i + lamp];
+        const vf light = lamps.cosines[lamp] * rgb[LANES * i];
         open[i] += light, seen[i] += light * part;
       }
     }

@@ -28,7 +28,7 @@ class CastTask(ctypes.Structure):
 
     _fields_ = (
         *((name, _P) for name in ("rest", "block_start", "bone", "weight", "foreign", "lamp", "capsule")),
-        *((name, _P) for name in ("capsule_lanes", "capsule_lamp", "other", "fallen")),
+        *((name, _P) for name in ("capsule_lamp", "other", "fallen")),
         ("bounced", _F32 * 3),
         *((name, _F32) for name in ("softness", "lamp_width", "width_min", "distance2_min", "to_display")),
         *((name, _I32) for name in ("blocks", "groups", "capsules")),

@@ -28,8 +28,8 @@ constexpr int OF_WORLD = 7, OF_SLOT_MAX = 3, COLUMNS_MAX = (OF_WORLD + OF_SLOT_M
 
 // mu above w, 0 below -w, smooth between (C1): light does not leak to the far side. Takes w^2.
 JG_INLINE vf soft_cosine(vf mu, vf w2) {
-  const vf inverse = inverse_sqrt(w2), w = w2 * inverse, part = mu + w;
-  return select(part <= 0, vf{}, select(mu >= w, mu, part * part * (0.25f * inverse)));
+  const vf over_w = inverse_sqrt(w2), w = w2 * over_w, part = mu + w;
+  return select(part <= 0, vf{}, select(mu >= w, mu, part * part * (0.25f * over_w)));
 }
 
 // A lamp from sixteen points: direction towards it, irradiance of what faces it over its rgb, squared sine of its half
@@ -42,11 +42,11 @@ JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& st
     return;
   }
   for (int i = 0; i < 3; i++) direction[i] = lamp[PLACE + i] - p[i];
-  const vf distance2 = max(dot(direction, direction), all(DISTANCE2_MIN)), inverse = inverse_sqrt(distance2);
-  for (int i = 0; i < 3; i++) direction[i] *= inverse;
-  strength = 1.f / (distance2 + lamp[SOFTENING]);
+  const vf distance2 = max(dot(direction, direction), all(DISTANCE2_MIN)), shorter = inverse_sqrt(distance2);
+  for (int i = 0; i < 3; i++) direction[i] *= shorter;
+  strength = inverse(distance2 + lamp[SOFTENING]);
   // what is large is soft, but for hard points
-  sine2 = lamp[RADIUS2] * (lamp[SOFTENING] == lamp[RADIUS2] ? strength : 1.f / (distance2 + lamp[RADIUS2]));
+  sine2 = lamp[RADIUS2] * (lamp[SOFTENING] == lamp[RADIUS2] ? strength : inverse(distance2 + lamp[RADIUS2]));
   if (kind == POINT) return;
   const vf cosine = -(direction[0] * lamp[AXIS] + direction[1] * lamp[AXIS + 1] + direction[2] * lamp[AXIS + 2]);
   if (kind == SPOT) {
@@ -60,53 +60,75 @@ JG_INLINE void lamp_at(const float* lamp, const vf p[3], vf direction[3], vf& st
   }
 }
 
-// All rays from points in a ball to a lamp.
-JG_INLINE Rays rays_to(const float* lamp, const Ball& ball) {
-  Rays rays = {{ball.middle[0], ball.middle[1], ball.middle[2]}, ball.radius, {}, 0, lamp[SUN_SINE]};
-  if ((int)lamp[KIND] == SUN) {
-    for (int i = 0; i < 3; i++) rays.direction[i] = lamp[PLACE + i];
-    return rays;
-  }
-  float distance2 = 0;
-  for (int i = 0; i < 3; i++) {
-    rays.direction[i] = lamp[PLACE + i] - ball.middle[i];
-    distance2 += rays.direction[i] * rays.direction[i];
-  }
-  const float distance = sqrtf(distance2), least = distance - ball.radius;
+// Sixteen points that look at a lamp: where it is, what of it they see past all capsules (`past_flesh` in
+// learn/scene_light.py), and what they would if edges were wider.
+struct Sight {
+  vf p[3], direction[3], sine, seen, wide;
+};
+
+// Sixteen sights of one lamp.
+// middle, radius: of balls around their points · own: bones, by their bits, that are the points' own flesh
+struct Sights {
+  vf middle[3], radius;
+  vi own;
+  Sight each[LANES];
+};
+
+JG_INLINE void set_points(Sights& to, int sight, const vf p[3], uint32_t own) {
+  const Ball ball = ball_around(p);
+  for (int i = 0; i < 3; i++) to.each[sight].p[i] = p[i], to.middle[i][sight] = ball.middle[i];
+  to.radius[sight] = ball.radius, to.own[sight] = (int32_t)own;
+}
+
+// All rays from their points to the lamp.
+JG_INLINE Rays<vf> rays_of(const Sights& of, const float* lamp) {
+  const float radius2 = lamp[RADIUS2];
+  Rays<vf> rays = {{}, of.radius, {}, {}, all(lamp[SUN_SINE])};
+  for (int i = 0; i < 3; i++) rays.middle[i] = of.middle[i], rays.direction[i] = all(lamp[PLACE + i]);
+  if ((int)lamp[KIND] == SUN) return rays;
+  for (int i = 0; i < 3; i++) rays.direction[i] -= of.middle[i];
+  const vf distance = sqrt(dot(rays.direction, rays.direction)), least = distance - of.radius;
   // a lamp among the points lies in all directions
-  const bool is_apart = least > ball.radius;
-  for (int i = 0; i < 3; i++) rays.direction[i] *= is_apart ? 1.f / distance : 0.f;
-  rays.turn = is_apart ? ball.radius / least : 1.f;
-  rays.half_width = is_apart ? sqrtf(lamp[RADIUS2] / (least * least + lamp[RADIUS2])) : 1.f;
+  const vi is_apart = least > of.radius;
+  for (int i = 0; i < 3; i++) rays.direction[i] = select(is_apart, rays.direction[i] / distance, vf{});
+  rays.turn = select(is_apart, of.radius / least, all(1.f));
+  rays.half_width = select(is_apart, sqrt(radius2 / (least * least + radius2)), all(1.f));
   return rays;
 }
 
-// What of a lamp sixteen points see past all capsules, `past_flesh` in learn/scene_light.py, and what they would if edges
-// were wider, where that is asked for. hides: how much each of the hand's own counts, by its number
+// What capsules hide of a lamp from sights, of which `asked` has the bits; with wider edges, too, where that is wanted.
+// hides: how much a capsule counts for the points of a sight, by the numbers of both
 template <bool has_wide, class Hides>
-JG_INLINE void lamp_seen(const CastTask& c, const SceneLightTask& s, Hides hides, const Rays& rays, const vf p[3],
-                         const vf direction[3], vf sine, vf& seen, vf& wide) {
-  seen = wide = all(1.f);
+JG_INLINE void look(const CastTask& c, const SceneLightTask& s, const float* lamp, uint32_t asked, Hides hides,
+                    Sights& sights) {
+  if (!asked) return;
+  const Rays<vf> rays = rays_of(sights, lamp);
   const float softest = has_wide ? s.wide_softness : s.flesh_softness;
-  for (int first = 0; first < c.capsules; first += LANES) {
-    for (uint32_t some = capsules_before(c, rays, first, softest); some; some &= some - 1) {
-      const int k = first + __builtin_ctz(some);
-      const bool far = k >= BONES;
-      const vf hiding = far ? all(c.other[k - BONES]) : hides(k);
-      if (!bit_mask(hiding > 0)) continue;
-      const float *capsule = c.capsule + CAPSULE * k, *axis = capsule + 3, length2 = 1.f / capsule[6], radius = capsule[7];
+  // bits of four capsules together: a branch after each would keep the next from beginning
+  for (int first = 0; first < c.capsules; first += FLOCK / LANES) {
+    uint64_t some = 0;
+    for (int i = 0; i < FLOCK / LANES && first + i < c.capsules; i++) {
+      const int k = first + i;
+      const uint32_t behind = k < BONES ? asked & ~bit_mask((sights.own & 1 << k) != 0) : asked;
+      some |= (uint64_t)(behind & balls_behind(c, rays, k, softest)) << (LANES * i);
+    }
+    for (; some; some &= some - 1) {
+      const int bit = __builtin_ctzll(some), sight = bit % LANES, k = first + bit / LANES;
+      Sight& to = sights.each[sight];
+      const float *capsule = c.capsule + CAPSULE * k, *axis = capsule + 3, over_length2 = capsule[6], radius = capsule[7];
       vf from_start[3], distance2, way;
-      for (int i = 0; i < 3; i++) from_start[i] = p[i] - capsule[i];
-      const vf axis_along = direction[0] * axis[0] + direction[1] * axis[1] + direction[2] * axis[2];
-      const vf inverse_sine2 = 1.f / max(length2 - axis_along * axis_along, all(s.sine2_min * length2));
-      nearest_to(capsule, from_start, direction, axis_along, inverse_sine2, distance2, way);
-      const vf distance = sqrt(max(distance2, all(c.distance2_min))), at_capsule = sine * way;
-      const vf part = far ? min(radius / max(at_capsule, all(c.width_min)), all(1.f)) * hiding : hiding;
+      for (int i = 0; i < 3; i++) from_start[i] = to.p[i] - capsule[i];
+      const vf axis_along = to.direction[0] * axis[0] + to.direction[1] * axis[1] + to.direction[2] * axis[2];
+      const vf sine2 = max(1.f - axis_along * axis_along * over_length2, all(s.sine2_min));
+      nearest_to(capsule, from_start, to.direction, axis_along, over_length2 * inverse(sine2), distance2, way);
+      const vf distance = quick_sqrt(max(distance2, all(c.distance2_min))), at_capsule = to.sine * way;
+      vf part = hides(sight, k);
+      if (k >= BONES) part *= min(radius * inverse(max(at_capsule, all(c.width_min))), all(1.f));
       const auto behind = [&](float softness) {
         return part * (1.f - soft_edge(distance, radius, max(softness * radius + at_capsule, all(c.width_min))));
       };
-      seen *= 1.f - behind(s.flesh_softness);
-      if (has_wide) wide *= 1.f - behind(s.wide_softness);
+      to.seen *= 1.f - behind(s.flesh_softness);
+      if (has_wide) to.wide *= 1.f - behind(s.wide_softness);
     }
   }
 }
@@ -161,42 +183,168 @@ JG_INLINE vf slot_seen(const LearnedTask& t, const SceneLightTask& s, int32_t bl
   return load(s.skin_seen + LANES * ((int64_t)t.skin.blocks * (int)lamp[SLOT] + block));
 }
 
+// A block while it is lit.
+struct Lit {
+  vf p[3], normal[3], light[3], reached[COLUMNS_MAX];
+};
+
+// The light of the world, or what was baked.
+JG_INLINE void light_of_world(const LearnedTask& t, int32_t block, Lit& lit) {
+  const SceneLightTask& s = *t.scene;
+  const int64_t row = LANES * (int64_t)block;
+  load_triples(t.skin.position + 3 * row, lit.p[0], lit.p[1], lit.p[2]);
+  for (int i = 0; i < 3; i++) lit.p[i] -= t.skin.shift[i], lit.normal[i] = load(t.matt + MATT * row + LANES * i);
+  const int columns = columns_of(s);
+  for (int i = 0; i < columns; i += LANES) spread(t, block, s.reached + i, columns, lit.reached + i);
+  store(s.sky + row, lit.reached[6]);
+  if (s.baked) {
+    const float* field = s.baked + BAKED * row;
+    for (int i = 0; i < 3; i++) {
+      vf light = load(field + LANES * i);
+      for (int a = 0; a < 3; a++) light += lit.normal[a] * load(field + LANES * (3 + 3 * a + i));
+      lit.light[i] = max(light, vf{});
+    }
+  } else {
+    world_irradiance(s, lit.normal, lit.light);
+    for (int i = 0; i < 3; i++) lit.light[i] = lit.light[i] * lit.reached[i] + lit.reached[3 + i];
+  }
+}
+
+// W/m2 that a lamp gives skin as long as nothing stands before it, added to `own`; which of it it falls on.
+JG_INLINE vi add_lamp(const SceneLightTask& s, const float* lamp, const vf normal[3], vf spread_of_skin, float softest,
+                      const vf direction[3], vf strength, vf sine2, vf own[3]) {
+  const vf cosine = dot(normal, direction);
+  const vi at_corner = cosine * cosine < corner2_of(softest, spread_of_skin, sine2);
+  const vi falls = (strength > 0) & ((cosine > 0) | at_corner);
+  if (!bit_mask(falls)) return falls;
+  const vf got = strength * lamp[ON_MATT];
+  const bool rounded = bit_mask(at_corner);
+  const vf straight = max(cosine, vf{});
+  for (int i = 0; i < 3; i++) {
+    const vf f = rounded ? soft_cosine(cosine, corner2_of(s.softness[i], spread_of_skin, sine2)) : straight;
+    own[i] += f * got * lamp[LAMP_RGB + i];
+  }
+  return falls;
+}
+
+// The matt color of `count` blocks, lamp by lamp.
+void light_some(const LearnedTask& t, int32_t first, int32_t count) {
+  const SceneLightTask& s = *t.scene;
+  const float softest = fmaxf(fmaxf(s.softness[0], s.softness[1]), s.softness[2]);
+  const auto hides = [&](int sight, int k) {
+    if (k >= BONES) return all(t.cast.other[k - BONES]);
+    // the first row is of those that wholly do
+    const uint32_t partly = s.partly[first + sight], bit = 1u << k;
+    const int32_t row = s.hides_start[first + sight] + __builtin_popcount(partly & (bit - 1));
+    return load(s.hides + LANES * (row & -(int32_t)(partly >> k & 1)));
+  };
+  Lit lit[LANES];
+  Sights sights = {};
+  vf own[LANES][3], near[LANES];
+  for (int b = 0; b < count; b++) {
+    light_of_world(t, first + b, lit[b]);
+    set_points(sights, b, lit[b].p, s.own[first + b]);
+  }
+  for (int j = 0, end; j < s.lamps; j = end) {
+    const int slot = (int)s.lamp[LAMP * j + SLOT];
+    const float* casting = s.casting + LAMP * slot;
+    uint32_t edges = 0;
+    // parts of a large lamp share a shadow
+    for (end = j + 1; slot >= 0 && end < s.lamps && (int)s.lamp[LAMP * end + SLOT] == slot;) end++;
+    for (int b = 0; b < count; b++) {
+      Sight& of = sights.each[b];
+      vf strength, sine2;
+      vi falls = {};
+      for (int i = 0; i < 3; i++) own[b][i] = vf{};
+      const vf spread_of_skin = load(s.material + MATERIAL * LANES * (int64_t)(first + b));
+      for (int part = j; part < end; part++) {
+        const float* lamp = s.lamp + LAMP * part;
+        lamp_at(lamp, of.p, of.direction, strength, sine2);
+        falls |= add_lamp(s, lamp, lit[b].normal, spread_of_skin, softest, of.direction, strength, sine2, own[b]);
+      }
+      if (slot < 0) continue;
+      // near the edge of a shadow, which is sharper than anchors are apart, it is found for each
+      const vf wide = lit[b].reached[OF_WORLD + columns_per_slot(s) * slot + 1];
+      near[b] = select(falls, clamped(EDGE_GAIN * wide * (1.f - wide)), vf{}), of.seen = all(1.f);
+      if (!bit_mask(near[b] > 0)) continue;
+      if (end - j > 1) lamp_at(casting, of.p, of.direction, strength, sine2);
+      of.sine = quick_sqrt(sine2);
+      edges |= 1u << b;
+    }
+    look<false>(t.cast, s, casting, edges, hides, sights);
+    for (int b = 0; b < count; b++) {
+      vf reaches = all(1.f);
+      if (slot >= 0) {
+        const vf* of_slot = lit[b].reached + OF_WORLD + columns_per_slot(s) * slot;
+        vf part = of_slot[0] + near[b] * (sights.each[b].seen - of_slot[0]);
+        if (s.left) part *= of_slot[2];
+        reaches = 1.f - casting[SHADE] * (1.f - part);
+        store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + first + b), reaches);
+      }
+      for (int i = 0; i < 3; i++) lit[b].light[i] += reaches * own[b][i];
+    }
+  }
+  for (int b = 0; b < count; b++) {
+    const int64_t row = LANES * (int64_t)(first + b);
+    for (int i = 0; i < 3; i++)
+      store(t.matt + MATT * row + LANES * (3 + i), load(s.reflecting + 3 * row + LANES * i) * lit[b].light[i]);
+  }
+}
+
 }  // namespace
 
-void anchor_lamps(const LearnedTask& t, int32_t block) {
+void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end) {
   const SceneLightTask& s = *t.scene;
-  float* posed = s.posed + POSED * LANES * (int64_t)block;
-  vf p[3], normal[3], given[3] = {};
-  if (s.keeps_pose) {
-    for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
-  } else {
-    posed_anchors(t.cast, t.skin, t.volume_min, t.length2_min, block, p, normal);
-    for (int i = 0; i < 3; i++) store(posed + LANES * i, p[i]), store(posed + LANES * (3 + i), normal[i]);
+  const CastTask& c = t.cast;
+  const int count = end - first, columns = columns_of(s), each = columns_per_slot(s);
+  const auto hides = [&](int b, int k) {
+    return k < BONES ? load(c.foreign + LANES * (BONES * (int64_t)(first + b) + k)) : all(c.other[k - BONES]);
+  };
+  const auto posed = [&](int b) { return s.posed + POSED * LANES * (int64_t)(first + b); };
+  Sights sights = {};
+  vf normal[3], direction[3], strength, sine2, seen[SLOTS_MAX][LANES];
+  for (int b = 0; b < count; b++) {
+    vf p[3];
+    if (s.keeps_pose) {
+      for (int i = 0; i < 3; i++) p[i] = load(posed(b) + LANES * i);
+    } else {
+      posed_anchors(c, t.skin, t.volume_min, t.length2_min, first + b, p, normal);
+      for (int i = 0; i < 3; i++) store(posed(b) + LANES * i, p[i]), store(posed(b) + LANES * (3 + i), normal[i]);
+    }
+    uint32_t own = 0;
+    for (int k = 0; k < BONES; k++) own |= (uint32_t)!bit_mask(hides(b, k) > 0) << k;
+    set_points(sights, b, p, own);
   }
-  const int columns = columns_of(s), each = columns_per_slot(s);
-  float* row = s.reached + columns * LANES * (int64_t)block + OF_WORLD;
-  const float* foreign = t.cast.foreign + BONES * LANES * (int64_t)block;
-  const auto hides = [&](int bone) { return load(foreign + LANES * bone); };
-  const Ball ball = ball_around(p);
-  vf direction[3], strength, sine2, seen[SLOTS_MAX], wide;
-  for (int j = 0; j < s.slots; j++, row += each) {
+  for (int j = 0; j < s.slots; j++) {
     const float* lamp = s.casting + LAMP * j;
-    lamp_at(lamp, p, direction, strength, sine2);
-    lamp_seen<true>(t.cast, s, hides, rays_to(lamp, ball), p, direction, sqrt(sine2), seen[j], wide);
-    store_column(row, columns, seen[j]), store_column(row + 1, columns, wide);
-    if (!s.left) continue;
-    const vf left = load(s.left + LANES * (t.cast.blocks * (int64_t)j + block));
-    store_column(row + 2, columns, left);
-    seen[j] *= left;
+    for (int b = 0; b < count; b++) {
+      Sight& of = sights.each[b];
+      lamp_at(lamp, of.p, of.direction, strength, sine2);
+      of.sine = quick_sqrt(sine2), of.seen = of.wide = all(1.f);
+    }
+    look<true>(c, s, lamp, (1u << count) - 1, hides, sights);
+    for (int b = 0; b < count; b++) {
+      float* row = s.reached + columns * LANES * (int64_t)(first + b) + OF_WORLD + each * j;
+      seen[j][b] = sights.each[b].seen;
+      store_column(row, columns, seen[j][b]), store_column(row + 1, columns, sights.each[b].wide);
+      if (!s.left) continue;
+      const vf left = load(s.left + LANES * (c.blocks * (int64_t)j + first + b));
+      store_column(row + 2, columns, left);
+      seen[j][b] *= left;
+    }
   }
-  for (int j = 0; j < s.lamps; j++) {
-    const float* lamp = s.lamp + LAMP * j;
-    lamp_at(lamp, p, direction, strength, sine2);
-    const vf part = lamp[SLOT] < 0 ? all(1.f) : 1.f - lamp[SHADE] * (1.f - seen[(int)lamp[SLOT]]);
-    const vf got = max(dot(normal, direction), vf{}) * strength * part * lamp[ON_MATT];
-    for (int i = 0; i < 3; i++) given[i] += got * lamp[LAMP_RGB + i];
+  for (int b = 0; b < count; b++) {
+    vf given[3] = {};
+    for (int i = 0; i < 3; i++) normal[i] = load(posed(b) + LANES * (3 + i));
+    for (int j = 0; j < s.lamps; j++) {
+      const float* lamp = s.lamp + LAMP * j;
+      lamp_at(lamp, sights.each[b].p, direction, strength, sine2);
+      const vf part = lamp[SLOT] < 0 ? all(1.f) : 1.f - lamp[SHADE] * (1.f - seen[(int)lamp[SLOT]][b]);
+      const vf got = max(dot(normal, direction), vf{}) * strength * part * lamp[ON_MATT];
+      for (int i = 0; i < 3; i++) given[i] += got * lamp[LAMP_RGB + i];
+    }
+    for (int i = 0; i < 3; i++) store(posed(b) + LANES * (6 + i), given[i]);
   }
-  for (int i = 0; i < 3; i++) store(posed + LANES * (6 + i), given[i]);
 }
 
 void sum_given(const LearnedTask& t) {
@@ -231,17 +379,17 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   vf p[3], normal[3], open[3] = {}, seen[3] = {}, towards_hidden[3] = {}, sky = {}, open_sky = {};
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
   const Ball ball = ball_around(p);
-  for (int g = 0; g < c.groups; g++) {
-    const float* cells = c.lamp + 6 * LANES * g;
+  Distant lamps;
+  for (int g = 0; g < c.groups; g += FLOCK / LANES) {
     float* visible = s.visible + LANES * LANES * (c.groups * (int64_t)block + g);
-    vf cosines[LANES];
-    uint32_t faced = distant_seen(c, foreign, ball, p, normal, g, s.keeps_visible, cosines, visible);
+    uint64_t faced = distant_seen(c, foreign, ball, p, normal, g, s.keeps_visible, lamps, visible);
     for (; faced; faced &= faced - 1) {
-      const int cell = __builtin_ctz(faced);
-      const vf cosine = cosines[cell], part = load(visible + LANES * cell), hidden = cosine * (1.f - part);
+      const int lamp = __builtin_ctzll(faced);
+      const float* cell = c.lamp + 6 * LANES * (g + lamp / LANES) + lamp % LANES;
+      const vf cosine = lamps.cosines[lamp], part = load(visible + LANES * lamp), hidden = cosine * (1.f - part);
       for (int i = 0; i < 3; i++) {
-        const vf light = cosine * cells[LANES * (3 + i) + cell];
-        open[i] += light, seen[i] += light * part, towards_hidden[i] += hidden * cells[LANES * i + cell];
+        const vf light = cosine * cell[LANES * (3 + i)];
+        open[i] += light, seen[i] += light * part, towards_hidden[i] += hidden * cell[LANES * i];
       }
       sky += cosine, open_sky += cosine * part;
     }
@@ -280,76 +428,8 @@ void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], c
   }
 }
 
-void light_block(const LearnedTask& t, int32_t block) {
-  const SceneLightTask& s = *t.scene;
-  const int64_t row = LANES * (int64_t)block;
-  float* matt = t.matt + MATT * row;
-  const vf spread_of_skin = load(s.material + MATERIAL * row);
-  vf p[3], normal[3], light[3], reached[COLUMNS_MAX];
-  load_triples(t.skin.position + 3 * row, p[0], p[1], p[2]);
-  for (int i = 0; i < 3; i++) p[i] -= t.skin.shift[i], normal[i] = load(matt + LANES * i);
-  const int columns = columns_of(s);
-  for (int i = 0; i < columns; i += LANES) spread(t, block, s.reached + i, columns, reached + i);
-  if (s.baked) {
-    const float* field = s.baked + BAKED * row;
-    for (int i = 0; i < 3; i++) {
-      light[i] = load(field + LANES * i);
-      for (int a = 0; a < 3; a++) light[i] += normal[a] * load(field + LANES * (3 + 3 * a + i));
-      light[i] = max(light[i], vf{});
-    }
-  } else {
-    world_irradiance(s, normal, light);
-    for (int i = 0; i < 3; i++) light[i] = light[i] * reached[i] + reached[3 + i];
-  }
-  store(s.sky + row, reached[6]);
-  const float softest = fmaxf(fmaxf(s.softness[0], s.softness[1]), s.softness[2]);
-  const uint32_t partly = s.partly[block];
-  const auto hides = [&](int bone) {
-    const uint32_t bit = 1u << bone;
-    return partly & bit ? load(s.hides + LANES * (s.hides_start[block] + __builtin_popcount(partly & (bit - 1)))) : all(1.f);
-  };
-  Ball ball = {{}, -1.f};
-  for (int j = 0; j < s.lamps;) {
-    const int slot = (int)s.lamp[LAMP * j + SLOT], first = j;
-    vf direction[3], strength, sine2, own[3] = {};
-    vi lit = {};
-    // parts of a large lamp share a shadow
-    do {
-      const float* lamp = s.lamp + LAMP * j++;
-      lamp_at(lamp, p, direction, strength, sine2);
-      const vf cosine = dot(normal, direction);
-      const vi at_corner = cosine * cosine < corner2_of(softest, spread_of_skin, sine2);
-      const vi falls = (strength > 0) & ((cosine > 0) | at_corner);
-      if (!bit_mask(falls)) continue;
-      lit |= falls;
-      const vf got = strength * lamp[ON_MATT];
-      const bool rounded = bit_mask(at_corner);
-      const vf straight = max(cosine, vf{});
-      for (int i = 0; i < 3; i++) {
-        const vf f = rounded ? soft_cosine(cosine, corner2_of(s.softness[i], spread_of_skin, sine2)) : straight;
-        own[i] += f * got * lamp[LAMP_RGB + i];
-      }
-    } while (slot >= 0 && j < s.lamps && (int)s.lamp[LAMP * j + SLOT] == slot);
-    vf reaches = all(1.f);
-    if (slot >= 0) {
-      const float* casting = s.casting + LAMP * slot;
-      const vf* of_slot = reached + OF_WORLD + columns_per_slot(s) * slot;
-      // near the edge of a shadow, which is sharper than anchors are apart, it is found for each
-      vf part = of_slot[0], near = select(lit, EDGE_GAIN * of_slot[1] * (1.f - of_slot[1]), vf{});
-      if (bit_mask(near > 0)) {
-        if (ball.radius < 0) ball = ball_around(p);
-        if (j - first > 1) lamp_at(casting, p, direction, strength, sine2);
-        vf seen, wide;
-        lamp_seen<false>(t.cast, s, hides, rays_to(casting, ball), p, direction, sqrt(sine2), seen, wide);
-        part += clamped(near) * (seen - part);
-      }
-      if (s.left) part *= of_slot[2];
-      reaches = 1.f - casting[SHADE] * (1.f - part);
-      store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + block), reaches);
-    }
-    for (int i = 0; i < 3; i++) light[i] += reaches * own[i];
-  }
-  for (int i = 0; i < 3; i++) store(matt + LANES * (3 + i), load(s.reflecting + 3 * row + LANES * i) * light[i]);
+void light_blocks(const LearnedTask& t, int32_t first, int32_t end) {
+  for (; first < end; first += LANES) light_some(t, first, end - first < LANES ? end - first : LANES);
 }
 
 void seen_block(const LearnedTask& t, int32_t block) {
@@ -378,11 +458,11 @@ void seen_block(const LearnedTask& t, int32_t block) {
     // the half vector is the sum of two unit ones, whose angle says how long it is
     const vf between = 1.f + dot(direction, eye), shorter = inverse_sqrt(max(2.f * between, all(t.length2_min)));
     const vf middle = clamped((towards + facing) * shorter), grazing = 1.f - clamped(between * shorter);
-    const vf wide = min(alpha + 0.5f * sqrt(sine2), all(1.f)), wide2 = wide * wide;
+    const vf wide = min(alpha + 0.5f * quick_sqrt(sine2), all(1.f)), wide2 = wide * wide;
     const vf bell = middle * middle * (wide2 - 1.f) + 1.f, square = grazing * grazing;
     const vf fresnel = reflectance + (1.f - reflectance) * (rise * square * square * grazing);
     const vf masked = max((cosine * (1.f - k) + k) * (cosine_eye * (1.f - k) + k), all(MASKED_MIN));
-    const vf shine = wide2 * fresnel * got * slot_seen(t, s, block, lamp) / (4.f * PI * bell * bell * masked);
+    const vf shine = wide2 * fresnel * got * slot_seen(t, s, block, lamp) * inverse(4.f * PI * bell * bell * masked);
     for (int i = 0; i < 3; i++) rgb[i] += shine * lamp[LAMP_RGB + i];
   }
   if (s.lobes) {

@@ -31,9 +31,10 @@ enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 // Mirrored field by field in native/scene_light_task.py.
 struct SceneLightTask {
   const float* material;     // (blocks, 3, 16): spread, roughness, reflectance
-  const uint32_t* partly;    // (blocks): bones, by their bits, that do not stand before all of its Gaussians wholly
+  const uint32_t* own;       // (blocks): bones, by their bits, that stand before none of its Gaussians
+  const uint32_t* partly;    // (blocks): others that do not stand before all of them wholly
   const int32_t* hides_start;  // (blocks): where those of a block begin
-  const float* hides;        // (entries, 16): how much they do
+  const float* hides;        // (1 + entries, 16): how much they do; the first is of those that wholly do
   const float* lamp;         // (lamps, LAMP), those of one slot together
   const float* casting;      // (slots, LAMP): those whose shadows are found
   const float* irradiance;   // (16, 3): of the world, W/m2, for `harmonics`
@@ -62,14 +63,14 @@ struct SceneLightTask {
   int32_t keeps_visible;     // and the world is not
 };
 
-// First for all anchors, then once, then for all anchors again, then `light_block`.
-void anchor_lamps(const LearnedTask& t, int32_t anchor_block);
+// First for all anchors, at most sixteen blocks at a time, then once, then for all anchors again, then `light_blocks`.
+void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end);
 void sum_given(const LearnedTask& t);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
 // Keeps what lights the skin of a block in this pose, whatever the light is.
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);
-// The matt color of a block.
-void light_block(const LearnedTask& t, int32_t block);
+// The matt color of blocks.
+void light_blocks(const LearnedTask& t, int32_t first, int32_t end);
 // What a block sends to the eye.
 void seen_block(const LearnedTask& t, int32_t block);
 

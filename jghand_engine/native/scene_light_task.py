@@ -30,7 +30,7 @@ class SceneLightTask(ctypes.Structure):
     """SceneLightTask of native/scene_light.h."""
 
     _fields_ = (
-        *((name, _P) for name in ("material", "partly", "hides_start", "hides", "lamp", "casting")),
+        *((name, _P) for name in ("material", "own", "partly", "hides_start", "hides", "lamp", "casting")),
         *((name, _P) for name in ("irradiance", "left", "baked", "lobe")),
         *((name, _P) for name in ("posed", "visible", "skin_seen", "given", "reflecting", "sky", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "ambient", "least")),

@@ -56,6 +56,23 @@ JG_INLINE vf inverse_sqrt(vf a) {
 #endif
 }
 
+// 1 / a of normal numbers, to rounding, and the square root of numbers from 0 on: dividers are slow.
+JG_INLINE vf inverse(vf a) {
+#if defined(__AVX512F__)
+  const vf y = (vf)_mm512_rcp14_ps((__m512)a);
+  return y * (2.f - a * y);
+#else
+  return 1.f / a;
+#endif
+}
+JG_INLINE vf quick_sqrt(vf a) {
+#if defined(__AVX512F__)
+  return a * inverse_sqrt(max(a, all(1e-30f)));  // of 0 it is 0
+#else
+  return sqrt(a);
+#endif
+}
+
 // memcpy is how an unaligned load is written without breaking aliasing rules; it becomes one instruction.
 JG_INLINE vf load(const float* p) {
   vf v;
@@ -179,9 +196,12 @@ JG_INLINE void load_triples(const float* p, vf& x, vf& y, vf& z) {
 }
 
 JG_INLINE void store_triples(float* p, vf x, vf y, vf z) {
-  float xs[LANES], ys[LANES], zs[LANES];
-  store(xs, x), store(ys, y), store(zs, z);
-  for (int i = 0; i < LANES; i++) p[3 * i] = xs[i], p[3 * i + 1] = ys[i], p[3 * i + 2] = zs[i];
+  const vf a = JG_SHUFFLE(x, y, 0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5);
+  const vf b = JG_SHUFFLE(x, y, 21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26);
+  const vf c = JG_SHUFFLE(x, y, 0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0);
+  store(p, JG_SHUFFLE(a, z, 0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15));
+  store(p + 16, JG_SHUFFLE(b, z, 0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12, 25, 14, 15));
+  store(p + 32, JG_SHUFFLE(c, z, 26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30, 13, 14, 31));
 }
 
 JG_INLINE void store_sixes(float* p, const vf rows[6]) {

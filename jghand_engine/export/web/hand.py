@@ -38,7 +38,7 @@ _ROUNDED = {
 }
 # those that the kernels or the page write
 _WRITTEN = {
-    *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lanes", "cast.capsule_lamp", "cast.other"),
+    *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other"),
     *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.given"),
     *("scene.sky", "scene.reflecting", "scene.reached", "front"),
 }

@@ -6,7 +6,6 @@ export class Capsules {
   constructor(about, views) {
     Object.assign(this, about);
     this.capsule = views['cast.capsule'];
-    this.lanes = views['cast.capsule_lanes'];
     this.lamp = views['cast.capsule_lamp'];
   }
 
@@ -29,11 +28,6 @@ export class Capsules {
         this.lamp[place + LANES] = 1 / sine2;
       }
     }
-    // the same, sixteen capsules side by side
-    this.capsule.forEach((number, i) => {
-      const bone = Math.floor(i / CAPSULE);
-      this.lanes[LANES * (CAPSULE * Math.floor(bone / LANES) + (i % CAPSULE)) + (bone % LANES)] = number;
-    });
   }
 }
 
