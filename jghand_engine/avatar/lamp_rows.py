@@ -180,7 +180,7 @@ def _in_spread(rows: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 
 def _rows(light: SceneLight, root_m: np.ndarray) -> np.ndarray:
     """(lamps, LAMP_NUMBERS) of all lamps, relative to the root."""
-    rows = np.array([lamp.numbers for lamp in light.lamps]).reshape(-1, len(LAMP_NUMBERS))
+    rows = light.lamp_numbers.copy()
     rows[:, :3] -= (rows[:, NUMBER["kind"], None] != LampKind.SUN) * root_m
     return rows
 

@@ -248,6 +248,11 @@ class SceneLight:
     shades: Shades | None = None
     baked: Baked | None = None
 
+    @cached_property
+    def lamp_numbers(self) -> np.ndarray:
+        """(lamps, LAMP_NUMBERS) of its lamps, as `Lamp.numbers` has them."""
+        return np.array([lamp.numbers for lamp in self.lamps]).reshape(-1, len(LAMP_NUMBERS))
+
     def on_hand(self, place: int) -> SceneLight:
         """As it falls on one hand of an image."""
         if self.shades is None and self.baked is None:

@@ -93,15 +93,14 @@ JG_INLINE Ball ball_around(const vf p[3]) {
   return {{middle[0][0], middle[1][0], middle[2][0]}, sqrtf(radius2[0])};
 }
 
-// Distant lamps, up to 64 of them from the first of a group on, from sixteen points.
-// facing: bits of the points that face a lamp · cosines: to it · visible: the part of it that those see, past all flesh
+// Distant lamps from sixteen points: bits of those that face each, and their cosines to it.
 struct Distant {
   uint32_t facing[FLOCK];
   vf cosines[FLOCK];
 };
 
-// Finds them, unless `visible` (lamps, 16) is known; of lamps that none of the points faces it is not found. Returns the
-// bits of the others. foreign: of the points, as in CastTask
+// Those of a group and after it, 64 at most, and, unless that is known, visible (lamps, 16): the part of each that points
+// see which face it. Returns bits of lamps that any faces. foreign: of the points, as in CastTask
 JG_INLINE uint64_t distant_seen(const CastTask& t, const float* foreign, const Ball& ball, const vf p[3],
                                 const vf normal[3], int group, bool keeps_visible, Distant& out, float* visible) {
   const int groups = t.groups - group < FLOCK / LANES ? t.groups - group : FLOCK / LANES;

@@ -56,7 +56,9 @@ JG_INLINE vf inverse_sqrt(vf a) {
 #endif
 }
 
-// 1 / a of normal numbers, to rounding, and the square root of numbers from 0 on: dividers are slow.
+constexpr float NORMAL_MIN = 1e-30f;  // its half is a normal number, too
+
+// 1 / a of normal numbers and the square root of numbers from 0 on, to rounding: dividers are slow.
 JG_INLINE vf inverse(vf a) {
 #if defined(__AVX512F__)
   const vf y = (vf)_mm512_rcp14_ps((__m512)a);
@@ -67,7 +69,7 @@ JG_INLINE vf inverse(vf a) {
 }
 JG_INLINE vf quick_sqrt(vf a) {
 #if defined(__AVX512F__)
-  return a * inverse_sqrt(max(a, all(1e-30f)));  // of 0 it is 0
+  return a * inverse_sqrt(max(a, all(NORMAL_MIN)));
 #else
   return sqrt(a);
 #endif
