@@ -25,7 +25,8 @@ void prepare_depth(const ShadeTask& s, int y) {
   int32_t count = 0;
   for (int x = 0; x < s.width; x += LANES) {
     const int n = s.width - x;
-    const vf z = depth_of(s, load_first(alpha + x, n), load_first(sum + x, n), row + x, n);
+    const vf a = load_first(alpha + x, n);
+    const vf z = depth_of(s, a, bit_mask(a > s.alpha_min) ? load_first(sum + x, n) : vf{}, row + x, n);
     store(out + x, z);  // the lanes beyond the row are padding
     count += __builtin_popcount(bit_mask(z < SHADOW_FAR_M));
   }
@@ -35,15 +36,15 @@ void prepare_depth(const ShadeTask& s, int y) {
 namespace {
 
 JG_INLINE vf visibility_of(Block& b, const Curve& curve, const float* c, int x0, int y, const ShadeTask& s) {
-  if (!set_block(b, curve, c, x0, y, s)) return all(1.f);
-  vf sum = {};
-  const auto add = [&](const Tap& t) __attribute__((always_inline)) {
-    sum = select(t.inside, sum + t.soft * t.fall * t.fall, sum);
-  };
-  for_taps<false>(
-      b, curve, c, s, [&](int32_t, const Shift&, const Tap& t) __attribute__((always_inline)) { add(t); },
-      [&](vi, const Shift&, const Tap& t) __attribute__((always_inline)) { add(t); });
-  return select(b.valid, exp2_of_negative<5>(max(sum * curve.exponent, all(EXPONENT_MIN))), all(1.f));
+  vf v = all(1.f);
+  set_block(b, curve, c, x0, y, s);
+  while (next_taps(b, s)) {
+    vf sum = {};
+    for_taps<false>(b, curve, c, s, [&](const Aim&, const Tap& t)
+                                        __attribute__((always_inline)) { sum += t.soft * t.fall * t.fall; });
+    v = select(b.lanes, exp2_of_negative<5>(max(sum * curve.exponent, all(EXPONENT_MIN))), v);
+  }
+  return v;
 }
 
 // Four planes of 16 pixels -> 16 interleaved RGBA pixels.
@@ -64,6 +65,7 @@ void shade_row(const ShadeTask& s, int y) {
   const bool shadowed = s.samples > 0 && s.row_valid[y] > 0, wants_depth = s.samples == 0 && s.depth_out;
   const Curve curve = curve_of(s);
   Block block;
+  if (shadowed) start(block, s);
   for (int x = 0; x < s.width; x += LANES) {
     const int n = s.width - x;
     const float* p = s.picture + row + x;

@@ -6,6 +6,10 @@
 #pragma once
 #include <stdint.h>
 
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
 #include "constants.h"
 #include "vec.h"
 
@@ -57,17 +61,13 @@ JG_INLINE vf gather(const float* p, vi index) {
 // 2^-32 is nothing to a shadow, and as far as exp2_of_negative<5> goes without AVX-512.
 constexpr float EXPONENT_MIN = -32.f;
 
-// log2(1 + 2^e), error 7e-5, which is 3e-5 of visibility at most: the part of |e| as the eighth power of a polynomial.
-JG_INLINE vf log2_of_one_plus_exp2(vf e) {
-  const float reach = 14.f;  // of the polynomial; the part is below its error beyond
-  const vf x = min(abs(e), all(reach));
-  vf p = x * 1.1008914e-6f - 5.1000613e-5f;
-  p = p * x + 7.8422198e-4f;
-  p = p * x - 3.2166585e-3f;
-  p = p * x - 6.2351362e-2f;
-  p = p * x + 9.9999131e-1f;
-  p = p * p, p = p * p;
-  return p * p + max(e, vf{});
+// The smaller one of |a| and b; b where a is NaN.
+JG_INLINE vf least_size(vf a, vf b) {
+#if defined(__AVX512DQ__)
+  return (vf)_mm512_range_ps((__m512)a, (__m512)b, 8 + 2);  // the smaller size, without a sign
+#else
+  return min(abs(a), b);
+#endif
 }
 
 JG_INLINE float lowest(vf a) {
@@ -84,24 +84,60 @@ struct Curve {
   float exponent;  // visibility = 2^(exponent * sum of the taps)
 };
 JG_INLINE Curve curve_of(const ShadeTask& s) {
-  const float log2e = 1.4426950408889634f, eps = s.length_eps * s.radius;
-  return {eps * eps, s.radius * s.radius, 1.f / s.radius, log2e / s.softness, -log2e * s.bias / s.softness,
-          s.height_min * log2e / s.softness, -s.gain * s.softness / (float)s.samples};
+  const float eps = s.length_eps * s.radius;
+  return {eps * eps, s.radius * s.radius, 1.f / s.radius, LOG2E / s.softness, -LOG2E * s.bias / s.softness,
+          s.height_min * LOG2E / s.softness, -s.gain * s.softness / (float)s.samples};
 }
 
+// Taps that are found step by step together, so that none waits for its own last step; where registers are few, one.
+#if defined(__AVX512F__)
+constexpr int TOGETHER = 4, SPLIT_TOGETHER = 2;
+#else
+constexpr int TOGETHER = 1, SPLIT_TOGETHER = 1;
+#endif
+constexpr int NOWHERE = SHADOW_SAMPLES_MAX;  // a sample that reaches nothing fills up the last of them
+
 // 16 pixels of one row: depth relative to the origin, ray (x/z, y/z; zero where rays are parallel), unit normal times
-// the curve's slope; and its taps. Where the offset is the same for all pixels of the block (four of five and more) the
-// tap is one contiguous load, elsewhere a gather.
+// the curve's slope. And taps of those of them whose reaches are less than a pixel apart: a tap has the same offset for
+// all of them (four of five and more), or along an axis a near and a far one, a pixel apart.
 struct Block {
   vf z, ray_x, ray_y, nx, ny, nz;
-  vi valid;
-  vf reach_x, reach_y;  // px
-  int same_count, mixed_count;
-  int32_t same[SHADOW_SAMPLES_MAX + LANES], mixed[SHADOW_SAMPLES_MAX + LANES];  // sample numbers
-  alignas(64) float shift_x[SHADOW_SAMPLES_MAX], shift_y[SHADOW_SAMPLES_MAX];   // of the ray, when same
-  alignas(64) float base_x[SHADOW_SAMPLES_MAX], base_y[SHADOW_SAMPLES_MAX];     // shift times origin, when same
-  alignas(64) int32_t offset[SHADOW_SAMPLES_MAX];                               // in the padded plane, when same
+  vf reach, reach_x, reach_y;    // where focal lengths are 1; px
+  vi valid, left, lanes;         // pixels with a depth; of them, those without taps so far; those of the taps
+  float reach_lo, reach_hi;      // of those that are left
+  float x_lo, x_hi, y_lo, y_hi;  // least and greatest reach of the taps, px
+  int same_count, split_count;
+  int32_t same[SHADOW_SAMPLES_MAX + LANES], split[SHADOW_SAMPLES_MAX + LANES];  // sample numbers
+  // of a sample's near offset: change of the ray, the same times the origin, place in the padded plane, and up to how
+  // many px it is taken
+  alignas(64) float turn_x[NOWHERE + 1], turn_y[NOWHERE + 1], base_x[NOWHERE + 1], base_y[NOWHERE + 1];
+  alignas(64) int32_t offset[NOWHERE + 1];
+  alignas(64) float edge_x[NOWHERE + 1], edge_y[NOWHERE + 1];
+  // in all blocks: part of the reach, positive, and 1 or -1, away from the pixel
+  alignas(64) float span_x[NOWHERE + 1], span_y[NOWHERE + 1], way_x[NOWHERE + 1], way_y[NOWHERE + 1];
+  // a step of one pixel is (turn z + base) long at the relative depth z: along rays that spread it grows with depth,
+  // along parallel ones it does not
+  float pixel_turn_x, pixel_turn_y, pixel_base_x, pixel_base_y;
 };
+
+// Before the first block: what all share.
+JG_INLINE void start(Block& b, const ShadeTask& s) {
+  const float turn = s.orthographic ? 0.f : 1.f, base = s.orthographic ? 1.f : s.origin;
+  b.pixel_turn_x = turn / s.fx, b.pixel_turn_y = turn / s.fy;
+  b.pixel_base_x = base / s.fx, b.pixel_base_y = base / s.fy;
+  for (int k = 0; k < s.samples; k += LANES) {
+    const vf x = load(s.disc_x + k), y = load(s.disc_y + k);
+    store(b.span_x + k, abs(x));
+    store(b.span_y + k, abs(y));
+    store(b.way_x + k, select(x < 0, all(-1.f), all(1.f)));
+    store(b.way_y + k, select(y < 0, all(-1.f), all(1.f)));
+  }
+  b.x_lo = -1.f;  // the reach of no pixel
+  b.turn_x[NOWHERE] = b.turn_y[NOWHERE] = b.edge_x[NOWHERE] = b.edge_y[NOWHERE] = 0.f;
+  b.span_x[NOWHERE] = b.span_y[NOWHERE] = b.way_x[NOWHERE] = b.way_y[NOWHERE] = 0.f;
+  b.base_x[NOWHERE] = b.base_y[NOWHERE] = SHADOW_FAR_M;
+  b.offset[NOWHERE] = 0;
+}
 
 // Difference of the point along one image axis: in depth, and along the axis.
 struct Slope {
@@ -125,13 +161,16 @@ JG_INLINE vf load_at(const float* c, vi step, bool same) {
 }
 
 JG_INLINE Slope slope_along(const Block& b, vf z, const float* c, vf ray, float focal, int stride, const ShadeTask& s) {
-  vf step = round_even(min(max(focal * s.normal_reach / z, all(s.reach_min_px)), all(s.reach_max_px)));
-  // pixels without depth go along with the others
-  const float most = highest(select(b.valid, step, vf{}));
-  step = select(b.valid, step, all(most));
-  const bool same = !bit_mask(step != all(most));
+  const float pixel = 1.f / focal, scale = focal * s.normal_reach / s.radius;
+  const auto step_of = [&](vf reach) __attribute__((always_inline)) {
+    return round_even(min(max(scale * reach, all(s.reach_min_px)), all(s.reach_max_px)));
+  };
+  // rounding is monotonous: when the farthest and the nearest pixel have the same step, all have
+  vf step = step_of(all(b.reach_lo));
+  const bool same = step[0] == step_of(all(b.reach_hi))[0];
+  if (!same) step = step_of(b.reach);
   const vi offset = to_int(step) * stride;
-  const vf change = step / focal, turn = s.orthographic ? vf{} : change;
+  const vf change = step * pixel, turn = s.orthographic ? vf{} : change;
   return slope_of(b.z, load_at(c, offset, same), load_at(c, -offset, same), ray + turn, ray - turn, change * z, s);
 }
 
@@ -150,6 +189,30 @@ JG_INLINE void set_normal(Block& b, const Curve& curve, vf z, const float* c, co
   b.nz *= scale;
 }
 
+JG_INLINE void set_range(Block& b) {
+  b.reach_lo = lowest(select(b.left, b.reach, all(__builtin_inff())));
+  b.reach_hi = highest(select(b.left, b.reach, vf{}));
+}
+
+// Everything about the pixels from (x0, y) on that does not depend on the sample; c points at their depth in the padded
+// plane.
+JG_INLINE void set_block(Block& b, const Curve& curve, const float* c, int x0, int y, const ShadeTask& s) {
+  const vf lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  b.z = load(c);
+  b.valid = b.left = b.z < SHADOW_FAR_M;
+  if (!bit_mask(b.valid)) return;
+  const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
+  b.ray_x = s.orthographic ? vf{} : (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
+  b.ray_y = s.orthographic ? vf{} : all(((float)y + 0.5f - s.cy) * step_y);
+  const vf z = s.orthographic ? all(1.f) : b.z + s.origin;
+  b.reach = s.radius / z;
+  set_range(b);
+  set_normal(b, curve, z, c, s);
+  const vf least = all(s.reach_min_px), most = all(s.reach_max_px);
+  b.reach_x = min(max(s.fx * b.reach, least), most);
+  b.reach_y = min(max(s.fy * b.reach, least), most);
+}
+
 JG_INLINE int append(int32_t* list, int count, int first, uint32_t mask) {
 #if defined(__AVX512F__)
   const __m512i lane = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
@@ -162,109 +225,163 @@ JG_INLINE int append(int32_t* list, int count, int first, uint32_t mask) {
 #endif
 }
 
-// A step of the picture is so many times (turn z + base) long at the relative depth z: along rays that spread it grows
-// with depth, along parallel ones it does not.
-struct Reach {
-  float turn, base;
-};
-JG_INLINE Reach reach_of(const ShadeTask& s) { return s.orthographic ? Reach{0.f, 1.f} : Reach{1.f, s.origin}; }
+// The greatest size of what rounds to x or nearer to 0: what lies in the middle goes to the even one.
+JG_INLINE vf edge_of(vf x) { return float_of(bits_of(abs(x) + 0.5f) - (to_int(x) & 1)); }
 
-// Rounding is monotonous: when the least and the greatest reach in the block land on the same pixel, all do.
-JG_INLINE void sort_taps(Block& b, float step_x, float step_y, const ShadeTask& s) {
-  const vf least = all(s.reach_min_px), most = all(s.reach_max_px);
-  const float x_lo = lowest(select(b.valid, b.reach_x, most)), x_hi = highest(select(b.valid, b.reach_x, least));
-  const float y_lo = lowest(select(b.valid, b.reach_y, most)), y_hi = highest(select(b.valid, b.reach_y, least));
-  const Reach reach = reach_of(s);
-  b.same_count = b.mixed_count = 0;
+// Taps of the pixels that are left, or of those of them with the least reach; false when there are none.
+JG_INLINE bool next_taps(Block& b, const ShadeTask& s) {
+  if (!bit_mask(b.left)) return false;
+  if (bit_mask(b.left != b.valid)) set_range(b);
+  const auto px_of = [&](float focal, float reach) {
+    const float px = focal * reach, most = px < s.reach_max_px ? px : s.reach_max_px;
+    return most > s.reach_min_px ? most : s.reach_min_px;
+  };
+  const float x_lo = px_of(s.fx, b.reach_lo), x_end = x_lo + 1.f, x_most = px_of(s.fx, b.reach_hi);
+  const float y_lo = px_of(s.fy, b.reach_lo), y_end = y_lo + 1.f, y_most = px_of(s.fy, b.reach_hi);
+  b.lanes = b.left;
+  if (x_most >= x_end || y_most >= y_end) {
+    b.lanes &= (b.reach_x < x_end) & (b.reach_y < y_end);
+    if (!bit_mask(b.lanes)) return false;  // depths that are no numbers
+  }
+  b.left &= ~b.lanes;
+  const float x_hi = x_most < x_end ? x_most : x_end, y_hi = y_most < y_end ? y_most : y_end;
+  if (x_lo == b.x_lo && x_hi == b.x_hi && y_lo == b.y_lo && y_hi == b.y_hi) return true;  // they are still here
+  b.x_lo = x_lo, b.x_hi = x_hi, b.y_lo = y_lo, b.y_hi = y_hi;
+  b.same_count = b.split_count = 0;
   for (int k = 0; k < s.samples; k += LANES) {
     const vf dx = load(s.disc_x + k), dy = load(s.disc_y + k);
     const vf x = round_even(dx * x_lo), y = round_even(dy * y_lo);
-    store(b.shift_x + k, x * step_x * reach.turn);
-    store(b.shift_y + k, y * step_y * reach.turn);
-    store(b.base_x + k, x * step_x * reach.base);
-    store(b.base_y + k, y * step_y * reach.base);
+    store(b.turn_x + k, x * b.pixel_turn_x);
+    store(b.turn_y + k, y * b.pixel_turn_y);
+    store(b.base_x + k, x * b.pixel_base_x);
+    store(b.base_y + k, y * b.pixel_base_y);
     store(b.offset + k, to_int(y) * s.stride + to_int(x));
-    const uint32_t wanted = s.samples - k >= LANES ? 0xffffu : (1u << (s.samples - k)) - 1;
+    store(b.edge_x + k, edge_of(x));
+    store(b.edge_y + k, edge_of(y));
+    // rounding is monotonous: when the least and the greatest reach land on the same pixel, all do
     const uint32_t same = bit_mask((x == round_even(dx * x_hi)) & (y == round_even(dy * y_hi)));
+    const uint32_t wanted = s.samples - k >= LANES ? 0xffffu : (1u << (s.samples - k)) - 1;
     b.same_count = append(b.same, b.same_count, k, same & wanted);
-    b.mixed_count = append(b.mixed, b.mixed_count, k, ~same & wanted);
+    b.split_count = append(b.split, b.split_count, k, ~same & wanted);
   }
-}
-
-// Everything about the block at (x0, y) that does not depend on the sample; c points at its depth in the padded plane.
-// False when no pixel of it has a depth.
-JG_INLINE bool set_block(Block& b, const Curve& curve, const float* c, int x0, int y, const ShadeTask& s) {
-  const vf lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-  b.z = load(c);
-  b.valid = b.z < SHADOW_FAR_M;
-  if (!bit_mask(b.valid)) return false;
-  const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
-  b.ray_x = s.orthographic ? vf{} : (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
-  b.ray_y = s.orthographic ? vf{} : all(((float)y + 0.5f - s.cy) * step_y);
-  const vf z = s.orthographic ? all(1.f) : b.z + s.origin;
-  set_normal(b, curve, z, c, s);
-  const vf reach = s.radius / z, least = all(s.reach_min_px), most = all(s.reach_max_px);
-  b.reach_x = min(max(s.fx * reach, least), most);
-  b.reach_y = min(max(s.fy * reach, least), most);
-  sort_taps(b, step_x, step_y, s);
+  while (b.same_count % TOGETHER) b.same[b.same_count++] = NOWHERE;
+  while (b.split_count % SPLIT_TOGETHER) b.split[b.split_count++] = NOWHERE;
   return true;
 }
 
-// One tap of a block: the vector to the sample, and its part of the sum; steep: the cosine times the curve's slope.
-// Lanes outside the radius or without a depth are not inside, even when the arithmetic overflowed: a comparison with NaN
-// is false. (Of parallel rays a pixel without a depth may find another one; its sum is nobody's.)
-struct Tap {
-  vf vx, vy, vz, d2, inverse, steep, soft, fall;
-  vi inside;
-};
-// shift: change of the ray from the pixel to the sample; base: shift times the origin of depth.
-struct Shift {
-  vf x, y, base_x, base_y;
-};
-// False when no lane is inside: a fifth to a quarter of the taps of a hand go beside it or to another depth.
-JG_INLINE bool aim(Tap& t, const Block& b, const Curve& c, vf z, const Shift& shift) {
-  // (ray + shift) z_sample - ray z, without cancellation
-  t.vz = z - b.z;
-  t.vx = z * shift.x + shift.base_x + b.ray_x * t.vz;
-  t.vy = z * shift.y + shift.base_y + b.ray_y * t.vz;
-  t.d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
-  t.inside = t.d2 < c.radius2;
-  return bit_mask(t.inside);
-}
+// 1 / sqrt(a): to 14 bits at least, which is enough for pictures, or EXACT, rounded as floats are, for gradients.
 template <bool EXACT>
-JG_INLINE void occlude(Tap& t, const Block& b, const Curve& c) {
-  t.inverse = EXACT ? inverse_sqrt(t.d2) : rough_inverse_sqrt(t.d2);
-  t.steep = (t.vx * b.nx + (t.vy * b.ny + (t.vz * b.nz - c.height_min))) * t.inverse;
-  t.soft = log2_of_one_plus_exp2(t.steep + c.shift);
-  t.fall = 1.f - t.d2 * t.inverse * c.inverse_radius;
+JG_INLINE vf inverse_length(vf a) {
+  if (EXACT) return inverse_sqrt(a);
+#if defined(__AVX2__) && !defined(__AVX512F__)
+  __m256 half[2];  // 11 bits, and a step of Newton's: half the time of a root and a quotient
+  memcpy(half, &a, sizeof half);
+  for (__m256& h : half) h = _mm256_rsqrt_ps(h);
+  vf y;
+  memcpy(&y, half, sizeof half);
+  return y * (1.5f - 0.5f * a * y * y);
+#else
+  return rough_inverse_sqrt(a);
+#endif
 }
 
-// Calls same(offset, shift, tap) or mixed(indices, shift, tap) for every tap of a block with a lane inside. Distances are
-// rounded as floats are for gradients (EXACT); 14 bits of them are enough for pictures.
-template <bool EXACT, class Same, class Mixed>
-JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Same same, Mixed mixed) {
-  const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-  const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
-  const Reach reach = reach_of(s);
-  Tap t;
-  for (int i = 0; i < b.same_count; i++) {
-    const int k = b.same[i];
-    const Shift shift = {all(b.shift_x[k]), all(b.shift_y[k]), all(b.base_x[k]), all(b.base_y[k])};
-    if (!aim(t, b, curve, load(c + b.offset[k]), shift)) continue;
-    occlude<EXACT>(t, b, curve);
-    same(b.offset[k], shift, t);
+// One tap: the vectors to the samples, and their parts of the sum; steep: the cosine times the curve's slope. fall is 0
+// beyond the radius and without a depth, also where the arithmetic overflowed: max(NaN, 0) is 0. (Of parallel rays a
+// pixel without a depth may find another one; its sum is nobody's.)
+struct Tap {
+  vf vx, vy, vz, d2, inverse, steep, soft, fall;
+};
+// Where it goes: the offset in the padded plane, when split that of the near sample, and the steps to the far one for
+// lanes that take it; the change of the ray, and the same times the origin of depth.
+struct Aim {
+  bool split;
+  int32_t offset, right, down;
+  vi far_x, far_y;
+  vf turn_x, turn_y, base_x, base_y;
+};
+
+#define JG_EACH for (int j = 0; j < N; j++)
+template <int N>
+JG_INLINE void aim(Tap (&t)[N], const Block& b, const Curve& c, const vf (&z)[N], const Aim (&a)[N]) {
+  // (ray + turn) z_sample - ray z, without cancellation
+  JG_EACH t[j].vz = z[j] - b.z;
+  JG_EACH t[j].vx = z[j] * a[j].turn_x + a[j].base_x;
+  JG_EACH t[j].vy = z[j] * a[j].turn_y + a[j].base_y;
+  JG_EACH t[j].vx += b.ray_x * t[j].vz;
+  JG_EACH t[j].vy += b.ray_y * t[j].vz;
+  JG_EACH t[j].d2 = t[j].vz * t[j].vz + c.eps2;
+  JG_EACH t[j].d2 += t[j].vy * t[j].vy;
+  JG_EACH t[j].d2 += t[j].vx * t[j].vx;
+}
+// log2(1 + 2^e), error 7e-5, which is 3e-5 of visibility at most: the part of |e| as the eighth power of a polynomial.
+template <int N>
+JG_INLINE void soften(Tap (&t)[N], float shift) {
+  const float reach = 14.f;  // of the polynomial; the part is below its error beyond
+  vf e[N], x[N], p[N];
+  JG_EACH e[j] = t[j].steep + shift;
+  JG_EACH x[j] = least_size(e[j], all(reach));
+  JG_EACH p[j] = x[j] * 1.1008914e-6f - 5.1000613e-5f;
+  JG_EACH p[j] = p[j] * x[j] + 7.8422198e-4f;
+  JG_EACH p[j] = p[j] * x[j] - 3.2166585e-3f;
+  JG_EACH p[j] = p[j] * x[j] - 6.2351362e-2f;
+  JG_EACH p[j] = p[j] * x[j] + 9.9999131e-1f;
+  JG_EACH p[j] *= p[j];
+  JG_EACH p[j] *= p[j];
+  JG_EACH t[j].soft = p[j] * p[j] + max(e[j], vf{});
+}
+template <bool EXACT, int N>
+JG_INLINE void occlude(Tap (&t)[N], const Block& b, const Curve& c) {
+  JG_EACH t[j].inverse = inverse_length<EXACT>(t[j].d2);
+  JG_EACH t[j].steep = t[j].vz * b.nz - c.height_min;
+  JG_EACH t[j].steep += t[j].vy * b.ny;
+  JG_EACH t[j].steep += t[j].vx * b.nx;
+  JG_EACH t[j].steep *= t[j].inverse;
+  soften(t, c.shift);
+  JG_EACH t[j].fall = max(1.f - t[j].d2 * t[j].inverse * c.inverse_radius, vf{});
+}
+
+// Where sample k goes, and the depths there.
+template <bool SPLIT>
+JG_INLINE vf aim_at(Aim& a, int k, const Block& b, const float* c, int stride) {
+  const float* near = c + b.offset[k];
+  if (!SPLIT) {
+    a = {false, b.offset[k], 0, 0, {}, {}, all(b.turn_x[k]), all(b.turn_y[k]), all(b.base_x[k]), all(b.base_y[k])};
+    return load(near);
   }
-  for (int i = 0; i < b.mixed_count; i++) {
-    const int k = b.mixed[i];
-    const vf x = round_even(b.reach_x * s.disc_x[k]), y = round_even(b.reach_y * s.disc_y[k]);
-    const vi index = to_int(y) * s.stride + to_int(x) + lane;
-    const vf sx = x * step_x, sy = y * step_y;
-    const Shift shift = {sx * reach.turn, sy * reach.turn, sx * reach.base, sy * reach.base};
-    if (!aim(t, b, curve, gather(c, index), shift)) continue;
+  const int right = (int)b.way_x[k], down = (int)b.way_y[k] * stride;
+  const vi far_x = b.reach_x * b.span_x[k] > b.edge_x[k], far_y = b.reach_y * b.span_y[k] > b.edge_y[k];
+  const vf way_x = select(far_x, all(b.way_x[k]), vf{}), way_y = select(far_y, all(b.way_y[k]), vf{});
+  a = {true, b.offset[k], right, down, far_x, far_y,
+       way_x * b.pixel_turn_x + b.turn_x[k], way_y * b.pixel_turn_y + b.turn_y[k],
+       way_x * b.pixel_base_x + b.base_x[k], way_y * b.pixel_base_y + b.base_y[k]};
+  return select(far_y, select(far_x, load(near + down + right), load(near + down)),
+                select(far_x, load(near + right), load(near)));
+}
+
+// Calls use(aim, tap) for the taps of a list, N at a time, but for those of which none reaches anything.
+template <bool EXACT, bool SPLIT, class Use>
+JG_INLINE void for_list(const int32_t* list, int count, const Block& b, const Curve& curve, const float* c,
+                        const ShadeTask& s, Use use) {
+  constexpr int N = EXACT ? 1 : SPLIT ? SPLIT_TOGETHER : TOGETHER;
+  for (int i = 0; i < count; i += N) {
+    Tap t[N];
+    Aim a[N];
+    vf z[N], nearest = all(curve.radius2);
+    JG_EACH z[j] = aim_at<SPLIT>(a[j], list[i + j], b, c, s.stride);
+    aim(t, b, curve, z, a);
+    JG_EACH nearest = min(t[j].d2, nearest);
+    if (!SPLIT && !bit_mask(nearest < curve.radius2)) continue;
     occlude<EXACT>(t, b, curve);
-    mixed(index, shift, t);
+    JG_EACH use(a[j], t[j]);
   }
 }
+template <bool EXACT, class Use>
+JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Use use) {
+  for_list<EXACT, false>(b.same, b.same_count, b, curve, c, s, use);
+  for_list<EXACT, true>(b.split, b.split_count, b, curve, c, s, use);
+}
+
+#undef JG_EACH
 
 // Depth of row y of the picture into the padded plane.
 void prepare_depth(const ShadeTask& s, int y);

@@ -43,41 +43,44 @@ JG_INLINE float* stripe_row(const ShadeTask& s, const ShadeGradient& g, int i, i
   return g.stripes + ((int64_t)y + (2 * i + 1) * s.pad_rows) * s.stride + g.pad_columns;
 }
 
+// Adds the gradients of a tap's samples where these lie.
+JG_INLINE void scatter(float* to, const Aim& a, vf gradient) {
+  const auto add = [&](float* at, vf part) __attribute__((always_inline)) { store(at, load(at) + part); };
+  float* near = to + a.offset;
+  if (!a.split) return add(near, gradient);
+  add(near, select(a.far_x | a.far_y, vf{}, gradient));
+  add(near + a.right, select(a.far_x & ~a.far_y, gradient, vf{}));
+  add(near + a.down, select(a.far_y & ~a.far_x, gradient, vf{}));
+  add(near + a.down + a.right, select(a.far_x & a.far_y, gradient, vf{}));
+}
+
 void block_gradient(Block& b, const Curve& curve, const ShadeTask& s, const ShadeGradient& g, float* to, int x, int y) {
   const float* c = s.depth + (int64_t)y * s.stride + x;
-  if (!set_block(b, curve, c, x, y, s)) return;
+  set_block(b, curve, c, x, y, s);
+  if (!bit_mask(b.valid)) return;
   const int64_t pixels = (int64_t)s.width * s.height, at = (int64_t)y * s.width + x;
   const int n = s.width - x;
   vf to_v = {};
   for (int k = 0; k < 3; k++)
     to_v += s.darkness[k] * load_first(g.darkened + k * pixels + at, n) * load_first(s.picture + k * pixels + at, n);
   // V = 2^(exponent * sum)
-  const vf to_sum = select(b.valid, to_v * load_first(g.visibility + at, n) * (curve.exponent * LN2), vf{});
+  const vf to_sum = to_v * load_first(g.visibility + at, n) * (curve.exponent * LN2);
   const vf normal_ray = b.nx * b.ray_x + (b.ny * b.ray_y + b.nz);
   vf own = {};
-  // a sample that is the pixel itself moves with it: skipped, because its two huge parts would cancel only nearly
-  const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-  const auto push = [&](vi counts, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
+  const auto push = [&](const Aim& a, const Tap& t) __attribute__((always_inline)) {
+    // a sample that is the pixel itself moves with it: skipped, because its two huge parts would cancel only nearly
+    vi counts = b.lanes & (t.fall > 0);
+    if (!a.offset) counts &= a.far_x | a.far_y;
     const vf e = t.steep + curve.shift, power = exp2_of_negative<5>(max(-abs(e), all(EXPONENT_MIN)));
     const vf sigmoid = select(e > 0, all(1.f), power) / (1.f + power);
     const vf along = sigmoid * t.fall * t.fall * t.inverse;
     const vf radial = -along * t.steep * t.inverse - 2.f * t.soft * t.fall * curve.inverse_radius * t.inverse;
     const vf at_ray = along * normal_ray + radial * (t.vx * b.ray_x + (t.vy * b.ray_y + t.vz));
-    const vf shifted = along * (b.nx * shift.x + b.ny * shift.y) + radial * (t.vx * shift.x + t.vy * shift.y);
+    const vf shifted = along * (b.nx * a.turn_x + b.ny * a.turn_y) + radial * (t.vx * a.turn_x + t.vy * a.turn_y);
     own -= select(counts, at_ray * to_sum, vf{});
-    return select(counts, (at_ray + shifted) * to_sum, vf{});
+    scatter(to, a, select(counts, (at_ray + shifted) * to_sum, vf{}));
   };
-  for_taps<true>(
-      b, curve, c, s,
-      [&](int32_t offset, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
-        if (!offset) return;
-        const vf gradient = push(t.inside & b.valid, shift, t);
-        store(to + offset, load(to + offset) + gradient);
-      },
-      [&](vi index, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
-        const vf gradient = push(t.inside & b.valid & (index != lane), shift, t);
-        for (int i = 0; i < LANES; i++) to[index[i]] += gradient[i];
-      });
+  while (next_taps(b, s)) for_taps<true>(b, curve, c, s, push);
   store(to, load(to) + own);
 }
 
@@ -87,6 +90,7 @@ void stripe_gradient(const ShadeTask& s, const ShadeGradient& g, const Stripes& 
   float* first = g.stripes + ((int64_t)y0 + 2 * i * s.pad_rows) * s.stride;
   memset(first, 0, sizeof(float) * (size_t)s.stride * (size_t)(y1 - y0 + 2 * s.pad_rows));
   Block block;
+  start(block, s);
   for (int y = y0; y < y1; y++) {
     if (!s.row_valid[y]) continue;
     for (int x = 0; x < s.width; x += LANES) block_gradient(block, curve, s, g, stripe_row(s, g, i, y) + x, x, y);

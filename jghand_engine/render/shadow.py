@@ -133,7 +133,9 @@ class NativeShade:
         padded = -(-style.samples // LANES) * LANES
         if style.samples != self._disc_samples:
             self._disc_samples, self._disc = style.samples, aligned_zeros((2, padded))
-            self._disc[:, : style.samples] = vogel_disc(style.samples).T
+            # around the disc: samples that go beside the hand lie next to each other, and are left out together
+            disc = sorted(vogel_disc(style.samples), key=lambda place: math.atan2(place[1], place[0]))
+            self._disc[:, : style.samples] = np.transpose(disc)
             task.disc_x, task.disc_y = self._disc[0].ctypes.data, self._disc[1].ctypes.data
 
     def run(self, _thread: int = 0) -> None:
