@@ -298,6 +298,7 @@ SCENES = [
     pytest.param((200, 150, 400.0, 440.0, 5.0, 64), id="off-center, unequal focal lengths"),
     pytest.param((333, 77, 700.0, None, 0.0, 64), id="tail of a row"),
     pytest.param((96, 96, 2500.0, None, 0.0, 33), id="reach at its largest"),
+    pytest.param((128, 64, 3000.0, 700.0, 0.0, 33), id="reach at its largest along one axis"),
     pytest.param((60, 40, 20.0, None, 0.0, 16), id="reach at its smallest"),
     pytest.param((7, 3, 30.0, None, 0.0, 256), id="smaller than a vector"),
     pytest.param((1, 1, 30.0, None, 0.0, 1), id="one pixel"),
@@ -330,7 +331,7 @@ def test_kernel_agrees_with_the_float64_reference(library: Library, scene: tuple
     assert float(error.max()) < 5e-5
 
 
-@pytest.mark.parametrize("scene", SCENES[:4])
+@pytest.mark.parametrize("scene", SCENES[:5])
 def test_kernel_gradients_agree_with_the_float64_reference(library: Library, scene: tuple):
     _, _, gradient, exact = both(library, scene)
     for plane_index in range(5):
@@ -420,3 +421,12 @@ def test_poisoned_depth_reads_nothing_it_must_not(library: Library, value: float
     clean = np.isfinite(v)
     assert clean.mean() > 0.5
     assert ((v[clean] >= 0) & (v[clean] <= 1)).all()
+
+
+@pytest.mark.parametrize("near_m", [math.nan, math.inf, -math.inf])
+def test_an_origin_of_depth_that_is_no_number_ends_in_a_picture_without_a_shadow(library: Library, near_m: float):
+    view = camera(64, 48, 500.0)
+    native, v = NativeShade(library, 64, 48), np.empty((48, 64), np.float32)
+    native.prepare(planes_of(fingers(view)).numpy(), view, STYLE, near_m=near_m, visibility=v)
+    native.run()
+    assert (v == 1).all()
