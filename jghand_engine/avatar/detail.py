@@ -73,14 +73,22 @@ class Detail:
 
     def strongest(self, texels_per_px: float) -> float:
         """The largest log ratio that is left of the texture where a pixel spans so many texels, or more."""
-        most = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
-        level = min(math.log2(max(texels_per_px, 1.0)), len(most) - 1.0)
-        return float(np.interp(mixed_level(level), np.arange(len(most)), most))
+        most = self._most
+        level = float(mixed_level(min(math.log2(max(texels_per_px, 1.0)), len(most) - 1.0)))
+        finer = int(level)
+        coarser = most[min(finer + 1, len(most) - 1)]
+        return most[finer] + (level - finer) * (coarser - most[finer])
+
+    @cached_property
+    def _most(self) -> list[float]:
+        """The largest log ratio of each level."""
+        return (self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)).tolist()
 
 
 def mixed_level(level: float | np.ndarray) -> np.ndarray:
     """The level of the mips that is drawn for one whose texels are as large as a pixel: whole where one serves."""
-    return np.floor(level) + np.clip((level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM), 0, 1)
+    part = (level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM)
+    return np.floor(level) + np.minimum(np.maximum(part, 0.0), 1.0)
 
 
 def log_ratios(texels: np.ndarray) -> np.ndarray:

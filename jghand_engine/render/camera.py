@@ -156,5 +156,7 @@ class Camera:
 
 def _divided(numerator: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Their quotient; infinite or NaN without a warning for a point in the plane of the camera."""
+    if depth.all():
+        return numerator / depth
     with np.errstate(divide="ignore", invalid="ignore"):
         return numerator / depth

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -18,52 +18,62 @@ CROP_STEP_PX = 64
 NOWHERE = Box(0, 0, 0, 0)
 
 
-def hand_box(
-    joints_m: Sequence[np.ndarray], bones: Sequence[Bones], hands: Sequence[HandFacts], camera: Camera, alpha_min: float
-) -> Box:
-    """The rectangle that may be touched: NOWHERE for hands behind the camera or beside the image, all of it where that
-    is not known."""
-    return views_box(((*one, camera) for one in zip(joints_m, bones, hands, strict=True)), alpha_min)
+class View:
+    """A hand in a pose before a camera. joints_m: (21, 3) world meters; the first is where its root is
+
+    points_m:    (3, K) in the axes of the camera, whose hull holds every skinned place; lows_m, highs_m: per axis
+    splat_m:     how far a Gaussian reaches from its center in an image with this cut-off
+    offset_by_m: how far its center may be from its skinned place
+    """
+
+    def __init__(self, joints_m: np.ndarray, bones: Bones, hand: HandFacts, camera: Camera, alpha_min: float) -> None:
+        self.bones, self.hand, self.camera = bones, hand, camera
+        rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+        self.points_m = rotation @ hand.corners_m(bones.maps) + (rotation @ joints_m[0] + offset_m)[:, None]
+        self.lows_m: list[float] = np.minimum.reduce(self.points_m, 1, initial=math.inf).tolist()
+        self.highs_m: list[float] = np.maximum.reduce(self.points_m, 1, initial=-math.inf).tolist()
+        self.splat_m, self.offset_by_m = hand.reach_m(bones, alpha_min)
 
 
-def views_box(views: Iterable[tuple[np.ndarray, Bones, HandFacts, Camera]], alpha_min: float) -> Box:
-    """As `hand_box`, around hands each of which has a camera of its own: those of one size of image. What passes the
-    image between two views is in it."""
+def views_box(views: Iterable[View], alpha_min: float) -> Box:
+    """The rectangle that hands may touch, each before a camera of its own, all of one size of image: NOWHERE for hands
+    behind the camera or beside the image, all of it where that is not known. What passes the image between two views is
+    in it."""
     # from, to: of columns and rows
     found, width, height = [math.inf, -math.inf, math.inf, -math.inf], 0, 0
     views, cut = list(views), math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2)
     # hands share a low pass, `Backend.draw`: whichever of theirs it is
-    low_pass_m = cut * max((hand.avatar.pixel_m * own.scale for _, own, hand, _ in views), default=0.0)
-    for joints, own, hand, camera in views:
-        rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+    low_pass_m = cut * max((view.hand.avatar.pixel_m * view.bones.scale for view in views), default=0.0)
+    for view in views:
+        camera, points, flags = view.camera, view.points_m, view.bones.flags
         width, height = camera.width, camera.height
-        corners = hand.corners_m(own.maps)
-        if not len(corners):
+        if not points.shape[1]:
             continue
-        points = corners @ rotation.T + (rotation @ joints[0] + offset_m)
-        (splat_m, offset_by_m), depth_m = hand.reach_m(own, alpha_min), points[:, 2]
-        splat_m = math.hypot(splat_m, low_pass_m)
+        splat_m, offset_by_m = math.hypot(view.splat_m, low_pass_m), view.offset_by_m
         reach_m = splat_m + offset_by_m
-        nearest_m, farthest_m = float(depth_m.min()) - reach_m, float(depth_m.max()) + reach_m
+        nearest_m, farthest_m = view.lows_m[2] - reach_m, view.highs_m[2] + reach_m
         # nothing behind the near plane is drawn
-        if farthest_m <= contract.Z_NEAR_M and not own.flags:
+        if farthest_m <= contract.Z_NEAR_M and not flags:
             continue
         # a flagged hand stretches its skin beyond what is known
-        if own.flags or not (nearest_m > -math.inf and farthest_m < math.inf):
+        if flags or not (nearest_m > -math.inf and farthest_m < math.inf):
             return Box(0, 0, width, height)
         low_pass_px = cut + 1
         if nearest_m <= contract.Z_NEAR_M:
             if camera.orthographic:
                 return Box(0, 0, width, height)
-            lows, highs = points[:, :2].min(0) - offset_by_m, points[:, :2].max(0) + offset_by_m
-            for axis, low, high in zip((0, 2), lows.tolist(), highs.tolist(), strict=True):
+            for axis, aside_m, far_aside_m in zip((0, 2), view.lows_m[:2], view.highs_m[:2], strict=True):
+                low, high = aside_m - offset_by_m, far_aside_m + offset_by_m
                 focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
                 start, end = _beyond(low, splat_m, farthest_m), _beyond(-high, splat_m, farthest_m)
                 found[axis] = min(found[axis], focal * start + center - low_pass_px)
                 found[axis + 1] = max(found[axis + 1], center - focal * end + low_pass_px)
             continue
-        slope = points[:, :2] if camera.orthographic else points[:, :2] / depth_m[:, None]
-        for axis, low, high in zip((0, 2), slope.min(0).tolist(), slope.max(0).tolist(), strict=True):
+        lows, highs = view.lows_m[:2], view.highs_m[:2]
+        if not camera.orthographic:
+            slope = points[:2] / points[2]
+            lows, highs = np.minimum.reduce(slope, 1).tolist(), np.maximum.reduce(slope, 1).tolist()
+        for axis, low, high in zip((0, 2), lows, highs, strict=True):
             focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
             # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes
             # on top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)

@@ -32,7 +32,7 @@ from jghand_engine.render.blur import (
     way_px,
 )
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import hand_box
+from jghand_engine.render.crop import View, views_box
 from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
 from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, extent_px, fade, fade_with_size, gap_between
 from jghand_engine.render.hand_facts import HandFacts
@@ -62,6 +62,8 @@ CROP_SHADOW = 0.015
 SHADOW_MISSED = 0.35
 # detail that changes no color, of 1 at most, by more is left out: half an 8-bit step. From twice that on it is whole
 DETAIL_UNSEEN = 0.5 / 255
+# of one moment through a pinhole; what it is averaged with is decided by `plan_blur`
+NO_BLUR = (Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, False, "a pinhole"))
 # estimated cost on one core, milliseconds per Gaussian, per pixel, and per pixel and sample of the shadow
 SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1.3e-4
 MAP_MS, SHADOW_MS = 1e-6, 3e-7
@@ -152,14 +154,21 @@ class Scene:
         """Per hand pixels (21, 2) and depths (21,), meters, of its joints: found once for all effects."""
         return [self.camera.project(joints) for joints in self.joints_m]
 
-    def box(self, hands: Sequence[HandFacts], alpha_min: float) -> Box:
-        """The part of the image that the hands may touch; all of it where that is not known."""
-        return hand_box(self.joints_m, self.bones, hands, self.camera, alpha_min)
+    @cached_property
+    def extents_px(self) -> list[float]:
+        """Per hand the longer side of the box around it."""
+        return [extent_px(pixels, depth, self.camera) for pixels, depth in self.seen_joints]
+
+    def views(self, hands: Sequence[HandFacts], alpha_min: float) -> list[View]:
+        """Per hand where its skin may be."""
+        triples = zip(self.joints_m, self.bones, hands, strict=True)
+        return [View(*one, self.camera, alpha_min) for one in triples]
 
 
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
     """Decides about every effect of one image through a pinhole."""
-    box = scene.box(hands, settings.alpha_min)
+    views = scene.views(hands, settings.alpha_min)
+    box = views_box(views, settings.alpha_min)
     if not box.width and not settings.effects.forced:
         other = OF_SCENE if scene.lit is None else OF_CAPTURE
         nothing = tuple(Decision(effect, False, "no hand is in the image") for effect in Effect if effect not in other)
@@ -173,14 +182,13 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
-    detail, seen = plan_detail(scene, hands, settings)
-    blur = Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, False, "a pinhole")
-    decisions = (*_reuse(scene, hands, settings), seen, smooth, *light, *blur, crop)
+    detail, seen = plan_detail(scene, views, settings)
+    decisions = (*_reuse(scene, hands, settings), seen, smooth, *light, *NO_BLUR, crop)
     return EffectPlan(decisions, box, strength, enlarged, plain, detail=detail)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:
-    return sum(len(hand.avatar) for hand in hands)
+    return sum(hand.count for hand in hands)
 
 
 def _reuse(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> list[Decision]:
@@ -193,8 +201,8 @@ def _reuse(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -
         lost = "{0:.2g} mm of skin" if moved_m else "0"
         decisions = [Decision(Effect.SKIN, False, "nearly the same pose", lost, worst, cost, (1e3 * moved_m,))]
     learned = [(hand, hand.learned) for hand in hands if hand.learned is not None]
-    network_ms = sum(len(hand.avatar) * (NETWORK_MS if hand.keeps_correctives else LINEAR_MS) for hand, _ in learned)
-    cast_ms = CAST_MS * sum(len(hand.avatar) for hand, _ in learned)
+    network_ms = sum(hand.count * (NETWORK_MS if hand.keeps_correctives else LINEAR_MS) for hand, _ in learned)
+    cast_ms = CAST_MS * sum(hand.count for hand, _ in learned)
     for effect, has_any, lost, cost in (
         (Effect.CORRECTIVES, any(one.correctives for _, one in learned), "skin and shade of creases", network_ms),
         (Effect.CAST, any(one.cast for _, one in learned), "shadows of the fingers on the hand", cast_ms),
@@ -239,31 +247,27 @@ def _filter(
     return enlarged, plain, Decision(Effect.FILTER, enlarged > 1, why, lost, worst, cost, (*figures, enlarged))
 
 
-def plan_detail(
-    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings
-) -> tuple[tuple[float, ...], Decision]:
+def plan_detail(scene: Scene, views: Sequence[View], settings: RenderSettings) -> tuple[tuple[float, ...], Decision]:
     """Strength of each hand's detail, 0..1, and why: a pixel that covers much skin sees a mean of its texture, of which
     nothing may be left."""
     effects = settings.effects
     if not effects.allows(Effect.DETAIL):
         return (), Decision(Effect.DETAIL, False, NOT_CHOSEN, "smooth skin", None)
-    if all(hand.avatar.detail is None for hand in hands):
+    if all(view.hand.avatar.detail is None for view in views):
         return (), Decision(Effect.DETAIL, False, "no hand has a texture of it")
     seen, spans, cost = [], [], 0.0
-    for hand, bones, (pixels, depth) in zip(hands, scene.bones, scene.seen_joints, strict=True):
-        detail = hand.avatar.detail
+    for view, extent in zip(views, scene.extents_px, strict=True):
+        detail = view.hand.avatar.detail
         if detail is None:
             seen.append(0.0)
             continue
         # of the boxes in which the skin is, a forearm's behind the wrist too; from within them it is seen at any size
-        forward = scene.camera.camera_from_world[2]
-        depth_m = (hand.corners_m(bones.maps) + bones.root_m) @ forward[:3] + forward[3]
-        nearest_m = float(depth_m.min(initial=math.inf)) - sum(hand.reach_m(bones, settings.alpha_min))
-        size = bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
+        nearest_m = view.lows_m[2] - view.splat_m - view.offset_by_m
+        size = view.bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
         spans.append(detail.texels_per_m / max(size, 1e-9))
-        seen.append(math.expm1(hand.detail_power * detail.strongest(spans[-1])))
-        extent = min(extent_px(pixels, depth, scene.camera), scene.camera.width, scene.camera.height)
-        cost += len(detail.faces) * FACE_MS + 0.5 * extent**2 * TEXEL_MS
+        seen.append(math.expm1(view.hand.detail_power * detail.strongest(spans[-1])))
+        side = min(extent, scene.camera.width, scene.camera.height)
+        cost += len(detail.faces) * FACE_MS + 0.5 * side**2 * TEXEL_MS
     strengths = tuple(1.0 if effects.forces(Effect.DETAIL) else min(max(s / DETAIL_UNSEEN - 1, 0.0), 1.0) for s in seen)
     worst, figures = max(seen), (min(spans), 100 * max(seen))
     if not any(strengths):
@@ -296,11 +300,10 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     """
     looks = [hand.look for hand in hands if hand.look is not None]
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
-    extents_px = [extent_px(pixels, depth, scene.camera) for pixels, depth in scene.seen_joints]
     darkest = max((max(look.tint) for look in looks), default=0.0)
     near = len(hands) > 1 and gap_between(scene.joints_m) < GATE_RADIUS_M
     seen = max((_seen(hand, near=near) for hand in hands), default=0.0)
-    large = 1.0 if always else fade_with_size(max(extents_px))
+    large = 1.0 if always else fade_with_size(max(scene.extents_px))
     gated = [hand.gated for hand in hands]
     strength, worst, figure = 0.0, darkest, 0.0
     if settings.shadow is ShadowMode.OFF:
@@ -312,7 +315,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     elif seen <= SHADOW_UNSEEN and not always:
         why, figure, worst = "seen by {0:.1f} of 255 steps", 255 * seen, seen
     elif large == 0:
-        why, figure, worst = "hand {0:.0f} px", max(extents_px), min(darkest, SHADOW_MISSED)
+        why, figure, worst = "hand {0:.0f} px", max(scene.extents_px), min(darkest, SHADOW_MISSED)
     elif always and not any(gated):
         why, strength = "on every frame", 1.0
     else:
@@ -323,7 +326,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
         if strength == 0:
             # colors that were learned under a shadow that fades with the pose have in them what it leaves out
             worst = 0.0 if all(gated) else min(darkest, SHADOW_MISSED)
-    sides = [min(extent, max(scene.camera.width, scene.camera.height)) for extent in extents_px]
+    sides = [min(extent, max(scene.camera.width, scene.camera.height)) for extent in scene.extents_px]
     # the boxes of the joints, half filled
     cost = 0.5 * sum(side * min(side, scene.camera.height) for side in sides) * settings.shadow_samples * SHADOW_MS
     lost = "darker by up to {1:.0f} %"

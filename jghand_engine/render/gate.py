@@ -130,9 +130,10 @@ def fade_with_size(size_px: float) -> float:
 def extent_px(pixels: np.ndarray, depth_m: np.ndarray, camera: Camera) -> float:
     """The longer side of the box around a hand on the image, of joints that `camera.project` put there; infinite when
     the camera is inside the hand."""
-    if not (depth_m > Z_NEAR_M).all():
+    nearest_m = float(depth_m.min())
+    if not nearest_m > Z_NEAR_M:
         return math.inf
-    flesh_px = 2e-3 * max(CAPSULE_RADII_MM) * camera.px_per_meter(float(depth_m.min()))
+    flesh_px = 2e-3 * max(CAPSULE_RADII_MM) * camera.px_per_meter(nearest_m)
     return float((pixels.max(0) - pixels.min(0)).max()) + flesh_px
 
 

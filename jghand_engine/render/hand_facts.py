@@ -27,6 +27,7 @@ class HandFacts:
     """What plans need to know of an avatar, found once.
 
     avatar:            as it is drawn, see `strip_disabled`
+    count:             of its Gaussians
     joints_m:          (21, 3) of the canonical hand, root-relative
     gate:              of its shadow
     look:              of its shadow; None where it was learned without one
@@ -39,7 +40,7 @@ class HandFacts:
     """
 
     def __init__(self, avatar: HandAvatar, detail_power: float = 1.0) -> None:
-        self.avatar, self.learned, self.detail_power = avatar, avatar.learned, detail_power
+        self.avatar, self.count, self.learned, self.detail_power = avatar, len(avatar), avatar.learned, detail_power
         self.joints_m = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
         self.gate = ShadowGate(avatar.canonical_joints_m)
         self.look = ShadowLook() if self.learned is None else self.learned.shadow
@@ -73,22 +74,22 @@ class HandFacts:
         return seen * max(bones.scale, 1.0), self._offset_m * longest
 
     def corners_m(self, maps: np.ndarray) -> np.ndarray:
-        """(K, 3) points relative to the hand's root whose hull holds every skinned place. maps: of `Bones`"""
-        return (maps[self._moving] @ self._corners_m).transpose(0, 2, 1).reshape(-1, 3)
+        """(3, K) points relative to the hand's root whose hull holds every skinned place. maps: of `Bones`"""
+        return (maps[self._moving] @ self._corners_m).swapaxes(0, 1).reshape(3, -1)
 
     def skin_change_m(self, new: Bones, old: Bones) -> float:
         """How far a point of the skin is from where another pose has it, at most, correctives that change apart: a
         skinned point is a mean of what its bones make of it, so that it moves less than some corner of a bone's box."""
         change = new.maps.astype(np.float64) - old.maps
         corners_m = self.corners_m(change)
-        moved_m = math.sqrt(np.square(corners_m).sum(1).max(initial=0.0))
+        moved_m = math.sqrt(np.square(corners_m).sum(0).max(initial=0.0))
         # offsets turn with the hand, by no more than twice what their bones' maps change
         turned = 2 * math.sqrt(np.square(change[:, :, :3]).sum((1, 2)).max())
         return moved_m + turned * self._offset_m + float(np.linalg.norm(new.root_m - old.root_m))
 
 
 def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
-    """(21 or more,) bool which maps move anything; (maps, 4, 8) corners of the boxes around it, canonical,
+    """Numbers of the maps that move anything; (maps, 4, 8) corners of the boxes around it, canonical,
     root-relative, and ones.
 
     A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
@@ -99,4 +100,4 @@ def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     moving = np.asarray(moves.any(1))
     ends = [np.stack([relative[rows].min(0), relative[rows].max(0)], 1) for rows in moves[moving]]
     corners = [np.stack(np.meshgrid(*pair, [1.0], indexing="ij")).reshape(4, 8) for pair in ends]
-    return moving, np.array(corners).reshape(-1, 4, 8)
+    return np.flatnonzero(moving), np.array(corners).reshape(-1, 4, 8)

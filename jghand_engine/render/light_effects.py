@@ -58,7 +58,7 @@ def light_decisions(
 ) -> list[Decision]:
     """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene`"""
     lit_hands = [
-        (one, hand.joints_m, hand.learned.response, len(hand.avatar))
+        (one, hand.joints_m, hand.learned.response, hand.count)
         for one, hand in zip(bones, hands, strict=True)
         if hand.learned is not None and hand.learned.response is not None
     ]
@@ -68,15 +68,16 @@ def light_decisions(
     light, limits, count = lit.light, limits_of(choice), sum(gaussians for *_, gaussians in lit_hands)
     each = [shares_on(light, one, joints_m)[0] for one, joints_m, _, _ in lit_hands]
     # of several hands the one that gets the most
-    shares = np.max(each, axis=0)[:-1]
+    most = each[0] if len(each) == 1 else np.max(each, axis=0)
+    shares = most[:-1]
     world = max(
         world_shade(share, response.bounce, limits) for share, (_, _, response, _) in zip(each, lit_hands, strict=True)
     )
-    weight = lamp_weights(np.max(each, axis=0), limits)
+    weight = lamp_weights(most, limits)
     mirrors = any(response.mirrors for _, _, response, _ in lit_hands)
     decisions = [
         _lamps(shares, weight, count),
-        _lamp_shadows(light, shares, weight, count, choice),
+        _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
         _world_shadow(*world, count, choice),
         _gloss(light, weight, count, choice) if mirrors else _matt(choice),
     ]
@@ -108,9 +109,11 @@ def _lamps(shares: np.ndarray, weight: np.ndarray, count: int) -> Decision:
     return Decision(Effect.LAMPS, True, why, "dark", None, drawn * count * LAMP_MS, figures)
 
 
-def _lamp_shadows(light: SceneLight, shares: np.ndarray, weight: np.ndarray, count: int, choice: Choice) -> Decision:
+def _lamp_shadows(
+    light: SceneLight, shares: np.ndarray, weight: np.ndarray, count: int, choice: Choice, limit: float
+) -> Decision:
     casts = (weight > 0) & np.array([lamp.has_shadow for lamp in light.lamps], bool)
-    shade = fade(shares, limits_of(choice).lamp_shadow) * casts
+    shade = fade(shares, limit) * casts
     drawn, figures = int((shade > 0).sum()), (100 * float((shares * casts) @ (1 - shade)),)
     out, lost = int(casts.sum()) - drawn, "shadows in the light of lamps"
     if not choice.allows(Effect.LAMP_SHADOW):

@@ -33,7 +33,7 @@ from jghand_engine.native.rasterizer import check_image_size
 from jghand_engine.render.backend import Backend, Canvas, Pose
 from jghand_engine.render.blur import Hand, Moment, check_moments, middle
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import NOWHERE, views_box
+from jghand_engine.render.crop import NOWHERE, View, views_box
 from jghand_engine.render.effect_plan import Decision, Effect, EffectPlan
 from jghand_engine.render.effects import (
     Scene,
@@ -284,14 +284,14 @@ class SceneRenderer:
 
     def _seen_hands(self, moments: Sequence[Moment]) -> list[int]:
         """Numbers of the hands that are in the image at some of the moments, or pass it between them."""
-        at = [(moment, _rays(moment.camera)) for moment in moments]
+        at, alpha_min = [(moment, _rays(moment.camera)) for moment in moments], self.settings.alpha_min
 
-        def views(hand: int) -> Iterator[tuple[np.ndarray, Bones, HandFacts, Camera]]:
+        def views(hand: int) -> Iterator[View]:
             for moment, cameras in at:
                 bones, joints_m = _bones(self._transforms[hand], HandPose.of(moment.hands[hand])), moment.joints_m[hand]
-                yield from ((joints_m, bones, self._facts[hand], camera) for camera in cameras)
+                yield from (View(joints_m, bones, self._facts[hand], camera, alpha_min) for camera in cameras)
 
-        return [hand for hand in range(len(self._facts)) if views_box(views(hand), self.settings.alpha_min).width]
+        return [hand for hand in range(len(self._facts)) if views_box(views(hand), alpha_min).width]
 
     # ---- the image -------------------------------------------------------------------------------------------------
 

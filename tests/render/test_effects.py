@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -32,9 +32,11 @@ from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.render.crop import views_box
 from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
 from jghand_engine.render.hand_facts import HandFacts
+from jghand_engine.render.image import Box
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode, preset
 
@@ -62,6 +64,10 @@ def camera(width: int = 200, height: int = 160, *, away_m: float = 0.5, focal_px
 
 def difference(first: Frame, second: Frame) -> float:
     return float(np.abs(first.rgba - second.rgba).max())
+
+
+def box_of(scene: effects.Scene, hands: Sequence[HandFacts]) -> Box:
+    return views_box(scene.views(hands, contract.ALPHA_MIN), contract.ALPHA_MIN)
 
 
 def plan_of(frame: Frame):
@@ -478,7 +484,7 @@ def test_nothing_is_seen_outside_of_the_hands_box(joints_of, avatar):
         frame = scene.render([joints_of(avatar)], view)
         posed = scene._posed
         assert posed is not None
-        box = posed.scene(view).box(scene._facts, contract.ALPHA_MIN)
+        box = box_of(posed.scene(view), scene._facts)
         outside = frame.rgba[..., 3].copy()
         outside[box.top : box.top + box.height, box.left : box.left + box.width] = 0
         assert float(outside.max()) == 0
@@ -499,7 +505,7 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avat
             continue
         frame = scene.render([joints], view)
         bones = [avatar.skeleton().bones(joints)]
-        box = effects.Scene([joints], bones, view).box([HandFacts(avatar)], contract.ALPHA_MIN)
+        box = box_of(effects.Scene([joints], bones, view), [HandFacts(avatar)])
         outside = frame.rgba[..., 3].copy()
         outside[box.slices] = 0
         assert float(outside.max()) == 0
@@ -515,7 +521,7 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_that_another_one_softens()
     scene = SceneRenderer(avatars, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
     frame = scene.render(joints, view)
     bones = [avatar.skeleton().bones(each) for avatar, each in zip(avatars, joints, strict=True)]
-    box = effects.Scene(joints, bones, view).box([HandFacts(avatar) for avatar in avatars], contract.ALPHA_MIN)
+    box = box_of(effects.Scene(joints, bones, view), [HandFacts(avatar) for avatar in avatars])
     outside = frame.rgba[..., 3].copy()
     assert float(outside[box.slices].max()) > 0.5
     outside[box.slices] = 0
@@ -682,7 +688,7 @@ def test_a_hand_behind_the_camera_takes_one_picture_and_nothing_is_drawn(monkeyp
 def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
     here, facts, bones_of = pose("open"), HandFacts(RIGHT), RIGHT.skeleton().bones
     alone, both = (
-        effects.Scene(all_m, [bones_of(one) for one in all_m], camera()).box([facts] * len(all_m), contract.ALPHA_MIN)
+        box_of(effects.Scene(all_m, [bones_of(one) for one in all_m], camera()), [facts] * len(all_m))
         for all_m in ([here], [here + BEHIND_M, here])
     )
     assert both == alone
@@ -691,7 +697,7 @@ def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
 
 def test_parallel_rays_that_begin_within_a_hand_may_meet_it_anywhere():
     view = replace(camera(away_m=0.03, side_m=0.02), orthographic=True)
-    box = effects.Scene([pose("open")], [RIGHT.skeleton().bones(pose("open"))], view).box([HandFacts(RIGHT)], 1 / 255)
+    box = box_of(effects.Scene([pose("open")], [RIGHT.skeleton().bones(pose("open"))], view), [HandFacts(RIGHT)])
     assert (box.left, box.top, box.width, box.height) == (0, 0, view.width, view.height)
 
 
