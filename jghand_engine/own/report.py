@@ -21,6 +21,7 @@ from jghand_engine.learn.metrics import compare
 from jghand_engine.own.gather import FEW_PICTURES
 from jghand_engine.own.light_and_skin import OwnHand
 from jghand_engine.own.masks import wrist_side
+from jghand_engine.own.skin_prior import believed
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.framing import framing_camera
 from jghand_engine.render.renderer import SceneRenderer
@@ -29,8 +30,7 @@ from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 # of a film every so manieth picture is held out
 HELD_OUT_EVERY = 8
-# pictures a Gaussian was seen in: colors from none to so many and more
-SEEN_MANY = 3.0
+# of the map: skin that is invented, and skin that pictures show
 UNSEEN_RGB, SEEN_RGB = np.array([0.80, 0.22, 0.16]), np.array([0.16, 0.55, 0.32])
 # of the sheet: pictures of the film, poses that are drawn anew, pixels of one
 SHEET_PICTURES, SHEET_POSES, SHEET_PX = 4, ("open", "fist", "point", "relaxed"), 256
@@ -87,9 +87,8 @@ def side_scores(rgba: np.ndarray, rgb: np.ndarray, mask: np.ndarray, side: np.nd
 
 
 def seen_map(own: OwnHand, edge_px: int = SHEET_PX) -> dict[str, np.ndarray]:
-    """The hand's palm and back, (H, W, 3) uint8, green where many pictures show it, red where none does and the skin is
-    a guess."""
-    share = np.clip(own.seen / SEEN_MANY, 0, 1)[:, None]
+    """The hand's palm and back, (H, W, 3) uint8, green where the skin is the film's, red where it is invented."""
+    share = believed(own.seen)[:, None]
     avatar, learned = own.avatar.for_hand(Handedness.RIGHT), own.avatar.learned
     assert learned is not None
     flat = replace(learned, response=None, light=no_light(), cast=None, correctives=None, distilled=None, shadow=None)
@@ -128,7 +127,7 @@ def write_report(
         "format": 1,
         "pictures": len(held),
         "held_out": numbers[held].tolist(),
-        "seen_part": float((shown * np.clip(own.seen, 0, 1)).sum() / shown.sum()),
+        "seen_part": float((shown * believed(own.seen)).sum() / shown.sum()),
         "mean": mean,
         "each": each,
     }

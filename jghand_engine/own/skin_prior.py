@@ -2,6 +2,7 @@
 
 The mean of procedural persons and its principal components (scripts/build_skin_prior.py), at every Gaussian's texture
 coordinates. Those that fit what was seen say what the rest is like; near what was seen, what the fit lacks goes on.
+Nothing is sudden: an edge would be seen.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.linalg import cg
 from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -17,16 +20,17 @@ from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS
 from jghand_engine.template.texture import sample_bilinear
 
-# pictures from which on a Gaussian counts as seen, or so much of what the best tenth has if that is less; no more than
-# so many count. A few pictures of many are bent fingers behind an outline that does not fit: a wall, or another finger
-SEEN, SEEN_PART, BEST_PART, SEEN_MOST = 2.0, 0.1, 0.9, 3.0
+# pictures that must show a Gaussian, or so much of what the best tenth has if that is less; from twice as many on they
+# are believed wholly. A few of many are bent fingers behind an outline that does not fit: a wall, or another finger
+SEEN, SEEN_PART, BEST_PART = 2.0, 0.1, 0.9
 # how far components may go from the mean, against how far they fit: variance of what no component holds. A shift of
 # each channel, which the strength and the white of the light leave open, is hardly held
 FIT_VARIANCE, SHIFT_SPREAD = 0.02, 10.0
-# seen Gaussians around one that was not seen; spread of their weight, and how far what was seen goes on, meters
-NEAREST, NEAR_M, FADE_M = 24, 0.006, 0.020
-# hardly seen, and unlike what is around: seen through a gap, or in a fold. Gaussians around; of their mean; logarithm
-AROUND, HARDLY_PART, UNLIKE = 16, 0.6, 0.2
+# neighbors of a Gaussian; over how far what the fit lacks is a mean of what was seen, and how far from there it fades,
+# meters; Gaussians are no nearer than this to one another
+AROUND, NEAR_M, FADE_M, APART_M = 16, 0.003, 0.020, 0.0003
+# hardly seen, and unlike what is around: seen through a gap, or in a fold. Of the neighbors' mean; logarithm
+HARDLY_PART, UNLIKE = 0.6, 0.2
 
 
 @dataclass(frozen=True)
@@ -44,56 +48,59 @@ class SkinPrior:
         looked_up = [sample_bilinear(one, uv) * size for one, size in zip(component, step, strict=True)]
         return cls(sample_bilinear(mean, uv), np.stack(looked_up))
 
-    def fitted(self, log_albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """(N, 3) the skin that is most likely, where (N,) pictures show some of it."""
-        count, known = len(self.components), seen > seen_from(seen)
+    def fitted(self, log_albedo: np.ndarray, belief: np.ndarray) -> np.ndarray:
+        """(N, 3) the skin that is most likely, where some of it is believed, see `believed`."""
+        count, known = len(self.components), belief > 0
         if not known.any():
             return self.mean
-        weight = np.sqrt(np.minimum(seen[known], SEEN_MOST))[:, None, None]
+        weight = np.sqrt(belief[known])[:, None, None]
         shifts = np.broadcast_to(np.eye(3), (int(known.sum()), 3, 3))
         columns = np.concatenate([self.components[:, known].transpose(1, 2, 0), shifts], -1)
         matrix = (weight * columns).reshape(-1, count + 3)
         right = (weight[..., 0] * (log_albedo - self.mean)[known]).reshape(-1)
-        held = np.append(np.ones(count), np.full(3, SHIFT_SPREAD**-2)) * FIT_VARIANCE * len(right)
+        held = np.append(np.ones(count), np.full(3, SHIFT_SPREAD**-2)) * FIT_VARIANCE * 3 * belief.sum()
         amount = np.linalg.solve(matrix.T @ matrix + np.diag(held), matrix.T @ right)
         return self.mean + np.tensordot(amount[:count], self.components, 1) + amount[count:]
 
 
-def seen_from(seen: np.ndarray) -> float:
-    """Pictures from which on one of (N,) Gaussians counts as seen."""
-    return min(SEEN, SEEN_PART * float(np.quantile(seen, BEST_PART)))
+def believed(seen: np.ndarray) -> np.ndarray:
+    """(N,) 0..1 how much of each Gaussian's skin is the film's; the rest is invented. seen: (N,) in pictures"""
+    least = min(SEEN, SEEN_PART * float(np.quantile(seen, BEST_PART)))
+    return (seen / max(least, 1e-6) - 1).clip(0, 1)
 
 
 def whole_skin(avatar: HandAvatar, albedo: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(N, 3) the albedo everywhere. albedo: (N, 3), where it was seen · seen: (N,) in pictures"""
-    least = seen_from(seen)
-    place_m, known = avatar.position_m.astype(np.float64), seen > least
-    log_albedo = _like_its_neighbors(np.log(albedo.astype(np.float64)), seen, place_m)
-    likely = SkinPrior.at(avatar).fitted(log_albedo, seen)
-    if not known.any():
-        return np.exp(likely)
-    lacking = (log_albedo - likely)[known]
-    distance_m, nearest = _nearest(place_m[known], place_m, NEAREST)
-    weight = np.exp(-np.square(distance_m / NEAR_M)) + 1e-9
-    spread = (weight[..., None] * lacking[nearest]).sum(1) / weight.sum(1, keepdims=True)
-    rest = likely + np.exp(-np.square(distance_m[:, :1] / FADE_M)) * spread
-    share = np.where(known, np.square(seen) / (np.square(seen) + least**2 + 1e-9), 0)[:, None]
-    return np.exp(share * log_albedo + (1 - share) * rest)
+    """(N, 3) the albedo everywhere, nowhere sudden. albedo: (N, 3), where it was seen · seen: (N,) in pictures"""
+    place_m, belief = avatar.position_m.astype(np.float64), believed(seen)
+    distance_m, nearest = map(np.asarray, KDTree(place_m).query(place_m, k=min(AROUND, len(place_m))))
+    log_albedo = _like_its_neighbors(np.log(albedo.astype(np.float64)), seen, nearest)
+    likely = SkinPrior.at(avatar).fitted(log_albedo, belief)
+    rest = likely + _going_on(log_albedo - likely, belief, distance_m, nearest)
+    return np.exp(rest + belief[:, None] * (log_albedo - rest))
 
 
-def _like_its_neighbors(log_albedo: np.ndarray, seen: np.ndarray, place_m: np.ndarray) -> np.ndarray:
-    """What was hardly seen and is unlike all around takes the mean of that."""
-    _, nearest = _nearest(place_m, place_m, AROUND)
+def _like_its_neighbors(log_albedo: np.ndarray, seen: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """What was hardly seen and is unlike all around takes the mean of that. nearest: (N, AROUND)"""
     weight = np.square(seen)[nearest][..., None] + 1e-6
     mean = (weight * log_albedo[nearest]).sum(1) / weight.sum(1)
     wrong = (np.abs(log_albedo - mean).max(1) > UNLIKE) & (seen < HARDLY_PART * seen[nearest].mean(1))
     return np.where(wrong[:, None], mean, log_albedo)
 
 
-def _nearest(points_m: np.ndarray, at_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and numbers (M, count) of the nearest points; fewer where there are fewer."""
-    distance_m, nearest = KDTree(points_m).query(at_m, k=list(range(1, min(count, len(points_m)) + 1)))  # pyright: ignore[reportArgumentType]
-    return np.asarray(distance_m), np.asarray(nearest)
+def _going_on(lacking: np.ndarray, belief: np.ndarray, distance_m: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """(N, 3) smooth f that is what the fit lacks (N, 3) where it is believed, and fades to 0 elsewhere:
+    belief^2 (f - lacking) / NEAR_M^2 + f / FADE_M^2 = f's Laplacian, by differences between neighbors (N, AROUND)."""
+    count, around = nearest.shape
+    rows = np.repeat(np.arange(count), around)
+    # on a plane the mean of 4 (f' - f) / distance^2 around is the Laplacian; each pair counts from both sides
+    weight = 2 / around / np.maximum(distance_m, APART_M).ravel() ** 2 * (rows != nearest.ravel())
+    one_way = coo_array((weight, (rows, nearest.ravel())), (count, count)).tocsr()
+    between = one_way + one_way.T
+    held = (belief / NEAR_M) ** 2
+    scale = 1 / (between.sum(1) + held + FADE_M**-2)
+    matrix = diags_array(1 / scale) - between
+    right, jacobi = held[:, None] * lacking, diags_array(scale)
+    return np.stack([cg(matrix, right[:, channel], rtol=1e-5, M=jacobi)[0] for channel in range(3)], -1)
 
 
 @cache

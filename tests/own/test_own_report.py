@@ -60,6 +60,17 @@ def test_the_report_is_a_sheet_and_figures(made, tmp_path):
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
 
 
+def test_skin_that_too_few_of_many_pictures_show_is_invented_and_not_counted_as_seen(made, tmp_path):
+    own, film, held = made
+    palm = own.avatar.position_m[:, 2] > np.median(own.avatar.position_m[:, 2])
+    some = film.part(np.arange(len(held)) == np.flatnonzero(held)[0])
+    few = replace(own, seen=np.where(palm, 20.0, 1.5))
+    none = replace(own, seen=np.where(palm, 20.0, 0.0))
+    told = [write_report(tmp_path, one, some, np.array([True]), np.zeros(1, int))["seen_part"] for one in (few, none)]
+    assert told[0] == told[1]
+    assert all((seen_map(few, 64)[name] == seen_map(none, 64)[name]).all() for name in seen_map(none, 64))
+
+
 def test_new_poses_are_those_of_the_own_bones(made):
     own, *_ = made
     longer = own.avatar.canonical_joints_m * (1.0, 1.3, 1.0)
