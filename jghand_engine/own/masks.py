@@ -31,6 +31,9 @@ WRIST_MARGIN_PART = 0.06
 # parts of the hand's size: thickness of the bones that are surely skin; how far from outline and bones the hand may
 # reach; width of the strip along the forearm that is no background
 BONE_PART, BAND_PART, FOREARM_PART = 0.03, 0.14, 0.6
+# what is surely the forearm, though wrists bend and are seen some millimeters off: from and to where behind the wrist,
+# and how wide, parts of the hand's size
+ARM_FROM_PART, ARM_TO_PART, ARM_WIDE_PART = 0.08, 0.3, 0.12
 # bins of each of the three channels; how far a color says something of its neighbors, bins of light and of color; a
 # color that was seen so seldom, of all pixels, says nothing
 COLOR_BINS, COLOR_SPREAD_BINS, RARE = 32, (1.5, 0.8, 0.8), 1e-7
@@ -38,6 +41,8 @@ COLOR_BINS, COLOR_SPREAD_BINS, RARE = 32, (1.5, 0.8, 0.8), 1e-7
 COLOR_BLUR_PX, ODDS_BLUR_PX = 0.8, 1.0
 # what the outline says, in the units of the colors' log odds: little, as it may be wrong; beyond SURE nothing is asked
 OUTLINE_ODDS, SURE_ODDS = 1.5, 3.0
+# of the skin's own colors, whatever their light, the rarest this part is not taken for skin where there should be some
+SKIN_RARE = 0.02
 # a pixel's background is known that was seen so often without the hand; of a camera that stands still so large a part
 # of what is not the hand is the background of that very pixel, and the rest is something that came to it
 STILL_SEEN_MIN, STILL_PART = 3, 0.9
@@ -87,6 +92,7 @@ class Zones:
     band:    where the hand can be: on and about the outline and the bones
     bones:   where the detector saw bones: surely skin
     away:    surely not the hand, and not its forearm
+    arm:     a strip along the middle of the forearm, from the wrist on
     side:    on the hand's side of the wrist
     """
 
@@ -94,6 +100,7 @@ class Zones:
     band: np.ndarray
     bones: np.ndarray
     away: np.ndarray
+    arm: np.ndarray
     side: np.ndarray
 
 
@@ -103,7 +110,7 @@ def zones_of(landmarks_px: np.ndarray, joints_px: np.ndarray, outline: np.ndarra
     cv2 = opencv()
     count, height, width = outline.shape
     side = wrist_side(joints_px, width, height)
-    band, bones, away = (np.zeros(outline.shape, bool) for _ in range(3))
+    band, bones, away, arm = (np.zeros(outline.shape, bool) for _ in range(4))
     normals, _ = wrist_lines(joints_px)
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     for at, size in zip(range(count), hand_size_px(joints_px), strict=True):
@@ -117,7 +124,9 @@ def zones_of(landmarks_px: np.ndarray, joints_px: np.ndarray, outline: np.ndarra
         (nx, ny), (wx, wy) = normals[at], joints_px[at, 0]
         along, across = (x - wx) * nx + (y - wy) * ny, (y - wy) * nx - (x - wx) * ny
         away[at] = ~band[at] & ((along <= 0) | (np.abs(across) >= FOREARM_PART * size))
-    return Zones(outline, band, bones, away, side)
+        arm[at] = (along > ARM_FROM_PART * size) & (along < ARM_TO_PART * size)
+        arm[at] &= np.abs(across) < ARM_WIDE_PART / 2 * size
+    return Zones(outline, band, bones, away, arm, side)
 
 
 def hand_zones(avatar: HandAvatar, joints_m: np.ndarray, landmarks_px: np.ndarray, camera: Camera) -> Zones:
@@ -142,6 +151,13 @@ class FilmColors:
     def overlap(self) -> float:
         """What both have in common, 0..1."""
         return float(np.minimum(self.hand, self.background).sum())
+
+    def unlike_skin(self, rgb8: np.ndarray) -> np.ndarray:
+        """(H, W) bool: pixels of a picture (H, W, 3) uint8 whose color no skin has, in whatever light."""
+        hue = self.hand.sum(0).ravel()
+        rising = np.sort(hue)
+        least = rising[np.searchsorted(np.cumsum(rising), SKIN_RARE)]
+        return hue[_places(_seen_colors(rgb8)) % hue.size] < least
 
     @property
     def wall_rgb(self) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from films_of_bones import SIZE, SKIN, WALL, drawn_hands, film_of, started, zoned
+from films_of_bones import SIZE, SKIN, SLEEVE, WALL, drawn_hands, film_of, started, zoned
 from tracking_samples import CANONICAL_M, FPS, moving_poses, right_joints_m, seen, sight
 
 from jghand_engine.errors import InputError
@@ -113,6 +113,19 @@ def test_a_wall_with_the_color_of_the_skin_is_told(good):
     rgb = np.where((good.pictures.rgb_u8 == SKIN).all(-1)[..., None], SKIN, np.array(SKIN) + MARBLE / 4)
     case = replace(good, pictures=replace(good.pictures, rgb_u8=rgb.astype(np.uint8)))
     assert case.words()["skin and background"].startswith("The wall has the color of the skin.")
+
+
+def test_a_sleeve_behind_the_wrist_is_told_and_the_film_is_used(good):
+    joints_px, zones = zoned()
+    sleeve = film_of(joints_px, SLEEVE)
+    found = replace(good, pictures=sleeve).words()
+    assert found["sleeve"].startswith("Behind the wrist no bare forearm is seen, least at 0:0")
+    refuse(picture_findings(sleeve, good.start, zones, film_colors(sleeve, zones)))
+    # in the shade of the hand an arm is bare still, and so it is where some pictures show something before it
+    shady = changed(good, np.where(zones.arm[..., None], 0.6, 1.0))
+    assert "sleeve" not in shady.words()
+    some = np.where((np.arange(6) < 2)[:, None, None, None] & zones.arm[..., None], SLEEVE, good.pictures.rgb_u8)
+    assert "sleeve" not in replace(good, pictures=replace(good.pictures, rgb_u8=some.astype(np.uint8))).words()
 
 
 def test_what_faces_the_camera_and_which_pictures_are_the_ruler_is_known(good):
