@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
@@ -68,6 +69,9 @@ FACING, SQUARE = 0.5, 0.8
 LOG_NOISE, INDEPENDENT = 0.15, 0.05
 # of albedos: the same, and where two pictures disagree
 ALBEDO_NOISE, ALBEDO_ROUNDS, DISAGREE = 0.12, 3, 0.12
+# Gaussians around one, itself included, that agree on which pictures they believe: one by one they would be freckled
+# where a shadow from outside lies in half of them
+AROUND = 24
 # gloss is at most so much of what pictures show of a Gaussian, in any channel: in a shadow from outside, of which the
 # world does not know, it would take more than all, and leave black skin
 GLOSS_PART_MAX = 0.6
@@ -129,6 +133,8 @@ class LitFilm:
         self.response = ResponseTensors.of(learned.response, torch.float32)
         self._directions = torch.from_numpy(lamp_directions(CELLS)).float()
         self.observed = observed
+        _, around = KDTree(avatar.position_m).query(avatar.position_m, k=min(AROUND, len(avatar)))
+        self.around = torch.from_numpy(np.asarray(around))
         joints_m = hand.canonical_joints_m
         self._anchors, self._visible = zip(*(self._seen_of_world(one, joints_m) for one in observed.shown), strict=True)
 
@@ -155,12 +161,13 @@ class LitFilm:
         return torch.stack(own), torch.stack(thrown)
 
     @torch.no_grad()
-    def answers(self, world: World) -> list[Answer]:
-        """Of the skin of each picture, as the renderer finds them."""
-        return [self._answer(number, SceneLight(world)) for number in range(len(self.observed))]
+    def answers(self, world: World, reflectance: Tensor | None = None) -> list[Answer]:
+        """Of the skin of each picture, as the renderer finds them. reflectance: (N,); None: the avatar's"""
+        response = self.response if reflectance is None else replace(self.response, reflectance=reflectance)
+        return [self._answer(number, SceneLight(world), response) for number in range(len(self.observed))]
 
-    def _answer(self, number: int, light: SceneLight) -> Answer:
-        one, anchors, response = self.observed.shown[number], self._anchors[number], self.response
+    def _answer(self, number: int, light: SceneLight, response: ResponseTensors) -> Answer:
+        one, anchors = self.observed.shown[number], self._anchors[number]
         count, white = len(one.position_m), torch.ones_like(one.position_m)
         fallen = Shadows(self._visible[number], torch.zeros(0, len(self._cast.anchors)), torch.zeros(0, count))
         skin, eye_m = Skin(one.position_m - one.bones.root_m, one.normal), -one.bones.root_m
@@ -169,8 +176,8 @@ class LitFilm:
         return Answer(lit, towards_eye(torch.zeros_like(white), skin, eye_m, got, light, _NO_LAMPS, response))
 
 
-def film_light(film: LitFilm) -> World:
-    """The world that the hand stands in."""
+def film_light(film: LitFilm) -> tuple[World, list[Answer]]:
+    """The world that the hand stands in, and how skin with the avatar's gloss answers it."""
     observed, count = film.observed, min(LIGHT_GAUSSIANS, film.observed.color.shape[1])
     color, cosine = observed.color[:, :count], torch.stack([one.facing[:count] for one in observed.shown])
     squarely = ((cosine - FACING) / (SQUARE - FACING)).clamp(0, 1)
@@ -183,7 +190,7 @@ def film_light(film: LitFilm) -> World:
     precision = _precision(ways)
     # before anything is seen: towards the camera is +z, up in its pictures +y
     likely = torch.from_numpy(ways @ np.array([0.0, LIGHT_RISE / 2, LIGHT_FALL / 2])).float()[:, None].expand(CELLS, 3)
-    log_light, world = likely, World.of_cells(likely.exp().double().numpy())
+    log_light, world, answers = likely, World.of_cells(likely.exp().double().numpy()), []
     for _ in range(LIGHT_ROUNDS):
         target = (color - gloss).clamp_min(LEAST).log() - beyond - limb
         for _ in range(LIGHT_STEPS):
@@ -199,7 +206,7 @@ def film_light(film: LitFilm) -> World:
         gloss = torch.stack([answer.gloss[:count] for answer in answers])
         matt_rgb = torch.stack([answer.matt[:count] for answer in answers]).clamp_min(LEAST)
         beyond = matt_rgb.log() - _taken(log_light, own, thrown, film.response.bounce)
-    return world
+    return world, answers
 
 
 def _taken(log_light: Tensor, own: Tensor, thrown: Tensor, bounce: Tensor) -> Tensor:
@@ -310,11 +317,11 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
     Gaussians"""
     observed = film.observed
     best = len(observed) < FEW_PICTURES
-    world = film_light(film)
+    world, answers = film_light(film)
     weight, color = counted(observed.seen * observed.trust), list(observed.color)
-    film.response = replace(film.response, reflectance=_reflectance(film, film.answers(world), weight))
-    answers = film.answers(world)
-    albedo = _albedo(color, answers, weight, best=best)
+    reflectance = _reflectance(film, answers, weight)
+    answers = film.answers(world, reflectance)
+    albedo = _albedo(color, answers, weight, film.around, best=best)
     known = (weight.sum(0) > 0)[:, None]
     for _ in range(SHARPENED):
         # what no picture shows has the color of the rest: it shines through gaps
@@ -325,8 +332,8 @@ def seen_skin(film: LitFilm, opacity: Tensor) -> SeenSkin:
             with torch.enable_grad():
                 missing, _ = one.given_back(drawn, opacity)
             color.append(drawn + missing)
-        albedo = _albedo(color, answers, weight, best=best)
-    return SeenSkin(albedo, film.response.reflectance, weight.sum(0), world)
+        albedo = _albedo(color, answers, weight, film.around, best=best)
+    return SeenSkin(albedo, reflectance, weight.sum(0), world)
 
 
 def _reflectance(film: LitFilm, answers: list[Answer], counts: Tensor) -> Tensor:
@@ -336,21 +343,24 @@ def _reflectance(film: LitFilm, answers: list[Answer], counts: Tensor) -> Tensor
     return film.response.reflectance * (most / gloss.clamp_min(1e-12)).amin(1).where(gloss[:, 0] > 0, 1).clamp(0, 1)
 
 
-def _albedo(color: list[Tensor], answers: list[Answer], counts: Tensor, *, best: bool) -> Tensor:
-    """(N, 3) from colors (N, 3) in F pictures, each of which counts so much (F, N): their mean, what disagrees with the
-    others left out."""
+def _albedo(color: list[Tensor], answers: list[Answer], counts: Tensor, around: Tensor, *, best: bool) -> Tensor:
+    """(N, 3) from colors (N, 3) in F pictures, each of which counts so much (F, N): their mean, pictures left out that
+    disagree there with the others. around: (N, A) who else is there"""
     each = torch.stack([
         ((mean - answer.gloss) / answer.matt.clamp_min(LEAST)).clamp(LEAST, MOST).log()
         for mean, answer in zip(color, answers, strict=True)
     ])  # fmt: skip
-    weight = counts[..., None]
-    believed = weight.expand_as(each)
+    believed = counts
     middle = each[0]
     for _ in range(ALBEDO_ROUNDS):
-        middle = (believed * each).sum(0) / believed.sum(0).clamp_min(1e-6)
-        believed = weight / (1 + ((each - middle) / ALBEDO_NOISE).square())
+        middle = (believed[..., None] * each).sum(0) / believed.sum(0).clamp_min(1e-6)[:, None]
+        apart = counts * (each - middle).mean(-1)
+        apart = torch.stack([one[around].sum(1) / much[around].sum(1).clamp_min(1e-6)
+                             for one, much in zip(apart, counts, strict=True)])  # fmt: skip
+        believed = counts / (1 + (apart / ALBEDO_NOISE).square())
     if best:
         one = each[counts.argmax(0), torch.arange(counts.shape[1])]
+        weight = counts[..., None]
         apart = (weight * (each - middle).square()).sum(0) / weight.sum(0).clamp_min(1e-6)
         middle = torch.where(apart.amax(1, keepdim=True) > DISAGREE**2, one, middle)
     return middle.exp()
