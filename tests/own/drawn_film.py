@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from shaped_films import FPS, poses_of
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
@@ -13,7 +14,13 @@ from jghand_engine.color import linear_to_srgb, to_bytes
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.rotations import axis_rotation
+from jghand_engine.hand.sequence import bone_directions
+from jghand_engine.own.film import FilmPictures
+from jghand_engine.own.hand_fit import FittedHand
+from jghand_engine.own.make import Begun, Explained
 from jghand_engine.own.report import FilmView
+from jghand_engine.own.shape import SHAPE_COUNT
+from jghand_engine.own.start import Start
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -70,3 +77,13 @@ def film_of(avatar: HandAvatar, world: World | None, size: tuple[int, int] = (96
         masks.append(rgba[..., 3] > 0.5)
         joints.append(placed * MOTION_FROM_CAMERA)
     return FilmView(np.array(joints), camera, np.stack(pictures), np.stack(masks))
+
+
+def explained_of(shown: FilmView, residual: np.ndarray) -> Explained:
+    """A film that is fitted as it truly is, whose outlines are said to be off by so much, (F,)."""
+    numbers, canonical_m, poses = np.arange(len(residual)), plain_hand().canonical_joints_m, poses_of(len(residual))
+    landmarks, directions = shown.camera.project(shown.joints_m)[0], bone_directions(shown.joints_m)
+    start = Start(shown.camera, Handedness.RIGHT, landmarks, directions, poses, canonical_m)
+    pictures = FilmPictures(shown.pictures, numbers / FPS, numbers, "film.mp4", "ab", True)
+    fitted = FittedHand(shown.camera, poses, shown.joints_m, canonical_m, np.zeros(SHAPE_COUNT), residual)
+    return Explained(Begun(start, pictures, start, []), fitted, shown.masks)

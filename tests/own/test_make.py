@@ -11,18 +11,15 @@ import drawn_film
 import numpy as np
 import pytest
 from motion_errors import motion_errors
-from shaped_films import FOCAL_PX, FPS, HEIGHT, WIDTH, Film, film, poses_of
+from shaped_films import FOCAL_PX, FPS, HEIGHT, WIDTH, Film, film
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.own import exact, make
 from jghand_engine.own.checks import PICTURE_RESIDUAL_MAX, Finding
-from jghand_engine.own.film import FilmPictures, Looked, Source
-from jghand_engine.own.hand_fit import Effort, FittedHand
-from jghand_engine.own.make import Begun, Explained, exact_track, hand_of
-from jghand_engine.own.shape import SHAPE_COUNT
-from jghand_engine.own.start import Start
+from jghand_engine.own.film import Looked, Source
+from jghand_engine.own.hand_fit import Effort
+from jghand_engine.own.make import Explained, exact_track, hand_of
 from jghand_engine.track.detection import SeenHand
 from jghand_engine.track.hands_over_time import hands_over_time
 from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
@@ -39,14 +36,7 @@ def explained() -> Explained:
     """A film that is fitted as it truly is, one of whose pictures is said to be explained badly."""
     hand = drawn_film.plain_hand()
     shown = drawn_film.film_of(drawn_film.marked_hand(hand), drawn_film.window_world(), count=COUNT)
-    poses, numbers = poses_of(COUNT), np.arange(COUNT)
-    residual = np.where(numbers == BAD, 2 * PICTURE_RESIDUAL_MAX, 0.0)
-    landmarks = shown.camera.project(shown.joints_m)[0]
-    directions = bone_directions(shown.joints_m)
-    start = Start(shown.camera, Handedness.RIGHT, landmarks, directions, poses, CANONICAL_M)
-    pictures = FilmPictures(shown.pictures, numbers / FPS, numbers, "film.mp4", "ab", True)
-    fitted = FittedHand(shown.camera, poses, shown.joints_m, CANONICAL_M, np.zeros(SHAPE_COUNT), residual)
-    return Explained(Begun(start, pictures, start, []), fitted, shown.masks)
+    return drawn_film.explained_of(shown, np.where(np.arange(COUNT) == BAD, 2 * PICTURE_RESIDUAL_MAX, 0.0))
 
 
 def made(explained: Explained, work: Path) -> tuple[HandAvatar, list[Finding], dict]:
