@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import other_person
 import tyro
-from other_person import Somebody, as_person, other_detail, shading, somebody
+from other_person import Somebody, as_person, person_detail, somebody
 from PIL import Image
 
 from jghand_engine.avatar import BUILTIN
@@ -96,9 +96,6 @@ def main(options: Options) -> None:
     maps.mkdir(parents=True, exist_ok=True)
     load = partial(_somebody, trained, maps, options.texels)
     own = load(*TRAINED)
-    light = None if trained.detail is None else shading(trained.detail, own)
-    if light is not None:
-        print(f"texture: maps explain {light.r2:.1%}, {light.found:.2f} of the color's detail was found")
     digest = avatar_sha256(options.trained)
     files = [_kept(options.out / "builtin.jghand", digest, lambda: trained)]
     for name in options.only or FAMILY:
@@ -106,8 +103,8 @@ def main(options: Options) -> None:
         def made(name: str = name) -> HandAvatar:
             other = load(*FAMILY[name])
             avatar = as_person(trained, own, other)
-            if light is not None and avatar.detail is not None:
-                avatar = replace(avatar, detail=other_detail(avatar.detail, light, other))
+            if avatar.detail is not None:
+                avatar = replace(avatar, detail=person_detail(avatar.detail, other))
             return _told(avatar, f"JGHand {name}")
 
         identity, person = FAMILY[name]

@@ -6,26 +6,27 @@ the pose. It needs a hand that learned from a capture of procedural skin in know
     shape    Gaussians move by how far one identity lies from the other where both are driven by the same joints, with
              the relief of both that moves the mesh
     color    each Gaussian's albedo is multiplied by the ratio of both persons' maps over its footprint
-    detail   the other's: of its color what is finer than Gaussians, and what its relief does to light, as the learned
-             texture says that its own person's does
+    detail   the other's, which the trained person's own hand has, too: colors and relief of its maps. What a training
+             found of them, from sides that do not agree to a pixel, has a twentieth of their power
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail, log_ratios, ratio_bytes
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail, ratio_bytes
 from jghand_engine.avatar.learned import SkinResponse
+from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
 from jghand_engine.captures.making.person_skin import scatter_m
 from jghand_engine.captures.making.rig import Identity, load_identity
+from jghand_engine.captures.skin.canvas import MM
 from jghand_engine.captures.skin.color import RGB_LIMITS, ROUGHNESS_LIMITS
-from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps
+from jghand_engine.captures.skin.maps import SkinMaps
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
@@ -37,18 +38,18 @@ from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # the template's faces are split twice for the change of shape: 1.3 mm, as fine as Gaussians lie
 LEVELS = 2
-# spread of a Gaussian's footprint, mm: the median radius in a hand of 40,000. Detail is what is finer
+# spread of a Gaussian's footprint, mm: the median radius in a hand of 40,000
 FOOTPRINT_MM = 0.6
-# spreads between which the bands of the relief lie that explain a texture, texels
-BANDS_TEXELS = (0.0, 0.7, 1.4, 2.8, 5.6)
-# penalty of the least squares on coefficients of features of unit variance, as a part of the texels: bands are alike
-RIDGE = 1e-3
-# log ratio: 1.7 % of the light, three steps of a byte. Nobody sees finer ones, and a file keeps its 8 MB
+# detail is what is finer than this, mm: what is learned from many sides is blurred, and Gaussians show little of less
+DETAIL_MM = 1.5
+# of the relief what light does not show: it goes below the skin and comes out beside, where reliefs of a texel are
+# smoother, and a little less deep. Chosen by eye beside pictures of Cycles, at the truth's power of detail
+RELIEF_BLUR_MM, RELIEF_GAIN = 0.17, 0.9
+# blur of the colors, mm: half of the bytes, and nothing that is seen
+COLOR_BLUR_MM = 0.1
+# log ratio: 1.7 % of the light, three steps of a byte, and twice that of how hues differ. Nobody sees finer ones, and a
+# file keeps its 8 MB
 TEXTURE_STEP = 3 * LOG_RATIO_MAX / RATIO_STEPS
-# of the color's detail a texture has found nothing when it has less than this part of it
-FOUND_MIN = 0.05
-# texels that the least squares look at: every so many'th of a row and a column
-EVERY = 2
 
 
 @dataclass(frozen=True)
@@ -77,26 +78,11 @@ class Somebody:
 
     def blurred(self, values: np.ndarray) -> np.ndarray:
         """(S, S, C) a map as Gaussians can show it."""
-        sigma = FOOTPRINT_MM / self.texel_mm
-        return np.stack([gaussian_filter(one, sigma) for one in np.moveaxis(values, -1, 0)], -1)
-
-
-@dataclass(frozen=True)
-class Shading:
-    """What the learned texture says of the relief of its person.
-
-    bands: (K,) log of light by each of `relief_bands`, per mm; 0 where the texture says nothing
-    found: how much of the color's own detail, which is known, the texture has: 1 is all of it
-    r2:    part of the texture's variance that both explain
-    """
-
-    bands: np.ndarray
-    found: float
-    r2: float
+        return _blurred(self, values, FOOTPRINT_MM)
 
 
 def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
-    """The avatar of `own` as `other`, but for the texture of its detail (`other_detail`). Its joints at rest are the
+    """The avatar of `own` as `other`, but for its detail (`person_detail`). Its joints at rest are the
     other's.
 
     InputError for an avatar that did not learn in known light.
@@ -148,46 +134,20 @@ def _response(response: SkinResponse, own: Somebody, other: Somebody, uv: np.nda
 # ---- detail ----------------------------------------------------------------------------------------------------------
 
 
-def shading(detail: Detail, own: Somebody) -> Shading:
-    """By least squares of the texture, its channels' mean, on the color's and the relief's detail.
-
-    What is seen from many sides is learned blurred: of the color's detail, which is in the maps, less than all is
-    found. As much is missing of the relief's, so that both are divided by what was found.
-    """
-    skin = _resized(own.covered, detail.size)[::EVERY, ::EVERY, 0] > 0.5
-    color = color_detail(own, detail.size).mean(-1, keepdims=True)
-    rows = np.concatenate([color, relief_bands(own, detail.size)], -1)[::EVERY, ::EVERY][skin].astype(np.float64)
-    wanted = log_ratios(detail.texture)[::EVERY, ::EVERY][skin].mean(-1).astype(np.float64)
-    rows, wanted = rows - rows.mean(0), wanted - wanted.mean()
-    size = np.sqrt(np.square(rows).mean(0)).clip(1e-12)
-    scaled = rows / size
-    coefficients = np.linalg.solve(scaled.T @ scaled + RIDGE * len(rows) * np.eye(len(size)), scaled.T @ wanted) / size
-    found = float(coefficients[0])
-    bands = coefficients[1:] / found if found > FOUND_MIN else np.zeros(len(size) - 1)
-    left = wanted - rows @ coefficients
-    return Shading(bands, found, float(1 - left.var() / max(wanted.var(), 1e-12)))
-
-
-def other_detail(detail: Detail, light: Shading, other: Somebody) -> Detail:
-    """The detail with the texture of another's maps."""
-    relief = relief_bands(other, detail.size) @ light.bands.astype(np.float32)
-    texture = color_detail(other, detail.size) + relief[..., None]
-    steps = np.rint(texture / TEXTURE_STEP) * TEXTURE_STEP
-    return replace(detail, texture=ratio_bytes(steps * (_resized(other.covered, detail.size) > 0.5)))
-
-
-def color_detail(one: Somebody, size: int) -> np.ndarray:
-    """(size, size, 3) log of how much brighter each texel is than what Gaussians show there."""
-    return _resized(np.log(one.maps.rgb / one.blurred(one.maps.rgb)), size)
-
-
-def relief_bands(one: Somebody, size: int) -> np.ndarray:
-    """(size, size, K) how far each texel stands out from its neighborhood, mm, by the width of that, and how far it
-    lies below it, which light does not reach evenly. Of straight joints."""
-    height = _resized(np.sum([one.maps.fine[layer] for layer in FINE_LAYERS], axis=0)[..., None], size)[..., 0]
-    blurred = [height if spread == 0 else gaussian_filter(height, spread) for spread in BANDS_TEXELS]
-    bands = np.stack([fine - coarse for fine, coarse in pairwise(blurred)], -1)
-    return np.concatenate([bands, np.minimum(bands, 0)], -1)
+def person_detail(detail: Detail, one: Somebody) -> Detail:
+    """The detail with the colors and the relief of a person's maps."""
+    size = detail.size
+    skin = _resized(one.covered, size) > 0.5
+    color = _resized(np.log(one.maps.rgb / _blurred(one, one.maps.rgb, DETAIL_MM)), size)
+    color = gaussian_filter(color, (*[COLOR_BLUR_MM / one.texel_mm] * 2, 0))
+    green = color[..., 1:2]
+    color = TEXTURE_STEP * (np.rint(green / TEXTURE_STEP) + 2 * np.rint((color - green) / (2 * TEXTURE_STEP)))
+    fine = one.maps.fine
+    # as blender_addon/capture/scene.py mixes the maps by how bent the joints are
+    straight, bent = fine["static"] + fine["straight"] + fine["fold"], fine["static"] + 1.5 * fine["fold"]
+    height_m = RELIEF_GAIN * MM * _blurred(one, np.stack([straight, bent], -1), RELIEF_BLUR_MM)
+    height = np.rint(_resized(height_m, size) / HEIGHT_STEP_M).clip(-127, 127)
+    return replace(detail, texture=ratio_bytes(color * skin), relief=Relief((height * skin).astype(np.int8)))
 
 
 def _resized(values: np.ndarray, size: int) -> np.ndarray:
@@ -197,6 +157,11 @@ def _resized(values: np.ndarray, size: int) -> np.ndarray:
     step = (np.arange(size) + 0.5) / size
     uv = np.stack(np.broadcast_arrays(step[None, :], 1 - step[:, None]), -1)
     return sample_bilinear(values, uv).astype(np.float32)
+
+
+def _blurred(one: Somebody, values: np.ndarray, spread_mm: float) -> np.ndarray:
+    sigma = spread_mm / one.texel_mm
+    return np.stack([gaussian_filter(each, sigma) for each in np.moveaxis(values, -1, 0)], -1)
 
 
 def somebody(avatar: HandAvatar, name: str, person: Person, maps: SkinMaps) -> Somebody:

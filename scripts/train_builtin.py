@@ -3,7 +3,8 @@
     python scripts/train_builtin.py            # jghand_engine/assets/builtin_right.jghand
 
 Two hours of Cycles on two quiet cores, an hour of training on the pictures that the capture does not hold out, and some
-minutes of `jghand distill`; what is there already is kept, so it goes on where it was stopped.
+minutes of `jghand distill`; what is there already is kept, so it goes on where it was stopped. Its detail is that of
+the person's maps, not the learned one (scripts/other_person.py).
 """
 
 from __future__ import annotations
@@ -14,9 +15,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
+from build_family import TRAINED, kept_maps
+from other_person import person_detail, somebody
 
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.storage import Storage
+from jghand_engine.captures.making.person_skin import MAP_PX
 
 ASSETS = Path(__file__).resolve().parents[1] / "jghand_engine" / "assets"
 CAPTURE = ["--identity", "adult_woman", "--cameras", "12", "--close-ups", "3", "--poses", "44", "--lights", "varied"]
@@ -41,10 +46,18 @@ def main(options: Options) -> None:
     goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
     run("distill", trained, capture, "--out", baked, "--overwrite")
-    avatar = load_avatar(baked)
+    avatar = with_maps(load_avatar(baked), options.work)
     avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", license=LICENSE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)
     print(f"{options.out}: {len(avatar)} Gaussians, {options.out.stat().st_size / 1e6:.2f} MB")
+
+
+def with_maps(avatar: HandAvatar, folder: Path) -> HandAvatar:
+    """The avatar with the detail of its person's maps, which are kept in a folder."""
+    if avatar.detail is None:
+        return avatar
+    person = somebody(avatar, *TRAINED, kept_maps(folder, *TRAINED, MAP_PX))
+    return replace(avatar, detail=person_detail(avatar.detail, person))
 
 
 def run(*words: object) -> None:

@@ -41,7 +41,8 @@ def posed_surface(avatar: HandAvatar, joints_m: np.ndarray) -> tuple[np.ndarray,
     """(V, 3) world, meters, and the hand's scale."""
     detail, skeleton = avatar.detail, avatar.skeleton()
     bones = skeleton.bones(joints_m, np.float64)
-    maps = np.einsum("vb,bij->vij", detail.bone_weights.astype(np.float64), bones.linear_offset)
+    weights = avatar.map_weights(detail.position_m, detail.bone_weights).astype(np.float64)
+    maps = np.einsum("vb,bij->vij", weights, bones.linear_offset)
     relative = detail.position_m - avatar.canonical_joints_m[0]
     return np.einsum("vij,vj->vi", maps[..., :3], relative) + maps[..., 3] + bones.root_m, bones.scale
 

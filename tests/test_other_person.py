@@ -5,22 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from detail_samples import detail_of, flat
-from other_person import (
-    TEXTURE_STEP,
-    Somebody,
-    as_person,
-    color_detail,
-    other_detail,
-    relief_bands,
-    shading,
-    somebody,
-)
+from other_person import RELIEF_GAIN, Somebody, as_person, person_detail, somebody
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.detail import RATIO_STEPS, log_ratios, ratio_bytes
+from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.posing import Posing
+from jghand_engine.avatar.relief import HEIGHT_STEP_M
 from jghand_engine.captures.skin.maps import FINE_LAYERS, SkinMaps
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.errors import InputError
@@ -108,27 +100,24 @@ def test_the_left_hand_is_the_mirror_image_of_the_right(other):
     np.testing.assert_allclose(left.position_m * [-1, 1, 1], right.position_m, atol=2e-6)
 
 
-def test_what_the_texture_says_of_relief_is_found_however_blurred_it_was_learned(own, child):
-    bands = np.array([1.5, 0.0, -0.8, 0.0, 0.0, 0.0, 0.0, 0.4])
-    for learned in (1.0, 0.3):
-        texture = learned * (color_detail(own, TEXELS) + (relief_bands(own, TEXELS) @ bands)[..., None])
-        detail = detail_of(ratio_bytes(texture))
-        found = shading(detail, own)
-        assert found.found == pytest.approx(learned, abs=0.03)
-        assert found.r2 > 0.95
-        wanted = color_detail(child, TEXELS) + (relief_bands(child, TEXELS) @ bands)[..., None]
-        came = log_ratios(other_detail(detail, found, child).texture)
-        skin = child.covered[..., 0] > 0
-        assert np.abs(came - wanted)[skin].mean() < 3 * 0.7 / RATIO_STEPS
-
-
-def test_a_texture_that_learned_nothing_leaves_the_color_alone(own, child):
-    detail = detail_of(flat(TEXELS, 0.0))
-    found = shading(detail, own)
-    assert not found.bands.any()
+def test_detail_has_the_persons_fine_colors_and_no_wide_ones(child):
+    stripes = 1 + 0.2 * np.sin(2 * np.pi * np.arange(TEXELS) / 4)[:, None, None]
+    bright = np.linspace(0.2, 0.6, TEXELS)[None, :, None]
+    maps = replace(child.maps, rgb=np.broadcast_to(stripes * bright, (TEXELS, TEXELS, 3)).astype(np.float32))
+    came = log_ratios(person_detail(detail_of(flat(TEXELS, 0.5)), replace(child, maps=maps)).texture)[..., 1]
     skin = child.covered[..., 0] > 0
-    came = log_ratios(other_detail(detail, found, child).texture)
-    np.testing.assert_allclose(came[skin], color_detail(child, TEXELS)[skin].clip(-0.7, 0.7), atol=TEXTURE_STEP)
+    assert not came[~skin].any()
+    np.testing.assert_allclose(came[skin], np.broadcast_to(np.log(stripes[..., 0]), came.shape)[skin], atol=0.06)
+
+
+def test_wrinkles_of_straight_joints_go_and_folds_deepen_where_joints_bend(child):
+    flat_maps = {name: np.zeros((TEXELS, TEXELS), np.float32) for name in FINE_LAYERS}
+    for layer, straight, bent in (("static", 1, 1), ("straight", 1, 0), ("fold", 1, 1.5)):
+        fine = {**flat_maps, layer: np.full((TEXELS, TEXELS), 0.1, np.float32)}
+        one = replace(child, maps=replace(child.maps, fine=fine))
+        height = person_detail(detail_of(flat(TEXELS, 0.0)), one).relief.height[child.covered[..., 0] > 0]
+        wanted_m = 1e-4 * RELIEF_GAIN * np.array([straight, bent])
+        np.testing.assert_allclose(height * HEIGHT_STEP_M, np.broadcast_to(wanted_m, height.shape), atol=HEIGHT_STEP_M)
 
 
 def test_a_hand_without_known_light_is_no_albedo_and_is_refused(own, child):

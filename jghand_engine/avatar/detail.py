@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from jghand_engine.avatar.detail_mips import Mips, mips
+from jghand_engine.avatar.detail_mips import Mips, mips, skin_texels
+from jghand_engine.avatar.relief import LIGHT_CHANGE_MAX, Relief, Slopes
 
 # the log ratio of the bytes 1 and 255: colors are halved or doubled
 LOG_RATIO_MAX = 0.7
@@ -38,6 +39,7 @@ class Detail:
     texture:      (S, S, 3) uint8, S a power of two of 4 to 4096:
                   log(color / color of the Gaussians) = (byte - 128) / 127 * 0.7
     depth_m:      how far the blended depth of the Gaussians lies below the surface
+    relief:       what turns with the light, of as many texels; None for none
     """
 
     position_m: np.ndarray
@@ -46,6 +48,7 @@ class Detail:
     face_uv: np.ndarray
     texture: np.ndarray
     depth_m: float
+    relief: Relief | None = None
 
     @property
     def size(self) -> int:
@@ -53,9 +56,28 @@ class Detail:
         return self.texture.shape[0]
 
     @cached_property
+    def skin(self) -> np.ndarray:
+        """(S, S) bool, which texels show some."""
+        return skin_texels(self.face_uv, self.size)
+
+    @cached_property
     def mips(self) -> Mips:
         """What is drawn, made once."""
-        return mips(self.texture, self.face_uv)
+        return mips(self.texture, self.skin)
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(V, 3) unit, of the canonical skin; zero where no face is."""
+        corners, total = self.position_m[self.faces].astype(np.float64), np.zeros(self.position_m.shape)
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        for k in range(3):
+            np.add.at(total, self.faces[:, k], across)
+        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
+
+    @cached_property
+    def slopes(self) -> Slopes | None:
+        """What is drawn of the relief, made once."""
+        return None if self.relief is None else self.relief.slopes(self.skin)
 
     @cached_property
     def texels_per_m(self) -> float:
@@ -72,7 +94,8 @@ class Detail:
         return self.size * math.sqrt(float(spread[order][first])) if len(order) else math.inf
 
     def strongest(self, texels_per_px: float) -> float:
-        """The largest log ratio that is left of the texture where a pixel spans so many texels, or more."""
+        """The largest log ratio that is left of texture and relief where a pixel spans so many texels, or more; of
+        light from the side, which falls as steeply on the skin as the skin itself may be."""
         most = self._most
         level = float(mixed_level(min(math.log2(max(texels_per_px, 1.0)), len(most) - 1.0)))
         finer = int(level)
@@ -81,8 +104,12 @@ class Detail:
 
     @cached_property
     def _most(self) -> list[float]:
-        """The largest log ratio of each level."""
-        return (self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)).tolist()
+        """The same of each level."""
+        most = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
+        if self.slopes is not None:
+            steepest = self.slopes.most * (self.slopes.step_m * self.texels_per_m / self.size)
+            most = most + np.log1p(np.minimum(steepest, LIGHT_CHANGE_MAX))
+        return most.tolist()
 
 
 def mixed_level(level: float | np.ndarray) -> np.ndarray:

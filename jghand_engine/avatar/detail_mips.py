@@ -6,6 +6,7 @@ neighbors on it: a look-up at a seam meets nothing but skin.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,25 +33,38 @@ class Mips:
     most: np.ndarray
 
 
-def mips(texture: np.ndarray, face_uv: np.ndarray) -> Mips:
-    """texture (S, S, 3) bytes whose 128 is the ratio 1, S a power of two from 4 on; face_uv (F, 3, 2)."""
-    skin = skin_texels(face_uv, len(texture))
-    value = np.where(skin[..., None], texture.astype(np.float32) - 128, np.float32(0))
-    weight, steps, most = skin.astype(np.float32), [], []
+def mips(texture: np.ndarray, skin: np.ndarray) -> Mips:
+    """texture (S, S, 3) bytes whose 128 is the ratio 1, S a power of two from 4 on; skin as of `skin_texels`."""
+    levels, most, limit = [], [], TEXEL_ZERO - 1
+    values = texture.astype(np.float32)
+    values -= 128
+    for mean in averaged_levels(values, skin):
+        most.append(max(float(mean.max()), -float(mean.min())))
+        mean *= STEPS_PER_BYTE
+        steps = np.rint(mean, out=mean).clip(-limit, limit, out=mean).astype(np.int16)
+        levels.append(packed_texels(in_squares(steps)))
+    return Mips(np.concatenate(levels), np.array(most))
+
+
+def averaged_levels(values: np.ndarray, skin: np.ndarray) -> Iterator[np.ndarray]:
+    """The values (S, S, C) themselves, their means over twice as wide texels, and so on down to SQUARE; with rings.
+    Who takes one may change it. skin: (S, S) bool, which count; others become 0"""
+    value, weight = values, skin.astype(np.float32)
+    value[~skin] = 0
     while True:
         mean = value / np.maximum(weight, 1)[..., None]
-        most.append(float(np.abs(mean).max()))
-        for _ in range(RINGS):
-            skin = _with_ring(mean, skin)
-        steps.append(np.rint(STEPS_PER_BYTE * mean).astype(np.int32))
+        with_rings(mean, weight > 0)
+        yield mean
         if len(mean) == SQUARE:
-            break
+            return
         # sums: each texel counts as much as there is skin in it
         value, weight = _halved(value), _halved(weight)
-        skin = weight > 0
-    limit = TEXEL_ZERO - 1
-    in_squares = [_in_squares(level.clip(-limit, limit)) for level in steps]
-    return Mips(packed_texels(np.concatenate(in_squares)), np.array(most))
+
+
+def with_rings(values: np.ndarray, skin: np.ndarray) -> None:
+    """Gives texels around the skin, which a look-up there may meet, the mean of their neighbors, in place."""
+    for _ in range(RINGS):
+        skin = _with_ring(values, skin)
 
 
 def filled(texture: np.ndarray, skin: np.ndarray) -> np.ndarray:
@@ -67,10 +81,10 @@ def filled(texture: np.ndarray, skin: np.ndarray) -> np.ndarray:
     return np.rint(mean).astype(np.uint8)
 
 
-def _in_squares(texels: np.ndarray) -> np.ndarray:
-    """(S * S, 3) of (S, S, 3): squares of 4 x 4, which share a cache line, one after the other."""
+def in_squares(texels: np.ndarray) -> np.ndarray:
+    """(S * S, C) of (S, S, C): squares of 4 x 4, which share a cache line, one after the other."""
     count = len(texels) // SQUARE
-    return texels.reshape(count, SQUARE, count, SQUARE, 3).swapaxes(1, 2).reshape(-1, 3)
+    return texels.reshape(count, SQUARE, count, SQUARE, -1).swapaxes(1, 2).reshape(len(texels) ** 2, -1)
 
 
 def _halved(values: np.ndarray) -> np.ndarray:
@@ -85,7 +99,7 @@ def _with_ring(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     rows = padded[:-2] | padded[1:-1] | padded[2:]
     wider = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
     row, column = np.nonzero(wider & ~known)
-    total, count = np.zeros((len(row), 3), np.float32), np.zeros((len(row), 1), np.float32)
+    total, count = np.zeros((len(row), values.shape[2]), np.float32), np.zeros((len(row), 1), np.float32)
     for y in (-1, 0, 1):
         for x in (-1, 0, 1):
             there = padded[1 + row + y, 1 + column + x, None]

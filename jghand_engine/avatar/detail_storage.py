@@ -7,21 +7,25 @@
 | face_uv      | float32      | uint16                | 1/131070: a thirtieth of a texel of 4096      |
 | faces        | uint16       | uint16                | nothing                                       |
 | texture      | deflated     | deflated              | nothing                                       |
+| relief       | deflated     | deflated              | nothing                                       |
 
 The texture is deflated as differences: red and blue as what they have more than green, then each row as what it has
 more than the one above, modulo 256. Skin varies in all three together and little from row to row; unlike a PNG's best
-predictors, these are undone by numpy alone, which is all that Blender has.
+predictors, these are undone by numpy alone, which is all that Blender has. So is the relief, which may be missing: its
+heights where joints are bent as what they have more than where they are straight.
 """
 
 from __future__ import annotations
 
+import math
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from jghand_engine.avatar.detail import Detail
+from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.storage import (
     STORED_WEIGHTS,
     UINT16_MAX,
@@ -56,7 +60,7 @@ BOX_MAX_M = 10.0
 @dataclass(frozen=True)
 class DetailAbout:
     """What the JSON says. size: of the texture · texture_bytes: of the deflated one · box_m: of the vertices, low and
-    high corner"""
+    high corner · relief_bytes: as of the texture, 0 of no relief"""
 
     vertices: int
     faces: int
@@ -64,10 +68,11 @@ class DetailAbout:
     texture_bytes: int
     depth_m: float
     box_m: list[list[float]]
+    relief_bytes: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
+        """For JSON; of a detail without a relief as it was before there were any."""
+        return {name: value for name, value in asdict(self).items() if value or name != "relief_bytes"}
 
     @classmethod
     def parsed(cls, of: JsonObject) -> DetailAbout:
@@ -75,14 +80,21 @@ class DetailAbout:
         size, box_m = of.count("size", DETAIL_SIZE_MIN, DETAIL_SIZE_MAX), of.array("box_m", (2, 3))
         if not (np.abs(box_m) <= BOX_MAX_M).all():
             raise of.wrong("box_m", f"two corners within {BOX_MAX_M} m")
-        return cls(
+        about = cls(
             of.count("vertices", 3, DETAIL_VERTICES_MAX),
             of.count("faces", 1, DETAIL_FACES_MAX),
             size,
-            of.count("texture_bytes", 1, int(DEFLATED_MAX * 3 * size**2) + 64),
+            of.count("texture_bytes", 1, _deflated_max(3, size)),
             of.number("depth_m", 0, DETAIL_DEPTH_MAX_M),
             box_m.tolist(),
         )
+        if "relief_bytes" not in of.fields:
+            return about
+        return replace(about, relief_bytes=of.count("relief_bytes", 1, _deflated_max(2, size)))
+
+
+def _deflated_max(channels: int, size: int) -> int:
+    return int(DEFLATED_MAX * channels * size**2) + 64
 
 
 def expected_detail_arrays(about: DetailAbout, storage: Storage) -> dict[str, tuple[str, tuple]]:
@@ -93,6 +105,8 @@ def expected_detail_arrays(about: DetailAbout, storage: Storage) -> dict[str, tu
         "face_uv": ("F32" if exact else "U16", (about.faces, 3, 2)),
         "texture": ("U8", (about.texture_bytes,)),
     }
+    if about.relief_bytes:
+        arrays["relief"] = ("U8", (about.relief_bytes,))
     if exact:
         arrays |= {"position_m": ("F32", (about.vertices, 3)), "bone_weights": ("F32", (about.vertices, JOINT_COUNT))}
     else:
@@ -105,7 +119,7 @@ def pack_detail(detail: Detail, storage: Storage) -> tuple[dict[str, np.ndarray]
     """Arrays as they stand in a file, and what is said of them."""
     position_m, weights = detail.position_m.astype(np.float32), detail.bone_weights[:, LEVEL_OF_STANDARD]
     box_m = [position_m.min(0).tolist(), position_m.max(0).tolist()]
-    packed = {"faces": detail.faces.astype(np.uint16), "texture": _deflated(detail.texture)}
+    packed = {"faces": detail.faces.astype(np.uint16), "texture": _deflated(differences(detail.texture))}
     if storage is Storage.EXACT:
         packed |= {"position_m": position_m, "bone_weights": weights.astype(np.float32)}
         packed["face_uv"] = detail.face_uv.astype(np.float32)
@@ -116,6 +130,9 @@ def pack_detail(detail: Detail, storage: Storage) -> tuple[dict[str, np.ndarray]
     about = DetailAbout(
         len(position_m), len(detail.faces), detail.size, len(packed["texture"]), float(detail.depth_m), box_m
     )
+    if detail.relief is not None:
+        packed["relief"] = _deflated(_height_differences(detail.relief.height))
+        about = replace(about, relief_bytes=len(packed["relief"]))
     return {PREFIX + name: np.ascontiguousarray(array) for name, array in packed.items()}, about
 
 
@@ -138,8 +155,9 @@ def unpack_detail(packed: dict[str, np.ndarray], about: DetailAbout, thing: str)
         bone_weights=np.ascontiguousarray(weights, np.float32),
         faces=np.ascontiguousarray(own["faces"], np.int32),
         face_uv=np.ascontiguousarray(face_uv, np.float32),
-        texture=_inflated(own["texture"], about.size, thing),
+        texture=_colors(_inflated(own["texture"], (3, about.size, about.size), f"{thing}: texture of the detail")),
         depth_m=about.depth_m,
+        relief=_relief(own["relief"], about.size, thing) if about.relief_bytes else None,
     )
 
 
@@ -151,12 +169,34 @@ def differences(texture: np.ndarray) -> np.ndarray:
     return np.moveaxis(shades, -1, 0)
 
 
-def _deflated(texture: np.ndarray) -> np.ndarray:
-    return np.frombuffer(zlib.compress(differences(texture).tobytes(), DEFLATE_LEVEL), np.uint8)
+def _colors(shades: np.ndarray) -> np.ndarray:
+    """The inverse of `differences`."""
+    texture = np.moveaxis(np.add.accumulate(shades, axis=1, dtype=np.uint8), 0, -1).copy()
+    texture[..., ::2] += texture[..., 1:2]
+    return texture
 
 
-def _inflated(deflated: np.ndarray, size: int, thing: str) -> np.ndarray:
-    wanted, came = 3 * size * size, "damaged"
+def _height_differences(height: np.ndarray) -> np.ndarray:
+    """(2, S, S) bytes of (S, S, 2) heights."""
+    steps = np.moveaxis(height, -1, 0).astype(np.uint8)
+    steps[1] -= steps[0]
+    steps[:, 1:] -= steps[:, :-1].copy()
+    return steps
+
+
+def _relief(deflated: np.ndarray, size: int, thing: str) -> Relief:
+    steps = np.add.accumulate(_inflated(deflated, (2, size, size), f"{thing}: relief"), axis=1, dtype=np.uint8)
+    steps[1] += steps[0]
+    return Relief(np.ascontiguousarray(np.moveaxis(steps, 0, -1)).view(np.int8))
+
+
+def _deflated(content: np.ndarray) -> np.ndarray:
+    return np.frombuffer(zlib.compress(content.tobytes(), DEFLATE_LEVEL), np.uint8)
+
+
+def _inflated(deflated: np.ndarray, shape: tuple[int, int, int], what: str) -> np.ndarray:
+    """Bytes of a shape. InputError naming `what` for others."""
+    wanted, came = math.prod(shape), "damaged"
     unpacker = zlib.decompressobj()
     try:
         # one byte more than there should be shows a larger one, and no more is unpacked of it
@@ -165,8 +205,5 @@ def _inflated(deflated: np.ndarray, size: int, thing: str) -> np.ndarray:
     except zlib.error:
         content = b""
     if len(content) != wanted or not unpacker.eof:
-        raise InputError(f"{thing}: texture of the detail", wanted=f"{wanted} bytes", came=came, remedy=REMEDY)
-    shades = np.frombuffer(content, np.uint8).reshape(3, size, size)
-    shades = np.moveaxis(np.add.accumulate(shades, axis=1, dtype=np.uint8), 0, -1).copy()
-    shades[..., ::2] += shades[..., 1:2]
-    return shades
+        raise InputError(what, wanted=f"{wanted} bytes", came=came, remedy=REMEDY)
+    return np.frombuffer(content, np.uint8).reshape(shape)

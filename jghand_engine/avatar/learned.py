@@ -37,6 +37,8 @@ LOG_STRETCH_MAX = 3.0
 SH_COUNT = 16
 # anchors of the cast shadow that a Gaussian is interpolated from, and the whole numbers that their shares are of
 ANCHOR_NEIGHBORS = 3
+# distances to anchors count as longer by this, meters: no anchor takes all
+ANCHOR_SOFTENING_M = 1e-4
 SHARE_UNITS = 255
 
 # NumPy's arrays; tensors while a hand is learned
@@ -121,6 +123,16 @@ class Anchors(PerGaussian, Generic[Array]):
 
     def __len__(self) -> int:
         return len(self.position_m)
+
+
+def anchors_around(anchors: Anchors, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) those around canonical places (V, 3), and their shares, as of Gaussians."""
+    apart2_m2 = np.square(position_m).sum(1)[:, None] + np.square(anchors.position_m).sum(1)
+    apart2_m2 -= 2 * position_m @ anchors.position_m.T
+    nearest = np.argpartition(apart2_m2, ANCHOR_NEIGHBORS, axis=1)[:, :ANCHOR_NEIGHBORS]
+    distance_m = np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0))
+    share = 1 / (distance_m + ANCHOR_SOFTENING_M)
+    return nearest, (share / share.sum(1, keepdims=True)).astype(np.float32)
 
 
 @dataclass(frozen=True)

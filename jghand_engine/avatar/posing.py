@@ -18,7 +18,7 @@ from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
 from jghand_engine.avatar.lamp_rows import LIMITS, Limits
-from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.learned import Learned, anchors_around
 from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.scene_light_step import SceneLightStep
@@ -198,6 +198,10 @@ class Poser:
             raise InputError("colors without gloss", wanted="an avatar with a response", came="one without")
         return self._light.matt_rgb
 
+    def light_around(self, position_m: np.ndarray) -> LightAround | None:
+        """Around canonical places (V, 3), meters; None for an avatar without the shadows of its fingers."""
+        return None if self._light is None else self._light.around(position_m)
+
     def prepare_gloss(self, eye_m: np.ndarray) -> bool:
         """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
         when nothing is reflected or the pose was seen from there last."""
@@ -217,6 +221,20 @@ class Poser:
             self._call.jg_learned_gloss(self._gloss_team.ctypes.data, ctypes.addressof(self._light.task))
 
 
+@dataclass(frozen=True)
+class LightAround:
+    """The light that falls on places of a hand, which is known at the anchors of its cast shadow.
+
+    task:    of what poses the hand: must live as long
+    nearest: (V, 3) rows of the anchors around each
+    share:   (V, 3) float32 of each, sums to 1
+    """
+
+    task: LearnedTask
+    nearest: np.ndarray
+    share: np.ndarray
+
+
 class _Light:
     """What a trained avatar adds to skinning: correctives, light, the shadows that fingers cast, gloss."""
 
@@ -229,6 +247,7 @@ class _Light:
         self.task.lobes = len(self._arrays["lobe"])
         self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)
         self._cast = None if learned.cast is None else CastStep(learned.cast, avatar, blocks, self.task)
+        self._anchors = None if learned.cast is None else learned.cast.anchors
         self._scene = None
         if learned.response is not None and self._cast is not None:
             self._scene = SceneLightStep(learned.response, blocks, self._cast, self.task, limits)
@@ -237,6 +256,12 @@ class _Light:
     @property
     def matt_rgb(self) -> np.ndarray:
         return self._arrays["matt"][:, 3:].reshape(-1, 3, LANES).swapaxes(1, 2).reshape(-1, 3)
+
+    def around(self, position_m: np.ndarray) -> LightAround | None:
+        if self._cast is None or self._anchors is None:
+            return None
+        nearest, share = anchors_around(self._anchors, position_m)
+        return LightAround(self.task, self._cast.row_of_anchor[nearest], share)
 
     def prepare_scene(self, light: SceneLight | None, bones: Bones, *, keep_pose: bool = False) -> None:
         if self._scene is not None:

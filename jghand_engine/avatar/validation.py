@@ -89,6 +89,8 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
             "detail texture": (detail.texture, (side, side, 3), 0, 255),
         },
     )
+    if detail.relief is not None:
+        _check_ranges(thing, {"detail relief": (detail.relief.height, (side, side, 2), -128, 127)})
     total = detail.bone_weights.sum(1, dtype=np.float64)
     off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "detail bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total, "vertex")

@@ -9,7 +9,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import log_ratios
-from jghand_engine.avatar.detail_mips import filled, skin_texels
+from jghand_engine.avatar.detail_mips import filled
 from jghand_engine.avatar.relighting import detail_power
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
@@ -33,7 +33,7 @@ def with_detail_in_colors(avatar: HandAvatar) -> HandAvatar:
     size = min(MEAN_PX, detail.size)
     points_m, covered = rasterize_uv(detail.face_uv, detail.position_m[detail.faces], size)
     near = nearest_gaussians(points_m[covered], avatar.position_m, COLOR_NEIGHBORS)
-    ratios, part = log_ratios(filled(detail.texture, skin_texels(detail.face_uv, detail.size))), detail.size // size
+    ratios, part = log_ratios(filled(detail.texture, detail.skin)), detail.size // size
     means = ratios.reshape(size, part, size, part, 3).mean(axis=(1, 3))[covered]
     texels = np.maximum(np.bincount(near.ravel(), minlength=len(avatar)), 1)
     sums = [np.bincount(near.ravel(), channel.repeat(near.shape[1]), len(avatar)) for channel in means.T]
@@ -51,7 +51,7 @@ class SkinTexture:
         detail, self._ratio = avatar.detail, None
         if detail is not None:
             # beyond the islands the skin goes on, or filtering brings something else over their edges
-            texture = filled(detail.texture, skin_texels(detail.face_uv, detail.size))
+            texture = filled(detail.texture, detail.skin)
             self._ratio = np.exp(detail_power(avatar, in_scene=False) * log_ratios(texture))
 
     def of_colors(self, rgb: np.ndarray) -> np.ndarray:

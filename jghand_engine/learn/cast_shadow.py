@@ -34,6 +34,7 @@ from jghand_engine.avatar.cast_task import (
 )
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
+    ANCHOR_SOFTENING_M,
     CAPSULE_RADII_MM,
     SHARE_UNITS,
     Anchors,
@@ -43,9 +44,6 @@ from jghand_engine.avatar.learned import (
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.learn.light import smooth
 from jghand_engine.learn.planes import weighted_rows
-
-# distances of a Gaussian to its anchors count as longer by this, meters: no anchor takes all
-ANCHOR_SOFTENING_M = 1e-4
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,14 @@
 //   set up   per face the planes of what is interpolated, and what it may touch; groups of sixteen neighbors
 //   shade    per tile: the nearest face of each pixel, then the texture there; or the faces are told, for learning
 //
+// A relief is light that falls on skin of another slope: vertices ask how the light turns with their normal, and pixels
+// multiply that by how their own leans.
+//
 // What is nearer is a larger `near`, 1/z or, of parallel rays, -z: it is linear on the image, and so are the texture's
 // coordinates times it (of parallel rays: by themselves).
 #include "export.h"
 #include "projection.h"
+#include "scene_light.h"
 #include "shadow.h"
 #include "skin.h"
 #include "team.h"
@@ -28,7 +32,17 @@ struct DetailHand {
   float facing;              // sign of the area on the image of a face seen from outside
   float depth;               // m, of the Gaussians below the surface, times the hand's scale
   float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
-  float exponent;            // log2 of a ratio per step of a texel, with all that weakens it; 0: not drawn
+  float strength;            // 0..1; 0: not drawn
+  float exponent;            // log2 of a ratio per step of a texel
+  // relief
+  const LearnedTask* learned;  // whose light falls on it; null: there is none
+  const uint32_t* rises;     // as texels: four signed bytes, rise by column and row, straight, then bent
+  const float* normal;       // (blocks, 3, 16) of the vertices at rest, unit
+  const int32_t* nearest;    // (blocks, ANCHORS_AROUND, 16): anchors of the light around them
+  const float* share;        // (blocks, ANCHORS_AROUND, 16)
+  const float* bend;         // (16 blocks): 0 straight to 1 bent
+  float* slope;              // (4, 16 blocks): how their light turns with the normal, in the camera's axes; along it
+  float rise;                // m per side of the square, of a step, times the hand's scale; 0: not drawn
 };
 
 // Mirrored field by field in native/detail_task.py.
@@ -57,8 +71,13 @@ constexpr float TEXEL_ZERO = 512;
 constexpr int TEXEL_BITS = 10;
 
 // rows of a face: its first corner; corners' shares 1 and 2 by x and y; the constants of all three; planes of near and
-// of the texture's column and row, each at the corner, by x, by y
-enum { X, Y, S1X, S1Y, S2X, S2Y, S0, S1, S2, NEAR, NEAR_X, NEAR_Y, U, U_X, U_Y, V, V_X, V_Y, FACE_ROWS };
+// of the texture's column and row, each at the corner, by x, by y. Of relief: planes of the light's change with a rise by
+// column and by row, of its change along the normal, and of the bend; squares of what a rise by column and row tilts
+enum {
+  X, Y, S1X, S1Y, S2X, S2Y, S0, S1, S2, NEAR, NEAR_X, NEAR_Y, U, U_X, U_Y, V, V_X, V_Y,
+  BY_U, BY_U_X, BY_U_Y, BY_V, BY_V_X, BY_V_Y, ALONG, ALONG_X, ALONG_Y, BEND, BEND_X, BEND_Y, UU, UV, VV, FACE_ROWS
+};
+constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
 JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
 JG_INLINE vi least(vi a, vi b) { return a < b ? a : b; }
@@ -79,6 +98,21 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   store(hand.vertex + row, select(z > t.z_near, x, all(__builtin_nanf(""))));
   store(hand.vertex + rows + row, y);
   store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
+  if (hand.rise == 0) return;
+  const float* at_rest = hand.normal + 3 * row;
+  vf turn[9], n[3], slope[3];
+  for (int i = 0; i < 3; i++) n[i] = load(at_rest + LANES * i), p[i] -= s.shift[i];
+  turning(s, hand.learned->volume_min, m, volume(s, m), turn);
+  vf normal[3];
+  turn_by(turn, n, normal);
+  make_unit(normal, hand.learned->length2_min);
+  const int64_t around = ANCHORS_AROUND * row;
+  light_slope(*hand.learned, hand.nearest + around, hand.share + around, p, normal, slope);
+  for (int i = 0; i < 3; i++) {
+    const double* axis = t.camera_from_position + 4 * i;
+    store(hand.slope + i * rows + row, slope[0] * (float)axis[0] + slope[1] * (float)axis[1] + slope[2] * (float)axis[2]);
+  }
+  store(hand.slope + 3 * rows + row, dot(slope, normal));
 }
 
 // Pixels whose centers lie from `low` to `high`, as far as the image reaches.
@@ -94,6 +128,44 @@ struct Plane {
 // How what is a at the first corner and da more at the others changes along the image.
 JG_INLINE Plane slope(vf da1, vf da2, const vf face[FACE_ROWS]) {
   return {da1 * face[S1X] + da2 * face[S2X], da1 * face[S1Y] + da2 * face[S2Y]};
+}
+
+// What a rise of the relief does to light. Affine on the image: faces are small.
+void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group, const vf x[3], const vf y[3],
+                     const vf near[3], vf face[FACE_ROWS]) {
+  const int64_t rows = LANES * (int64_t)hand.skin->blocks;
+  const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
+  vf p[3][3], side[2][3], du[2], dv[2], by_u[3], by_v[3], along[3], bend[3];
+  for (int k = 0; k < 3; k++) {
+    const vf z = t.orthographic ? -near[k] : 1.f / near[k], over = t.orthographic ? all(1.f) : z;
+    p[k][0] = (x[k] - t.cx) * over * (1.f / t.fx), p[k][1] = (y[k] - t.cy) * over * (1.f / t.fy), p[k][2] = z;
+  }
+  for (int k = 0; k < 2; k++) {
+    for (int i = 0; i < 3; i++) side[k][i] = p[k + 1][i] - p[0][i];
+    du[k] = load(uv + LANES * 2 * (k + 1)) - load(uv), dv[k] = load(uv + LANES * (2 * (k + 1) + 1)) - load(uv + LANES);
+  }
+  // along the skin, how column and row grow per meter: by the metric of the sides
+  const vf g00 = dot(side[0], side[0]), g01 = dot(side[0], side[1]), g11 = dot(side[1], side[1]);
+  const vf det = g00 * g11 - g01 * g01, inverse = select(det > 0, 1.f / det, vf{});
+  vf u[3], v[3];
+  for (int i = 0; i < 3; i++) {
+    const vf first = (g11 * side[0][i] - g01 * side[1][i]) * inverse, second = (g00 * side[1][i] - g01 * side[0][i]) * inverse;
+    u[i] = du[0] * first + du[1] * second, v[i] = dv[0] * first + dv[1] * second;
+  }
+  face[UU] = dot(u, u), face[UV] = dot(u, v), face[VV] = dot(v, v);
+  for (int k = 0; k < 3; k++) {
+    vi row;
+    memcpy(&row, hand.corner + (3 * (int64_t)group + k) * LANES, sizeof row);
+    vf slope[3];
+    for (int i = 0; i < 3; i++) slope[i] = gather(hand.slope + i * rows, row);
+    by_u[k] = dot(slope, u), by_v[k] = dot(slope, v);
+    along[k] = gather(hand.slope + 3 * rows, row), bend[k] = gather(hand.bend, row);
+  }
+  const auto plane = [&](int at, const vf value[3]) __attribute__((always_inline)) {
+    const Plane d = slope(value[1] - value[0], value[2] - value[0], face);
+    face[at] = value[0], face[at + 1] = d.x, face[at + 2] = d.y;
+  };
+  plane(BY_U, by_u), plane(BY_V, by_v), plane(ALONG, along), plane(BEND, bend);
 }
 
 void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
@@ -142,8 +214,9 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
     const Plane e = slope(w[1] - w[0], w[2] - w[0], face);
     face[U + 3 * k] = w[0], face[U_X + 3 * k] = e.x, face[U_Y + 3 * k] = e.y;
   }
+  if (hand.rise > 0) relief_of_group(t, hand, group, x, y, near, face);
   float* out = hand.planes + FACE_ROWS * LANES * (int64_t)group;
-  for (int k = 0; k < FACE_ROWS; k++) store(out + LANES * k, face[k]);
+  for (int k = 0; k < (hand.rise > 0 ? FACE_ROWS : BY_U); k++) store(out + LANES * k, face[k]);
 }
 
 // The nearest face of each pixel of a part of the image.
@@ -212,10 +285,10 @@ struct Color {
 struct Level {
   vi size, start;
 };
-JG_INLINE Level level_of(const DetailHand& hand, vi number) {
+JG_INLINE Level level_of(int32_t size_log2, vi number) {
   // texels of the levels before it: four times what is left out of the square, over 3, which is a factor modulo 2^32
-  const vi four_times = all(4 << 2 * hand.size_log2);
-  return {all(1 << hand.size_log2) >> number, (four_times - (four_times >> 2 * number)) * all((int32_t)0xaaaaaaab)};
+  const vi four_times = all(4 << 2 * size_log2);
+  return {all(1 << size_log2) >> number, (four_times - (four_times >> 2 * number)) * all((int32_t)0xaaaaaaab)};
 }
 JG_INLINE vi column_of(const Level& level, vi x) {
   const vi inside = least(most(x, vi{}), level.size - 1);
@@ -226,25 +299,47 @@ JG_INLINE vi row_of(const Level& level, vi y) {
   return level.start + (inside >> 2) * (level.size << 2) + ((inside & 3) << 2);
 }
 
-// A level of the texture at (u, v), bilinear, in steps of a texel.
-JG_INLINE Color look_up(const DetailHand& hand, const Level& level, vf u, vf v) {
+// The four texels around (u, v) of a level, and their shares.
+struct Around {
+  vi index[4];
+  vf share[4];
+};
+JG_INLINE Around around(const Level& level, vf u, vf v) {
   const vf limit = to_float(level.size);
   // in floats first: coordinates of pixels that another hand covers may be no numbers
   const vf x = min(max(u * limit - 0.5f, all(-1.f)), limit), y = min(max(v * limit - 0.5f, all(-1.f)), limit);
   const vi x0 = floor_to_int(x), y0 = floor_to_int(y);
-  const vf fx = x - to_float(x0), fy = y - to_float(y0);
+  const vf fx = x - to_float(x0), fy = y - to_float(y0), wx = 1.f - fx, wy = 1.f - fy;
   const vi left = column_of(level, x0), right = column_of(level, x0 + 1);
   const vi top = row_of(level, y0), bottom = row_of(level, y0 + 1);
+  return {{top + left, top + right, bottom + left, bottom + right}, {wx * wy, fx * wy, wx * fy, fx * fy}};
+}
+
+// The texture there, in steps of a texel.
+JG_INLINE Color look_up(const DetailHand& hand, const Around& near) {
   Color out = {};
-  const auto add = [&](vi index, vf weight) __attribute__((always_inline)) {
-    const vi texel = gather_bits(hand.texels, index), mask = all((1 << TEXEL_BITS) - 1);
-    out.r += weight * to_float(texel & mask);
-    out.g += weight * to_float((texel >> TEXEL_BITS) & mask);
-    out.b += weight * to_float((texel >> (2 * TEXEL_BITS)) & mask);
-  };
-  const vf wx = 1.f - fx, wy = 1.f - fy;
-  add(top + left, wx * wy), add(top + right, fx * wy), add(bottom + left, wx * fy), add(bottom + right, fx * fy);
+  for (int k = 0; k < 4; k++) {
+    const vi texel = gather_bits(hand.texels, near.index[k]), mask = all((1 << TEXEL_BITS) - 1);
+    out.r += near.share[k] * to_float(texel & mask);
+    out.g += near.share[k] * to_float((texel >> TEXEL_BITS) & mask);
+    out.b += near.share[k] * to_float((texel >> (2 * TEXEL_BITS)) & mask);
+  }
   return out;
+}
+
+// The relief's rises there, by column and row, in steps.
+JG_INLINE void rises_at(const DetailHand& hand, const Around& near, vf bend, vf out[2]) {
+  vf four[4] = {};
+  const bool is_bent = bit_mask(bend > 0);
+  for (int k = 0; k < 4; k++) {
+    const vi texel = gather_bits(hand.rises, near.index[k]);
+    const auto add = [&](int byte) __attribute__((always_inline)) {
+      four[byte] += near.share[k] * to_float((texel << (24 - 8 * byte)) >> 24);
+    };
+    add(0), add(1);
+    if (is_bent) add(2), add(3);
+  }
+  for (int i = 0; i < 2; i++) out[i] = is_bent ? four[i] + bend * (four[2 + i] - four[i]) : four[i];
 }
 
 // 1 from `full` on, 0 up to `none`, smooth between.
@@ -265,9 +360,45 @@ JG_INLINE void interpolate(Interpolated& i, vi mine, const float* face, int row,
   i.x = select(mine, all(x), i.x), i.y = select(mine, all(y), i.y);
 }
 
+// The level for texels of which a pixel spans the root of spans2, and the part of the next one.
+struct Chosen {
+  vi fine;
+  vf part;
+};
+JG_INLINE Chosen level_for(vf spans2, vi mine, int32_t last) {
+  if (!bit_mask(mine & (spans2 > 1.f))) return {};
+  const vf wanted = min(max(0.5f * log2(spans2), vf{}), all((float)last));
+  const vi fine = floor_to_int(wanted);
+  return {fine, min(max((wanted - to_float(fine) - MIX_FROM) * (1.f / (MIX_TO - MIX_FROM)), vf{}), all(1.f))};
+}
+
+// What of a face's relief counts at sixteen pixels.
+struct ReliefAt {
+  vf by_u, by_v, along, bend, uu, uv, vv;
+};
+JG_INLINE void interpolate(ReliefAt& r, vi mine, const float* face, vf dx, float dy) {
+  const auto plane = [&](vf& at, int row) __attribute__((always_inline)) {
+    const float *f = face + LANES * row;
+    at = select(mine, f[0] + dx * f[LANES] + dy * f[2 * LANES], at);
+  };
+  plane(r.by_u, BY_U), plane(r.by_v, BY_V), plane(r.along, ALONG), plane(r.bend, BEND);
+  r.uu = select(mine, all(face[LANES * UU]), r.uu), r.uv = select(mine, all(face[LANES * UV]), r.uv);
+  r.vv = select(mine, all(face[LANES * VV]), r.vv);
+}
+
+// How much more light skin of the relief's slope gets than the surface: with the slope of the light q, normals n and n',
+// 1 + q.(n' - n). rise: by column and row, in steps
+JG_INLINE vf relief_light(const DetailHand& hand, const ReliefAt& r, const vf rise[2]) {
+  const vf du = rise[0] * hand.rise, dv = rise[1] * hand.rise;
+  const vf steep2 = du * du * r.uu + 2.f * du * dv * r.uv + dv * dv * r.vv;
+  const vf light = 1.f - r.along + (r.along - du * r.by_u - dv * r.by_v) * inverse_sqrt(1.f + steep2);
+  return min(max(light, all(LIGHT_LEAST)), all(LIGHT_MOST));
+}
+
 // What the colors of sixteen pixels of a row are multiplied by, where the face of `mine` is the nearest.
 JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi mine, vf x, float y, vf alpha, vf depth) {
   Interpolated n = {all(1.f), vf{}, vf{}}, iu = {}, iv = {};
+  ReliefAt relief = {};
   // few faces share sixteen pixels
   for (uint32_t rest = bit_mask(mine); rest;) {
     const int32_t number = face[__builtin_ctz(rest)], place = number & ((1 << FACE_BITS) - 1);
@@ -276,6 +407,7 @@ JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi 
     const vf dx = x - f[LANES * X];
     const float dy = y - f[LANES * Y];
     interpolate(n, same, f, NEAR, dx, dy), interpolate(iu, same, f, U, dx, dy), interpolate(iv, same, f, V, dx, dy);
+    if (hand.rise > 0) interpolate(relief, same, f, dx, dy);
     rest &= ~bit_mask(same);
   }
   const vf z = t.orthographic ? -n.at : 1.f / n.at, over = t.orthographic ? all(1.f) : z;
@@ -284,7 +416,7 @@ JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi 
   const vf graze = min(sqrt(1.f + slope_x * slope_x + slope_y * slope_y), all(t.graze_max));
   const vf apart = abs(depth - z - hand.depth) / graze;
   vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * (1.f - smooth(apart, hand.fade_from, hand.fade_to));
-  weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.exponent;
+  weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.strength;
   if (!bit_mask(weight > 0)) return {all(1.f), all(1.f), all(1.f)};
   const vf u = iu.at * over, v = iv.at * over;
   // how many texels a pixel spans: the mean square of its two sides
@@ -293,26 +425,33 @@ JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi 
   const float size = (float)(1 << hand.size_log2);
   const int32_t last = hand.size_log2 - SMALLEST_LOG2;
   const vf spans2 = (ux * ux + uy * uy + vx * vx + vy * vy) * over * over * (0.5f * size * size);
-  vi fine = {};
-  vf part = {};
-  if (bit_mask(mine & (spans2 > 1.f))) {
-    const vf wanted = min(max(0.5f * log2(spans2), vf{}), all((float)last));
-    fine = floor_to_int(wanted);
-    part = min(max((wanted - to_float(fine) - MIX_FROM) * (1.f / (MIX_TO - MIX_FROM)), vf{}), all(1.f));
-  }
-  const Level level = level_of(hand, fine);
+  const Chosen chosen = level_for(spans2, mine, last);
+  const Level level = level_of(hand.size_log2, chosen.fine);
   // texels of the pixels two rows farther down are on their way when those have their turn
   const vf far = over * 2.f, limit = to_float(level.size);
   const vf x_far = min(max((u + uy * far) * limit, vf{}), limit), y_far = min(max((v + vy * far) * limit, vf{}), limit);
   const vi ahead = column_of(level, floor_to_int(x_far)) + row_of(level, floor_to_int(y_far));
   for (int lane = 0; lane < LANES; lane += 3) __builtin_prefetch(hand.texels + ahead[lane]);
-  Color texel = look_up(hand, level, u, v);
+  const Around near = around(level, u, v);
+  Color texel = look_up(hand, near);
+  vf rise[2];
+  if (hand.rise > 0) rises_at(hand, near, relief.bend, rise);
+  const vf part = chosen.part;
   if (bit_mask(mine & (part > 0))) {
-    const Color other = look_up(hand, level_of(hand, least(fine + 1, all(last))), u, v);
+    const Around next = around(level_of(hand.size_log2, least(chosen.fine + 1, all(last))), u, v);
+    const Color other = look_up(hand, next);
     texel.r += part * (other.r - texel.r), texel.g += part * (other.g - texel.g), texel.b += part * (other.b - texel.b);
+    if (hand.rise > 0) {
+      vf coarser[2];
+      rises_at(hand, next, relief.bend, coarser);
+      for (int i = 0; i < 2; i++) rise[i] += part * (coarser[i] - rise[i]);
+    }
   }
   texel.r -= TEXEL_ZERO, texel.g -= TEXEL_ZERO, texel.b -= TEXEL_ZERO;
-  return {exp2(weight * texel.r), exp2(weight * texel.g), exp2(weight * texel.b)};
+  const vf step = weight * hand.exponent;
+  vf light = all(1.f);
+  if (hand.rise > 0) light += weight * (relief_light(hand, relief, rise) - 1.f);
+  return {light * exp2(step * texel.r), light * exp2(step * texel.g), light * exp2(step * texel.b)};
 }
 
 void shade_row(const DetailTask& t, const Surface& tile, int32_t row) {
@@ -329,7 +468,7 @@ void shade_row(const DetailTask& t, const Surface& tile, int32_t row) {
     vf r = load_first(p, n), g = load_first(p + pixels, n), b = load_first(p + 2 * pixels, n);
     for (int32_t hand = 0; hand < t.hand_count; hand++) {
       const vi mine = face >> FACE_BITS == all(hand);
-      if (t.hands[hand].exponent == 0 || !bit_mask(mine)) continue;
+      if (t.hands[hand].strength == 0 || !bit_mask(mine)) continue;
       const float y = (float)(tile.y + row) + 0.5f;
       const Color ratio = ratios(t, t.hands[hand], face, mine, LANE + ((float)left + 0.5f), y, alpha, depth);
       r *= ratio.r, g *= ratio.g, b *= ratio.b;

@@ -9,7 +9,7 @@ import numpy as np
 _I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
 
 # floats that the kernel keeps of a face
-FACE_ROWS = 18
+FACE_ROWS = 33
 # a texel is three channels of so many bits in 32; the middle one is the ratio 1
 TEXEL_BITS, TEXEL_ZERO = 10, 512
 
@@ -20,7 +20,9 @@ class DetailHand(ctypes.Structure):
     _fields_ = (
         *((name, _P) for name in ("skin", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
-        *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "exponent")),
+        *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent")),
+        *((name, _P) for name in ("learned", "rises", "normal", "nearest", "share", "bend", "slope")),
+        ("rise", _F32),
     )
 
 
@@ -37,5 +39,5 @@ class DetailTask(ctypes.Structure):
 
 def packed_texels(steps: np.ndarray) -> np.ndarray:
     """(N,) uint32 of (N, 3) whole steps away from the ratio 1."""
-    channel = (steps + TEXEL_ZERO).astype(np.uint32)
+    channel = (steps + np.int16(TEXEL_ZERO)).astype(np.uint32)
     return channel[:, 0] | channel[:, 1] << np.uint32(TEXEL_BITS) | channel[:, 2] << np.uint32(2 * TEXEL_BITS)

@@ -21,6 +21,9 @@ constexpr float EDGE_GAIN = 100.f;                        // how fast anchors st
 constexpr float HIDDEN_MIN = 1e-9f;                       // sum of cosines, as a divisor
 constexpr float WEIGHT_MIN = 1e-6f;                       // of skin that faces as hidden skin does
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
+constexpr float LUMINANCE[3] = {0.2126f, 0.7152f, 0.0722f};  // Rec. 709
+constexpr float LIT_MIN = 1e-9f;                          // W/m2, as a divisor
+constexpr float GRAZED_MIN = 0.1f;                        // of light that faces skin, as a divisor: slopes stay steady
 constexpr int POSED = 9, MATERIAL = 3, BAKED = 12;
 // what anchors say, in rows: of the world part rgb, bounced rgb and part of the sky; of each slot what is seen, the same
 // with wide edges and, where things of the scene stand in the light, what these leave
@@ -143,15 +146,12 @@ JG_INLINE void world_irradiance(const SceneLightTask& s, const vf normal[3], vf 
   }
 }
 
-// The anchors around sixteen Gaussians: sums of shares times sixteen columns of their rows, which are `stride` apart.
-JG_INLINE void spread(const LearnedTask& t, int32_t block, const float* rows, int stride, vf out[LANES]) {
-  const int64_t first = ANCHORS_AROUND * LANES * (int64_t)block;
+// The anchors around sixteen places: sums of shares times sixteen columns of their rows, which are `stride` apart.
+JG_INLINE void spread(const int32_t* nearest, const float* share, const float* rows, int stride, vf out[LANES]) {
   for (int lane = 0; lane < LANES; lane++) {
     out[lane] = vf{};
-    for (int k = 0; k < ANCHORS_AROUND; k++) {
-      const int64_t at = first + LANES * k + lane;
-      out[lane] += t.share[at] * load(rows + stride * (int64_t)t.nearest[at]);
-    }
+    for (int at = lane; at < ANCHORS_AROUND * LANES; at += LANES)
+      out[lane] += share[at] * load(rows + stride * (int64_t)nearest[at]);
   }
   transpose(out);
 }
@@ -195,7 +195,9 @@ JG_INLINE void light_of_world(const LearnedTask& t, int32_t block, Lit& lit) {
   load_triples(t.skin.position + 3 * row, lit.p[0], lit.p[1], lit.p[2]);
   for (int i = 0; i < 3; i++) lit.p[i] -= t.skin.shift[i], lit.normal[i] = load(t.matt + MATT * row + LANES * i);
   const int columns = columns_of(s);
-  for (int i = 0; i < columns; i += LANES) spread(t, block, s.reached + i, columns, lit.reached + i);
+  const int64_t around = ANCHORS_AROUND * row;
+  for (int i = 0; i < columns; i += LANES)
+    spread(t.nearest + around, t.share + around, s.reached + i, columns, lit.reached + i);
   store(s.sky + row, lit.reached[6]);
   if (s.baked) {
     const float* field = s.baked + BAKED * row;
@@ -477,6 +479,64 @@ void seen_block(const LearnedTask& t, int32_t block) {
   }
   for (int i = 0; i < 3; i++) rgb[i] *= fade;
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
+}
+
+void light_slope(const LearnedTask& t, const int32_t* nearest, const float* share, const vf p[3], const vf normal[3],
+                 vf slope[3]) {
+  const vf x = normal[0], y = normal[1], z = normal[2], xx = x * x, yy = y * y, zz = z * z;
+  // of `harmonics`, by x, y and z
+  const vf by_x[HARMONICS] = {vf{},          all(1.f), vf{}, vf{}, y, vf{}, z,           2.f * x, vf{}, 6.f * x * y, y * z,
+                              vf{},          vf{},     5.f * zz - 1.f, 2.f * x * z, 3.f * (xx - yy)};
+  const vf by_y[HARMONICS] = {vf{},          vf{},     all(1.f), vf{}, x, z, vf{},       -2.f * y, vf{}, 3.f * (xx - yy),
+                              x * z,         5.f * zz - 1.f, vf{}, vf{}, -2.f * y * z, -6.f * x * y};
+  const vf by_z[HARMONICS] = {vf{},          vf{},     vf{}, all(1.f), vf{}, y, x,       vf{}, 6.f * z, vf{}, x * y,
+                              10.f * y * z,  15.f * zz - 3.f, 10.f * x * z, xx - yy, vf{}};
+  const auto along_skin = [&]() __attribute__((always_inline)) {
+    const vf out = dot(slope, normal);
+    for (int i = 0; i < 3; i++) slope[i] -= out * normal[i];
+  };
+  if (!t.scene) {
+    for (int i = 0; i < 3; i++) slope[i] = vf{};
+    for (int k = 0; k < HARMONICS; k++) {
+      const float mean = (t.irradiance[3 * k] + t.irradiance[3 * k + 1] + t.irradiance[3 * k + 2]) * (1.f / 3);
+      slope[0] += mean * by_x[k], slope[1] += mean * by_y[k], slope[2] += mean * by_z[k];
+    }
+    return along_skin();
+  }
+  const SceneLightTask& s = *t.scene;
+  vf reached[COLUMNS_MAX], waves[HARMONICS], sum = {}, facing = {};
+  const int columns = columns_of(s);
+  for (int i = 0; i < columns; i += LANES) spread(nearest, share, s.reached + i, columns, reached + i);
+  const auto luminance = [](const auto* rgb) __attribute__((always_inline)) {
+    return LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2];
+  };
+  const vf part = luminance(reached);
+  harmonics(normal, waves);
+  for (int i = 0; i < 3; i++) slope[i] = vf{};
+  for (int k = 0; k < HARMONICS; k++) {
+    const vf lit = part * luminance(s.irradiance + 3 * k);
+    sum += lit * waves[k], slope[0] += lit * by_x[k], slope[1] += lit * by_y[k], slope[2] += lit * by_z[k];
+  }
+  sum = max(sum, part * luminance(s.least)) + luminance(reached + 3);
+  // what comes from all around has no more of it along the normal
+  along_skin();
+  for (int j = 0; j < s.lamps; j++) {
+    const float* lamp = s.lamp + LAMP * j;
+    const int slot = (int)lamp[SLOT];
+    vf direction[3], strength, sine2;
+    lamp_at(lamp, p, direction, strength, sine2);
+    if (slot >= 0) {
+      const vf* of_slot = reached + OF_WORLD + columns_per_slot(s) * slot;
+      strength *= 1.f - lamp[SHADE] * (1.f - (s.left ? of_slot[0] * of_slot[2] : of_slot[0]));
+    }
+    strength *= luminance(lamp + LAMP_RGB) * lamp[ON_MATT];
+    const vf cosine = dot(normal, direction), corner2 = corner2_of(s.softness[1], all(1.f), sine2);
+    const vf corner = sqrt(corner2), falls = strength * clamped((cosine + corner) / (2.f * corner));
+    sum += strength * soft_cosine(cosine, corner2), facing += strength;
+    for (int i = 0; i < 3; i++) slope[i] += falls * direction[i];
+  }
+  const vf inverse = 1.f / max(sum, max(GRAZED_MIN * facing, all(LIT_MIN)));
+  for (int i = 0; i < 3; i++) slope[i] *= inverse;
 }
 
 }  // namespace jg

@@ -74,4 +74,10 @@ void light_blocks(const LearnedTask& t, int32_t first, int32_t end);
 // What a block sends to the eye.
 void seen_block(const LearnedTask& t, int32_t block);
 
+// How the light of skin at sixteen posed places p, root-relative, changes with its unit normal: per unit of a change,
+// over the light itself, without color. nearest, share: (ANCHORS_AROUND, 16) of the anchors around them. Of a hand in
+// the light that it was learned in, of its colors.
+void light_slope(const LearnedTask& t, const int32_t* nearest, const float* share, const vf p[3], const vf normal[3],
+                 vf slope[3]);
+
 }  // namespace jg

@@ -131,7 +131,8 @@ class Backend:
         self._detail: NativeDetail | None = None
         if self._detailed:
             self._detail = NativeDetail(
-                library, [DetailedHand.of(avatars[place], detail_powers[place]) for place in self._detailed]
+                library,
+                [DetailedHand.of(avatars[place], detail_powers[place], self._hands[place]) for place in self._detailed],
             )
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
         self.light: SceneLight | None = None

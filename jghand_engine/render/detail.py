@@ -1,5 +1,5 @@
 """Detail on drawn Gaussians, by the compiled kernel (native/detail.cpp): the texture of each hand's skin, found at each
-pixel, multiplies the color there.
+pixel, multiplies the color there, and so does what its relief makes of the light.
 
 The surface is skinned as Gaussians are, without their correctives, and of several hands the nearest counts. A pixel
 gets the level of the texture whose texels are as large as it is, and a mean of two levels between. Detail fades out at
@@ -16,8 +16,11 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
+from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
+from jghand_engine.avatar.posing import LightAround, Poser
+from jghand_engine.avatar.relief import Bend
 from jghand_engine.avatar.skin_task import skin_task
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -44,20 +47,28 @@ _LOG2_PER_STEP = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0)
 @dataclass(frozen=True)
 class DetailedHand:
     """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters · weights:
-    (V, maps) of all maps that move its surface"""
+    (V, maps) of all maps that move its surface · fingers: (V, 5) what of it is each finger's · light: around its
+    vertices, where something has a relief that light falls on"""
 
     detail: Detail
     power: float
     joints_m: np.ndarray
     handedness: Handedness
     weights: np.ndarray
+    fingers: np.ndarray
+    light: LightAround | None = None
 
     @classmethod
-    def of(cls, avatar: HandAvatar, power: float) -> DetailedHand:
-        if avatar.detail is None:
+    def of(cls, avatar: HandAvatar, power: float, poser: Poser | None = None) -> DetailedHand:
+        """poser: of the avatar, in whose light a relief is drawn"""
+        detail = avatar.detail
+        if detail is None:
             raise InputError("detail of a hand", wanted="an avatar with one", came=avatar.info.name)
-        weights = avatar.map_weights(avatar.detail.position_m, avatar.detail.bone_weights)
-        return cls(avatar.detail, power, avatar.canonical_joints_m, avatar.handedness, weights)
+        weights = avatar.map_weights(detail.position_m, detail.bone_weights)
+        # three bones behind each knuckle, level order
+        fingers = detail.bone_weights[:, 6:].reshape(-1, 3, 5).sum(1)
+        light = None if poser is None or detail.relief is None else poser.light_around(detail.position_m)
+        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, fingers, light)
 
 
 class NativeDetail:
@@ -84,6 +95,7 @@ class NativeDetail:
             task.depth, task.fade_from, task.fade_to = (
                 own.scale * length_m for length_m in (hand.depth_m, FADE_FROM_M, FADE_TO_M)
             )
+            task.rise = own.scale * hand.step_m
 
     def prepare(self, planes: np.ndarray, camera: Camera, strengths: Sequence[float]) -> None:
         """Sets the next image, (5, H, W) as the rasterizer leaves it: its colors are changed in place.
@@ -94,7 +106,7 @@ class NativeDetail:
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
         for hand, own, strength in zip(self._hands, self._tasks, strengths, strict=True):
-            own.exponent = strength * hand.power * _LOG2_PER_STEP
+            own.strength, own.exponent = strength, hand.power * _LOG2_PER_STEP
         self.team.fill(0)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -163,6 +175,20 @@ class _Hand:
         self.task = DetailHand(
             skin=ctypes.addressof(self._skin), size_log2=detail.size.bit_length() - 1, groups=groups, facing=facing
         )
+        self.step_m, self._bend = 0.0, None
+        if hand.light is not None and detail.slopes is not None:
+            self.step_m, self._bend = detail.slopes.step_m, Bend(detail.position_m, hand.fingers, hand.joints_m)
+            self._joints_m = hand.joints_m - hand.joints_m[0]
+            self._near = np.ascontiguousarray(blocks.in_rows(self._bend.near).T)
+            self._arrays |= {
+                "rises": detail.slopes.texels,
+                "normal": blocks.blocked(detail.normals),
+                "nearest": blocks.blocked(hand.light.nearest, np.int32),
+                "share": blocks.blocked(hand.light.share),
+                "bend": aligned_zeros((blocks.rows,)),
+                "slope": aligned_zeros((4, blocks.rows)),
+            }
+            self.task.learned = ctypes.addressof(hand.light.task)
         set_pointers(self.task, self._arrays)
         self._linear_offset: np.ndarray | None = None
         self._maps = hand.weights.shape[1]
@@ -171,3 +197,9 @@ class _Hand:
         self._linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
         self._skin.linear_offset = address(self._linear_offset, np.float32, "linear_offset", (self._maps, 3, 4))
         self._skin.shift = tuple(shift_m)
+        if self._bend is not None:
+            # inverse of a hand without size is finite, as the Gaussians' is
+            self._skin.inverse_scale = 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
+            joints_m = posed_joints_m(bones.linear_offset, self._joints_m)
+            bent = self._bend.of_joints(joints_m[None])[0].astype(np.float32)
+            np.matmul(bent, self._near, out=self._arrays["bend"])

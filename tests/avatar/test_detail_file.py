@@ -16,6 +16,7 @@ from detail_samples import detail_of, detailed, noise
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, Detail, log_ratios, ratio_bytes
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError
 
@@ -23,13 +24,37 @@ from jghand_engine.errors import InputError
 def same(one: Detail | None, other: Detail | None) -> bool:
     assert one is not None
     assert other is not None
-    return all(np.array_equal(getattr(one, f.name), getattr(other, f.name)) for f in fields(Detail))
+    if one.relief is not None and other.relief is not None and (one.relief.height != other.relief.height).any():
+        return False
+    arrays = [f.name for f in fields(Detail) if f.name != "relief"]
+    is_same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+    return is_same and (one.relief is None) == (other.relief is None)
 
 
 @pytest.fixture(scope="module")
 def hand() -> HandAvatar:
     """Few Gaussians: the detail is looked at here."""
     return detailed(noise(64)).prefix(100)
+
+
+@pytest.fixture(scope="module")
+def in_relief(hand) -> HandAvatar:
+    height = np.random.default_rng(1).integers(-127, 128, (64, 64, 2)).astype(np.int8)
+    return replace(hand, detail=replace(hand.detail, relief=Relief(height)))
+
+
+@pytest.mark.parametrize("storage", list(Storage))
+def test_a_file_returns_a_relief_as_it_is(tmp_path, in_relief, storage):
+    save_avatar(tmp_path / "hand.jghand", in_relief, storage=storage)
+    again = load_avatar(tmp_path / "hand.jghand").detail.relief
+    assert again.height.dtype == np.int8
+    assert np.array_equal(again.height, in_relief.detail.relief.height)
+
+
+def test_a_relief_of_another_size_than_its_texture_is_not_written(tmp_path, in_relief):
+    small = Relief(in_relief.detail.relief.height[:32, :32])
+    with pytest.raises(InputError, match="relief"):
+        save_avatar(tmp_path / "hand.jghand", replace(in_relief, detail=replace(in_relief.detail, relief=small)))
 
 
 @pytest.mark.parametrize("storage", list(Storage))
@@ -104,13 +129,15 @@ def parts(path: Path, hand: HandAvatar) -> tuple[dict, dict]:
         ("texture", np.zeros(200, np.uint8), "texture"),
         ("texture", "more", "texture"),
         ("texture", "cut", "texture"),
+        ("relief", "more", "relief"),
+        ("relief", "cut", "relief"),
         ("weight_bone", "bone 21", "weight_bone"),
         ("faces", "vertex", "faces"),
     ],
 )
-def test_a_damaged_detail_is_refused_by_name(tmp_path, hand, array, value, named):
+def test_a_damaged_detail_is_refused_by_name(tmp_path, in_relief, array, value, named):
     path = tmp_path / "hand.jghand"
-    arrays, about = parts(path, hand)
+    arrays, about = parts(path, in_relief)
     name = f"detail.{array}"
     if isinstance(value, str):
         old = arrays[name]
@@ -121,15 +148,16 @@ def test_a_damaged_detail_is_refused_by_name(tmp_path, hand, array, value, named
             "vertex": lambda: np.full_like(old, 65535),
         }[value]()
     arrays[name] = value
-    if array == "texture":
-        about["detail"]["texture_bytes"] = len(value)
+    if array in ("texture", "relief"):
+        about["detail"][f"{array}_bytes"] = len(value)
     path.write_bytes(safetensors.numpy.save(arrays, metadata={METADATA_KEY: json.dumps(about)}))
     with pytest.raises(InputError, match=named):
         load_avatar(path)
 
 
-def test_a_file_without_a_detail_is_written_for_older_readers(tmp_path, hand):
+def test_a_file_without_a_detail_is_written_for_older_readers(tmp_path, hand, in_relief):
     path = tmp_path / "hand.jghand"
+    assert parts(path, in_relief)[1]["format_version"] == 5
     assert parts(path, hand)[1]["format_version"] == 4
     _, about = parts(path, replace(hand, detail=None))
     assert about["format_version"] == 1

@@ -15,7 +15,7 @@ from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MI
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
-from jghand_engine.avatar.detail_mips import filled, skin_texels
+from jghand_engine.avatar.detail_mips import filled
 from jghand_engine.avatar.detail_storage import differences
 from jghand_engine.avatar.lamp_rows import LIMITS
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
@@ -164,7 +164,7 @@ def _detail(avatar: HandAvatar, detail: Detail, power: float, arrays: dict[str, 
         "detail.rest": (detail.position_m.astype(np.float64) - avatar.canonical_joints_m[0])[vertex][..., None],
         "detail.uv": np.column_stack([uv[:, 0], 1 - uv[:, 1]])[..., None], "detail.faces": faces,
         "detail.bone": bone, "detail.weight": weight / UINT16_MAX,
-        "detail.shades": differences(filled(detail.texture, skin_texels(detail.face_uv, detail.size))),
+        "detail.shades": differences(filled(detail.texture, detail.skin)),
     }  # fmt: skip
     return {
         "size": detail.size, "log_ratio_max": power * LOG_RATIO_MAX, "depth_m": detail.depth_m,
