@@ -39,9 +39,22 @@ class Relief:
 
     height: np.ndarray
 
+    def rises_m(self, skin: np.ndarray, *, bent: bool = False) -> np.ndarray:
+        """(S, S, 2) how the heights rise along column and row, meters per side of the square; 0 where there is no skin.
+        skin: (S, S) bool, see `skin_texels`"""
+        height = self.height[..., int(bent)]
+        height_m = np.where(skin, height * np.float32(HEIGHT_STEP_M), np.float32(0))[..., None]
+        # at its edge skin goes on as high
+        with_rings(height_m, skin)
+        padded, half = np.pad(height_m[..., 0], 1, mode="edge"), np.float32(len(height) / 2)
+        rise_m = np.stack([padded[1:-1, 2:] - padded[1:-1, :-2], padded[2:, 1:-1] - padded[:-2, 1:-1]], -1)
+        rise_m[~skin] = 0
+        rise_m *= half
+        return rise_m
+
     def slopes(self, skin: np.ndarray) -> Slopes:
-        """skin: (S, S) bool, see `skin_texels`"""
-        rises_m = [_rises_m(self.height[..., k], skin) for k in range(2)]
+        """What is drawn of it."""
+        rises_m = [self.rises_m(skin, bent=bent) for bent in (False, True)]
         step_m = max(*(max(float(rise.max()), -float(rise.min())) for rise in rises_m), 1e-9) / SLOPE_STEPS
         every, most = [], []
         while rises_m:
@@ -54,18 +67,6 @@ class Relief:
             every.append(np.concatenate(levels))
             most.append(of_levels)
         return Slopes(np.concatenate(every, 1).view(np.uint32).ravel(), step_m, np.max(most, 0))
-
-
-def _rises_m(height: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """(S, S, 2) how heights (S, S) rise along column and row, per side of the square; 0 where there is no skin."""
-    height_m = np.where(skin, height * np.float32(HEIGHT_STEP_M), np.float32(0))[..., None]
-    # at its edge skin goes on as high
-    with_rings(height_m, skin)
-    padded, half = np.pad(height_m[..., 0], 1, mode="edge"), np.float32(len(height) / 2)
-    rise_m = np.stack([padded[1:-1, 2:] - padded[1:-1, :-2], padded[2:, 1:-1] - padded[:-2, 1:-1]], -1)
-    rise_m[~skin] = 0
-    rise_m *= half
-    return rise_m
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError, package
 from jghand_engine.export.motion import HandMotion
-from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, nearest_gaussians
+from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, nearest_gaussians, normal_map
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
 from jghand_engine.files import make_folder, write_file
@@ -108,6 +108,8 @@ class _Surface:
         if self._textured:
             self.vertex, self._uv, self.faces = one_uv_each(template.faces, template.face_uv)
             self._texture = SkinTexture(motion.avatar, template, rest_m)
+            detail = motion.avatar.detail
+            self._relief = normal_map(detail) if detail is not None and suffix == "glb" else None
         else:
             self.vertex, self.faces = np.arange(len(template.vertices_m)), template.faces
             self._nearest = nearest_gaussians(template.vertices_m, rest_m, COLOR_NEIGHBORS)
@@ -123,8 +125,9 @@ class _Surface:
             from PIL import Image
 
             image = Image.fromarray(self._texture.of_colors(rgb))
+            relief = None if self._relief is None else Image.fromarray(self._relief)
             material = trimesh.visual.material.PBRMaterial(
-                name="skin", baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.6
+                name="skin", baseColorTexture=image, normalTexture=relief, metallicFactor=0.0, roughnessFactor=0.6
             )
             visual = trimesh.visual.TextureVisuals(uv=self._uv, material=material)
         else:

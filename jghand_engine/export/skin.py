@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.detail import log_ratios
+from jghand_engine.avatar.detail import Detail, log_ratios
 from jghand_engine.avatar.detail_mips import filled
 from jghand_engine.avatar.relighting import detail_power
 from jghand_engine.template.mesh import HandTemplate
@@ -39,6 +39,18 @@ def with_detail_in_colors(avatar: HandAvatar) -> HandAvatar:
     sums = [np.bincount(near.ravel(), channel.repeat(near.shape[1]), len(avatar)) for channel in means.T]
     rgb = avatar.rgb * np.exp(np.stack(sums, 1) / texels[:, None])
     return replace(avatar, rgb=rgb.clip(0, 1).astype(np.float32), detail=None)
+
+
+def normal_map(detail: Detail) -> np.ndarray | None:
+    """(S, S, 3) bytes of a detail's relief where joints are straight, as glTF has it: 128 + 127 times the unit normal
+    along u, along v and outward; None without one. Texels count as of one size all over the skin."""
+    if detail.relief is None:
+        return None
+    rise = detail.relief.rises_m(detail.skin) * np.float32(detail.texels_per_m / detail.size)
+    # rows go down, v goes up
+    normal = np.stack([-rise[..., 0], rise[..., 1], np.ones_like(rise[..., 0])], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.rint(128 + 127 * normal).clip(0, 255).astype(np.uint8)
 
 
 class SkinTexture:

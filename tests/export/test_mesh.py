@@ -13,6 +13,7 @@ from usd_samples import engine_mesh, lively_motion, small_avatar
 
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import ratio_bytes
+from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
 from jghand_engine.export.mesh import MESH_FORMATS, export_meshes
@@ -94,6 +95,23 @@ def test_the_texture_has_the_detail_of_the_hand(tmp_path, size):
     # the finer picture is smooth between the Gaussians' texels
     assert np.abs(ours[:, dark] - 0.5 * without[:, dark]).mean() < 2 < without[:, dark].mean() / 10
     assert np.abs(ours - without)[:, TEXTURE_PX // 2 + 4 :].mean() < 2
+
+
+def test_a_glb_has_the_relief_of_the_hand_as_a_normal_map(tmp_path):
+    """Skin that rises along u leans back from it, skin that rises along the rows forward, up the texture."""
+    motion, avatar = lively_motion(Handedness.RIGHT, 1), load_painted(handedness=Handedness.RIGHT).prefix(500)
+    steps = (np.arange(64) - 32).astype(np.int8)
+    for along, wanted in ((steps[None, :], (-1, 0)), (steps[:, None], (0, 1))):
+        height = np.broadcast_to(along[..., None], (64, 64, 2)).copy()
+        detail = replace(detail_of(np.full((64, 64, 3), 128, np.uint8)), relief=Relief(height))
+        options = FrameFiles(suffix="glb")
+        (path,) = export_meshes(tmp_path / str(wanted), replace(avatar, detail=detail), motion, options).files
+        image = read(path).visual.material.normalTexture.convert("RGB")
+        normal = (np.asarray(image, float) - 128) / 127
+        inner = normal[24:40, 24:40][detail.skin[24:40, 24:40]].mean(0)
+        steep = 64 * HEIGHT_STEP_M * detail.texels_per_m / 64
+        assert inner == pytest.approx(np.array([*wanted, 1 / steep]) * steep / np.hypot(1, steep), abs=0.01)
+        assert not normal[~detail.skin][:, :2].any()
 
 
 def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(tmp_path):
