@@ -7,7 +7,7 @@ the pose. It needs a hand that learned from a capture of procedural skin in know
              the relief of both that moves the mesh
     color    each Gaussian's albedo is multiplied by the ratio of both persons' maps over its footprint
     detail   the other's, which the trained person's own hand has, too: colors and relief of its maps. What a training
-             found of them, from sides that do not agree to a pixel, has a twentieth of their power
+             found of them, from sides that do not agree to a pixel, has a twenty-fifth of their power
 """
 
 from __future__ import annotations
@@ -138,8 +138,8 @@ def person_detail(detail: Detail, one: Somebody) -> Detail:
     """The detail with the colors and the relief of a person's maps."""
     size = detail.size
     skin = _resized(one.covered, size) > 0.5
-    color = _resized(np.log(one.maps.rgb / _blurred(one, one.maps.rgb, DETAIL_MM)), size)
-    color = gaussian_filter(color, (*[COLOR_BLUR_MM / one.texel_mm] * 2, 0))
+    color = np.log(one.maps.rgb / _blurred(one, one.maps.rgb, DETAIL_MM))
+    color = _resized(_blurred(one, color, COLOR_BLUR_MM), size)
     green = color[..., 1:2]
     color = TEXTURE_STEP * (np.rint(green / TEXTURE_STEP) + 2 * np.rint((color - green) / (2 * TEXTURE_STEP)))
     fine = one.maps.fine

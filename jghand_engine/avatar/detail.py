@@ -79,37 +79,51 @@ class Detail:
         """What is drawn of the relief, made once."""
         return None if self.relief is None else self.relief.slopes(self.skin)
 
-    @cached_property
+    @property
     def texels_per_m(self) -> float:
-        """On the canonical skin, where there are the fewest: the root of the mean square over all directions."""
+        """On the canonical skin, where there are the fewest."""
+        return self.density_per_m[0]
+
+    @cached_property
+    def density_per_m(self) -> tuple[float, float, float]:
+        """Texels per meter of the canonical skin: where there are the fewest, in the mean, where there are the most;
+        of each face the root of the mean square over all directions."""
         corners = self.position_m[self.faces].astype(np.float64)
         sides, uv_sides = (at[:, 1:] - at[:, :1] for at in (corners, self.face_uv.astype(np.float64)))
         metric = sides @ sides.swapaxes(1, 2)
         area = np.sqrt(np.maximum(np.linalg.det(metric), 0))
         good = area > 0
         spread = np.einsum("fij,fik,fjk->f", uv_sides[good], uv_sides[good], np.linalg.inv(metric[good])) / 2
-        order = np.argsort(spread)
-        covered = np.cumsum(area[good][order])
-        first = int(np.searchsorted(covered, LARGEST_PART * covered[-1])) if len(order) else 0
-        return self.size * math.sqrt(float(spread[order][first])) if len(order) else math.inf
+        if not len(spread):
+            return math.inf, 0.0, 0.0
+        order, area = np.argsort(spread), area[good]
+        covered = np.cumsum(area[order])
+        ends = np.searchsorted(covered, np.array([LARGEST_PART, 1 - LARGEST_PART]) * covered[-1])
+        fewest, most = self.size * np.sqrt(spread[order[ends]])
+        return float(fewest), float(self.size * (np.sqrt(spread) @ area) / area.sum()), float(most)
 
-    def strongest(self, texels_per_px: float) -> float:
-        """The largest log ratio that is left of texture and relief where a pixel spans so many texels, or more; of
-        light from the side, which falls as steeply on the skin as the skin itself may be."""
-        most = self._most
-        level = float(mixed_level(min(math.log2(max(texels_per_px, 1.0)), len(most) - 1.0)))
+    def strongest(self, texels_per_px: float, power: float = 1.0, *, is_lit: bool = True) -> float:
+        """The largest logarithm of a change that is left of texture and relief where a pixel spans so many texels, or
+        more; of light from the side, which falls as steeply on the skin as the skin itself may be.
+
+        power: of the texture's ratios, see `detail_power` · is_lit: whether light falls on the relief
+        """
+        ratio, change = self._most
+        level = float(mixed_level(min(math.log2(max(texels_per_px, 1.0)), len(ratio) - 1.0)))
         finer = int(level)
-        coarser = most[min(finer + 1, len(most) - 1)]
-        return most[finer] + (level - finer) * (coarser - most[finer])
+        coarser, part = min(finer + 1, len(ratio) - 1), level - finer
+        left = power * (ratio[finer] + part * (ratio[coarser] - ratio[finer]))
+        return left + (change[finer] + part * (change[coarser] - change[finer]) if is_lit else 0.0)
 
     @cached_property
-    def _most(self) -> list[float]:
-        """The same of each level."""
-        most = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
-        if self.slopes is not None:
-            steepest = self.slopes.most * (self.slopes.step_m * self.texels_per_m / self.size)
-            most = most + np.log1p(np.minimum(steepest, LIGHT_CHANGE_MAX))
-        return most.tolist()
+    def _most(self) -> tuple[list[float], list[float]]:
+        """Of each level the largest log ratio of the texture, and what the relief's steepest slope makes of light."""
+        ratio = self.mips.most * (LOG_RATIO_MAX / RATIO_STEPS)
+        if self.slopes is None:
+            return ratio.tolist(), [0.0] * len(ratio)
+        # along column and row at once
+        steepest = math.sqrt(2) * self.slopes.most * (self.slopes.step_m * self.density_per_m[2] / self.size)
+        return ratio.tolist(), np.log1p(np.minimum(steepest, LIGHT_CHANGE_MAX)).tolist()
 
 
 def mixed_level(level: float | np.ndarray) -> np.ndarray:

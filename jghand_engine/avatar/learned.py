@@ -129,10 +129,11 @@ def anchors_around(anchors: Anchors, position_m: np.ndarray) -> tuple[np.ndarray
     """(V, 3) those around canonical places (V, 3), and their shares, as of Gaussians."""
     apart2_m2 = np.square(position_m).sum(1)[:, None] + np.square(anchors.position_m).sum(1)
     apart2_m2 -= 2 * position_m @ anchors.position_m.T
-    nearest = np.argpartition(apart2_m2, ANCHOR_NEIGHBORS, axis=1)[:, :ANCHOR_NEIGHBORS]
+    count = min(ANCHOR_NEIGHBORS, len(anchors))
+    nearest = np.argpartition(apart2_m2, count - 1, axis=1)[:, :count]
     distance_m = np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0))
-    share = 1 / (distance_m + ANCHOR_SOFTENING_M)
-    return nearest, (share / share.sum(1, keepdims=True)).astype(np.float32)
+    share, spare = 1 / (distance_m + ANCHOR_SOFTENING_M), ((0, 0), (0, ANCHOR_NEIGHBORS - count))
+    return np.pad(nearest, spare), np.pad(share / share.sum(1, keepdims=True), spare).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import Capsules, CastStep
 from jghand_engine.avatar.corrective_task import corrective_step
 from jghand_engine.avatar.lamp_rows import LIMITS, Limits
-from jghand_engine.avatar.learned import Learned, anchors_around
+from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned, anchors_around
 from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.avatar.scene_light_step import SceneLightStep
@@ -199,8 +199,8 @@ class Poser:
         return self._light.matt_rgb
 
     def light_around(self, position_m: np.ndarray) -> LightAround | None:
-        """Around canonical places (V, 3), meters; None for an avatar without the shadows of its fingers."""
-        return None if self._light is None else self._light.around(position_m)
+        """Around canonical places (V, 3), meters; None for an avatar that was not learned."""
+        return None if self._light is None else self._light.around(position_m, self.blocks)
 
     def prepare_gloss(self, eye_m: np.ndarray) -> bool:
         """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
@@ -225,14 +225,20 @@ class Poser:
 class LightAround:
     """The light that falls on places of a hand, which is known at the anchors of its cast shadow.
 
-    task:    of what poses the hand: must live as long
+    poses:   what finds it, and what the kernel reads of that
     nearest: (V, 3) rows of the anchors around each
-    share:   (V, 3) float32 of each, sums to 1
+    beside:  (V, 3) rows of the Gaussians at these
+    share:   (V, 3) float32 of each, sums to 1, or 0 of a hand without anchors, whose light needs none
     """
 
-    task: LearnedTask
+    poses: _Light
     nearest: np.ndarray
+    beside: np.ndarray
     share: np.ndarray
+
+    @property
+    def task(self) -> LearnedTask:
+        return self.poses.task
 
 
 class _Light:
@@ -257,11 +263,14 @@ class _Light:
     def matt_rgb(self) -> np.ndarray:
         return self._arrays["matt"][:, 3:].reshape(-1, 3, LANES).swapaxes(1, 2).reshape(-1, 3)
 
-    def around(self, position_m: np.ndarray) -> LightAround | None:
+    def around(self, position_m: np.ndarray, blocks: Blocks) -> LightAround:
         if self._cast is None or self._anchors is None:
-            return None
+            nowhere = np.zeros((len(position_m), ANCHOR_NEIGHBORS), np.int64)
+            return LightAround(self, nowhere, nowhere, nowhere.astype(np.float32))
         nearest, share = anchors_around(self._anchors, position_m)
-        return LightAround(self.task, self._cast.row_of_anchor[nearest], share)
+        # anchors stand at the first Gaussians; what is drawn may be a prefix of them
+        beside = np.argsort(blocks.order)[np.minimum(nearest, len(blocks.order) - 1)]
+        return LightAround(self, self._cast.row_of_anchor[nearest], beside, share)
 
     def prepare_scene(self, light: SceneLight | None, bones: Bones, *, keep_pose: bool = False) -> None:
         if self._scene is not None:

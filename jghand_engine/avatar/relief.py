@@ -91,6 +91,11 @@ def bends_deg(joints_m: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((before * after).sum(-1), -1, 1)))
 
 
+def finger_shares(bone_weights: np.ndarray) -> np.ndarray:
+    """(V, 5) what of (V, 21) weights is each finger's: of three bones behind its knuckle, level order."""
+    return bone_weights[:, 6:].reshape(-1, 3, 5).sum(1)
+
+
 class Bend:
     """How bent the skin near each of V places is: the sum of what its joints are, times `near` (V, 15).
 

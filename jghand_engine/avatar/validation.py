@@ -90,7 +90,10 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
         },
     )
     if detail.relief is not None:
-        _check_ranges(thing, {"detail relief": (detail.relief.height, (side, side, 2), -128, 127)})
+        height = detail.relief.height
+        if height.dtype != np.int8:
+            raise InputError(f"{thing}: relief", wanted="signed bytes", came=str(height.dtype), remedy=REMEDY)
+        _check_ranges(thing, {"detail relief": (height, (side, side, 2), -128, 127)})
     total = detail.bone_weights.sum(1, dtype=np.float64)
     off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "detail bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total, "vertex")

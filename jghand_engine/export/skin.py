@@ -46,7 +46,7 @@ def normal_map(detail: Detail) -> np.ndarray | None:
     along u, along v and outward; None without one. Texels count as of one size all over the skin."""
     if detail.relief is None:
         return None
-    rise = detail.relief.rises_m(detail.skin) * np.float32(detail.texels_per_m / detail.size)
+    rise = detail.relief.rises_m(detail.skin) * np.float32(detail.density_per_m[1] / detail.size)
     # rows go down, v goes up
     normal = np.stack([-rise[..., 0], rise[..., 1], np.ones_like(rise[..., 0])], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

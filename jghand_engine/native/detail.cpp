@@ -39,6 +39,7 @@ struct DetailHand {
   const uint32_t* rises;     // as texels: four signed bytes, rise by column and row, straight, then bent
   const float* normal;       // (blocks, 3, 16) of the vertices at rest, unit
   const int32_t* nearest;    // (blocks, ANCHORS_AROUND, 16): anchors of the light around them
+  const int32_t* beside;     // (blocks, ANCHORS_AROUND, 16): rows of Gaussians there
   const float* share;        // (blocks, ANCHORS_AROUND, 16)
   const float* bend;         // (16 blocks): 0 straight to 1 bent
   float* slope;              // (4, 16 blocks): how their light turns with the normal, in the camera's axes; along it
@@ -98,7 +99,7 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   store(hand.vertex + row, select(z > t.z_near, x, all(__builtin_nanf(""))));
   store(hand.vertex + rows + row, y);
   store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
-  if (hand.rise == 0) return;
+  if (!(hand.rise > 0)) return;
   const float* at_rest = hand.normal + 3 * row;
   vf turn[9], n[3], slope[3];
   for (int i = 0; i < 3; i++) n[i] = load(at_rest + LANES * i), p[i] -= s.shift[i];
@@ -107,7 +108,7 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   turn_by(turn, n, normal);
   make_unit(normal, hand.learned->length2_min);
   const int64_t around = ANCHORS_AROUND * row;
-  light_slope(*hand.learned, hand.nearest + around, hand.share + around, p, normal, slope);
+  light_slope(*hand.learned, hand.nearest + around, hand.beside + around, hand.share + around, p, normal, slope);
   for (int i = 0; i < 3; i++) {
     const double* axis = t.camera_from_position + 4 * i;
     store(hand.slope + i * rows + row, slope[0] * (float)axis[0] + slope[1] * (float)axis[1] + slope[2] * (float)axis[2]);

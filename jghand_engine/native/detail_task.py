@@ -21,7 +21,7 @@ class DetailHand(ctypes.Structure):
         *((name, _P) for name in ("skin", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent")),
-        *((name, _P) for name in ("learned", "rises", "normal", "nearest", "share", "bend", "slope")),
+        *((name, _P) for name in ("learned", "rises", "normal", "nearest", "beside", "share", "bend", "slope")),
         ("rise", _F32),
     )
 

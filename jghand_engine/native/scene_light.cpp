@@ -481,8 +481,8 @@ void seen_block(const LearnedTask& t, int32_t block) {
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
 }
 
-void light_slope(const LearnedTask& t, const int32_t* nearest, const float* share, const vf p[3], const vf normal[3],
-                 vf slope[3]) {
+void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* beside, const float* share, const vf p[3],
+                 const vf normal[3], vf slope[3]) {
   const vf x = normal[0], y = normal[1], z = normal[2], xx = x * x, yy = y * y, zz = z * z;
   // of `harmonics`, by x, y and z
   const vf by_x[HARMONICS] = {vf{},          all(1.f), vf{}, vf{}, y, vf{}, z,           2.f * x, vf{}, 6.f * x * y, y * z,
@@ -510,9 +510,24 @@ void light_slope(const LearnedTask& t, const int32_t* nearest, const float* shar
   const auto luminance = [](const auto* rgb) __attribute__((always_inline)) {
     return LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2];
   };
+  for (int i = 0; i < 3; i++) slope[i] = vf{};
+  if (s.baked) {
+    vf field[BAKED] = {};
+    for (int k = 0; k < ANCHORS_AROUND; k++) {
+      vi row;
+      memcpy(&row, beside + LANES * k, sizeof row);
+      const vf of_anchor = load(share + LANES * k);
+      const vi at = (row >> 4) * (BAKED * LANES) + (row & (LANES - 1));
+      for (int i = 0; i < BAKED; i++) field[i] += of_anchor * gather(s.baked + LANES * i, at);
+    }
+    for (int a = 0; a < 3; a++) slope[a] = luminance(field + 3 * (a + 1));
+    const vf all_around = luminance(field), inverse = 1.f / max(all_around + dot(slope, normal),
+                                                                max(GRAZED_MIN * (all_around + sqrt(dot(slope, slope))), all(LIT_MIN)));
+    for (int i = 0; i < 3; i++) slope[i] *= inverse;
+    return;
+  }
   const vf part = luminance(reached);
   harmonics(normal, waves);
-  for (int i = 0; i < 3; i++) slope[i] = vf{};
   for (int k = 0; k < HARMONICS; k++) {
     const vf lit = part * luminance(s.irradiance + 3 * k);
     sum += lit * waves[k], slope[0] += lit * by_x[k], slope[1] += lit * by_y[k], slope[2] += lit * by_z[k];

@@ -75,9 +75,9 @@ void light_blocks(const LearnedTask& t, int32_t first, int32_t end);
 void seen_block(const LearnedTask& t, int32_t block);
 
 // How the light of skin at sixteen posed places p, root-relative, changes with its unit normal: per unit of a change,
-// over the light itself, without color. nearest, share: (ANCHORS_AROUND, 16) of the anchors around them. Of a hand in
-// the light that it was learned in, of its colors.
-void light_slope(const LearnedTask& t, const int32_t* nearest, const float* share, const vf p[3], const vf normal[3],
-                 vf slope[3]);
+// over the light itself, without color. nearest, share: (ANCHORS_AROUND, 16) of the anchors around them; beside: rows of
+// the Gaussians at these. Of a hand in the light that it was learned in, of its colors.
+void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* beside, const float* share, const vf p[3],
+                 const vf normal[3], vf slope[3]);
 
 }  // namespace jg

@@ -48,16 +48,6 @@ JG_INLINE vf round_even(vf a) {
 JG_INLINE vi to_int(vf a) { return __builtin_convertvector(a, vi); }
 JG_INLINE vf to_float(vi a) { return __builtin_convertvector(a, vf); }
 
-#if defined(__AVX512F__)
-JG_INLINE vf gather(const float* p, vi index) { return (vf)_mm512_i32gather_ps((__m512i)index, p, 4); }
-#else
-JG_INLINE vf gather(const float* p, vi index) {
-  vf r;
-  for (int i = 0; i < LANES; i++) r[i] = p[index[i]];
-  return r;
-}
-#endif
-
 // 2^-32 is nothing to a shadow, and as far as exp2_of_negative<5> goes without AVX-512.
 constexpr float EXPONENT_MIN = -32.f;
 

@@ -105,6 +105,16 @@ JG_INLINE vf float_of(vi b) {
 }
 JG_INLINE vf abs(vf a) { return float_of(bits_of(a) & 0x7fffffff); }
 
+#if defined(__AVX512F__)
+JG_INLINE vf gather(const float* p, vi index) { return (vf)_mm512_i32gather_ps((__m512i)index, p, 4); }
+#else
+JG_INLINE vf gather(const float* p, vi index) {
+  vf r;
+  for (int i = 0; i < LANES; i++) r[i] = p[index[i]];
+  return r;
+}
+#endif
+
 // Rounds towards minus infinity. By conversion, not by the (x + M) - M trick, which fast-math folds away.
 JG_INLINE vi floor_to_int(vf x) {
   vi n = __builtin_convertvector(x, vi);

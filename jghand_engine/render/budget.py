@@ -200,6 +200,8 @@ def profile_file(avatar: HandAvatar, backend: str = "auto") -> Path:
     learned = None if avatar.learned is None else asdict(LearnedAbout.of(avatar.learned))
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine, learned]).encode())
     detail = () if avatar.detail is None else (avatar.detail.texture,)
+    if avatar.detail is not None and avatar.detail.relief is not None:
+        detail += (avatar.detail.relief.height,)
     for array in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, *detail):
         digest.update(array.tobytes())
     return cache_folder() / f"profile_{digest.hexdigest()[:24]}.json"

@@ -20,7 +20,7 @@ from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.posing import LightAround, Poser
-from jghand_engine.avatar.relief import Bend
+from jghand_engine.avatar.relief import Bend, finger_shares
 from jghand_engine.avatar.skin_task import skin_task
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -47,15 +47,14 @@ _LOG2_PER_STEP = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0)
 @dataclass(frozen=True)
 class DetailedHand:
     """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters · weights:
-    (V, maps) of all maps that move its surface · fingers: (V, 5) what of it is each finger's · light: around its
-    vertices, where something has a relief that light falls on"""
+    (V, maps) of all maps that move its surface · light: around its vertices, where it has a relief that light falls
+    on"""
 
     detail: Detail
     power: float
     joints_m: np.ndarray
     handedness: Handedness
     weights: np.ndarray
-    fingers: np.ndarray
     light: LightAround | None = None
 
     @classmethod
@@ -65,10 +64,8 @@ class DetailedHand:
         if detail is None:
             raise InputError("detail of a hand", wanted="an avatar with one", came=avatar.info.name)
         weights = avatar.map_weights(detail.position_m, detail.bone_weights)
-        # three bones behind each knuckle, level order
-        fingers = detail.bone_weights[:, 6:].reshape(-1, 3, 5).sum(1)
         light = None if poser is None or detail.relief is None else poser.light_around(detail.position_m)
-        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, fingers, light)
+        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, light)
 
 
 class NativeDetail:
@@ -95,7 +92,7 @@ class NativeDetail:
             task.depth, task.fade_from, task.fade_to = (
                 own.scale * length_m for length_m in (hand.depth_m, FADE_FROM_M, FADE_TO_M)
             )
-            task.rise = own.scale * hand.step_m
+            hand.rise_m = own.scale * hand.step_m
 
     def prepare(self, planes: np.ndarray, camera: Camera, strengths: Sequence[float]) -> None:
         """Sets the next image, (5, H, W) as the rasterizer leaves it: its colors are changed in place.
@@ -107,6 +104,8 @@ class NativeDetail:
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
         for hand, own, strength in zip(self._hands, self._tasks, strengths, strict=True):
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_STEP
+            # one that only hides others needs no light
+            own.rise = hand.rise_m if strength > 0 else 0.0
         self.team.fill(0)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -175,15 +174,19 @@ class _Hand:
         self.task = DetailHand(
             skin=ctypes.addressof(self._skin), size_log2=detail.size.bit_length() - 1, groups=groups, facing=facing
         )
-        self.step_m, self._bend = 0.0, None
+        self.step_m, self.rise_m, self._bend = 0.0, 0.0, None
         if hand.light is not None and detail.slopes is not None:
-            self.step_m, self._bend = detail.slopes.step_m, Bend(detail.position_m, hand.fingers, hand.joints_m)
+            self.step_m = detail.slopes.step_m
+            self._bend = Bend(detail.position_m, finger_shares(detail.bone_weights), hand.joints_m)
+            # keeps what the task points to
+            self._light = hand.light
             self._joints_m = hand.joints_m - hand.joints_m[0]
             self._near = np.ascontiguousarray(blocks.in_rows(self._bend.near).T)
             self._arrays |= {
                 "rises": detail.slopes.texels,
                 "normal": blocks.blocked(detail.normals),
                 "nearest": blocks.blocked(hand.light.nearest, np.int32),
+                "beside": blocks.blocked(hand.light.beside, np.int32),
                 "share": blocks.blocked(hand.light.share),
                 "bend": aligned_zeros((blocks.rows,)),
                 "slope": aligned_zeros((4, blocks.rows)),

@@ -67,8 +67,8 @@ NO_BLUR = (Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, 
 # estimated cost on one core, milliseconds per Gaussian, per pixel, and per pixel and sample of the shadow
 SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1.3e-4
 MAP_MS, SHADOW_MS = 1e-6, 3e-7
-# ... of detail, per face and per pixel
-FACE_MS, TEXEL_MS = 1e-4, 2e-5
+# ... of detail, per face and per pixel, and per pixel with a relief
+FACE_MS, TEXEL_MS, RELIEF_TEXEL_MS = 1e-4, 2e-5, 3e-5
 
 
 def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
@@ -265,9 +265,10 @@ def plan_detail(scene: Scene, views: Sequence[View], settings: RenderSettings) -
         nearest_m = view.lows_m[2] - view.splat_m - view.offset_by_m
         size = view.bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
         spans.append(detail.texels_per_m / max(size, 1e-9))
-        seen.append(math.expm1(view.hand.detail_power * detail.strongest(spans[-1])))
+        hand = view.hand
+        seen.append(math.expm1(detail.strongest(spans[-1], hand.detail_power, is_lit=hand.learned is not None)))
         side = min(extent, scene.camera.width, scene.camera.height)
-        cost += len(detail.faces) * FACE_MS + 0.5 * side**2 * TEXEL_MS
+        cost += len(detail.faces) * FACE_MS + 0.5 * side**2 * (TEXEL_MS if detail.relief is None else RELIEF_TEXEL_MS)
     strengths = tuple(1.0 if effects.forces(Effect.DETAIL) else min(max(s / DETAIL_UNSEEN - 1, 0.0), 1.0) for s in seen)
     worst, figures = max(seen), (min(spans), 100 * max(seen))
     if not any(strengths):

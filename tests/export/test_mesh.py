@@ -109,7 +109,7 @@ def test_a_glb_has_the_relief_of_the_hand_as_a_normal_map(tmp_path):
         image = read(path).visual.material.normalTexture.convert("RGB")
         normal = (np.asarray(image, float) - 128) / 127
         inner = normal[24:40, 24:40][detail.skin[24:40, 24:40]].mean(0)
-        steep = 64 * HEIGHT_STEP_M * detail.texels_per_m / 64
+        steep = HEIGHT_STEP_M * detail.density_per_m[1]
         assert inner == pytest.approx(np.array([*wanted, 1 / steep]) * steep / np.hypot(1, steep), abs=0.01)
         assert not normal[~detail.skin][:, :2].any()
 

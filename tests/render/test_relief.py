@@ -12,8 +12,8 @@ from detail_samples import detail_of, flat
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.relief import HEIGHT_STEP_M, Bend, Relief
-from jghand_engine.avatar.scene_light import Lamp, SceneLight, World, soft_cosine
+from jghand_engine.avatar.relief import HEIGHT_STEP_M, Bend, Relief, finger_shares
+from jghand_engine.avatar.scene_light import Baked, Lamp, SceneLight, World, soft_cosine
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.native import library as native_library
@@ -91,8 +91,7 @@ def wanted(handedness: Handedness, name: str, seen: Camera, towards: np.ndarray)
     slope = falls[:, None] * (towards / np.linalg.norm(towards))
     along = (slope * normal).sum(1)
     slope = slope @ seen.camera_from_world[:3, :3].T
-    fingers = detail.bone_weights[:, 6:].reshape(-1, 3, 5).sum(1)
-    bend = Bend(detail.position_m, fingers, avatar.canonical_joints_m)
+    bend = Bend(detail.position_m, finger_shares(detail.bone_weights), avatar.canonical_joints_m)
     bent = bend.near @ bend.of_joints(joints_m[None])[0]
 
     pixels = (points_m[:, :2] / (1 if seen.orthographic else points_m[:, 2:])) * (seen.fx, seen.fy) + (seen.cx, seen.cy)
@@ -181,8 +180,7 @@ def test_even_light_shows_no_relief_and_a_studio_some():
 
 
 def test_wrinkles_of_straight_fingers_go_as_they_bend():
-    fingers = hand().detail.bone_weights[:, 6:].reshape(-1, 3, 5).sum(1)
-    bend = Bend(hand().detail.position_m, fingers, hand().canonical_joints_m)
+    bend = Bend(hand().detail.position_m, finger_shares(hand().detail.bone_weights), hand().canonical_joints_m)
     straight, fist = (bend.near @ bend.of_joints(pose(name)[None])[0] for name in ("flat", "fist"))
     joint = np.linalg.norm(hand().detail.position_m - hand().canonical_joints_m[8], axis=1) < 0.011
     assert straight[joint].max() < 0.1
@@ -202,6 +200,25 @@ def test_slopes_are_those_of_the_heights_whatever_their_level():
     # the second level follows the first
     coarser = steps[TEXELS**2 : TEXELS**2 * 5 // 4].reshape(8, 8, 4, 4, 4)[1:-1, 1:-1].reshape(-1, 4)
     np.testing.assert_allclose(coarser[:, 0] * slopes.step_m, TEXELS * HEIGHT_STEP_M, rtol=0.02)
+
+
+def test_light_that_was_baked_shows_relief_as_the_lamp_does():
+    """The field of a sun: nothing from all around, and its irradiance along its direction."""
+    towards = np.array([-0.5, 0.3, 0.8]) / np.linalg.norm([-0.5, 0.3, 0.8])
+    lamp = sun(*towards)
+    field = np.zeros((len(hand()), 4, 3), np.float32)
+    field[:, 1:] = 3.0 * towards[:, None]
+    by_lamp, bright = ratio("bumps", lamp)
+    baked, is_lit = ratio("bumps", replace(lamp, baked=Baked((field,))))
+    both = bright & is_lit & (np.abs(by_lamp - 1) > 0.03)
+    assert both.sum() > 500
+    assert np.median(np.abs(baked - by_lamp)[both]) < 0.01
+
+
+def test_relief_stays_where_shadows_are_left_out():
+    plain = replace(DRAWN, effects=Choice.parse("detail,correctives,gloss"))
+    one, other = (HandRenderer(hand(kind), plain).render(pose("open"), camera()).rgba for kind in ("bumps", ""))
+    assert np.abs(one - other).max() > 0.01
 
 
 def test_a_hand_without_light_of_its_own_shows_no_relief():
