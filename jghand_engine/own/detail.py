@@ -127,7 +127,7 @@ def seen_detail(own: OwnHand, surface: Detail, shown: Sequence[Shown], joints_m:
     film, seen = _mean(moved())
     film, _ = _mean(moved(), film)
     strength = _strength(seen, layout.covered)
-    return replace(surface, texture=ratio_bytes(strength[..., None] * (film - drawn)))
+    return replace(surface, texture=ratio_bytes(strength[..., None] * (film - drawn)), relief=None)
 
 
 def _strength(seen: np.ndarray, covered: np.ndarray) -> np.ndarray:

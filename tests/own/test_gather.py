@@ -22,7 +22,7 @@ def flat():
     assert hand.learned is not None
     learned = replace(hand.learned, response=None, light=no_light(), cast=None, correctives=None)
     way = hand.position_m @ np.array([[6.0, 0, 3], [2, 3, 0], [0, 8, 5]], np.float32)
-    hand = replace(hand, rgb=(0.5 + 0.2 * np.sin(0.5 * way)).astype(np.float32), learned=learned)
+    hand = replace(hand, rgb=(0.5 + 0.2 * np.sin(0.5 * way)).astype(np.float32), learned=learned, detail=None)
     return hand, film_of(hand, None)
 
 
