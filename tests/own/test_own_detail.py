@@ -23,7 +23,7 @@ SIZE, MARK_TEXELS = (240, 400), 4.0
 def surface() -> Detail:
     found = plain_hand().detail
     assert found is not None
-    return found
+    return replace(found, relief=None)
 
 
 def marks() -> np.ndarray:
