@@ -71,13 +71,13 @@ def numbers(values: Any, shape: tuple[int, ...], what: str, remedy: str = "") ->
     """
     came = "no rows of numbers"
     try:
-        array = np.array(values)
-        if array.dtype.kind not in "iuf":
+        if np.array(values).dtype.kind == "U":
             raise TypeError
+        array = np.array(values, dtype=np.float64)
         came = f"numbers of shape {array.shape}"
         if array.ndim > 1 and array.squeeze().shape != tuple(length for length in shape if length > 1):
             raise ValueError
-        return array.astype(np.float64).reshape(shape)
+        return array.reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(what, wanted=f"numbers of shape {shape}", came=came, remedy=remedy) from error
 
