@@ -76,9 +76,10 @@ class Somebody:
         uv = self.identity.face_uv[: self.identity.skin_face_count]
         return rasterize_uv(uv, np.zeros((len(uv), 3, 1)), len(self.maps.rgb))[1][..., None].astype(np.float32)
 
-    def blurred(self, values: np.ndarray) -> np.ndarray:
-        """(S, S, C) a map as Gaussians can show it."""
-        return _blurred(self, values, FOOTPRINT_MM)
+    def blurred(self, values: np.ndarray, spread_mm: float = FOOTPRINT_MM) -> np.ndarray:
+        """(S, S, C) a map blurred on the skin; left out, as Gaussians can show it."""
+        sigma = spread_mm / self.texel_mm
+        return np.stack([gaussian_filter(each, sigma) for each in np.moveaxis(values, -1, 0)], -1)
 
 
 def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
@@ -138,14 +139,14 @@ def person_detail(detail: Detail, one: Somebody) -> Detail:
     """The detail with the colors and the relief of a person's maps."""
     size = detail.size
     skin = _resized(one.covered, size) > 0.5
-    color = np.log(one.maps.rgb / _blurred(one, one.maps.rgb, DETAIL_MM))
-    color = _resized(_blurred(one, color, COLOR_BLUR_MM), size)
+    color = np.log(one.maps.rgb / one.blurred(one.maps.rgb, DETAIL_MM))
+    color = _resized(one.blurred(color, COLOR_BLUR_MM), size)
     green = color[..., 1:2]
     color = TEXTURE_STEP * (np.rint(green / TEXTURE_STEP) + 2 * np.rint((color - green) / (2 * TEXTURE_STEP)))
     fine = one.maps.fine
     # as blender_addon/capture/scene.py mixes the maps by how bent the joints are
     straight, bent = fine["static"] + fine["straight"] + fine["fold"], fine["static"] + 1.5 * fine["fold"]
-    height_m = RELIEF_GAIN * MM * _blurred(one, np.stack([straight, bent], -1), RELIEF_BLUR_MM)
+    height_m = RELIEF_GAIN * MM * one.blurred(np.stack([straight, bent], -1), RELIEF_BLUR_MM)
     height = np.rint(_resized(height_m, size) / HEIGHT_STEP_M).clip(-127, 127)
     return replace(detail, texture=ratio_bytes(color * skin), relief=Relief((height * skin).astype(np.int8)))
 
@@ -157,11 +158,6 @@ def _resized(values: np.ndarray, size: int) -> np.ndarray:
     step = (np.arange(size) + 0.5) / size
     uv = np.stack(np.broadcast_arrays(step[None, :], 1 - step[:, None]), -1)
     return sample_bilinear(values, uv).astype(np.float32)
-
-
-def _blurred(one: Somebody, values: np.ndarray, spread_mm: float) -> np.ndarray:
-    sigma = spread_mm / one.texel_mm
-    return np.stack([gaussian_filter(each, sigma) for each in np.moveaxis(values, -1, 0)], -1)
 
 
 def somebody(avatar: HandAvatar, name: str, person: Person, maps: SkinMaps) -> Somebody:
