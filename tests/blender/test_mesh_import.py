@@ -39,7 +39,9 @@ def test_a_posed_hand_is_a_textured_mesh_in_blender(tmp_path, kind):
     assert [layer.name for layer in hand.data.uv_layers] == ["UVMap"]
     (material,) = hand.data.materials
     images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"]
-    assert [tuple(image.size) for image in images] == [(2048, 2048)]
+    # the colors, and in a GLB the relief as a normal map
+    assert [tuple(image.size) for image in images] == [(2048, 2048)] * (2 if kind == "mesh" else 1)
+    assert [node.type for node in material.node_tree.nodes].count("NORMAL_MAP") == (1 if kind == "mesh" else 0)
     # skin, not black: red is its strongest color
     red, green, blue, _ = np.array(images[0].pixels).reshape(-1, 4).mean(axis=0)
     assert red > green > blue > 0.1
