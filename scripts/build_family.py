@@ -4,10 +4,10 @@
 
 The built-in hand learned from `jghand capture` of adult_woman and the usual person, in known light (train_builtin.py).
 Nobody else's pictures were learned: each hand is the trained one in another identity's shape, with the colors, the
-gloss and the detail of another person's maps (`scripts/other_person.py`). In OUT come NAME.jghand and NAME.png of
-each, family.png with all of them, and jghand-hands.zip, which Blender's "Install Hands" takes. A hand that is there, of
-the same trained one, the same person and the same code, is kept; the maps of a person take minutes of one core, and are
-kept too.
+gloss and the detail of another person's maps (`scripts/other_person.py`) on that person's skin (`registration.py`). In
+OUT come NAME.jghand and NAME.png of each, family.png with all of them, and jghand-hands.zip, which Blender's "Install
+Hands" takes. A hand that is there, of the same trained one, the same person and the same code, is kept; the maps of a
+person take minutes of one core, and are kept too.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from pathlib import Path
 
 import numpy as np
 import other_person
+import registration
 import tyro
 from other_person import Somebody, as_person, person_detail, somebody
 from PIL import Image
+from registration import registered
 
 from jghand_engine.avatar import BUILTIN
 from jghand_engine.avatar.avatar import HandAvatar
@@ -104,7 +106,7 @@ def main(options: Options) -> None:
             other = load(*FAMILY[name])
             avatar = as_person(trained, own, other)
             if avatar.detail is not None:
-                avatar = replace(avatar, detail=person_detail(avatar.detail, other))
+                avatar = registered(replace(avatar, detail=person_detail(avatar.detail, other)), other)
             return _told(avatar, f"JGHand {name}")
 
         identity, person = FAMILY[name]
@@ -121,7 +123,7 @@ def main(options: Options) -> None:
 
 def code_sha256() -> str:
     """Of the sources that make one person's hand into another's."""
-    sources = (inspect.getsource(module) for module in (other_person, reshape))
+    sources = (inspect.getsource(module) for module in (other_person, registration, reshape))
     return hashlib.sha256("".join(sources).encode()).hexdigest()
 
 

@@ -47,9 +47,9 @@ DETAIL_MM = 1.5
 RELIEF_BLUR_MM, RELIEF_GAIN = 0.17, 0.9
 # blur of the colors, mm: half of the bytes, and nothing that is seen
 COLOR_BLUR_MM = 0.1
-# log ratio: 2.2 % of the light, four steps of a byte, and twice that of how hues differ. Nobody sees finer ones, and a
+# log ratio: 3.4 % of the light, six steps of a byte, and twice that of how hues differ. Nobody sees finer ones, and a
 # file keeps its 8 MB
-TEXTURE_STEP = 4 * LOG_RATIO_MAX / RATIO_STEPS
+TEXTURE_STEP = 6 * LOG_RATIO_MAX / RATIO_STEPS
 
 
 @dataclass(frozen=True)

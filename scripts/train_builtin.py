@@ -17,6 +17,7 @@ from pathlib import Path
 import tyro
 from build_family import TRAINED, kept_maps
 from other_person import person_detail, somebody
+from registration import registered
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar, save_avatar
@@ -53,11 +54,11 @@ def main(options: Options) -> None:
 
 
 def with_maps(avatar: HandAvatar, folder: Path) -> HandAvatar:
-    """The avatar with the detail of its person's maps, which are kept in a folder."""
+    """The avatar with the detail of its person's maps, which are kept in a folder, on that person's skin."""
     if avatar.detail is None:
         return avatar
     person = somebody(avatar, *TRAINED, kept_maps(folder, *TRAINED, MAP_PX))
-    return replace(avatar, detail=person_detail(avatar.detail, person))
+    return registered(replace(avatar, detail=person_detail(avatar.detail, person)), person)
 
 
 def run(*words: object) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
+from jghand_engine.avatar.detail_correctives import angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
+from jghand_engine.avatar.skin_task import BLEND_DET_MIN
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.native import contract
 from jghand_engine.native.detail_task import TEXEL_BITS, TEXEL_ZERO
@@ -44,7 +46,15 @@ def posed_surface(avatar: HandAvatar, joints_m: np.ndarray) -> tuple[np.ndarray,
     weights = avatar.map_weights(detail.position_m, detail.bone_weights).astype(np.float64)
     maps = np.einsum("vb,bij->vij", weights, bones.linear_offset)
     relative = detail.position_m - avatar.canonical_joints_m[0]
-    return np.einsum("vij,vj->vi", maps[..., :3], relative) + maps[..., 3] + bones.root_m, bones.scale
+    posed_m = np.einsum("vij,vj->vi", maps[..., :3], relative) + maps[..., 3] + bones.root_m
+    if detail.correctives is not None:
+        numbers = detail.bone_weights.astype(np.float64) @ angle_numbers(bones.angles_rad)
+        offset_m = np.einsum("vk,vkc->vc", numbers, detail.correctives.direction * np.float64(1))
+        offset_m *= detail.correctives.scale_m[:, None]
+        volume = np.abs(np.linalg.det(maps[..., :3] / bones.scale))
+        turn = maps[..., :3] / np.cbrt(np.maximum(volume, BLEND_DET_MIN))[:, None, None]
+        posed_m += np.einsum("vij,vj->vi", turn, offset_m)
+    return posed_m, bones.scale
 
 
 def ratios(avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, alpha: np.ndarray, depth_m: np.ndarray):

@@ -10,10 +10,13 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import Detail, ratio_bytes
+from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.subdivision import Subdivision
 
+# of correctives at random, meters per step: they move the skin of a fist by a millimeter
+STEP_M = 2e-6
 # the Gaussians of the painted hand lie on its skin
 DEPTH_M = 0.0
 
@@ -46,6 +49,16 @@ def _skin() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def detail_of(texture: np.ndarray) -> Detail:
     return Detail(*_skin(), texture, DEPTH_M)
+
+
+def moving(avatar: HandAvatar) -> HandAvatar:
+    """With a surface that poses move to one side or the other, all over alike."""
+    detail = avatar.detail
+    assert detail is not None
+    one = np.random.default_rng(3).integers(-127, 128, (NUMBERS, 3)).astype(np.int8)
+    direction = np.broadcast_to(one, (len(detail.position_m), NUMBERS, 3)).copy()
+    scale_m = np.full(len(direction), STEP_M, np.float32)
+    return replace(avatar, detail=replace(detail, correctives=DetailCorrectives(direction, scale_m)))
 
 
 def detailed(texture: np.ndarray, handedness: Handedness = Handedness.RIGHT) -> HandAvatar:

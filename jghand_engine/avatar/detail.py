@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from jghand_engine.avatar.detail_correctives import DetailCorrectives
 from jghand_engine.avatar.detail_mips import Mips, mips, skin_texels
 from jghand_engine.avatar.relief import LIGHT_CHANGE_MAX, Relief, Slopes
 
@@ -40,6 +41,7 @@ class Detail:
                   log(color / color of the Gaussians) = (byte - 128) / 127 * 0.7
     depth_m:      how far the blended depth of the Gaussians lies below the surface
     relief:       what turns with the light, of as many texels; None for none
+    correctives:  what the pose changes beyond skinning; None for nothing
     """
 
     position_m: np.ndarray
@@ -49,6 +51,7 @@ class Detail:
     texture: np.ndarray
     depth_m: float
     relief: Relief | None = None
+    correctives: DetailCorrectives | None = None
 
     @property
     def size(self) -> int:

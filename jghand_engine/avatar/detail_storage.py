@@ -8,11 +8,14 @@
 | faces        | uint16       | uint16                | nothing                                       |
 | texture      | deflated     | deflated              | nothing                                       |
 | relief       | deflated     | deflated              | nothing                                       |
+| direction    | deflated     | deflated              | nothing                                       |
+| scale_m      | float32      | float32               | nothing                                       |
 
 The texture is deflated as differences: red and blue as what they have more than green, then each row as what it has
 more than the one above, modulo 256. Skin varies in all three together and little from row to row; unlike a PNG's best
 predictors, these are undone by numpy alone, which is all that Blender has. So is the relief, which may be missing: its
-heights where joints are bent as what they have more than where they are straight.
+heights where joints are bent as what they have more than where they are straight. Direction and scale are those of
+`DetailCorrectives`, which may be missing too.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.avatar.detail import Detail
+from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives
 from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.storage import (
     STORED_WEIGHTS,
@@ -53,6 +57,8 @@ PREFIX = "detail."
 DEFLATED_MAX = 1.001
 # 9 takes twice as long for less than a hundredth
 DEFLATE_LEVEL = 6
+# what a detail need not have
+_MAY_LACK = ("relief_bytes", "direction_bytes")
 # no hand's vertices are farther from the template's origin, meters
 BOX_MAX_M = 10.0
 
@@ -60,7 +66,8 @@ BOX_MAX_M = 10.0
 @dataclass(frozen=True)
 class DetailAbout:
     """What the JSON says. size: of the texture · texture_bytes: of the deflated one · box_m: of the vertices, low and
-    high corner · relief_bytes: as of the texture, 0 of no relief"""
+    high corner · relief_bytes: as of the texture, 0 of no relief · direction_bytes: of the correctives, 0 of
+    none"""
 
     vertices: int
     faces: int
@@ -69,10 +76,11 @@ class DetailAbout:
     depth_m: float
     box_m: list[list[float]]
     relief_bytes: int = 0
+    direction_bytes: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; of a detail without a relief as it was before there were any."""
-        return {name: value for name, value in asdict(self).items() if value or name != "relief_bytes"}
+        """For JSON; of a detail without a relief or correctives as it was before there were any."""
+        return {name: value for name, value in asdict(self).items() if value or name not in _MAY_LACK}
 
     @classmethod
     def parsed(cls, of: JsonObject) -> DetailAbout:
@@ -84,17 +92,19 @@ class DetailAbout:
             of.count("vertices", 3, DETAIL_VERTICES_MAX),
             of.count("faces", 1, DETAIL_FACES_MAX),
             size,
-            of.count("texture_bytes", 1, _deflated_max(3, size)),
+            of.count("texture_bytes", 1, _deflated_max(3, size**2)),
             of.number("depth_m", 0, DETAIL_DEPTH_MAX_M),
             box_m.tolist(),
         )
-        if "relief_bytes" not in of.fields:
-            return about
-        return replace(about, relief_bytes=of.count("relief_bytes", 1, _deflated_max(2, size)))
+        most = {
+            "relief_bytes": _deflated_max(2, size**2),
+            "direction_bytes": _deflated_max(3 * NUMBERS, about.vertices),
+        }
+        return replace(about, **{name: of.count(name, 1, most[name]) for name in _MAY_LACK if name in of.fields})
 
 
-def _deflated_max(channels: int, size: int) -> int:
-    return int(DEFLATED_MAX * channels * size**2) + 64
+def _deflated_max(channels: int, places: int) -> int:
+    return int(DEFLATED_MAX * channels * places) + 64
 
 
 def expected_detail_arrays(about: DetailAbout, storage: Storage) -> dict[str, tuple[str, tuple]]:
@@ -107,6 +117,8 @@ def expected_detail_arrays(about: DetailAbout, storage: Storage) -> dict[str, tu
     }
     if about.relief_bytes:
         arrays["relief"] = ("U8", (about.relief_bytes,))
+    if about.direction_bytes:
+        arrays |= {"direction": ("U8", (about.direction_bytes,)), "scale_m": ("F32", (about.vertices,))}
     if exact:
         arrays |= {"position_m": ("F32", (about.vertices, 3)), "bone_weights": ("F32", (about.vertices, JOINT_COUNT))}
     else:
@@ -133,6 +145,11 @@ def pack_detail(detail: Detail, storage: Storage) -> tuple[dict[str, np.ndarray]
     if detail.relief is not None:
         packed["relief"] = _deflated(_height_differences(detail.relief.height))
         about = replace(about, relief_bytes=len(packed["relief"]))
+    if detail.correctives is not None:
+        # neighbors, which go the same way, lie together
+        packed["direction"] = _deflated(np.moveaxis(detail.correctives.direction, 0, -1))
+        packed["scale_m"] = detail.correctives.scale_m
+        about = replace(about, direction_bytes=len(packed["direction"]))
     return {PREFIX + name: np.ascontiguousarray(array) for name, array in packed.items()}, about
 
 
@@ -158,6 +175,7 @@ def unpack_detail(packed: dict[str, np.ndarray], about: DetailAbout, thing: str)
         texture=_colors(_inflated(own["texture"], (3, about.size, about.size), f"{thing}: texture of the detail")),
         depth_m=about.depth_m,
         relief=_relief(own["relief"], about.size, thing) if about.relief_bytes else None,
+        correctives=_correctives(own, about.vertices, thing) if about.direction_bytes else None,
     )
 
 
@@ -188,6 +206,11 @@ def _relief(deflated: np.ndarray, size: int, thing: str) -> Relief:
     steps = np.add.accumulate(_inflated(deflated, (2, size, size), f"{thing}: relief"), axis=1, dtype=np.uint8)
     steps[1] += steps[0]
     return Relief(np.ascontiguousarray(np.moveaxis(steps, 0, -1)).view(np.int8))
+
+
+def _correctives(own: dict[str, np.ndarray], vertices: int, thing: str) -> DetailCorrectives:
+    steps = _inflated(own["direction"], (NUMBERS, 3, vertices), f"{thing}: direction of the detail's correctives")
+    return DetailCorrectives(np.ascontiguousarray(np.moveaxis(steps, -1, 0)).view(np.int8), own["scale_m"])
 
 
 def _deflated(content: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.detail import Detail
+from jghand_engine.avatar.detail_correctives import NUMBERS
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned
 from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.errors import InputError
@@ -94,6 +95,18 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
         if height.dtype != np.int8:
             raise InputError(f"{thing}: relief", wanted="signed bytes", came=str(height.dtype), remedy=REMEDY)
         _check_ranges(thing, {"detail relief": (height, (side, side, 2), -128, 127)})
+    if detail.correctives is not None:
+        direction, scale_m = detail.correctives.direction, detail.correctives.scale_m
+        if direction.dtype != np.int8:
+            raise InputError(f"{thing}: direction", wanted="signed bytes", came=str(direction.dtype), remedy=REMEDY)
+        most_m = AVATAR_REACH_M / 127
+        _check_ranges(
+            thing,
+            {
+                "detail direction": (direction, (vertices, NUMBERS, 3), -128, 127),
+                "detail scale_m": (scale_m, (vertices,), 0.0, most_m),
+            },
+        )
     total = detail.bone_weights.sum(1, dtype=np.float64)
     off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "detail bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total, "vertex")

@@ -20,7 +20,7 @@ namespace jg {
 
 // Of one hand. Mirrored field by field in native/detail_task.py.
 struct DetailHand {
-  const SkinTask* skin;      // of the vertices: rest, bones, weights, linear_offset, shift
+  const LearnedTask* surface;  // of the vertices: their skin, and linear correctives of their places or none
   float* vertex;             // (3, 16 blocks): x, y px, near
   const int32_t* corner;     // (groups, 3, 16): rows of vertices
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
@@ -85,10 +85,19 @@ JG_INLINE vi least(vi a, vi b) { return a < b ? a : b; }
 JG_INLINE vi most(vi a, vi b) { return a > b ? a : b; }
 
 void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
-  const SkinTask& s = *hand.skin;
-  vf m[MAP_ENTRIES], p[3];
+  const LearnedTask& surface = *hand.surface;
+  const SkinTask& s = surface.skin;
+  vf m[MAP_ENTRIES], p[3], turn[9];
   blend(s, block, m);
   posed_center(s, block, m, p);
+  const bool moves = surface.correctives == LINEAR;
+  if (moves || hand.rise > 0) turning(s, surface.volume_min, m, volume(s, m), turn);
+  if (moves) {
+    vf correction[CORRECTION], moved[3];
+    linear_correction(surface, block, correction);
+    turn_by(turn, correction, moved);
+    for (int i = 0; i < 3; i++) p[i] += moved[i] * s.scale;
+  }
   for (int i = 0; i < 3; i++) p[i] += s.shift[i];
   const vf z = to_camera(t.camera_from_position + 8, p[0], p[1], p[2]);
   const vf iz = t.orthographic ? all(1.f) : 1.f / z;
@@ -101,12 +110,11 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
   if (!(hand.rise > 0)) return;
   const float* at_rest = hand.normal + 3 * row;
-  vf turn[9], n[3], slope[3];
+  vf n[3], slope[3];
   for (int i = 0; i < 3; i++) n[i] = load(at_rest + LANES * i), p[i] -= s.shift[i];
-  turning(s, hand.learned->volume_min, m, volume(s, m), turn);
   vf normal[3];
   turn_by(turn, n, normal);
-  make_unit(normal, hand.learned->length2_min);
+  make_unit(normal, surface.length2_min);
   const int64_t around = ANCHORS_AROUND * row;
   light_slope(*hand.learned, hand.nearest + around, hand.beside + around, hand.share + around, p, normal, slope);
   for (int i = 0; i < 3; i++) {
@@ -134,7 +142,7 @@ JG_INLINE Plane slope(vf da1, vf da2, const vf face[FACE_ROWS]) {
 // What a rise of the relief does to light. Affine on the image: faces are small.
 void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group, const vf x[3], const vf y[3],
                      const vf near[3], vf face[FACE_ROWS]) {
-  const int64_t rows = LANES * (int64_t)hand.skin->blocks;
+  const int64_t rows = LANES * (int64_t)hand.surface->skin.blocks;
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
   vf p[3][3], side[2][3], du[2], dv[2], by_u[3], by_v[3], along[3], bend[3];
   for (int k = 0; k < 3; k++) {
@@ -170,7 +178,7 @@ void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group,
 }
 
 void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
-  const int64_t rows = LANES * (int64_t)hand.skin->blocks;
+  const int64_t rows = LANES * (int64_t)hand.surface->skin.blocks;
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
   vf x[3], y[3], near[3];
   for (int k = 0; k < 3; k++) {
@@ -517,7 +525,7 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
       for (int64_t i = range.begin; i < range.end; i++) work(t, hand, (int32_t)i);
     });
   };
-  parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.skin->blocks; }, jg::skin_vertices);
+  parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.surface->skin.blocks; }, jg::skin_vertices);
   parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.groups; }, jg::set_up_group);
   const int32_t tiles_x = (t.width + jg::TILE_X - 1) / jg::TILE_X, tiles_y = (t.height + jg::TILE_Y - 1) / jg::TILE_Y;
   jg::share(*team, 2, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });

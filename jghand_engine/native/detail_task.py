@@ -18,7 +18,7 @@ class DetailHand(ctypes.Structure):
     """DetailHand of native/detail.cpp, field by field."""
 
     _fields_ = (
-        *((name, _P) for name in ("skin", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
+        *((name, _P) for name in ("surface", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent")),
         *((name, _P) for name in ("learned", "rises", "normal", "nearest", "beside", "share", "bend", "slope")),

@@ -1,7 +1,7 @@
 """Detail on drawn Gaussians, by the compiled kernel (native/detail.cpp): the texture of each hand's skin, found at each
 pixel, multiplies the color there, and so does what its relief makes of the light.
 
-The surface is skinned as Gaussians are, without their correctives, and of several hands the nearest counts. A pixel
+The surface is skinned as Gaussians are, with correctives of its own, and of several hands the nearest counts. A pixel
 gets the level of the texture whose texels are as large as it is, and a mean of two levels between. Detail fades out at
 the outline, and where the Gaussians lie elsewhere than the surface: where something else is in front of it.
 """
@@ -18,16 +18,18 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
+from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import Bend, finger_shares
-from jghand_engine.avatar.skin_task import skin_task
+from jghand_engine.avatar.skin_task import BLEND_DET_MIN, NORMAL_LENGTH2_MIN, skin_task
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.detail_task import FACE_ROWS, DetailHand, DetailTask
+from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
@@ -150,8 +152,14 @@ class _Hand:
         relative = detail.position_m.astype(np.float64) - hand.joints_m[0]
         self._skin_arrays = {"rest": blocks.blocked(np.pad(relative, ((0, 0), (0, 1))))}
         self._skin_arrays |= blocks.bones(hand.weights)
-        self._skin = skin_task(blocks)
+        self._surface = LearnedTask(skin=skin_task(blocks), volume_min=BLEND_DET_MIN, length2_min=NORMAL_LENGTH2_MIN)
+        self._skin = self._surface.skin
         set_pointers(self._skin, self._skin_arrays)
+        self._numbers, self._correctives = aligned_zeros((hand.weights.shape[1], NUMBERS)), {}
+        if detail.correctives is not None:
+            self._correctives = detail.correctives.arrays(blocks) | {"numbers": self._numbers}
+            self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
+            set_pointers(self._surface, self._correctives)
         # neighbors stand together; a group is filled up with faces without area
         faces = Blocks(detail.position_m[detail.faces].mean(1))
         self.face_of_row = faces.in_rows(np.arange(len(detail.faces)), np.int32)
@@ -172,7 +180,10 @@ class _Hand:
         # a face seen from outside turns left; on the image, whose rows go down, its area is negative
         facing = -1.0 if hand.handedness is Handedness.RIGHT else 1.0
         self.task = DetailHand(
-            skin=ctypes.addressof(self._skin), size_log2=detail.size.bit_length() - 1, groups=groups, facing=facing
+            surface=ctypes.addressof(self._surface),
+            size_log2=detail.size.bit_length() - 1,
+            groups=groups,
+            facing=facing,
         )
         self.step_m, self.rise_m, self._bend = 0.0, 0.0, None
         if hand.light is not None and detail.slopes is not None:
@@ -199,10 +210,12 @@ class _Hand:
     def pose(self, bones: Bones, shift_m: np.ndarray) -> None:
         self._linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
         self._skin.linear_offset = address(self._linear_offset, np.float32, "linear_offset", (self._maps, 3, 4))
-        self._skin.shift = tuple(shift_m)
+        # the inverse of a hand without size is finite, as the Gaussians' is
+        inverse_scale = 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
+        self._skin.shift, self._skin.scale, self._skin.inverse_scale = tuple(shift_m), bones.scale, inverse_scale
+        if self._correctives:
+            self._numbers[:JOINT_COUNT] = angle_numbers(bones.angles_rad)
         if self._bend is not None:
-            # inverse of a hand without size is finite, as the Gaussians' is
-            self._skin.inverse_scale = 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
             joints_m = posed_joints_m(bones.linear_offset, self._joints_m)
             bent = self._bend.of_joints(joints_m[None])[0].astype(np.float32)
             np.matmul(bent, self._near, out=self._arrays["bend"])

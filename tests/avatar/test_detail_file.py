@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import safetensors
 import safetensors.numpy
-from detail_samples import detail_of, detailed, noise
+from detail_samples import detail_of, detailed, moving, noise
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, Detail, log_ratios, ratio_bytes
+from jghand_engine.avatar.detail_correctives import NUMBERS
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.storage import Storage
@@ -26,7 +27,7 @@ def same(one: Detail | None, other: Detail | None) -> bool:
     assert other is not None
     if one.relief is not None and other.relief is not None and (one.relief.height != other.relief.height).any():
         return False
-    arrays = [f.name for f in fields(Detail) if f.name != "relief"]
+    arrays = [f.name for f in fields(Detail) if f.name not in ("relief", "correctives")]
     is_same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
     return is_same and (one.relief is None) == (other.relief is None)
 
@@ -49,6 +50,34 @@ def test_a_file_returns_a_relief_as_it_is(tmp_path, in_relief, storage):
     again = load_avatar(tmp_path / "hand.jghand").detail.relief
     assert again.height.dtype == np.int8
     assert np.array_equal(again.height, in_relief.detail.relief.height)
+
+
+@pytest.mark.parametrize("storage", list(Storage))
+def test_a_file_returns_correctives_as_they_are(tmp_path, hand, storage):
+    own = moving(hand)
+    save_avatar(tmp_path / "hand.jghand", own, storage=storage)
+    again = load_avatar(tmp_path / "hand.jghand").detail.correctives
+    assert again.direction.dtype == np.int8
+    assert np.array_equal(again.direction, own.detail.correctives.direction)
+    assert np.array_equal(again.scale_m, own.detail.correctives.scale_m)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"direction": np.zeros((3, NUMBERS, 3), np.int8)}, "direction.*shape"),
+        ({"direction": np.zeros((3, NUMBERS, 3), np.float32)}, "direction.*signed bytes"),
+        ({"scale_m": np.full(6994, np.nan, np.float32)}, "scale_m"),
+        ({"scale_m": np.full(6994, 1.0, np.float32)}, "scale_m"),
+    ],
+)
+def test_correctives_that_move_nothing_or_too_far_are_not_written(tmp_path, hand, change, named):
+    own = moving(hand).detail
+    if "scale_m" in change:
+        change = {"scale_m": change["scale_m"][: len(own.position_m)]}
+    bad = replace(own, correctives=replace(own.correctives, **change))
+    with pytest.raises(InputError, match=named):
+        save_avatar(tmp_path / "hand.jghand", replace(hand, detail=bad))
 
 
 def test_a_relief_of_another_size_than_its_texture_is_not_written(tmp_path, in_relief):
@@ -131,13 +160,15 @@ def parts(path: Path, hand: HandAvatar) -> tuple[dict, dict]:
         ("texture", "cut", "texture"),
         ("relief", "more", "relief"),
         ("relief", "cut", "relief"),
+        ("direction", "more", "direction"),
+        ("direction", "cut", "direction"),
         ("weight_bone", "bone 21", "weight_bone"),
         ("faces", "vertex", "faces"),
     ],
 )
 def test_a_damaged_detail_is_refused_by_name(tmp_path, in_relief, array, value, named):
     path = tmp_path / "hand.jghand"
-    arrays, about = parts(path, in_relief)
+    arrays, about = parts(path, moving(in_relief))
     name = f"detail.{array}"
     if isinstance(value, str):
         old = arrays[name]
@@ -148,7 +179,7 @@ def test_a_damaged_detail_is_refused_by_name(tmp_path, in_relief, array, value, 
             "vertex": lambda: np.full_like(old, 65535),
         }[value]()
     arrays[name] = value
-    if array in ("texture", "relief"):
+    if array in ("texture", "relief", "direction"):
         about["detail"][f"{array}_bytes"] = len(value)
     path.write_bytes(safetensors.numpy.save(arrays, metadata={METADATA_KEY: json.dumps(about)}))
     with pytest.raises(InputError, match=named):

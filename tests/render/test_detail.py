@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from detail_reference import levels_of, ratios
-from detail_samples import detail_of, detailed, flat, noise
+from detail_reference import levels_of, posed_surface, ratios
+from detail_samples import detail_of, detailed, flat, moving, noise
 from small_avatars import known_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -77,10 +77,16 @@ def inside(without: Frame, pixels: int = 6) -> np.ndarray:
 
 @pytest.mark.parametrize("handedness", list(Handedness))
 @pytest.mark.parametrize(
-    ("name", "view"), [("open", lambda c: c), ("fist", parallel)], ids=["open, pinhole", "fist, parallel"]
+    ("name", "view", "moved"),
+    [("open", lambda c: c, False), ("fist", parallel, False), ("fist", lambda c: c, True)],
+    ids=["open, pinhole", "fist, parallel", "fist, moved by its pose"],
 )
-def test_the_kernel_draws_what_the_specification_says(name, handedness, view):
+def test_the_kernel_draws_what_the_specification_says(name, handedness, view, moved):
     avatar, seen = detailed(noise(256), handedness), view(camera())
+    if moved:
+        still_m, _ = posed_surface(avatar, pose(name, handedness))
+        avatar = moving(avatar)
+        assert 5e-4 < np.abs(posed_surface(avatar, pose(name, handedness))[0] - still_m).max() < 3e-3
     with_detail, without = both(avatar, name, seen)
     joints_m = pose(name, handedness)
     wanted, surface_m, certain = ratios(avatar, joints_m, seen, without.rgba[..., 3], without.depth_m)
