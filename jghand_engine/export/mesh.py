@@ -1,13 +1,14 @@
 """A motion as triangle meshes, a file per frame: the surface that the avatar was made on, posed by its bones.
 
 GLB and OBJ have UV and a texture, PLY a color for each vertex: those of the nearest Gaussians, in the light and shade
-of the pose; the texture times the hand's detail, where it has one. What training adds to the shape of a pose is in the
-Gaussians alone. trimesh (extra learn) writes the files; meters, y up. The skinned mesh of a stage has such a texture.
+of the pose; the texture times the hand's detail, where it has one, beside a normal map of its relief. What training
+adds to the shape of a pose is in the Gaussians alone. trimesh (extra learn) writes the files; meters, y up. The skinned
+mesh of a stage has such textures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.color import to_bytes
+from jghand_engine.color import linear_to_srgb, to_bytes
 from jghand_engine.errors import InputError, package
 from jghand_engine.export.motion import HandMotion
+from jghand_engine.export.png import encode_png
 from jghand_engine.export.skin import COLOR_NEIGHBORS, SkinTexture, nearest_gaussians, normal_map
 from jghand_engine.export.splats.cloud import RUB_FROM_UP
 from jghand_engine.export.splats.files import FrameFiles
@@ -32,6 +34,9 @@ from jghand_engine.template.surface import one_uv_each, vertex_normals
 MESH_FORMATS = {"mesh": "glb", "mesh-obj": "obj", "mesh-ply": "ply"}
 # suffixes of what an OBJ needs beside it: its material and its texture
 COMPANIONS = (".mtl", ".png")
+# keys of a material that name its relief, and the suffix of the picture, which all frames share. norm is the key of
+# normal maps. Blender knows none; it takes what should be heights for one, with a strength alone, and decodes its sRGB
+RELIEF = {"norm": ".normal.png", "map_Bump -bm 1": ".bump.png"}
 
 
 @dataclass(frozen=True)
@@ -69,9 +74,14 @@ def export_meshes(
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(names.path(target, index) for index in frames)
-    kept = names.refuse_others(target, files, len(sequence), COMPANIONS if names.suffix == "obj" else ())
+    shared = surface.relief_files(names.name) if names.suffix == "obj" else {}
+    companions = [path.with_suffix(suffix) for path in files for suffix in COMPANIONS] if names.suffix == "obj" else []
+    kept = names.refuse_others(target, files, len(sequence), [*companions, *(target / name for name in shared)])
+    for name, content in shared.items():
+        write_file(target / name, content)
+        size += len(content)
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
-        for name, content in _encoded(surface.mesh(index, RUB_FROM_UP[up]), path).items():
+        for name, content in _encoded(surface.mesh(index, RUB_FROM_UP[up]), path, shared).items():
             write_file(target / name, content)
             size += len(content)
         if progress:
@@ -109,7 +119,7 @@ class _Surface:
             self.vertex, self._uv, self.faces = one_uv_each(template.faces, template.face_uv)
             self._texture = SkinTexture(motion.avatar, template, rest_m)
             detail = motion.avatar.detail
-            self._relief = normal_map(detail) if detail is not None and suffix == "glb" else None
+            self._relief = None if detail is None else normal_map(detail)
         else:
             self.vertex, self.faces = np.arange(len(template.vertices_m)), template.faces
             self._nearest = nearest_gaussians(template.vertices_m, rest_m, COLOR_NEIGHBORS)
@@ -137,9 +147,17 @@ class _Surface:
             vertices_m[self.vertex], self.faces, vertex_normals=normals, visual=visual, process=False
         )
 
+    def relief_files(self, name: str) -> dict[str, bytes]:
+        """The pictures of RELIEF, in its order; none of a hand without one."""
+        if self._relief is None:
+            return {}
+        coded = np.rint(255 * linear_to_srgb(self._relief / 255)).astype(np.uint8)
+        pictures = (self._relief, coded)
+        return {f"{name}{suffix}": encode_png(one) for suffix, one in zip(RELIEF.values(), pictures, strict=True)}
 
-def _encoded(mesh: Any, path: Path) -> dict[str, bytes]:
-    """The files of a trimesh.Trimesh by name, that of `path` last."""
+
+def _encoded(mesh: Any, path: Path, relief: Iterable[str]) -> dict[str, bytes]:
+    """The files of a trimesh.Trimesh by name, that of `path` last. relief: pictures that an OBJ shares, of RELIEF"""
     if path.suffix == ".obj":
         material = mesh.visual.material.to_simple()
         material.name = path.stem
@@ -147,6 +165,8 @@ def _encoded(mesh: Any, path: Path) -> dict[str, bytes]:
         text, others = package("trimesh", "meshes", "learn").exchange.obj.export_obj(
             mesh, include_normals=True, return_texture=True, mtl_name=f"{path.stem}.mtl", header=None
         )
+        lines = [f"{key} {name}" for key, name in zip(RELIEF, relief, strict=False)]
+        others[f"{path.stem}.mtl"] += "".join(f"\n{line}" for line in lines).encode()
         return {**others, path.name: text.encode()}
     if path.suffix == ".ply":
         return {path.name: mesh.export(file_type="ply", vertex_normal=True)}

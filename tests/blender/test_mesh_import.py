@@ -39,9 +39,21 @@ def test_a_posed_hand_is_a_textured_mesh_in_blender(tmp_path, kind):
     assert [layer.name for layer in hand.data.uv_layers] == ["UVMap"]
     (material,) = hand.data.materials
     images = [node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE"]
-    # the colors, and in a GLB the relief as a normal map
-    assert [tuple(image.size) for image in images] == [(2048, 2048)] * (2 if kind == "mesh" else 1)
-    assert [node.type for node in material.node_tree.nodes].count("NORMAL_MAP") == (1 if kind == "mesh" else 0)
+    # the colors, and the relief
+    assert [tuple(image.size) for image in images] == [(2048, 2048)] * 2
+    (relief,) = (node for node in material.node_tree.nodes if node.type == "NORMAL_MAP")
+    assert (relief.space, relief.inputs["Strength"].default_value) == ("TANGENT", 1)
+    assert [link.to_socket.name for link in relief.outputs["Normal"].links] == ["Normal"]
+    (link,) = relief.inputs["Color"].links
+    image = link.from_node.image
+    normals = np.array(image.pixels).reshape(-1, 4)[:, :3]
+    if image.colorspace_settings.name == "sRGB":
+        normals = ((normals + 0.055) / 1.055) ** 2.4
+    else:
+        assert image.colorspace_settings.name == "Non-Color"
+    # outward, but for lines: half a step of a byte, which sRGB has coarser there
+    np.testing.assert_allclose(np.median(normals, axis=0), [0.5, 0.5, 1.0], atol=0.004)
+    assert (np.abs(normals[:, :2] - 0.5).max(axis=1) > 0.05).mean() > 0.01
     # skin, not black: red is its strongest color
     red, green, blue, _ = np.array(images[0].pixels).reshape(-1, 4).mean(axis=0)
     assert red > green > blue > 0.1

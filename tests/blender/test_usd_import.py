@@ -29,15 +29,15 @@ def exported(tmp_path_factory):
         pytest.skip("there is no engine environment: run scripts/test.py")
     made = {}
 
-    def make(variant: str, handedness: str, radiance: str = "srgb") -> tuple[Path, dict[str, np.ndarray]]:
-        if (variant, handedness, radiance) not in made:
+    def make(variant: str, handedness: str, radiance: str = "srgb", detail: str = "plain") -> tuple[Path, dict]:
+        words = [variant, handedness, radiance, detail]
+        if (*words,) not in made:
             folder = tmp_path_factory.mktemp(f"{variant}_{handedness}")
             script = Path(__file__).with_name("usd_for_blender.py")
             variables = {**environments.clean_variables(), "PYTHONPATH": str(ROOT)}
-            words = [variant, handedness, radiance]
             subprocess.run([python, script, folder, *words], check=True, env=variables, timeout=300)
-            made[variant, handedness, radiance] = folder / "hand.usda", dict(np.load(folder / "truth.npz"))
-        return made[variant, handedness, radiance]
+            made[*words] = folder / "hand.usda", dict(np.load(folder / "truth.npz"))
+        return made[*words]
 
     return make
 
@@ -181,6 +181,18 @@ def test_the_sun_lights_the_side_of_an_imported_hand_that_faces_it(exported, ext
         seen.append(drawn_by_cycles(towards)[..., :3].sum())
     # the camera is on the side of the first sun
     assert seen[0] > 5 * seen[1]
+
+
+def test_the_mesh_of_a_hand_with_detail_has_its_colors_and_its_relief(exported):
+    stage, _ = exported("mesh", "right", detail="detailed")
+    imported(stage)
+    (material,) = only("MESH").data.materials
+    nodes = {node.type: node for node in material.node_tree.nodes}
+    read = {link.to_socket.name: link.from_node for link in material.node_tree.links}
+    assert (read["Base Color"].image.name, read["Normal"]) == ("hand.skin.png", nodes["NORMAL_MAP"])
+    normals = read["Normal"].inputs["Color"].links[0].from_node.image
+    assert (normals.name, normals.colorspace_settings.name) == ("hand.normal.png", "Non-Color")
+    assert (read["Normal"].space, read["Normal"].inputs["Strength"].default_value) == ("TANGENT", 1)
 
 
 def test_frame_range_comes_with_the_stage(exported):

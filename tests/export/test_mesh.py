@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import trimesh
 from detail_samples import detail_of
+from PIL import Image
 from usd_samples import engine_mesh, lively_motion, small_avatar
 
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import ratio_bytes
 from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
 from jghand_engine.cli import main
+from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.export.mesh import MESH_FORMATS, export_meshes
 from jghand_engine.export.skin import TEXTURE_PX
@@ -97,16 +99,25 @@ def test_the_texture_has_the_detail_of_the_hand(tmp_path, size):
     assert np.abs(ours - without)[:, TEXTURE_PX // 2 + 4 :].mean() < 2
 
 
-def test_a_glb_has_the_relief_of_the_hand_as_a_normal_map(tmp_path):
+@pytest.mark.parametrize("suffix", ["glb", "obj"])
+def test_the_relief_of_the_hand_is_a_normal_map(tmp_path, suffix):
     """Skin that rises along u leans back from it, skin that rises along the rows forward, up the texture."""
     motion, avatar = lively_motion(Handedness.RIGHT, 1), load_painted(handedness=Handedness.RIGHT).prefix(500)
     steps = (np.arange(64) - 32).astype(np.int8)
     for along, wanted in ((steps[None, :], (-1, 0)), (steps[:, None], (0, 1))):
         height = np.broadcast_to(along[..., None], (64, 64, 2)).copy()
         detail = replace(detail_of(np.full((64, 64, 3), 128, np.uint8)), relief=Relief(height))
-        options = FrameFiles(suffix="glb")
-        (path,) = export_meshes(tmp_path / str(wanted), replace(avatar, detail=detail), motion, options).files
-        image = read(path).visual.material.normalTexture.convert("RGB")
+        options, folder = FrameFiles(suffix=suffix), tmp_path / str(wanted)
+        report = export_meshes(folder, replace(avatar, detail=detail), motion, options)
+        assert report.bytes == sum(path.stat().st_size for path in folder.iterdir())
+        if suffix == "glb":
+            image = read(report.files[0]).visual.material.normalTexture.convert("RGB")
+        else:
+            named = dict(line.split(" ", 1) for line in (folder / "hand.0000.mtl").read_text().splitlines() if line)
+            image = Image.open(folder / named["norm"])
+            # Blender takes this for a normal map in sRGB
+            bumps = np.asarray(Image.open(folder / named["map_Bump"].removeprefix("-bm 1 ")))
+            assert np.abs(srgb_to_linear(bumps / 255) - np.asarray(image) / 255).max() < 0.005
         normal = (np.asarray(image, float) - 128) / 127
         inner = normal[24:40, 24:40][detail.skin[24:40, 24:40]].mean(0)
         steep = HEIGHT_STEP_M * detail.density_per_m[1]
@@ -124,15 +135,18 @@ def test_another_avatars_surface_is_refused_and_so_are_files_that_would_be_lost(
         export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="glb"))
 
 
-@pytest.mark.parametrize("name", ["hand.0000.png", "hand.0000.mtl"])
+@pytest.mark.parametrize("name", ["hand.0000.png", "hand.0000.mtl", "hand.normal.png", "hand.bump.png"])
 def test_a_picture_of_the_name_of_a_texture_is_not_replaced(tmp_path, name):
-    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 1)
+    relief = Relief(np.zeros((64, 64, 2), np.int8))
+    detail = replace(detail_of(np.full((64, 64, 3), 128, np.uint8)), relief=relief)
+    avatar, motion = replace(small_avatar(), detail=detail), lively_motion(Handedness.RIGHT, 1)
     (tmp_path / name).write_text("somebody's")
     with pytest.raises(InputError, match=f"{name}.*--overwrite"):
         export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="obj"))
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "somebody's")]
     export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="obj", overwrite=True))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["hand.0000.mtl", "hand.0000.obj", "hand.0000.png"]
+    written = ["0000.mtl", "0000.obj", "0000.png", "bump.png", "normal.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"hand.{name}" for name in written]
 
 
 def test_one_pose_of_a_motion_can_be_had_from_the_command_line(tmp_path, capsys):

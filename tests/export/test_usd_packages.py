@@ -19,6 +19,7 @@ from usd_samples import lively_motion, small_avatar
 from usd_stages import opened
 
 from jghand_engine.avatar.detail import ratio_bytes
+from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
 from jghand_engine.avatar.relighting import material_of
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
@@ -117,32 +118,47 @@ def test_one_file_leaves_layers_of_the_same_name_alone(tmp_path):
 
 @pytest.mark.parametrize("kind", package.PACKAGES)
 def test_the_mesh_of_a_hand_with_detail_shows_it_by_its_uv(tmp_path, kind):
-    """The ratio of half in a column of texels is in the picture that the mesh's material reads, and nowhere else."""
+    """The ratio of half in a column of texels is in the picture that the mesh's material reads, and nowhere else; and
+    skin that rises along the rows leans up the texture in another."""
     texture = np.full((64, 64, 3), 128, np.uint8)
     texture[:, 16:32] = ratio_bytes(np.full(3, np.log(0.5)))
     avatar, motion = small_avatar(), lively_motion(Handedness.LEFT, 3)
-    avatar = replace(avatar, rgb=np.full_like(avatar.rgb, 0.4), detail=detail_of(texture))
+    rises = np.broadcast_to((np.arange(64) - 32).astype(np.int8)[:, None, None], (64, 64, 2)).copy()
+    detail = replace(detail_of(texture), relief=Relief(rises))
+    avatar = replace(avatar, rgb=np.full_like(avatar.rgb, 0.4), detail=detail)
     report = export_usd(tmp_path, avatar, motion, options=UsdOptions(package=kind, default_variant=Variant.MESH))
-    assert set(report.bytes) >= ({"hand.usdz"} if kind == "usdz" else {"hand.skin.png"})
+    assert set(report.bytes) >= ({"hand.usdz"} if kind == "usdz" else {"hand.skin.png", "hand.normal.png"})
     found = [str(finding) for path in (report.stage, report.shot) if path for finding in check_usd(path)]
     assert found == ([NO_SPLATS] if kind == "usdc" else [])
     stage = opened(report.stage, Variant.MESH)
     material, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/Hand/Rig/Mesh")).ComputeBoundMaterial()
     surface = material.ComputeSurfaceSource()[0]
-    reader = UsdShade.Shader(surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source)
-    assert reader.GetShaderId() == "UsdUVTexture"
-    coordinates = UsdShade.Shader(reader.GetInput("st").GetConnectedSources()[0][0].source)
-    assert coordinates.GetInput("varname").Get() == "st"
-    asset = reader.GetInput("file").Get()
-    assert asset.path == "./hand.skin.png"
-    content = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
-    with content:
-        image = np.asarray(Image.open(io.BytesIO(bytes(content.GetBuffer()))), float)
+    image, shader = picture_of(surface, "diffuseColor")
+    assert shader.GetInput("file").Get().path == "./hand.skin.png"
     columns = image.shape[1] // 64
     dark, plain = image[:, 17 * columns : 31 * columns], image[:, 33 * columns :]
     wanted = 255 * linear_to_srgb(material_of(avatar).albedo[0])
     assert np.abs(plain - wanted).max() <= 1
     assert np.abs(dark - 0.5 * wanted).max() <= 1
+    normals, shader = picture_of(surface, "normal")
+    read = {name: shader.GetInput(name).Get() for name in ("sourceColorSpace", "scale", "bias")}
+    assert read == {"sourceColorSpace": "raw", "scale": (2, 2, 2, 1), "bias": (-1, -1, -1, 0)}
+    inner = (normals[24:40, 24:40][detail.skin[24:40, 24:40]] / 255 * 2 - 1).mean(0)
+    steep = HEIGHT_STEP_M * detail.density_per_m[1]
+    # a byte has no middle: 128 for 0 is 0.004
+    assert inner == pytest.approx(np.array([0, steep, 1]) / np.hypot(1, steep), abs=0.01)
+
+
+def picture_of(surface: UsdShade.Shader, name: str) -> tuple[np.ndarray, UsdShade.Shader]:
+    """(H, W, 3) bytes that an input of a material is read from by its UV, and the shader that reads them."""
+    shader = UsdShade.Shader(surface.GetInput(name).GetConnectedSources()[0][0].source)
+    assert shader.GetShaderId() == "UsdUVTexture"
+    coordinates = UsdShade.Shader(shader.GetInput("st").GetConnectedSources()[0][0].source)
+    assert coordinates.GetInput("varname").Get() == "st"
+    path = shader.GetInput("file").Get().resolvedPath
+    content = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path))
+    with content:
+        return np.asarray(Image.open(io.BytesIO(bytes(content.GetBuffer()))), float), shader
 
 
 # ---- long takes ------------------------------------------------------------------------------------------------------

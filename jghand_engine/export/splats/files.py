@@ -7,7 +7,7 @@ of SPZ do not keep to it); the others get what viewers take for granted, x right
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -72,11 +72,9 @@ class FrameFiles:
         """The file of a frame, counted from 0."""
         return folder / f"{self.name}.{self.first_frame + index:04d}.{self.suffix}"
 
-    def refuse_others(
-        self, folder: Path, files: tuple[Path, ...], frames: int, companions: tuple[str, ...] = ()
-    ) -> int:
+    def refuse_others(self, folder: Path, files: tuple[Path, ...], frames: int, beside: Iterable[Path] = ()) -> int:
         """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost.
-        Gives how many other frames of that name it holds. companions: suffixes of what is written beside each file"""
+        Gives how many other frames of that name it holds. beside: what is written with the files"""
         pattern = re.compile(re.escape(self.name) + r"\.(-?\d+)\." + self.suffix)
         there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
         known = range(self.first_frame, self.first_frame + frames)
@@ -88,7 +86,6 @@ class FrameFiles:
                 remedy="Remove them, or choose another folder or name.",
             )
         again = [path.name for path in files if path.name in there]
-        beside = (path.with_suffix(suffix) for suffix in companions for path in files)
         lost = again + [path.name for path in beside if path.exists()]
         if lost and not self.overwrite:
             raise InputError(

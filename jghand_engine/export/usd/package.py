@@ -3,14 +3,15 @@
     hand.usda          what others reference: the variants        stage
     hand.splats.usdc   the Gaussians, posed, per frame            splats
     hand.rig.usdc      skeleton, animation, skinned mesh          rig
-    hand.skin.png      its albedo, of a hand with detail          mesh
+    hand.skin.png      its albedo, of a hand with detail          skin
+    hand.normal.png    its normals, of one with a relief          skin
     hand.skinned.usdc  Gaussians that follow the skeleton         rig
     hand.shot.usda     the hand and the cameras                   shot
 
-or one file of all that, a .usdc with the picture beside it. The colors of a trained avatar change with the pose, as its
-light falls on it: every frame then has its own, and the file is three times as large. What its skin mirrors depends on
-the camera, and is left out, as is the self-shadow. The mesh carries no light, but a material that other programs light;
-so do splats and points where that is asked for.
+or one file of all that, a .usdc with the pictures beside it. The colors of a trained avatar change with the pose, as
+its light falls on it: every frame then has its own, and the file is three times as large. What its skin mirrors depends
+on the camera, and is left out, as is the self-shadow. The mesh carries no light, but a material that other programs
+light; so do splats and points where that is asked for.
 
 Everything is written into a temporary folder beside the target and renamed into place when it is complete.
 """
@@ -43,10 +44,9 @@ from jghand_engine.export.made_from import made_from
 from jghand_engine.export.mesh import template_of
 from jghand_engine.export.motion import HandMotion, check_balls
 from jghand_engine.export.png import encode_png
-from jghand_engine.export.skin import SkinTexture, with_detail_in_colors
+from jghand_engine.export.skin import SkinTexture, normal_map, with_detail_in_colors
 from jghand_engine.export.usd.rig import (
     SKIN,
-    TEXTURE,
     build_skeleton,
     in_motion,
     vertex_material,
@@ -127,10 +127,10 @@ class UsdOptions:
     def files(self, avatar: HandAvatar) -> tuple[str, ...]:
         """Names of the files, those that refer to others after them."""
         names = LayerNames(self.name)
-        picture = () if avatar.detail is None or self.package == "usdz" else (names.picture,)
+        pictures = () if self.package == "usdz" else names.pictures(avatar.detail).values()
         if self.package != "layers":
-            return *picture, f"{self.name}.{self.package}"
-        return *picture, names.rig, names.splats, names.skinned, names.interface, names.shot
+            return *pictures, f"{self.name}.{self.package}"
+        return *pictures, names.rig, names.splats, names.skinned, names.interface, names.shot
 
 
 @dataclass(frozen=True)
@@ -317,8 +317,8 @@ class _Writer:
             skeleton = build_skeleton(motion.rest_poses())
             material = vertex_material(template.vertices_m, self._cloud.rest_m, self._material)
             poses, weights = in_motion(skeleton, motion.poses()), motion.map_weights(template)
-            picture = self._picture(layers if options.package == "usdz" else arrived, avatar, template)
-            write_rig(layers / names.rig, skeleton, poses, template, weights, material, picture, span)
+            pictures = self._pictures(layers if options.package == "usdz" else arrived, avatar, template)
+            write_rig(layers / names.rig, skeleton, poses, template, weights, material, pictures, span)
         with self._clock("skinned points"):
             weights = motion.avatar.map_weights(motion.avatar.position_m, motion.avatar.bone_weights)
             write_skinned(layers / names.skinned, self._cloud, weights, options.width_factor, span)
@@ -339,31 +339,34 @@ class _Writer:
                 write_shot(layers, names, cameras, motion.sequence.joints_m, span)
         with self._clock("package"):
             if options.package == "usdz":
-                files = (names.interface, names.rig, names.splats, names.skinned, *filter(None, [picture]))
+                files = (names.interface, names.rig, names.splats, names.skinned, *pictures.values())
                 write_archive([layers / name for name in files], arrived / f"{options.name}.usdz")
             elif options.package == "usdc":
-                frames = self._flattened(layers / names.interface, arrived / f"{options.name}.usdc")
+                frames = self._flattened(layers / names.interface, pictures, arrived / f"{options.name}.usdc")
         if options.package == "usdc":
             # after the rest: flattened with it they would all be in memory at once
             self._write_frames(frames)
 
-    def _picture(self, folder: Path, avatar: HandAvatar, template: HandTemplate) -> str:
-        """Writes the texture of the mesh into `folder` and gives its name; empty for a hand without detail."""
+    def _pictures(self, folder: Path, avatar: HandAvatar, template: HandTemplate) -> dict[str, str]:
+        """Writes the textures of the mesh into `folder` and gives their names; none for a hand without detail."""
         if avatar.detail is None:
-            return ""
-        texture = SkinTexture(avatar, template, self._cloud.rest_m)
+            return {}
+        texture, names = SkinTexture(avatar, template, self._cloud.rest_m), self.names.pictures(avatar.detail)
         colors = texture.of_colors(linear_to_srgb(material_of(avatar).albedo))
-        (folder / self.names.picture).write_bytes(encode_png(colors))
-        return self.names.picture
+        (folder / names["diffuseColor"]).write_bytes(encode_png(colors))
+        normals = normal_map(avatar.detail)
+        if normals is not None:
+            (folder / names["normal"]).write_bytes(encode_png(normals))
+        return names
 
-    def _flattened(self, interface: Path, target: Path) -> SplatLayer | None:
-        """Puts a stage with its chosen variant into one file; gives what adds the frames of Gaussians to it, None where
-        the variant has none. RetryError when USD cannot."""
+    def _flattened(self, interface: Path, pictures: dict[str, str], target: Path) -> SplatLayer | None:
+        """Puts a stage with its chosen variant into one file, beside `pictures`; gives what adds the frames of
+        Gaussians to it, None where the variant has none. RetryError when USD cannot."""
         # the comment would tell a place on our disk, as the identifier does that flattening makes of a relative one
         layer = Usd.Stage.Open(str(interface)).Flatten(addSourceFileComment=False)
         layer.GetPrimAtPath(HAND_PATH).assetInfo["identifier"] = Sdf.AssetPath(f"./{target.name}")
-        if picture := layer.GetAttributeAtPath(f"{RIG_PATH}/{SKIN}/{TEXTURE}.inputs:file"):
-            picture.default = Sdf.AssetPath(f"./{self.names.picture}")
+        for name, file in pictures.items():
+            layer.GetAttributeAtPath(f"{RIG_PATH}/{SKIN}/{name}.inputs:file").default = Sdf.AssetPath(f"./{file}")
         if not layer.Export(str(target)):
             raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
         variant = Variant(self._options.default_variant)

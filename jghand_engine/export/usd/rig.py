@@ -23,9 +23,10 @@ no scale is negative and positive flexion curls it too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
@@ -66,13 +67,19 @@ PROXY_STEP = 10
 SKIN_BONES = 8
 # Gaussians around a vertex whose mean the mesh gets
 NEIGHBORS = 8
-# material of a mesh with a texture, and its shader that has the file
-SKIN, TEXTURE = "Skin", "Texture"
+# material of a mesh with textures
+SKIN = "Skin"
 # inputs of the material: of which kind, as input and as read, and the primvar that is read
 _READ = {
     "diffuseColor": ("float3", TYPES.Color3f, TYPES.Float3, "displayColor"),
     "roughness": ("float", TYPES.Float, TYPES.Float, "roughness"),
     "ior": ("float", TYPES.Float, TYPES.Float, "ior"),
+}
+# those that a texture may be: of which kind, and its color space, scale and bias. What makes -1..1 of the bytes of a
+# normal stands in the specification of UsdPreviewSurface
+_PICTURED = {
+    "diffuseColor": (TYPES.Color3f, "sRGB", None, None),
+    "normal": (TYPES.Normal3f, "raw", (2, 2, 2, 1), (-1, -1, -1, 0)),
 }
 
 
@@ -230,7 +237,7 @@ def write_rig(
     skin: HandTemplate,
     map_weights: np.ndarray,
     material: Material,
-    picture: str,
+    pictures: Mapping[str, str],
     time: TimeRange,
 ) -> None:
     """Writes /Rig with Skeleton, Skeleton/Anim, Mesh and its material Look. One prim at the root, so that one
@@ -239,7 +246,8 @@ def write_rig(
     motion:   of the skeleton, in parts that are saved one by one
     skin:     the surface of the hand itself, mirrored for a left one; map_weights: (V, 21 or more) of its vertices
     material: of its vertices
-    picture:  file of the texture that has its albedo, relative to this; empty: that of the vertices is all
+    pictures: files of textures, relative to this, by the input of the material that they are; without an albedo that of
+              the vertices is all
     """
     stage = new_layer(path, time)
     root = UsdSkel.Root.Define(stage, RIG_PATH).GetPrim()
@@ -250,7 +258,7 @@ def write_rig(
     prim.CreateRestTransformsAttr(_matrices(skeleton.rest))
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
     UsdSkel.BindingAPI.Apply(prim.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    _add_mesh(stage, skin, map_weights, material, picture, prim)
+    _add_mesh(stage, skin, map_weights, material, pictures, prim)
     animation.CreateJointsAttr(skeleton.tokens)
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
@@ -276,7 +284,7 @@ def _add_mesh(
     template: HandTemplate,
     map_weights: np.ndarray,
     material: Material,
-    picture: str,
+    pictures: Mapping[str, str],
     skeleton: UsdSkel.Skeleton,
 ) -> None:
     mesh = UsdGeom.Mesh.Define(stage, f"{RIG_PATH}/Mesh")
@@ -289,8 +297,8 @@ def _add_mesh(
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
     set_display(mesh.GetPrim(), material.albedo, material=material)
     look = _add_look(stage, f"{RIG_PATH}/Look")
-    if picture:
-        look = _add_look(stage, f"{RIG_PATH}/{SKIN}", picture)
+    if pictures:
+        look = _add_look(stage, f"{RIG_PATH}/{SKIN}", pictures)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(look)
     corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
@@ -304,32 +312,40 @@ def _add_mesh(
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
 
 
-def _add_look(stage: Usd.Stage, path: str, picture: str = "") -> UsdShade.Material:
-    """A surface that light falls on, with the albedo, roughness and index of refraction of what has it. picture: file
-    of a texture that has the albedo instead"""
-    look = UsdShade.Material.Define(stage, path)
+def _add_look(stage: Usd.Stage, path: str, pictures: Mapping[str, str] | None = None) -> UsdShade.Material:
+    """A surface that light falls on, with the albedo, roughness and index of refraction of what has it. pictures: files
+    of textures by the input that they are, instead of that or beside it"""
+    look, pictures = UsdShade.Material.Define(stage, path), pictures or {}
     surface = UsdShade.Shader.Define(stage, f"{path}/Surface")
     surface.CreateIdAttr("UsdPreviewSurface")
     for name, (kind, input_kind, read_kind, primvar) in _READ.items():
-        is_texture = bool(picture) and name == "diffuseColor"
-        if is_texture:
-            kind, primvar, read_kind = "float2", "st", TYPES.Float2
-        reader = UsdShade.Shader.Define(stage, f"{path}/{name}")
-        reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
-        reader.CreateInput("varname", TYPES.String).Set(primvar)
-        read = reader.CreateOutput("result", read_kind)
-        if is_texture:
-            texture = UsdShade.Shader.Define(stage, f"{path}/{TEXTURE}")
-            texture.CreateIdAttr("UsdUVTexture")
-            texture.CreateInput("file", TYPES.Asset).Set(Sdf.AssetPath(f"./{picture}"))
-            texture.CreateInput("sourceColorSpace", TYPES.Token).Set("sRGB")
-            for side in ("wrapS", "wrapT"):
-                texture.CreateInput(side, TYPES.Token).Set("clamp")
-            texture.CreateInput("st", TYPES.Float2).ConnectToSource(read)
-            read = texture.CreateOutput("rgb", TYPES.Float3)
-        surface.CreateInput(name, input_kind).ConnectToSource(read)
+        if name not in pictures:
+            read = _add_reader(stage, f"{path}/{name}", kind, primvar, read_kind)
+            surface.CreateInput(name, input_kind).ConnectToSource(read)
+    for name, file in pictures.items():
+        input_kind, space, scale, bias = _PICTURED[name]
+        texture = UsdShade.Shader.Define(stage, f"{path}/{name}")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", TYPES.Asset).Set(Sdf.AssetPath(f"./{file}"))
+        texture.CreateInput("sourceColorSpace", TYPES.Token).Set(space)
+        for side in ("wrapS", "wrapT"):
+            texture.CreateInput(side, TYPES.Token).Set("clamp")
+        for change, values in (("scale", scale), ("bias", bias)):
+            if values is not None:
+                texture.CreateInput(change, TYPES.Float4).Set(Gf.Vec4f(*values))
+        place = _add_reader(stage, f"{path}/st", "float2", "st", TYPES.Float2)
+        texture.CreateInput("st", TYPES.Float2).ConnectToSource(place)
+        surface.CreateInput(name, input_kind).ConnectToSource(texture.CreateOutput("rgb", TYPES.Float3))
     look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
     return look
+
+
+def _add_reader(stage: Usd.Stage, path: str, kind: str, primvar: str, read_kind: Any) -> UsdShade.Output:
+    """What a shader that reads a primvar gives."""
+    reader = UsdShade.Shader.Define(stage, path)
+    reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
+    reader.CreateInput("varname", TYPES.String).Set(primvar)
+    return reader.CreateOutput("result", read_kind)
 
 
 def vertex_material(vertices_m: np.ndarray, rest_m: np.ndarray, material: Material) -> Material:

@@ -16,6 +16,7 @@ import numpy as np
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from jghand_engine import __version__
+from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.relighting import Material
 from jghand_engine.errors import RetryError
 from jghand_engine.files import file_error
@@ -58,8 +59,13 @@ class LayerNames:
         self.rig, self.splats = f"{name}.rig.usdc", f"{name}.splats.usdc"
         # points that follow the skeleton: all of them, and the tenth that stands in for splats
         self.skinned = f"{name}.skinned.usdc"
-        # texture of the mesh, of a hand with detail
-        self.picture = f"{name}.skin.png"
+        self._colors, self._normals = f"{name}.skin.png", f"{name}.normal.png"
+
+    def pictures(self, detail: Detail | None) -> dict[str, str]:
+        """Textures of the mesh, by the input of its material that they are."""
+        if detail is None:
+            return {}
+        return {"diffuseColor": self._colors} | ({} if detail.relief is None else {"normal": self._normals})
 
 
 @dataclass(frozen=True)
