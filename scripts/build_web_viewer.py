@@ -32,13 +32,19 @@ SOURCES = ROOT / "scripts" / "web_viewer"
 TARGET = ROOT / "jghand_engine" / "assets" / "web"
 PACKAGES = Path(os.environ.get("JGHAND_WEB_VIEWER") or ROOT / ".envs" / "web_viewer")
 NATIVE = ROOT / "jghand_engine" / "native"
-KERNELS = ("skeleton", "skin", "learned", "learned_cast", "learned_correction", "scene_light")
+KERNELS = ("skeleton", "skin", "learned", "learned_cast", "learned_correction", "scene_light", "detail")
+# what pose.js calls of them: nothing else gets into it
+CALLED = (
+    *("jg_bone_transforms", "jg_skin", "jg_learned_pose", "jg_learned_gloss", "jg_learned_task_bytes"),
+    *("jg_detail_vertices", "jg_detail_hand_bytes", "jg_detail_task_bytes"),
+)
 # of the native library (native/build.py), and what WebAssembly adds; a stack for two layers of a network
 FLAGS = (
     *("-O3", "-std=c++17", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-fno-exceptions"),
     *("-fno-rtti", "-fno-threadsafe-statics", "-fvisibility=hidden", "-nostdlib++", "-s"),
     *("-target", "wasm32-wasi", "-mexec-model=reactor", "-mcpu=generic+simd128+bulk_memory"),
-    *("-Wl,--export-dynamic", "-Wl,--export=__heap_base", "-Wl,-z,stack-size=262144"),
+    *(f"-Wl,--export={name}" for name in ("__heap_base", *CALLED)),
+    "-Wl,-z,stack-size=262144",
 )
 # browsers of 2023 and later: vectors in WebAssembly and the unpacking of gzip ask for those anyway
 BROWSERS = "--target=chrome111,firefox113,safari16.4"

@@ -61,10 +61,12 @@ def averaged_levels(values: np.ndarray, skin: np.ndarray) -> Iterator[np.ndarray
         value, weight = _halved(value), _halved(weight)
 
 
-def with_rings(values: np.ndarray, skin: np.ndarray) -> None:
-    """Gives texels around the skin, which a look-up there may meet, the mean of their neighbors, in place."""
+def with_rings(values: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """Gives texels around the skin, which a look-up there may meet, the mean of their neighbors, in place; and tells
+    which ones have a value then."""
     for _ in range(RINGS):
         skin = _with_ring(values, skin)
+    return skin
 
 
 def filled(texture: np.ndarray, skin: np.ndarray) -> np.ndarray:

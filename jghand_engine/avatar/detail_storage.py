@@ -143,7 +143,7 @@ def pack_detail(detail: Detail, storage: Storage) -> tuple[dict[str, np.ndarray]
         len(position_m), len(detail.faces), detail.size, len(packed["texture"]), float(detail.depth_m), box_m
     )
     if detail.relief is not None:
-        packed["relief"] = _deflated(_height_differences(detail.relief.height))
+        packed["relief"] = _deflated(height_differences(detail.relief.height))
         about = replace(about, relief_bytes=len(packed["relief"]))
     if detail.correctives is not None:
         # neighbors, which go the same way, lie together
@@ -194,7 +194,7 @@ def _colors(shades: np.ndarray) -> np.ndarray:
     return texture
 
 
-def _height_differences(height: np.ndarray) -> np.ndarray:
+def height_differences(height: np.ndarray) -> np.ndarray:
     """(2, S, S) bytes of (S, S, 2) heights."""
     steps = np.moveaxis(height, -1, 0).astype(np.uint8)
     steps[1] -= steps[0]

@@ -100,7 +100,7 @@ class Bend:
     """How bent the skin near each of V places is: the sum of what its joints are, times `near` (V, 15).
 
     rest_m: (V, 3) of the hand at rest, meters · finger_share: (V, 5) what of a place's bones is each finger's ·
-    joints_m: (21, 3) at rest, level order
+    joints_m: (21, 3) at rest, level order · rest_deg: (15,) angles that count as straight
     """
 
     def __init__(self, rest_m: np.ndarray, finger_share: np.ndarray, joints_m: np.ndarray) -> None:
@@ -110,12 +110,12 @@ class Bend:
         share[:, :5] = np.maximum(share[:, :5], on_hand)
         near = np.exp(-0.5 * np.square(distance_m / REACH_M)) * share
         self.near = near / (near.sum(1, keepdims=True) + STRAIGHT)
-        self._rest_deg = np.zeros(len(BENDING))
+        self.rest_deg = np.zeros(len(BENDING))
         thumb = np.isin(BENDING, THUMB_JOINTS)
-        self._rest_deg[thumb] = np.minimum(bends_deg(joints_m[None])[0, thumb], THUMB_REST_DEG)
+        self.rest_deg[thumb] = np.minimum(bends_deg(joints_m[None])[0, thumb], THUMB_REST_DEG)
 
     def of_joints(self, joints_m: np.ndarray) -> np.ndarray:
         """Posed joints (P, 21, 3), level order -> (P, 15) 0..1, of BENDING."""
         low, high = BEND_DEG
-        part = ((bends_deg(joints_m) - self._rest_deg - low) / (high - low)).clip(0, 1)
+        part = ((bends_deg(joints_m) - self.rest_deg - low) / (high - low)).clip(0, 1)
         return part * part * (3 - 2 * part)

@@ -530,3 +530,10 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
   const int32_t tiles_x = (t.width + jg::TILE_X - 1) / jg::TILE_X, tiles_y = (t.height + jg::TILE_Y - 1) / jg::TILE_Y;
   jg::share(*team, 2, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
 }
+
+// Its first step alone, of hands whose surface somebody else draws: the web page.
+JG_API void jg_detail_vertices(const jg::DetailTask* task) {
+  for (int32_t i = 0; i < task->hand_count; i++)
+    for (int32_t block = 0; block < task->hands[i].skin->blocks; block++)
+      jg::skin_vertices(*task, task->hands[i], block);
+}

@@ -5,8 +5,8 @@
 // PLAN: { "joints": [[63 numbers], …], "eye": [3], "suns": [[3] or null, …], "angles": [[(5, 4) radians], …], "from": [[63
 // numbers], …] }; of each joints the direction to its sun, null for the light that the hand carries. OUT: float32,
 // for every joints the positions (rows, 3), radii (rows), colors (rows, 3) and, of hands that have them, what is seen from
-// outside (rows), covariances (rows, 6) and the places of the detail's surface (vertices, 3), whose texture goes to
-// OUT.texture as RGBA.
+// outside (rows), covariances (rows, 6) and of the detail's surface x, y and -z (3, vertices), how the light turns with its
+// normal (4, vertices) and how bent it is (vertices). Its texture goes to OUT.texture as RGBA, its relief to OUT.rises.
 // Prints as JSON, for every "from", what the page's player makes of a hand that is shown so:
 //     posed    its joints in each of the poses "angles" · back    the angles that these joints give back
 //     hurried    its joints when it is turned into each pose, and one finger is touched on the way
@@ -26,11 +26,12 @@ for (const [k, joints] of plan.joints.entries()) {
   hand.pose(Float64Array.from(joints));
   if (plan.suns) hand.turnLight(plan.suns[k] ?? undefined);
   hand.shine(plan.eye);
-  hand.detail?.pose();
-  for (const view of [hand.positions, hand.sigmas, hand.rgb, hand.front, hand.covariances, hand.detail?.positions]) if (view) parts.push(Buffer.from(view.slice().buffer));
+  hand.detail?.pose(hand);
+  const surface = ['vertex', 'slope', 'bend'].map((name) => hand.memory.views[`detail.${name}`]);
+  for (const view of [hand.positions, hand.sigmas, hand.rgb, hand.front, hand.covariances, ...surface]) if (view) parts.push(Buffer.from(view.slice().buffer));
 }
 fs.writeFileSync(out, Buffer.concat(parts));
-if (hand.detail) fs.writeFileSync(`${out}.texture`, hand.detail.texture);
+for (const name of ['texture', 'rises']) if (hand.detail?.[name]) fs.writeFileSync(`${out}.${name}`, hand.detail[name]);
 const articulated = new Articulated(hand.description.articulated);
 
 function shown(joints) {

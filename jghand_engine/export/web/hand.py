@@ -15,17 +15,18 @@ from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MI
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
-from jghand_engine.avatar.detail_mips import filled
-from jghand_engine.avatar.detail_storage import differences
+from jghand_engine.avatar.detail_mips import filled, with_rings
+from jghand_engine.avatar.detail_storage import differences, height_differences
 from jghand_engine.avatar.lamp_rows import LIMITS
-from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned, anchors_around
+from jghand_engine.avatar.relief import BEND_DEG, HEIGHT_STEP_M, Bend, Relief, finger_shares
 from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, detail_power, in_studio, relightable
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.avatar.scene_light_step import SceneLightStep
 from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
-from jghand_engine.avatar.storage import UINT16_MAX, largest_weights
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.export.web.pack import Pack, task_in_words
+from jghand_engine.native.detail_task import DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M, GRAZE_MAX
@@ -34,14 +35,18 @@ from jghand_engine.template.surface import one_uv_each
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
 _ROUNDED = {
     *("skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places", "scene.material"),
-    *("detail.rest", "detail.uv"),
+    *("detail.rest", "detail.uv", "detail.share", "detail.normal", "detail.near"),
 }
 # those that the kernels or the page write
 _WRITTEN = {
     *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other"),
     *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.given"),
-    *("scene.sky", "scene.reflecting", "scene.reached", "front"),
+    *("scene.sky", "scene.reflecting", "scene.reached", "front", "detail.vertex", "detail.slope", "detail.bend"),
 }
+# of a signed byte, which makes an unsigned one in the same order of it
+SIGN_BIT = np.uint8(128)
+# of what relief makes of light (native/detail.cpp)
+LIGHT_LEAST, LIGHT_MOST = 0.4, 2.5
 # the light that is turned: an even world, W/(m2 sr), and a wide sun, W/m2 on what faces it: skin of middle tone that
 # does is as bright as it can be without being cut
 WORLD_RADIANCE, SUN_W_M2, SUN_RAD = 0.45, 3.5, 0.35
@@ -81,7 +86,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
         if learned.fades or about["light"]:
             arrays["front"] = np.empty(blocks.rows)
         if avatar.detail is not None:
-            about["detail"] = _detail(avatar, avatar.detail, detail_power(given, in_scene=False), arrays)
+            about["detail"] = _detail(given, avatar.detail, learned, arrays)
     task.skin = skin
     for name, array in arrays.items():
         _add(pack, name, array)
@@ -105,13 +110,13 @@ def _add(pack: Pack, name: str, array: np.ndarray) -> None:
         pack.empty(name, array.shape)
     elif name == "direction":
         pack.exact(name, array, "i1")
-    elif name == "detail.shades":
+    elif name in ("detail.shades", "detail.heights"):
         pack.exact(name, array, "b1")
     elif name in _ROUNDED:
         pack.rounded(name, array)
     elif name.endswith("weight") or name == "scene.hides":
         pack.rounded(name, array[:, None])
-    elif name in ("nearest", "detail.faces") or name.endswith("bone"):
+    elif name in ("nearest", "detail.nearest", "detail.faces") or name.endswith("bone"):
         pack.counts(name, array)
     else:
         pack.exact(name, array, "i4" if array.dtype.kind in "iu" else "f4")
@@ -156,21 +161,59 @@ def _cast(
     }  # fmt: skip
 
 
-def _detail(avatar: HandAvatar, detail: Detail, power: float, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
-    """power: of the ratios, for colors as a display shows them"""
+def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What the first step of native/detail.cpp reads of the surface, and what the page's shaders draw on it."""
     vertex, uv, faces = one_uv_each(detail.faces, detail.face_uv)
-    bone, weight = largest_weights(detail.bone_weights[vertex])
-    arrays |= {
-        "detail.rest": (detail.position_m.astype(np.float64) - avatar.canonical_joints_m[0])[vertex][..., None],
-        "detail.uv": np.column_stack([uv[:, 0], 1 - uv[:, 1]])[..., None], "detail.faces": faces,
-        "detail.bone": bone, "detail.weight": weight / UINT16_MAX,
-        "detail.shades": differences(filled(detail.texture, detail.skin)),
+    position_m, blocks = detail.position_m[vertex], Blocks(detail.position_m[vertex])
+    relative_m = position_m.astype(np.float64) - avatar.canonical_joints_m[0]
+    own = {
+        "rest": blocks.blocked(np.pad(relative_m, ((0, 0), (0, 1)))), **blocks.bones(detail.bone_weights[vertex]),
+        "uv": blocks.in_rows(np.column_stack([uv[:, 0], 1 - uv[:, 1]]))[..., None],
+        "faces": np.argsort(blocks.order)[faces], "shades": differences(filled(detail.texture, detail.skin)),
+        "vertex": np.empty((3, blocks.rows)),
     }  # fmt: skip
+    # the positions themselves: seen in parallel, along the axes
+    task = DetailTask(hand_count=1, orthographic=1, fx=1.0, fy=1.0, z_near=-float(np.finfo(np.float32).max))
+    task.camera_from_position[:] = np.eye(3, 4).ravel().tolist()
+    hand, relief = DetailHand(), None
+    if detail.relief is not None and detail.slopes is not None:
+        hand.rise = step_m = detail.slopes.step_m
+        bend = Bend(position_m, finger_shares(detail.bone_weights[vertex]), avatar.canonical_joints_m)
+        own |= _relief_arrays(detail.relief, detail.skin, bend, blocks) | _light_around(learned, position_m, blocks)
+        own["normal"] = blocks.blocked(detail.normals[vertex])
+        relief = {
+            "step_m": step_m, "height_m": HEIGHT_STEP_M, "limits": [LIGHT_LEAST, LIGHT_MOST],
+            "joints_m": (avatar.canonical_joints_m - avatar.canonical_joints_m[0]).tolist(),
+            "rest_deg": bend.rest_deg.tolist(), "bend_deg": BEND_DEG,
+        }  # fmt: skip
+    arrays |= {f"detail.{name}": array for name, array in own.items()}
+    powers = [detail_power(avatar, in_scene=in_scene) for in_scene in (False, True)]
     return {
-        "size": detail.size, "log_ratio_max": power * LOG_RATIO_MAX, "depth_m": detail.depth_m,
+        "tasks": {"skin": task_in_words(skin_task(blocks)), "hands": task_in_words(hand), "task": task_in_words(task)},
+        "size": detail.size, "log_ratios_max": [power * LOG_RATIO_MAX for power in powers], "depth_m": detail.depth_m,
         "fades_m": [FADE_FROM_M, FADE_TO_M], "graze_max": GRAZE_MAX, "alphas": [ALPHA_FROM, ALPHA_TO],
-        "mixes": [MIX_FROM, MIX_TO],
+        "mixes": [MIX_FROM, MIX_TO], "relief": relief,
     }  # fmt: skip
+
+
+def _relief_arrays(relief: Relief, skin: np.ndarray, bend: Bend, blocks: Blocks) -> dict[str, np.ndarray]:
+    # heights go on beside the skin, of which the page does not know where it ends
+    height = relief.height.astype(np.float32)
+    near_skin = with_rings(height, skin)
+    height = filled(np.rint(height - np.iinfo(np.int8).min).astype(np.uint8), near_skin) ^ SIGN_BIT
+    return {
+        "heights": height_differences(height.view(np.int8)), "near": blocks.in_rows(bend.near)[..., None],
+        "bend": np.empty(blocks.rows), "slope": np.empty((4, blocks.rows)),
+    }  # fmt: skip
+
+
+def _light_around(learned: Learned, position_m: np.ndarray, blocks: Blocks) -> dict[str, np.ndarray]:
+    """The anchors of the light around places (V, 3), which a hand without shadows does not need."""
+    if learned.cast is None:
+        return {}
+    nearest, share = anchors_around(learned.cast.anchors, position_m)
+    rows = np.argsort(Blocks(learned.cast.anchors.position_m).order)
+    return {"nearest": blocks.blocked(rows[nearest], np.int32), "share": blocks.blocked(share)}
 
 
 def turned_light(towards: tuple[float, float, float]) -> SceneLight:

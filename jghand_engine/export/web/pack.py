@@ -17,6 +17,9 @@ GZIP_LEVEL = 6
 _EXACT = {"f8": "<f8", "f4": "<f4", "i4": "<i4", "i1": "<i1", "b1": "u1"}
 _NARROW = {1: ("u1", np.uint8), 2: ("u2", np.uint16)}
 _STEPS = 2**16 - 1
+_NUMBERS = {ctypes.c_int32: np.int32, ctypes.c_float: np.float32, ctypes.c_double: np.float64}
+# bytes of a pointer, and of most numbers
+_WORD = 4
 # places of arrays are multiples of the longest number
 _ALIGNMENT = 8
 
@@ -64,25 +67,31 @@ class Pack:
 
 
 def task_in_words(task: ctypes.Structure) -> dict[str, Any]:
-    """words: the numbers of a structure of pointers, int32 and float32, pointers as 0 · pointers, fields: by name
-    (`skin.rest`) the place of each pointer, and of each other field."""
+    """words: the numbers of a structure of pointers, int32, float32 and float64, pointers as 0 · pointers, fields: by
+    name (`skin.rest`) the place of each pointer, and of each other field."""
     words: list[int] = []
     pointers: dict[str, int] = {}
     fields: dict[str, int] = {}
 
-    def walk(structure: ctypes.Structure, prefix: str) -> None:
+    def walk(structure: ctypes.Structure, prefix: str) -> int:
+        """Gives the words at a multiple of which it begins."""
+        aligned = 1
         for name, kind in ((entry[0], entry[1]) for entry in structure._fields_):
             value, full = getattr(structure, name), prefix + name
             if isinstance(value, ctypes.Structure):
-                walk(value, full + ".")
+                aligned = max(aligned, walk(value, full + "."))
             elif kind is ctypes.c_void_p:
                 pointers[full] = len(words)
                 words.append(0)
             else:
-                fields[full] = len(words)
-                numbers = value if isinstance(value, ctypes.Array) else [value]
-                dtype = np.int32 if kind is ctypes.c_int32 else np.float32
-                words.extend(np.array(list(numbers), dtype).view(np.uint32).tolist())
+                element, values = (kind._type_, list(value)) if issubclass(kind, ctypes.Array) else (kind, [value])
+                numbers = np.array(values, _NUMBERS[element])
+                of_number = numbers.itemsize // _WORD
+                words.extend([0] * (-len(words) % of_number))
+                fields[full], aligned = len(words), max(aligned, of_number)
+                words.extend(numbers.view(np.uint32).tolist())
+        words.extend([0] * (-len(words) % aligned))
+        return aligned
 
     walk(task, "")
     return {"words": words, "pointers": pointers, "fields": fields}

@@ -11,11 +11,7 @@ export class Capsules {
 
   // matrices: (21, 3, 4) of the pose · scale: of the whole hand
   prepare(matrices, scale) {
-    const joints = this.joints_m.map((joint, i) => [0, 1, 2].map((row) => {
-      const m = 12 * i + 4 * row;
-      return matrices[m] * joint[0] + matrices[m + 1] * joint[1] + matrices[m + 2] * joint[2] + matrices[m + 3];
-    }));
-    const lamps = this.direction.length, groups = lamps / LANES;
+    const joints = posedJoints(matrices, this.joints_m), lamps = this.direction.length, groups = lamps / LANES;
     for (let bone = 0; bone < BONES; bone++) {
       const start = joints[bone < 5 ? 0 : bone - 4], axis = joints[bone + 1].map((x, k) => x - start[k]);
       const length2 = Math.max(dot(axis, axis), this.length2_min);
@@ -29,6 +25,14 @@ export class Capsules {
       }
     }
   }
+}
+
+// Where the bones' maps carry the joints of the canonical hand, root-relative
+export function posedJoints(matrices, joints) {
+  return joints.map((joint, i) => [0, 1, 2].map((row) => {
+    const m = 12 * i + 4 * row;
+    return matrices[m] * joint[0] + matrices[m + 1] * joint[1] + matrices[m + 2] * joint[2] + matrices[m + 3];
+  }));
 }
 
 function dot(a, b) {

@@ -1,28 +1,50 @@
-// The surface of the skin's texture: skinned as Gaussians are, without correctives (jghand_engine/render/detail.py).
+// The surface of the skin's texture, and how the light on it turns with its normal: the first step of native/detail.cpp,
+// which jghand_engine/render/detail.py prepares.
+import { posedJoints } from './capsules.js';
 
 export class Detail {
-  constructor({ size }, views) {
-    Object.assign(this, { size, views });
-    this.positions = new Float32Array(views['detail.rest'].length);
+  constructor({ size, relief, tasks }, { memory, kernels }) {
+    const { views, pointers } = memory;
+    Object.assign(this, { relief, views, pointers, kernels, fields: tasks.skin.fields });
+    for (const [name, task] of Object.entries(tasks)) this[name] = memory.task(`detail.${name}`, task, 'detail.');
+    if (kernels.jg_detail_task_bytes() !== this.task.byteLength || kernels.jg_detail_hand_bytes() !== this.hands.byteLength)
+      throw new Error('hand.js and pose.js are of different versions of JGHand. Export the folder anew.');
+    this.skin[tasks.skin.pointers.linear_offset] = pointers['skin.linear_offset'];
+    this.hands[tasks.hands.pointers.learned] = pointers.task;
+    this.numbers = new Float32Array(this.skin.buffer, this.skin.byteOffset, this.skin.length);
     this.texture = shades(views['detail.shades'], size);
+    this.rises = relief && rises(views['detail.heights'], size, (0.5 * relief.height_m * size) / relief.step_m);
   }
 
-  // By the bones that `matrices` has, from the root of the pose
-  pose() {
-    const { matrices, joints } = this.views, { positions } = this;
-    const [rest, bones, weights] = ['rest', 'bone', 'weight'].map((name) => this.views[`detail.${name}`]);
-    const most = weights.length / (rest.length / 3), m = new Float64Array(12);
-    for (let i = 0; i < rest.length / 3; i++) {
-      m.fill(0);
-      for (let k = most * i; k < most * (i + 1); k++)
-        for (let n = 0; n < 12; n++) m[n] += weights[k] * matrices[12 * bones[k] + n];
-      for (let row = 0; row < 3; row++) {
-        const at = 4 * row;
-        positions[3 * i + row] = joints[row] + m[at] * rest[3 * i] + m[at + 1] * rest[3 * i + 1] + m[at + 2] * rest[3 * i + 2] + m[at + 3];
-      }
+  // After a pose of the hand: `detail.vertex` and, of a relief, `detail.slope` and `detail.bend`
+  pose({ joints }) {
+    const { views, pointers, relief } = this;
+    this.numbers.set(joints.slice(0, 3), this.fields.shift);
+    this.numbers[this.fields.inverse_scale] = 1 / Math.max(views.scale[0], 1.17549435e-38);
+    this.kernels.jg_detail_vertices(pointers['detail.task']);
+    if (relief) this.bend();
+  }
+
+  // How bent the skin is: Bend of jghand_engine/avatar/relief.py
+  bend() {
+    const { views, relief } = this, near = views['detail.near'], bend = views['detail.bend'];
+    const joints = posedJoints(views.matrices, relief.joints_m), [low, high] = relief.bend_deg;
+    const bent = relief.rest_deg.map((rest, k) => {
+      const joint = k + 1, before = minus(joints[joint], joints[Math.max(joint - 5, 0)]), after = minus(joints[joint + 5], joints[joint]);
+      const cosine = dot(before, after) / (Math.sqrt(dot(before, before) * dot(after, after)) || 1);
+      const angle = (Math.acos(Math.min(Math.max(cosine, -1), 1)) * 180) / Math.PI;
+      const part = Math.min(Math.max((angle - rest - low) / (high - low), 0), 1);
+      return part * part * (3 - 2 * part);
+    });
+    for (let i = 0, n = 0; i < bend.length; i++) {
+      bend[i] = 0;
+      for (let k = 0; k < bent.length; k++) bend[i] += bent[k] * near[n++];
     }
   }
 }
+
+const minus = (a, b) => a.map((x, k) => x - b[k]);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 // RGBA of what `differences` of avatar/detail_storage.py made: running sums down the columns, and more than green
 function shades(packed, size) {
@@ -37,3 +59,25 @@ function shades(packed, size) {
   }
   return rgba;
 }
+
+// RGBA of what `height_differences` made: how heights rise by column and by row, straight and bent, in so many steps of a
+// byte from 128 on
+function rises(packed, size, steps) {
+  const plane = size * size, rgba = new Uint8Array(4 * plane);
+  const heights = [0, 1].map((k) => new Int8Array(packed.slice(k * plane, (k + 1) * plane).buffer));
+  heights.forEach((height) => { for (let i = size; i < plane; i++) height[i] += height[i - size]; });
+  const [straight, bent] = heights, last = size - 1;
+  for (let i = 0; i < plane; i++) bent[i] += straight[i];
+  heights.forEach((height, k) => {
+    for (let row = 0, i = 0; row < size; row++)
+      for (let column = 0; column < size; column++, i++) {
+        const along = height[i + (column < last)] - height[i - (column > 0)];
+        const down = height[i + (row < last) * size] - height[i - (row > 0) * size];
+        rgba[4 * i + 2 * k] = 128 + byte(steps * along);
+        rgba[4 * i + 2 * k + 1] = 128 + byte(steps * down);
+      }
+  });
+  return rgba;
+}
+
+const byte = (steps) => Math.min(Math.max(Math.round(steps), -127), 127);

@@ -14,7 +14,7 @@ export class Hand {
     this.description = description;
     this.kernels = kernels;
     kernels._initialize?.();
-    const { task, light } = description;
+    const { task, light, detail } = description;
     if (kernels.jg_learned_task_bytes() !== 4 * task.words.length)
       throw new Error('hand.js and pose.js are of different versions of JGHand. Export the folder anew.');
     const extra = {
@@ -25,15 +25,14 @@ export class Hand {
       extra['scene.task'] = ['i4', light.task.words.length];
       extra['scene.look'] = ['f4', description.arrays.look.shape.reduce((product, edge) => product * edge, 1)];
     }
+    for (const [name, { words }] of Object.entries(detail?.tasks ?? {})) extra[`detail.${name}`] = ['i4', words.length];
     this.memory = new Memory(description.arrays, content, extra, kernels);
     const { pointers, views } = this.memory;
-    this.words = new Uint32Array(views.task.buffer, pointers.task, task.words.length);
+    this.words = this.memory.task('task', task);
     this.floats = new Float32Array(views.task.buffer, pointers.task, task.words.length);
-    this.words.set(task.words);
-    for (const [field, place] of Object.entries(task.pointers)) if (field in pointers) this.words[place] = pointers[field];
     if (!description.fades) this.words[task.pointers.front] = 0;
     this.fields = task.fields;
-    const { correctives, cast, detail } = description;
+    const { correctives, cast } = description;
     this.correctives = correctives && new TIERS[correctives.kind](correctives, views);
     this.capsules = cast && new Capsules(cast, views);
     this.painted = !('look' in views);
@@ -45,7 +44,7 @@ export class Hand {
     this.rgb = views.rgb;
     this.front = views.front?.fill(1);
     this.opacities = views.opacity;
-    this.detail = detail && new Detail(detail, views);
+    this.detail = detail && new Detail(detail, this);
     this.light = light && new Light(light, this);
   }
 

@@ -7,11 +7,9 @@ const LANES = 16, LOOK = 7, ALBEDO = 3;  // places in a block of `look`: the nor
 export class Light {
   // about: of hand.js, see export/web/hand.py
   constructor(about, { description, memory, words, fields }) {
-    const { pointers, views } = memory, { task } = about;
+    const { pointers, views } = memory;
     Object.assign(this, about, { words, views });
-    const scene = new Uint32Array(views['scene.task'].buffer, pointers['scene.task'], task.words.length);
-    scene.set(task.words);
-    for (const [field, place] of Object.entries(task.pointers)) scene[place] = pointers[`scene.${field}`] ?? 0;
+    memory.task('scene.task', about.task, 'scene.');
     this.lamps = ['lamp', 'casting'].map((name) => ({ numbers: views[`scene.${name}`], width: description.arrays[`scene.${name}`].shape[1] }));
     this.capsules = new Capsules({ ...description.cast, direction: about.direction }, { ...views, 'cast.capsule_lamp': views['scene.capsule_lamp'] });
     this.showAlbedo(views.look, views['scene.look']);

@@ -27,6 +27,14 @@ export class Memory {
       this.views[name] = new VIEWS[kind](exports.memory.buffer, this.pointers[name], length);
     for (const [name, array] of Object.entries(arrays)) if (array.kind !== 'empty') fill(this.views[name], array, content);
   }
+
+  // The words of a task that lies in memory by a name: pointers lead to the arrays that are called as they are, behind a prefix
+  task(name, { words, pointers }, prefix = '') {
+    const task = new Uint32Array(this.views[name].buffer, this.pointers[name], words.length);
+    task.set(words);
+    for (const [field, place] of Object.entries(pointers)) task[place] = this.pointers[prefix + field] ?? 0;
+    return task;
+  }
 }
 
 function fill(view, array, content) {

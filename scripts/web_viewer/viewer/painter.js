@@ -1,5 +1,5 @@
-// One picture: the Gaussians, blended beside each other in float16 as color and as what else is known of a pixel, then the
-// color of what is seen from outside (native/raster_blend.cpp), then the detail of the skin.
+// One picture: the Gaussians, blended beside each other in float16 as color and as what else is known of a pixel, then by how
+// much the detail of the skin changes it, then the color of what is seen from outside (native/raster_blend.cpp).
 import * as THREE from 'three';
 import { Detail } from './detail.js';
 import { shader } from './shader.js';
@@ -10,7 +10,7 @@ const SAMPLES = 200;  // Gaussians whose mean depth is the middle: depths are bl
 const VERTEX = `
   void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const FRAGMENT = `
-  uniform sampler2D picture, more;
+  uniform sampler2D picture, more, changes;
   uniform float frontMin, coverFrom;
   uniform bool linear, fills;
   out vec4 shown;
@@ -18,6 +18,9 @@ const FRAGMENT = `
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 sum = texelFetch(picture, at, 0);
     vec3 rgb = sum.rgb / max(texelFetch(more, at, 0).r, max(frontMin * sum.a, 1e-6));
+#ifdef DETAIL
+    rgb *= 1.0 + texelFetch(changes, at, 0).rgb;
+#endif
     if (linear) rgb = mix(12.92 * rgb, 1.055 * pow(max(rgb, 1e-6), vec3(1.0 / 2.4)) - 0.055, greaterThan(rgb, vec3(0.0031308)));
     shown = vec4(clamp(rgb, 0.0, 1.0), 1.0) * (fills ? smoothstep(coverFrom, 1.0, sum.a) : sum.a);
   }`;
@@ -29,20 +32,20 @@ export class Painter {
     if (!['EXT_color_buffer_float', 'EXT_color_buffer_half_float'].some((name) => renderer.extensions.has(name)))
       throw new Error('The graphics card cannot draw in sixteen bits. Open the page on another device.');
     renderer.autoClear = false;
-    this.target = new THREE.WebGLRenderTarget(1, 1, {
-      count: 2, type: THREE.HalfFloatType, depthBuffer: false, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter,
-    });
+    const halves = { type: THREE.HalfFloatType, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter };
+    this.target = new THREE.WebGLRenderTarget(1, 1, { count: 2, depthBuffer: false, ...halves });
     const [picture, more] = this.target.textures.map((value) => ({ value }));
     this.fills = { value: false };
-    const cover = { fills: this.fills, coverFrom: { value: contract.cover_from } };
+    this.linear = { value: false };
+    const cover = { fills: this.fills, coverFrom: { value: contract.cover_from }, linear: this.linear };
     this.common = { size: { value: new THREE.Vector2() }, middle: { value: 0 }, ...cover };
     this.splats = new Splats(hand, contract, this.common);
     this.detail = hand.detail && new Detail(hand, { ...this.common, picture, more });
-    this.linear = { value: false };
+    this.changes = hand.detail && new THREE.WebGLRenderTarget(1, 1, halves);
     const geometry = new THREE.BufferGeometry().setIndex([0, 1, 2]);
     this.resolve = new THREE.Mesh(geometry, shader(VERTEX, FRAGMENT, {
-      blending: THREE.NoBlending, uniforms: {
-        picture, more, frontMin: { value: contract.front_min }, linear: this.linear, ...cover,
+      blending: THREE.NoBlending, defines: hand.detail ? { DETAIL: 1 } : {}, uniforms: {
+        picture, more, changes: { value: this.changes?.texture }, frontMin: { value: contract.front_min }, ...cover,
       },
     }));
     this.resolve.frustumCulled = false;
@@ -60,7 +63,7 @@ export class Painter {
   }
 
   draw(camera) {
-    const { renderer, target, common, splats, detail, resolve } = this;
+    const { renderer, target, changes, common, splats, detail, resolve } = this;
     renderer.getDrawingBufferSize(common.size.value);
     target.setSize(common.size.value.x, common.size.value.y);
     common.middle.value = this.middle(camera);
@@ -70,10 +73,15 @@ export class Painter {
     renderer.setRenderTarget(target);
     renderer.clear();
     renderer.render(splats, camera);
+    if (detail) {
+      changes.setSize(common.size.value.x, common.size.value.y);
+      renderer.setRenderTarget(changes);
+      renderer.clear();
+      renderer.render(detail, camera);
+    }
     renderer.setRenderTarget(null);
     renderer.clear();
     renderer.render(resolve, camera);
-    if (detail) renderer.render(detail, camera);
   }
 
   middle(camera) {
