@@ -36,6 +36,10 @@ class DetailCorrectives:
     direction: np.ndarray
     scale_m: np.ndarray
 
+    def of(self, vertices: np.ndarray) -> DetailCorrectives:
+        """Those of some vertices, by their numbers."""
+        return DetailCorrectives(self.direction[vertices], self.scale_m[vertices])
+
     def arrays(self, blocks: Blocks) -> dict[str, np.ndarray]:
         """What the kernel reads of the linear tier, by its fields of LearnedTask: no constant, no shade."""
         direction = np.pad(self.direction, ((0, 0), (0, 0), (0, 3))).reshape(len(self.direction), -1)

@@ -31,6 +31,11 @@ def skin_task(blocks: Blocks) -> SkinTask:
     return SkinTask(blocks=blocks.count, stretch_min=SIGMA_STRETCH_MIN, stretch_max=SIGMA_STRETCH_MAX)
 
 
+def surface_task(blocks: Blocks) -> LearnedTask:
+    """The task of a surface that bones and correctives move, without arrays."""
+    return LearnedTask(skin=skin_task(blocks), volume_min=BLEND_DET_MIN, length2_min=NORMAL_LENGTH2_MIN)
+
+
 def skin_arrays(avatar: HandAvatar, blocks: Blocks) -> dict[str, np.ndarray]:
     """What the kernel reads of an avatar at rest: fields of SkinTask by name."""
     relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]

@@ -534,6 +534,6 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
 // Its first step alone, of hands whose surface somebody else draws: the web page.
 JG_API void jg_detail_vertices(const jg::DetailTask* task) {
   for (int32_t i = 0; i < task->hand_count; i++)
-    for (int32_t block = 0; block < task->hands[i].skin->blocks; block++)
+    for (int32_t block = 0; block < task->hands[i].surface->skin.blocks; block++)
       jg::skin_vertices(*task, task->hands[i], block);
 }

@@ -22,14 +22,14 @@ from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import Bend, finger_shares
-from jghand_engine.avatar.skin_task import BLEND_DET_MIN, NORMAL_LENGTH2_MIN, skin_task
+from jghand_engine.avatar.skin_task import surface_task
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.detail_task import FACE_ROWS, DetailHand, DetailTask
-from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
+from jghand_engine.native.learned_tasks import CorrectiveKind
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
@@ -152,7 +152,7 @@ class _Hand:
         relative = detail.position_m.astype(np.float64) - hand.joints_m[0]
         self._skin_arrays = {"rest": blocks.blocked(np.pad(relative, ((0, 0), (0, 1))))}
         self._skin_arrays |= blocks.bones(hand.weights)
-        self._surface = LearnedTask(skin=skin_task(blocks), volume_min=BLEND_DET_MIN, length2_min=NORMAL_LENGTH2_MIN)
+        self._surface = surface_task(blocks)
         self._skin = self._surface.skin
         set_pointers(self._skin, self._skin_arrays)
         self._numbers, self._correctives = aligned_zeros((hand.weights.shape[1], NUMBERS)), {}

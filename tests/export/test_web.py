@@ -17,6 +17,7 @@ import check_web_page
 import numpy as np
 import pytest
 import torch
+from detail_reference import posed_surface
 from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
@@ -291,16 +292,12 @@ def in_rows_of_the_page(detail: Detail) -> np.ndarray:
 def test_the_surface_of_the_detail_moves_with_the_skin_and_has_its_texture(tmp_path, hand):
     avatar = load_avatar_called("builtin").prefix(500).for_hand(hand)
     detail, sequence = avatar.detail, motion(avatar, hand)
-    stiff = avatar.with_stiff_wrist().skeleton()
     assert detail is not None
     export_web(tmp_path, avatar, sequence, VIEW)
     joints_m = sequence.joints_m[[0, 20]] - np.array(description_of(tmp_path)["origin_m"])
     found, vertex = posed_by_the_page(tmp_path, joints_m)["surface_m"], in_rows_of_the_page(detail)
     for frame, joints in enumerate(joints_m):
-        bones = stiff.bones(joints)
-        relative_m = detail.position_m - avatar.canonical_joints_m[0]
-        maps = np.einsum("vb,bij->vij", detail.bone_weights, bones.linear_offset)
-        wanted_m = np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + joints[0]
+        wanted_m, _ = posed_surface(avatar.with_stiff_wrist(), joints)
         # numbers of 16 bits
         assert np.abs(found[frame, : len(vertex)] - wanted_m[vertex]).max() < 2e-5
     texture = np.fromfile(tmp_path / "out.texture", np.uint8).reshape(detail.size, detail.size, 4)

@@ -13,8 +13,9 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
-from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
+from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, products
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
+from jghand_engine.avatar.detail_correctives import NUMBERS, SIMPLE
 from jghand_engine.avatar.detail_mips import filled, with_rings
 from jghand_engine.avatar.detail_storage import differences, height_differences
 from jghand_engine.avatar.lamp_rows import LIMITS
@@ -23,11 +24,19 @@ from jghand_engine.avatar.relief import BEND_DEG, HEIGHT_STEP_M, Bend, Relief, f
 from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, detail_power, in_studio, relightable
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.avatar.scene_light_step import SceneLightStep
-from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
+from jghand_engine.avatar.skin_task import (
+    ellipsoid_axes,
+    learned_arrays,
+    learned_task,
+    skin_arrays,
+    skin_task,
+    surface_task,
+)
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.export.web.pack import Pack, task_in_words
+from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.native.detail_task import DetailHand, DetailTask
-from jghand_engine.native.learned_tasks import LearnedTask
+from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
 from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.detail import ALPHA_FROM, ALPHA_TO, FADE_FROM_M, FADE_TO_M, GRAZE_MAX
 from jghand_engine.template.surface import one_uv_each
@@ -35,13 +44,14 @@ from jghand_engine.template.surface import one_uv_each
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
 _ROUNDED = {
     *("skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places", "scene.material"),
-    *("detail.rest", "detail.uv", "detail.share", "detail.normal", "detail.near"),
+    *("detail.skin.rest", "detail.constant", "detail.uv", "detail.share", "detail.normal", "detail.near"),
 }
 # those that the kernels or the page write
 _WRITTEN = {
     *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other"),
     *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.given"),
     *("scene.sky", "scene.reflecting", "scene.reached", "front", "detail.vertex", "detail.slope", "detail.bend"),
+    "detail.numbers",
 }
 # of a signed byte, which makes an unsigned one in the same order of it
 SIGN_BIT = np.uint8(128)
@@ -108,7 +118,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
 def _add(pack: Pack, name: str, array: np.ndarray) -> None:
     if name in _WRITTEN:
         pack.empty(name, array.shape)
-    elif name == "direction":
+    elif name in ("direction", "detail.direction"):
         pack.exact(name, array, "i1")
     elif name in ("detail.shades", "detail.heights"):
         pack.exact(name, array, "b1")
@@ -167,7 +177,8 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
     position_m, blocks = detail.position_m[vertex], Blocks(detail.position_m[vertex])
     relative_m = position_m.astype(np.float64) - avatar.canonical_joints_m[0]
     own = {
-        "rest": blocks.blocked(np.pad(relative_m, ((0, 0), (0, 1)))), **blocks.bones(detail.bone_weights[vertex]),
+        "skin.rest": blocks.blocked(np.pad(relative_m, ((0, 0), (0, 1)))),
+        **{f"skin.{name}": array for name, array in blocks.bones(detail.bone_weights[vertex]).items()},
         "uv": blocks.in_rows(np.column_stack([uv[:, 0], 1 - uv[:, 1]]))[..., None],
         "faces": np.argsort(blocks.order)[faces], "shades": differences(filled(detail.texture, detail.skin)),
         "vertex": np.empty((3, blocks.rows)),
@@ -175,7 +186,10 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
     # the positions themselves: seen in parallel, along the axes
     task = DetailTask(hand_count=1, orthographic=1, fx=1.0, fy=1.0, z_near=-float(np.finfo(np.float32).max))
     task.camera_from_position[:] = np.eye(3, 4).ravel().tolist()
-    hand, relief = DetailHand(), None
+    surface, hand, relief = surface_task(blocks), DetailHand(), None
+    if detail.correctives is not None:
+        surface.correctives, surface.basis = CorrectiveKind.LINEAR, NUMBERS
+        own |= detail.correctives.of(vertex).arrays(blocks) | {"numbers": np.empty((JOINT_COUNT, NUMBERS))}
     if detail.relief is not None and detail.slopes is not None:
         hand.rise = step_m = detail.slopes.step_m
         bend = Bend(position_m, finger_shares(detail.bone_weights[vertex]), avatar.canonical_joints_m)
@@ -189,7 +203,8 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
     arrays |= {f"detail.{name}": array for name, array in own.items()}
     powers = [detail_power(avatar, in_scene=in_scene) for in_scene in (False, True)]
     return {
-        "tasks": {"skin": task_in_words(skin_task(blocks)), "hands": task_in_words(hand), "task": task_in_words(task)},
+        "tasks": {"surface": task_in_words(surface), "hands": task_in_words(hand), "task": task_in_words(task)},
+        "products": products(SIMPLE, NUMBERS),
         "size": detail.size, "log_ratios_max": [power * LOG_RATIO_MAX for power in powers], "depth_m": detail.depth_m,
         "fades_m": [FADE_FROM_M, FADE_TO_M], "graze_max": GRAZE_MAX, "alphas": [ALPHA_FROM, ALPHA_TO],
         "mixes": [MIX_FROM, MIX_TO], "relief": relief,

@@ -3,24 +3,26 @@
 import { posedJoints } from './capsules.js';
 
 export class Detail {
-  constructor({ size, relief, tasks }, { memory, kernels }) {
+  constructor({ size, relief, tasks, products }, { memory, kernels }) {
     const { views, pointers } = memory;
-    Object.assign(this, { relief, views, pointers, kernels, fields: tasks.skin.fields });
+    Object.assign(this, { relief, views, pointers, kernels, products, fields: tasks.surface.fields });
     for (const [name, task] of Object.entries(tasks)) this[name] = memory.task(`detail.${name}`, task, 'detail.');
     if (kernels.jg_detail_task_bytes() !== this.task.byteLength || kernels.jg_detail_hand_bytes() !== this.hands.byteLength)
       throw new Error('hand.js and pose.js are of different versions of JGHand. Export the folder anew.');
-    this.skin[tasks.skin.pointers.linear_offset] = pointers['skin.linear_offset'];
+    this.surface[tasks.surface.pointers['skin.linear_offset']] = pointers['skin.linear_offset'];
     this.hands[tasks.hands.pointers.learned] = pointers.task;
-    this.numbers = new Float32Array(this.skin.buffer, this.skin.byteOffset, this.skin.length);
+    this.floats = new Float32Array(this.surface.buffer, this.surface.byteOffset, this.surface.length);
     this.texture = shades(views['detail.shades'], size);
     this.rises = relief && rises(views['detail.heights'], size, (0.5 * relief.height_m * size) / relief.step_m);
   }
 
   // After a pose of the hand: `detail.vertex` and, of a relief, `detail.slope` and `detail.bend`
   pose({ joints }) {
-    const { views, pointers, relief } = this;
-    this.numbers.set(joints.slice(0, 3), this.fields.shift);
-    this.numbers[this.fields.inverse_scale] = 1 / Math.max(views.scale[0], 1.17549435e-38);
+    const { views, pointers, relief, floats, fields } = this, numbers = views['detail.numbers'];
+    floats.set(joints.slice(0, 3), fields['skin.shift']);
+    floats[fields['skin.scale']] = views.scale[0];
+    floats[fields['skin.inverse_scale']] = 1 / Math.max(views.scale[0], 1.17549435e-38);
+    if (numbers) numbers.set(angleNumbers(views.angles, this.products));
     this.kernels.jg_detail_vertices(pointers['detail.task']);
     if (relief) this.bend();
   }
@@ -41,6 +43,15 @@ export class Detail {
       for (let k = 0; k < bent.length; k++) bend[i] += bent[k] * near[n++];
     }
   }
+}
+
+// `angle_numbers` of jghand_engine/avatar/detail_correctives.py: what the 21 bones say
+function angleNumbers(angles, [first, second]) {
+  return Array.from({ length: 21 }, (_, bone) => {
+    const start = 2 * ((bone - 1) % 5), palm = angles.slice(30);
+    const own = bone < 6 ? [...palm] : [0, 1, 10, 11, 20, 21].map((k) => angles[start + k]).concat(0);
+    return own.concat(first.map((k, place) => own[k] * own[second[place]]));
+  }).flat();
 }
 
 const minus = (a, b) => a.map((x, k) => x - b[k]);
