@@ -40,6 +40,11 @@ class DetailCorrectives:
         """Those of some vertices, by their numbers."""
         return DetailCorrectives(self.direction[vertices], self.scale_m[vertices])
 
+    def offset_m(self, bone_weights: np.ndarray, angles_rad: np.ndarray) -> np.ndarray:
+        """(V, 3) canonical axes, meters, of vertices of weights (V, 21) at the (37,) angles of a pose."""
+        numbers = bone_weights.astype(np.float64) @ angle_numbers(angles_rad)
+        return self.scale_m[:, None] * np.einsum("vk,vkc->vc", numbers, self.direction.astype(np.float64))
+
     def arrays(self, blocks: Blocks) -> dict[str, np.ndarray]:
         """What the kernel reads of the linear tier, by its fields of LearnedTask: no constant, no shade."""
         direction = np.pad(self.direction, ((0, 0), (0, 0), (0, 3))).reshape(len(self.direction), -1)

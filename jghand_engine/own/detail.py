@@ -150,9 +150,7 @@ def laid_out(own: OwnHand, layout: Layout, shown: Sequence[Shown], joints_m: np.
     laid = []
     for one, joints, trust in zip(shown, joints_m * MOTION_FROM_CAMERA, trusted(joints_m), strict=True):
         bones = skeleton.bones(joints)
-        maps = np.einsum("vb,bij->vij", hand.weights, bones.linear_offset)
-        relative = layout.detail.position_m - skeleton.canonical_root_m
-        posed_m = np.einsum("vij,vj->vi", maps[..., :3], relative) + maps[..., 3] + bones.root_m
+        posed_m = hand.posed_m(bones)
         outwards = layout.mean(vertex_normals(posed_m, layout.detail.faces))
         place_m = layout.mean(posed_m)
         cosine = -(outwards * place_m).sum(1) / np.linalg.norm(outwards, axis=1) / np.linalg.norm(place_m, axis=1)

@@ -22,7 +22,7 @@ from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import Bend, finger_shares
-from jghand_engine.avatar.skin_task import surface_task
+from jghand_engine.avatar.skin_task import BLEND_DET_MIN, surface_task
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.skeleton import Bones
@@ -68,6 +68,17 @@ class DetailedHand:
         weights = avatar.map_weights(detail.position_m, detail.bone_weights)
         light = None if poser is None or detail.relief is None else poser.light_around(detail.position_m)
         return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, light)
+
+    def posed_m(self, bones: Bones) -> np.ndarray:
+        """(V, 3) where a pose has the vertices, meters: as the kernel moves them, in float64."""
+        maps = np.einsum("vb,bij->vij", self.weights, bones.linear_offset)
+        linear, rest_m = maps[..., :3], self.detail.position_m - self.joints_m[0]
+        posed_m = np.einsum("vij,vj->vi", linear, rest_m) + maps[..., 3] + bones.root_m
+        if (correctives := self.detail.correctives) is not None:
+            size = np.cbrt(np.maximum(np.abs(np.linalg.det(linear / bones.scale)), BLEND_DET_MIN))
+            offset_m = correctives.offset_m(self.detail.bone_weights, bones.angles_rad)
+            posed_m += np.einsum("vij,vj->vi", linear / size[:, None, None], offset_m)
+        return posed_m
 
 
 class NativeDetail:
