@@ -5,8 +5,6 @@ texture by how many texels the pixel spans; the ratio there, weakened at the out
 elsewhere than the surface. Which face is the nearest is said to be certain where float32 finds the same one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar

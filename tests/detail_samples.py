@@ -1,7 +1,5 @@
 """A hand with a texture of detail: the painted one, with the template's skin around it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Films of a hand of thick bones before a wall, small, and what a perfect detector says of them."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from tracking_samples import CAMERA, CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, sight

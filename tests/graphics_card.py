@@ -1,7 +1,5 @@
 """The graphics card that tests draw on; where there is none, software that stands in for one (Mesa's llvmpipe)."""
 
-from __future__ import annotations
-
 import functools
 import os
 

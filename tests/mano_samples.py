@@ -6,8 +6,6 @@ mitten of 778 vertices and 1538 faces around all bones, open along 16 edges like
 serve as finger tips; its joints are those of the built-in hand.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ The motion is a hand of constant bone lengths whose palm is rigid, so that a ske
 as its joints do. Skeletons are written as BVH and UsdSkel; detections as their packages name them.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

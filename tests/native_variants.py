@@ -1,7 +1,5 @@
 """The native library in every variant that this processor runs."""
 
-from __future__ import annotations
-
 import pytest
 
 from jghand_engine.native import library as native_library

@@ -1,7 +1,5 @@
 """Pictures of a hand for tests that only care that there are some: discs around the projected joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

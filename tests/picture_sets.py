@@ -1,7 +1,5 @@
 """Small data sets in exactly the layouts of InterHand2.6M and HanCo: colored silhouettes of the template."""
 
-from __future__ import annotations
-
 import functools
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Small random avatars for tests: Gaussians near the built-in canonical joints, blended between neighboring bones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hands that are going to be learned, small enough for tests: canonical points, options, models, poses."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from small_avatars import small_tensors

@@ -1,7 +1,5 @@
 """A training that takes milliseconds a step: painted pictures, 300 Gaussians."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A sound file of every kind that is read, for tests that damage it."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Scenes for the rasterizer's tests, and how two pictures or two gradients are compared."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

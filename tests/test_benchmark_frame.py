@@ -1,7 +1,5 @@
 """The frame benchmark: every kind of case runs and fits the table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import benchmark_frame as benchmark

@@ -1,7 +1,5 @@
 """The table of trainings: each cell its own plan, what was not run is shown as that, what is finished is kept."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """The zip of the extension: what is in it, that it is the same every time, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import zipfile

@@ -1,7 +1,5 @@
 """The script that makes the family of built-in hands: what it keeps, and what it packs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import build_family

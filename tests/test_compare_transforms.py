@@ -1,7 +1,5 @@
 """The table of transforms: ours hits the joints, the others miss by what they cannot know."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The demo's job by the engine alone. With Blender: tests/blender/test_demo.py."""
 
-from __future__ import annotations
-
 import json
 import os
 

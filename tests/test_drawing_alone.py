@@ -1,7 +1,5 @@
 """Drawing and its exports need the packages of `pip install jghand` alone: no torch, no scipy, no trimesh."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The set-up of the two environments: which Python is taken, when is it quick, what does a failure say."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import shutil

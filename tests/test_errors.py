@@ -1,7 +1,5 @@
 """Sentences of errors."""
 
-from __future__ import annotations
-
 import pytest
 
 from jghand_engine.errors import JGHandError

@@ -3,8 +3,6 @@
 They read the source as syntax trees and run nothing of it (but for one import in a fresh process).
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import re

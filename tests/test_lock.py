@@ -1,7 +1,5 @@
 """Locks: one process at a time, and whoever is kept out is told by whom."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

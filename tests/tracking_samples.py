@@ -1,7 +1,5 @@
 """A hand in known motion before a known camera, as a perfect detector would see it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

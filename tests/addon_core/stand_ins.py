@@ -1,7 +1,5 @@
 """Links to the stand-in engine, for tests. It runs in any Python that has numpy."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Files of avatars: their cards are read from the header alone, and changes are noticed."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The 21 joints are found in rigs of every convention from names alone, and doubt is told, never resolved silently."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

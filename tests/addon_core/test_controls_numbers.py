@@ -1,7 +1,5 @@
 """Finger controls mean the same on both hands: a positive turn curls, and spreads away from the middle finger."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

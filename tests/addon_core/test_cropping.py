@@ -1,7 +1,5 @@
 """A view is asked for no more than can show a hand, and that part is the same picture as in the whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The engine is found where it is promised to be, and is told nothing of Blender's own Python."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Hands that are chosen by picture: what a zip of them may hold, and which are found."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Jobs end in time whatever their program does, say why, and take nothing of Blender with them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

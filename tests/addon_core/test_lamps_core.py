@@ -1,7 +1,5 @@
 """Which of Blender's lights become lamps; tests/blender/test_lamps.py holds what these do against Cycles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """The link to the engine: the newest picture wins, exact requests are answered, and nothing that the engine does (or
 does not) makes the calling thread wait, leaves somebody waiting, or leaves a process behind."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -387,7 +385,7 @@ class AnyEngine:
         self._listener.close()
         self.link.close()
 
-    def __enter__(self) -> AnyEngine:
+    def __enter__(self) -> "AnyEngine":
         return self
 
     def __exit__(self, *_: object) -> None:

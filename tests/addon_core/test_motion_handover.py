@@ -1,7 +1,5 @@
 """What extension and renderer hand to each other as motions: files that say what they hold, and words."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """When a view asks for a picture, how good a one, how long it waits, and what it shows, as lists of events."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

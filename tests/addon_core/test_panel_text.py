@@ -1,7 +1,5 @@
 """What the panels say, from what the engine says."""
 
-from __future__ import annotations
-
 import pytest
 
 from blender_addon.core import panel_text

@@ -1,7 +1,5 @@
 """The poses of the library are whole, mirrored for the left hand, and drawn without an engine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from build_pose_table import joints_of

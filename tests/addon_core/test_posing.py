@@ -1,7 +1,5 @@
 """Joint positions become bone matrices that give the joints back, and that an animator can work with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

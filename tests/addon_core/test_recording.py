@@ -1,7 +1,5 @@
 """What is exported and baked: names, and the words that the engine's command line understands."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

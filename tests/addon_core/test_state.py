@@ -1,7 +1,5 @@
 """What becomes of the engine's process is decided the same way every time, and nobody is left waiting."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

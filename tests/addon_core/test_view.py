@@ -1,7 +1,5 @@
 """What a picture request says of cameras and hands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whatever is asked, answered, given up and released in whatever order: everybody gets what is his, and nothing old."""
 
-from __future__ import annotations
-
 from blender_addon.core import protocol
 from blender_addon.renderer import state as renderer_state
 from blender_addon.renderer.waiting import Call, Waiting

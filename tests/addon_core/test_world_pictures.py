@@ -1,7 +1,5 @@
 """What a light probe makes of what it sees, in plain numbers; tests/blender/test_worlds.py holds it against Cycles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

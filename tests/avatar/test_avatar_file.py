@@ -1,7 +1,5 @@
 """The .jghand file: what is written comes back, exactly as promised, and a failure never touches the old file."""
 
-from __future__ import annotations
-
 import errno
 import json
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """The avatar that is shipped: right numbers, and a skin that is closed from every side in every level of detail."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

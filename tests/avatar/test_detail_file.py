@@ -1,7 +1,5 @@
 """The texture of a hand in its file: what is written comes back, small, and what draws nothing is refused."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import fields, replace

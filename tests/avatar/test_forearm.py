@@ -1,7 +1,5 @@
 """Where a hand ends: faded at the wrist or along the forearm, and nowhere else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

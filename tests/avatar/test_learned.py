@@ -1,7 +1,5 @@
 """What a trained avatar knows beyond its Gaussians: prefixes of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

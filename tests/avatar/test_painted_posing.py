@@ -1,7 +1,5 @@
 """The native skinning poses as `pose_gaussians` does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

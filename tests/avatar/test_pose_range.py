@@ -1,7 +1,5 @@
 """Joints that are bent farther than an avatar was trained on are named, each once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

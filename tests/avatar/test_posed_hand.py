@@ -1,7 +1,5 @@
 """Posing for files is the torch functions' in float64, in the avatar's own order, without what skin mirrors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

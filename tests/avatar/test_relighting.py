@@ -1,7 +1,5 @@
 """Hands in a light that they were not made for: what a known hand looks like where nobody gives a light."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A hand in the light of a scene: the kernel is the torch form in float64, and light behaves as light does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

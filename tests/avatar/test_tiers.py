@@ -1,7 +1,5 @@
 """Cheaper tiers of the correctives: the linear one is near, and none is used without a price."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The compiled skin of trained hands is the torch functions' in float64: every tier, light, gloss, every odd hand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,7 +104,7 @@ class RootRelative:
     scale: torch.Tensor
 
     @classmethod
-    def of(cls, avatar: HandAvatar, bones: Bones, shift_m: np.ndarray) -> RootRelative:
+    def of(cls, avatar: HandAvatar, bones: Bones, shift_m: np.ndarray) -> "RootRelative":
         """shift_m: (3,) the hand's root relative to the picture's origin."""
         matrices = torch.from_numpy(np.asarray(bones.linear_offset, np.float32))
         return cls(

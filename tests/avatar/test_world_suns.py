@@ -1,7 +1,5 @@
 """Suns out of a world's picture: what its reduced form says of 200 normals, energy, rotation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 Where there is no bpy, as in the engine's environment, nothing below this folder is collected.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

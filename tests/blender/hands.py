@@ -1,7 +1,5 @@
 """Armatures, places and cameras for the tests inside Blender."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

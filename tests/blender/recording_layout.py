@@ -4,8 +4,6 @@ There is no layout without a window. Names of functions, of their arguments, of 
 properties are looked up in Blender's own tables, so that a panel which draws here does not raise there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any

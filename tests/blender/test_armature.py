@@ -1,7 +1,5 @@
 """One clean armature per hand, whose evaluated bones give the joints back wherever it stands."""
 
-from __future__ import annotations
-
 import bpy
 import hands
 import numpy as np

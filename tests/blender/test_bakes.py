@@ -1,7 +1,5 @@
 """A bake knows what it was made from, and takes the place of the one before and of nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

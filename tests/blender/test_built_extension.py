@@ -1,7 +1,5 @@
 """The built zip, installed into an empty profile as a user does it."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

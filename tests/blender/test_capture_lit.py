@@ -1,7 +1,5 @@
 """A real capture of varied light with Cycles, as small as can be: the groups are the light, and the records say it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A real capture with Cycles, as small as can be: what is annotated is what the pictures show."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

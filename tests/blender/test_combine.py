@@ -1,7 +1,5 @@
 """Hands in pictures of Cycles: in front of things, behind them, and away again without a trace."""
 
-from __future__ import annotations
-
 import bpy
 import hands
 import numpy as np

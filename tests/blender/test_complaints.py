@@ -7,8 +7,6 @@ breaks it.
 The first two are asked of the real engine.
 """
 
-from __future__ import annotations
-
 import ast
 import itertools
 import time

@@ -1,7 +1,5 @@
 """Finger controls move the hand as they say, change nothing by being there, and cost nobody a key."""
 
-from __future__ import annotations
-
 import bpy
 import hands
 import numpy as np

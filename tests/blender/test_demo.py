@@ -1,7 +1,5 @@
 """The whole job through Blender: the script starts Blender's Python, which starts an engine."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A graphics driver that refuses to draw costs neither view nor console: it is said once, and tried again."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The engine by hand: started, stopped and started again from buttons, which say why where they cannot."""
 
-from __future__ import annotations
-
 import subprocess
 import zipfile
 from pathlib import Path

@@ -5,8 +5,6 @@ The figures of docs/LIGHT.md are printed by
     python -m pytest -s tests/blender/test_exact_light.py -k stand_in
 """
 
-from __future__ import annotations
-
 import subprocess
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The folder is an extension that Blender accepts."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Add Hand offers other persons' hands by picture: their avatar, and bones as long as theirs."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

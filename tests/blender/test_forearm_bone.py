@@ -1,7 +1,5 @@
 """A wrist that hangs on a forearm: what an animator turns is what the renderer is told, and nothing else changes."""
 
-from __future__ import annotations
-
 import bpy
 import hands
 import numpy as np

@@ -1,8 +1,6 @@
 """Motions of other programs: the engine reads what Blender's exporters write, and Import Motion puts that, and what
 the tests write, onto a hand."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from pathlib import Path

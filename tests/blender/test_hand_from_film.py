@@ -1,7 +1,5 @@
 """My Hand from a Film: the engine is a stand-in that leaves what `jghand own` and `jghand render` leave."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hands and their settings are Blender's own data: they survive duplicating, saving, appending, linking and undo."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,8 +1,6 @@
 """Hands that instances of their collections show are found where Blender draws them, and a mirrored hand is the other
 one."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import bpy

@@ -3,8 +3,6 @@
 The avatars are three small Gaussians each, exactly at three joints, in red, green and blue.
 """
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """The edge of a finger's shadow on skin is as wide as Cycles has it: the engine's soft capsule before lamps of several
 sizes."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from pathlib import Path

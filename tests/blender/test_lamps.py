@@ -1,7 +1,5 @@
 """Blender's lights are lamps of the same light: Cycles lights a white card as the engine says of what is read."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

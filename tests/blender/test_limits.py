@@ -1,7 +1,5 @@
 """The panel says what pictures of Cycles and EEVEE with hands cannot show: panes before them, volumes, soft edges."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import bpy

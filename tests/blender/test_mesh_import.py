@@ -1,7 +1,5 @@
 """Blender's own importers read the meshes: glTF and OBJ with their texture, upright, where the engine has them."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

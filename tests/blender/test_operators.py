@@ -1,7 +1,5 @@
 """Every operator does its one thing in a real scene, says what is missing, and can be undone."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

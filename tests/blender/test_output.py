@@ -1,7 +1,5 @@
 """Exports, bakes and Blender's own USD export: what is written is what the scene shows."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

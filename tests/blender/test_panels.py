@@ -1,7 +1,5 @@
 """Every panel draws in every state of a scene, with what Blender's layouts take, and says what an artist needs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

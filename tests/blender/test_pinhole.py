@@ -1,7 +1,5 @@
 """The engine's pinhole sees every joint where Blender itself projects it."""
 
-from __future__ import annotations
-
 import bpy
 import hands
 import numpy as np

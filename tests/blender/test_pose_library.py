@@ -1,7 +1,5 @@
 """The poses are real pose assets of this Blender: marked, catalogued, with pictures, applied to bones."""
 
-from __future__ import annotations
-
 import bpy
 import build_pose_table
 import hands

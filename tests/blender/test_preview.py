@@ -1,8 +1,6 @@
 """Preview Movie: a movie of hands and all else from a copy of the scene, of which nothing stays. Solid shading needs a
 window; here Cycles draws what is no hand."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Every property can be reached in the interface, and every control that a message names is there."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 """From a .blend file to pictures without a window: with a stand-in engine every turn of the run, with the real one the
 way as a user goes it."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,8 +1,6 @@
 """The render engine: F12 and animations with their passes, what a scene may ask for, and failing so that Blender writes
 nothing. A stand-in engine draws discs; at the end the real one draws a hand."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ saved_by_0_1_0.blend: a left hand with finger controls, saved by version 0.1.0 i
 from its default; saved_by_0_1_0.json says what was set.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Hands in the light of their scene: what F12 makes of lamps and worlds, and what a view asks for."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import threading

@@ -1,7 +1,5 @@
 """What a scene leaves of lamps at points of the skin: nothing behind a card, all beside it, a penumbra of its width."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import bpy

@@ -1,7 +1,5 @@
 """Along which lines the picture of a hand is left open for the bones that are shown in front of it."""
 
-from __future__ import annotations
-
 import bpy
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Foreign rigs and sets of objects are read as hands, where they stand and as they are posed."""
 
-from __future__ import annotations
-
 import bpy
 import hands
 import numpy as np

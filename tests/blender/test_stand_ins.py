@@ -1,7 +1,5 @@
 """The stand-ins of hands throw their shadows, and nobody sees anything else of them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

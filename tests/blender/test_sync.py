@@ -1,7 +1,5 @@
 """Views follow hands through edits, undo and files: handlers, timer, what is asked of the engine; without a window."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Track Video: the hands in a video become keys. The engine is a stand-in but for one test."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Training sets, trainings and avatars from Blender, with a stand-in for the engine's command line."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Lengths, angles and times are Blender's own: shown with their unit, and typed in any."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

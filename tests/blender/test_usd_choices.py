@@ -1,7 +1,5 @@
 """What a program wants of a stage is one click, and stays changeable."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")

@@ -1,7 +1,5 @@
 """Blender's own importer reads the exported stage: points, armature and mesh are where the engine has them."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Blender's Python borrows the engine's other packages, which works where both are
 splats themselves needs nothing but numpy and `pxr`, and is tried in every Blender.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

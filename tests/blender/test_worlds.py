@@ -1,7 +1,5 @@
 """Worlds as light: what is read from their nodes, or measured, lights a white card as Cycles does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from types import SimpleNamespace

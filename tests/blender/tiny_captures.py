@@ -1,7 +1,5 @@
 """Real captures with Cycles of one hand, as small as can be."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

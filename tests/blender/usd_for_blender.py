@@ -3,8 +3,6 @@
 usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS RADIANCE plain|detailed
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -6,8 +6,6 @@ It learned in known light, as its file says, and is Lambertian: no gloss, no sof
 of square facets with the normals that a ball has at their middles: there nothing but that normal is seen.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

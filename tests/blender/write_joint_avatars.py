@@ -6,8 +6,6 @@ FOLDER/0.jghand … 6.jghand hold three joints each, in pure red, green and blue
 standard order. A picture's color channels then say where each of them is, however near they are.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

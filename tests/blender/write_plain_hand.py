@@ -5,8 +5,6 @@
 What it shows is the light that falls on it, as a matt mesh in its place shows it.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Each mistake that people make with a data set is told, in words that say what to do."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 

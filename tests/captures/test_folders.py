@@ -1,7 +1,5 @@
 """Data sets are found near the folder that was named, whatever else lies there."""
 
-from __future__ import annotations
-
 from jghand_engine.captures.reading import find_roots
 
 

@@ -1,7 +1,5 @@
 """HanCo: meters, eight cameras, one sequence of one person."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

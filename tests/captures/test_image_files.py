@@ -1,7 +1,5 @@
 """Pictures and masks as training sees them: the hand on black, and broken files named."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """InterHand2.6M and our captures: every picture with its joints and its camera, whatever the folder looks like."""
 
-from __future__ import annotations
-
 import math
 import shutil
 

@@ -1,7 +1,5 @@
 """The writer of InterHand2.6M's layout, against the layout's own description."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of known light: what is mixed of their groups, and the light that goes with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

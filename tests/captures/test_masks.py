@@ -1,7 +1,5 @@
 """The mask of a hand that nobody cut out: the template, posed and projected."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

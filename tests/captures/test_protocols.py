@@ -1,7 +1,5 @@
 """The avatar papers' choice of pictures: each rule leaves out what it names, and nothing else."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from typing import get_args, get_type_hints

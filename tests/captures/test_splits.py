@@ -1,7 +1,5 @@
 """Which pictures are learned from: no picture twice, none lost, and the same ones on every machine."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bad input and a world that is not ready: a clear sentence, the right exit code, nothing half-written."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

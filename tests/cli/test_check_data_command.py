@@ -1,7 +1,5 @@
 """`jghand check-data` as people use it."""
 
-from __future__ import annotations
-
 import json
 import pickle
 

@@ -1,7 +1,5 @@
 """The command line as people use it: what it writes, what it says, how it ends."""
 
-from __future__ import annotations
-
 import json
 import re
 

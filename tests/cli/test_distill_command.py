@@ -1,7 +1,5 @@
 """`jghand distill`: tiers with prices, measured against the network or on held-out pictures, in a file to be drawn."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

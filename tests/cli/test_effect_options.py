@@ -1,7 +1,5 @@
 """`jghand render` with effects chosen, a shutter, a lens, and receipts."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`jghand evaluate` as people use it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

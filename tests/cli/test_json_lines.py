@@ -1,7 +1,5 @@
 """What a program reads that started a command: lines of JSON, and how the end of its input stops the command."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

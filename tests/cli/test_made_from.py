@@ -1,7 +1,5 @@
 """What a folder of frames says it was made from: the motion by the content of all its files, wherever they lie."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

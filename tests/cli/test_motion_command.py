@@ -1,7 +1,5 @@
 """`jghand motion`, and motions of other programs in the commands that take one."""
 
-from __future__ import annotations
-
 import json
 
 import motion_samples as samples

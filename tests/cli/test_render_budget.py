@@ -1,7 +1,5 @@
 """`jghand render --budget-ms`: what the budget buys is what is drawn."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

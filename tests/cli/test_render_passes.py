@@ -1,7 +1,5 @@
 """`jghand render --passes` writes ground truth beside the pictures, and says what it cannot write."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`jghand render --shard --skip-existing`: parts that are one whole, workers that meet, are killed, and go on."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

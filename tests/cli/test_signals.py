@@ -1,7 +1,5 @@
 """What signals mean to a command."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """`jghand train-many`: what a list may say; trainings stopped, killed and gone on with; the array of jobs of SLURM."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -4,8 +4,6 @@ first word), for tests of what goes on around them.
 JGHAND_TINY_STEP_S: seconds that a step takes besides, from the fifth on of a training that is not gone on with.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Cameras for COLMAP and nerfstudio, read as those programs say that they read them, project as ours do."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

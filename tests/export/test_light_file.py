@@ -1,7 +1,5 @@
 """The light of a scene from a file."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 

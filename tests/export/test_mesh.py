@@ -1,7 +1,5 @@
 """Meshes hold the posed surface, with the colors of the skin where its UV says, in files that other programs read."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Passes agree with each other, with the Gaussians, and with the mesh, which the renderer does not know."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """PLY files hold what the engine computes, in the layout and the axes that splat viewers expect."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_avatars import ellipsoid_avatar

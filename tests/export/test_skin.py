@@ -1,7 +1,5 @@
 """What of the skin's detail files hold: the nearest Gaussians of a place, textures, and colors of Gaussians."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ They are put into .envs/splat_clients by `scripts/check_splat_files.py --install
 these tests are skipped.
 """
 
-from __future__ import annotations
-
 import json
 
 import check_splat_files

@@ -1,7 +1,5 @@
 """Splat files of every format hold what the engine has, by readers written from the formats' descriptions."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import struct

@@ -4,8 +4,6 @@ They are put into .envs/usd_clients by `scripts/check_usd_files.py --install`, n
 tests are skipped.
 """
 
-from __future__ import annotations
-
 import check_usd_files
 import pytest
 from check_usd_files import WAYS, Way

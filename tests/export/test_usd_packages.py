@@ -1,7 +1,5 @@
 """Other ways to write the same stage: one file. They hold what the layers hold."""
 
-from __future__ import annotations
-
 import io
 import struct
 import subprocess

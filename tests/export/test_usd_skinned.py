@@ -1,7 +1,5 @@
 """Points that follow the skeleton: all of them as a variant, and a tenth that stands in for the splats."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

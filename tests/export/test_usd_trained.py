@@ -1,7 +1,5 @@
 """Trained avatars in USD: offsets in the positions, the light of every frame in the colors, no gloss."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

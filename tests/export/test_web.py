@@ -1,8 +1,6 @@
 """The web page of a motion: what is written, that it asks nobody for anything, and that its scripts pose the hand as
 the engine does. In a browser it is tried by scripts/check_web_page.py."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -1,8 +1,6 @@
 """The web page in a headless Chromium: its buttons, sliders and turning do what they are for, and what goes wrong is
 said. Skipped without Chromium and playwright-core (scripts/check_splat_files.py --install)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Pictures of a world from files: three formats, averaging over solid angle, and files that are none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An avatar and motions for the tests of the USD export, also used to make the stages that Blender's tests import."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Exported stages as tests open them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pxr import Usd

@@ -1,7 +1,5 @@
 """The golden cases: what is drawn and what is exported. The only file here that calls the engine."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 Of many Gaussians, vertices or numbers every so-manieth is taken; of time, all frames.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

@@ -1,7 +1,5 @@
 """The golden files: arrays by name, packed small, and how a picture becomes such arrays."""
 
-from __future__ import annotations
-
 import functools
 import io
 import zipfile

@@ -3,8 +3,6 @@
 python tests/golden/make_golden.py [GROUP ...]
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 """Stages and pages hold the numbers that they held: positions to a hundredth of a millimeter, colors to one step of 8
 bits (golden_decode.TOLERANCES). Splat files have the engine's numbers by tests/export."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ A depth is a mean of what covers a pixel, 0 where too little does. Compared are 
 those on a threshold were left out when the golden pictures were made (make_golden.py).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from cases import PICTURES, Picture, drawn

@@ -1,7 +1,5 @@
 """A graphics card draws the last step of the native rasterizer; what it cannot do, the kernel does, and says so."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -3,8 +3,6 @@
 Right hand, meters, level order; wrist at the origin, fingers along +y, back of the hand +z, thumb at -x.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fingers that close: a palm that arches, tips that lie on it, a thumb that rests on fingers; all by bones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hand import sampled_hands as hands

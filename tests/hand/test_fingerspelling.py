@@ -1,7 +1,5 @@
 """Letters of the manual alphabet are hand shapes within the ranges of the joints, each one another."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

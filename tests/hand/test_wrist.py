@@ -1,7 +1,5 @@
 """A forearm's turn in slices: what bends, what twists, and the hard cases of quaternions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike

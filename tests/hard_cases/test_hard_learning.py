@@ -1,7 +1,5 @@
 """Learning from what is degenerate: hands, pictures and views that teach nothing must not break anything."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Poison and chance: whatever stands in the tensors, the picture and the gradients stay finite (promises 10 and 11)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

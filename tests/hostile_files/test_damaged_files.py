@@ -3,8 +3,6 @@
 Each is refused in one sentence that names the file, soon; nothing of it runs, and nothing huge is made of it.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from pathlib import Path

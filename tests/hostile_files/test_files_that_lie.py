@@ -1,7 +1,5 @@
 """Files that are whole and lie: about their sizes, their numbers, or what lies beside them. Refused by name, soon."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A file that calls itself MANO and is not: refused with the reason, and nothing of it runs."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import sys

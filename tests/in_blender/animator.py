@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What an animator does in the first minutes: from the side bar's one button to a rendered animation."""
 
-from __future__ import annotations
-
 import itertools
 import time
 

@@ -6,8 +6,6 @@ steps from a timer, so that Blender draws and reacts as it does for an artist. O
 went; Blender ends afterwards the ordinary way.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exact Light in the default scene: what stands before the lamp shades the hand, and Esc ends it at any moment."""
 
-from __future__ import annotations
-
 import subprocess
 
 import bpy

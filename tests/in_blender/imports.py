@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Files of other programs are chosen in the browser: Blender is free while the renderer reads, then a hand is keyed."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The hand in the light of the scene: lamps that are dragged, the world, and the shadow that falls on things."""
 
-from __future__ import annotations
-
 import importlib
 
 import bpy

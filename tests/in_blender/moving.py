@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fingers turned by hand in the viewport, recorded: the moving picture of the README (`scripts/moving_picture.py`)."""
 
-from __future__ import annotations
-
 import bpy
 
 from in_blender.pictures import changed, write_png

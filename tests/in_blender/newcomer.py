@@ -5,8 +5,6 @@ Install from Disk, Add Hand, the hand on the screen, F12; then the renderer is k
 back, and the scene is what it was. Continuous integration runs this story (scripts/test.py).
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -4,8 +4,6 @@
 Debian builds Blender without USD: there bakes are refused in a sentence, and what needs one is not tried.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tab as an artist meets it: empty, with a hand, with a pose chosen from pictures, with somebody else's rig."""
 
-from __future__ import annotations
-
 import importlib
 
 import bpy

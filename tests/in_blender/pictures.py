@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a step asks of a picture of the screen, (H, W, 3) uint8, top row first."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A long motion is one step of undo, and what viewport renders leave out is what the panel says."""
 
-from __future__ import annotations
-
 import bpy
 import numpy as np
 

@@ -5,8 +5,6 @@ A software driver encodes what a draw handler writes with an approximation of it
 what the shader writes is therefore also read from a target of floats, where nothing is encoded.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib

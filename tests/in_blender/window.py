@@ -4,8 +4,6 @@
 Places on the screen are in Blender's way: pixels from the window's lower left corner.
 """
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 from collections.abc import Generator

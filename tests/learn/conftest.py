@@ -1,7 +1,5 @@
 """A tiny capture and a tiny model, made once: what the real training is tested with."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from pathlib import Path

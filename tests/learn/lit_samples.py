@@ -1,7 +1,5 @@
 """Pictures of a hand in known light, drawn by our own renderer: a world, a sun and a lamp, each apart."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

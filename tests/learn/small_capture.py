@@ -1,7 +1,5 @@
 """A tiny capture in the InterHand2.6M layout, painted with our own renderer from the built-in avatar."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small thing that learns: it paints a picture by Adam, fast and in every way like the real one for the loop."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The ablation: every variant is trained alike, drawn alike, and goes on where it was stopped."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

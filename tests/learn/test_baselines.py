@@ -1,7 +1,5 @@
 """The transforms that ours is compared with: right where they claim to be, wrong where they must be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Where the Gaussians of a hand that is going to be learned start."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shadows that fingers cast: which lamps a point of the skin sees past soft capsules, and what it loses with them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

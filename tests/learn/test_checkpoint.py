@@ -1,7 +1,5 @@
 """Checkpoints: every bit comes back, a kill leaves a whole one, and damage is named."""
 
-from __future__ import annotations
-
 import pytest
 import safetensors.torch
 import torch

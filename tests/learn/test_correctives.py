@@ -1,7 +1,5 @@
 """The network of the pose: what it computes, how far it may go, and its prefixes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

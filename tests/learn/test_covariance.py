@@ -1,7 +1,5 @@
 """Covariances on a moving hand: the formula, what it does at the edges, and gradients that stay finite."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Crops: where they lie, and what the power of their detail catches."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Where there is no other, torch's meta device stands in: its tensors have shapes 
 looked at for tensors of two devices, as a GPU would refuse them.
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Evaluation: which pictures are measured, how figures are gathered, and the tables that show them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

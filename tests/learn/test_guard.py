@@ -1,7 +1,5 @@
 """The guard: whatever stops being finite is found in the same step, and undone."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

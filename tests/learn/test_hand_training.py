@@ -1,7 +1,5 @@
 """The real training in the loop: deterministic, resumed bit for bit, guarded, on a tiny capture."""
 
-from __future__ import annotations
-
 import os
 import signal
 from dataclasses import replace

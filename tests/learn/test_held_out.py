@@ -1,7 +1,5 @@
 """Whether pictures were held out: an avatar says which it was learned from, and others are warned of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from small_avatars import small_avatar, trained_avatar

@@ -1,7 +1,5 @@
 """Learning how skin answers light: what is drawn while learning, its gradients, and what comes of some steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest import mock
 

@@ -1,7 +1,5 @@
 """Detail while it is learned: a surface where the Gaussians are, a texture that pictures teach, drawn as it will be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The light of a capture: harmonics, what falls on the skin, what it reflects."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The log: whole lines, cut where a training goes on."""
 
-from __future__ import annotations
-
 import math
 
 from small_trainings import read_log

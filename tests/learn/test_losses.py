@@ -1,7 +1,5 @@
 """The terms of the training loss: values against plain formulas, gradients against finite differences."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch.nn import functional

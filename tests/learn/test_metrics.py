@@ -1,7 +1,5 @@
 """The figures that are reported: against known values, and the regions they are taken on."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

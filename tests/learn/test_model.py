@@ -1,7 +1,5 @@
 """The learnable hand: how it starts, what it gives, what gradients reach, and its levels of detail."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

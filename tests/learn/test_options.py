@@ -1,7 +1,5 @@
 """The options of a training: the paper's configuration, stages, and what the ablations leave out."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import pytest

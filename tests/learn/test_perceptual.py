@@ -1,7 +1,5 @@
 """ST-LPIPS where its weights are installed, LPIPS with made-up weights, and how both are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Feature planes at fixed points: as exact as sampling a picture, forward and backward."""
 
-from __future__ import annotations
-
 import torch
 from torch.nn import functional
 

@@ -1,7 +1,5 @@
 """Joint angles become features: ranges, planes, the mix along the kinematic tree, the positional encoding."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a training shows: a live line in a terminal, plain lines elsewhere."""
 
-from __future__ import annotations
-
 import io
 
 from rich.console import Console

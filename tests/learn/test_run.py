@@ -1,7 +1,5 @@
 """The loop: it goes on bit for bit, loses little to a kill, and never writes over anybody's work."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

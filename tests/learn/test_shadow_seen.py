@@ -1,7 +1,5 @@
 """How much the shadow of an avatar is ever seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Sheets: which pictures they show, where they stand, and poses between poses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from picture_sets import LEFT, recorded, write_set

@@ -1,7 +1,5 @@
 """Posing an avatar: where the canonical hand stays, what turns with it, and gradients that stay finite."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One step of learning a hand: what it draws, in which order things come in, the terms of the loss, the update."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

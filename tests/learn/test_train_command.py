@@ -1,7 +1,5 @@
 """`jghand train` as people use it: on a folder, stopped, gone on with, refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """From what is being learned to an avatar of plain numbers, which goes on living apart from it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The skin of a trained hand: its light stays in the world, its normals and axes turn and mirror with the hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Pictures to learn from: cut to the hand, made coarser, kept; every time with the camera that belongs to them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

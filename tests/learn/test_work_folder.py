@@ -1,7 +1,5 @@
 """The finished avatar: written over the training's own work, never over another's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of other programs, written by their published layouts, come back with the joints they were written from."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """Which of several hands, captures, animations of a file is taken."""
 
-from __future__ import annotations
-
 import json
 
 import motion_samples as samples

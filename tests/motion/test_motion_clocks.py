@@ -1,7 +1,5 @@
 """When frames are: clocks with holes and in whole milliseconds, rates of video, samples of a stage."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """The build: constants that two languages share, stamps, and the compilers that may be used."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What machine this is."""
 
-from __future__ import annotations
-
 from jghand_engine.native.machine import processor
 
 

@@ -1,7 +1,5 @@
 """The NumPy face of the kernel, which the frame uses without torch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The pool of threads: everything runs once, errors come back, nothing hangs."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

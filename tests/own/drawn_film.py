@@ -1,7 +1,5 @@
 """Films of a hand that the engine draws itself: joints, masks, light and skin are known exactly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small films of a hand whose truth is known, drawn by the engine: other bones and thickness than the prior's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The motion of all pictures of a film, by a hand that is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

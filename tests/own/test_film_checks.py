@@ -1,7 +1,5 @@
 """What is wrong with a film is told in sentences, with the time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

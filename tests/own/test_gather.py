@@ -1,7 +1,5 @@
 """What pictures show of each Gaussian, on films whose colors are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which pixels are the hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

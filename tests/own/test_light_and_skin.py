@@ -1,7 +1,5 @@
 """Light and skin of a film that the engine drew itself: a hand of another tone, with marks, in a known world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

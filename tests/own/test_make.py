@@ -1,7 +1,5 @@
 """From a film to an avatar and to an exact motion, on films whose truth is known."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

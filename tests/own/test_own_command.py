@@ -1,7 +1,5 @@
 """`jghand own`: what it says of a film, and how a run that was stopped goes on."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The texture of an own hand's skin, of films that the engine draws of a hand with a known one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The pictures that an avatar is made of: films and photographs, which of them, and what their files say."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is said of an avatar from a film, on a film that the engine drew."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

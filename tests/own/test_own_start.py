@@ -1,7 +1,5 @@
 """What the tracker says of the pictures of a film."""
 
-from __future__ import annotations
-
 import numpy as np
 from films_of_bones import started
 from tracking_samples import CANONICAL_M, right_joints_m

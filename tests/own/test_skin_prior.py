@@ -1,7 +1,5 @@
 """Skin that is seen hardly or not at all."""
 
-from __future__ import annotations
-
 import numpy as np
 from drawn_film import plain_hand
 

@@ -1,7 +1,5 @@
 """Depth pictures with a known shape, for the tests of the shadow."""
 
-from __future__ import annotations
-
 import torch
 
 from jghand_engine.render.camera import Camera

@@ -1,7 +1,5 @@
 """The moments of a movement: when a shutter opens, and what stands between the moments that somebody gives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Budgets: what is chosen, how it is said, the file that is kept, the measurement where there is none. Never how long
 anything takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The pinhole camera."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

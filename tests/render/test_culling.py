@@ -1,7 +1,5 @@
 """What the reference draws and what it leaves out: where the border is, on the picture, of a tile and of a value."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Detail: the texture of the skin, found at each pixel, multiplies the colors of drawn Gaussians, and nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Only the effects a scene calls for: what is decided, that what is skipped costs nothing and is not missed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Gaussians with covariances: the picture and the gradients of the float64 reference, and of spheres where they are."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The gate of the shadow: from the joints alone, 0 on the canonical hand, the same from every side."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Trained avatars in the frame: normals, light, gloss and correctives, for any hand, camera and place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Only what a scene's light calls for: what is decided, what it says, and that a new light redoes the light alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parallel rays: what is drawn is what a camera sees that stands far away, with the same kernels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the rasterizer hands on, and how good a picture is."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Conformance: the native kernel draws the picture of the float64 reference (RENDERING 3, promises 3 and 12 to 16)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The hand-written backward pass against the float64 reference, by the four checks (promise 2), and its determinism."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The reference against the text of the contract, written down once more, pixel by pixel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

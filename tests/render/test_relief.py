@@ -1,7 +1,5 @@
 """Relief: skin whose slope turns away from a lamp is darker, and follows the joints as they bend."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """From 21 joints to the finished picture: the native frame against the torch chain, and what the receipt says."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

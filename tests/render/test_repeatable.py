@@ -1,7 +1,5 @@
 """Settings under which a picture depends on nothing that was drawn before it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Receipts: their lines, and those of many images summed up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The self-shadow: the torch specification has the properties METHOD 5 asks for, and the kernel agrees with it."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import mmap

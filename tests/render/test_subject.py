@@ -1,7 +1,5 @@
 """The hand in motion that times are measured on."""
 
-from __future__ import annotations
-
 import numpy as np
 from small_avatars import small_avatar
 

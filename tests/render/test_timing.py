@@ -1,7 +1,5 @@
 """How times are taken: in turns, after a warm-up, with disturbed samples told apart. Never how long anything takes."""
 
-from __future__ import annotations
-
 import pytest
 
 from jghand_engine.render.report import FrameReport

@@ -6,8 +6,6 @@ Runs in the engine's and in Blender's environment. FAULT: one of the names in `m
 `StandInHands._misbehave`, with ":N" for one that comes with the N-th picture.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """What the Blender extension repeats, because it may not import the engine, is the same here and there."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

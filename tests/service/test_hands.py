@@ -1,7 +1,5 @@
 """The engine's own pictures for the service."""
 
-from __future__ import annotations
-
 import os
 import tracemalloc
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Messages survive the journey; what is no message is refused before anything is allocated for it."""
 
-from __future__ import annotations
-
 import json
 import socket
 import struct

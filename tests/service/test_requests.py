@@ -1,7 +1,5 @@
 """Requests are checked, pictures come back in every asked form, and failures become answers."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The engine's process keeps its promises: loopback, token, one client, a heart-beat, a clean end, no orphans."""
 
-from __future__ import annotations
-
 import json
 import secrets
 import socket

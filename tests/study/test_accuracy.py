@@ -1,7 +1,5 @@
 """Accuracy against time: what is compared, errors against float64, front, words, curves. Never how long it takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

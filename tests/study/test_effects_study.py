@@ -1,7 +1,5 @@
 """The study of effects: what is skipped on a motion, how wrong that is and what it saves."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What `jghand study` writes: tables, figures and a plot in one folder, and nothing into anybody's pages."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """The rows of the stability study hold their bounds, and chance finds no worse: see docs/STABILITY.md."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache, partial
 

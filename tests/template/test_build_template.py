@@ -1,7 +1,5 @@
 """The script that builds the hand, as far as it goes without the package it builds from."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The hand that JGHand ships: what is promised of its surface, its weights and its texture layout."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

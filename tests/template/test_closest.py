@@ -1,7 +1,5 @@
 """The closest point against what makes it the closest, and the search for it against plain loops."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

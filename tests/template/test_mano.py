@@ -1,8 +1,6 @@
 """MANO's own file becomes a template. Tried on a made-up hand in a file of the same structure: MANO itself may not be
 passed on."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

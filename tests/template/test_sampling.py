@@ -1,7 +1,5 @@
 """The sample of the shell under the skin: where, how many, in which order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

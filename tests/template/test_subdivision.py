@@ -1,7 +1,5 @@
 """Loop's subdivision as one sparse matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Closed surfaces: closing them, normals, the closest point and its side, textures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

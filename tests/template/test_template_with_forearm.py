@@ -1,7 +1,5 @@
 """The forearm: it goes on where the hand's skin ends, and the hand does not notice."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Textures laid out and looked up, against plain loops and SciPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates

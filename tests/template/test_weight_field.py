@@ -1,7 +1,5 @@
 """The weight field: true at the skin, smooth between fingers, never zero outside, and with its axes in order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Weights of joints become weights of bones."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ The environment says what goes wrong: JGHAND_STAND_IN_FAILS_AT, number of a pict
 a picture takes: JGHAND_STAND_IN_TAKES_S; and which Blender it says it is: JGHAND_STAND_IN_BLENDER.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Where cameras stand, and what they frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`jghand capture` from end to end with a stand-in for Blender: plan, pictures, resuming, shards, splits, failures."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """The poses of a capture: inside the ranges, varied from the first on, and nothing runs through the hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

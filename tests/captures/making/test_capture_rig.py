@@ -1,7 +1,5 @@
 """The hands that captures show and the rig that poses them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

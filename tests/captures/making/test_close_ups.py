@@ -1,7 +1,5 @@
 """Close-ups are aimed anew in every pose: what they show, and how large."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Skin that nearly touches touches, on every hand, and none is inside another."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from show_skin_gaps import driven_gaps

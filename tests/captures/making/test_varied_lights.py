@@ -1,8 +1,6 @@
 """`jghand capture --lights varied`, with a stand-in for Blender: the plan of the lights, resuming, what is kept for
 the test, and what opening such a folder says."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

@@ -1,7 +1,5 @@
 """A person's eight numbers, and the colors that follow."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """The maps of a person's skin: where marks lie, that nothing has a seam, and that a seed decides everything."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 

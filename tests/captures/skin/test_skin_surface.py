@@ -1,7 +1,5 @@
 """The fine surface: what bends, and what moves it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
