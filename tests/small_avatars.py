@@ -6,8 +6,10 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, own_flesh
+from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
@@ -101,3 +103,16 @@ def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
     assert avatar.learned is not None
     shape = Ellipsoid(stretch.numpy(), turn.numpy())
     return replace(avatar, learned=replace(avatar.learned, ellipsoid=shape))
+
+
+def coarse_builtin(count: int = 2000, texels: int = 128) -> HandAvatar:
+    """The built-in hand with all that it has, of fewer Gaussians and texels: what is made of 2048 x 2048 takes seconds.
+    texels: along a side, a power of two"""
+    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(count)
+    detail = avatar.detail
+    assert detail is not None
+    assert detail.relief is not None
+    every = detail.size // texels
+    relief = Relief(np.ascontiguousarray(detail.relief.height[::every, ::every]))
+    coarse = replace(detail, texture=np.ascontiguousarray(detail.texture[::every, ::every]), relief=relief)
+    return replace(avatar, detail=coarse)

@@ -2,12 +2,15 @@
 
 import json
 import os
+from dataclasses import replace
 
 import demo_job
 import numpy as np
 import pytest
 
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.export.pictures import read_png
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion.read import read_motion_file
 from jghand_engine.native.library import best_variant
 
@@ -15,10 +18,21 @@ ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not 
 
 # a second of motion
 QUICK = ("--poses", "point,fist", "--size", "64x64")
+# of the built-in hand, which cover it whole
+GAUSSIANS = 2000
 
 
 def run(*words):
     return demo_job.main(demo_job.options_of([str(word) for word in words]))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_gaussians():
+    """The textures of the skin take most of a short demo's time, and nothing here looks at them."""
+    hand = replace(load_builtin(handedness=Handedness.RIGHT).prefix(GAUSSIANS), detail=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo_job, "load_avatar_called", lambda _: hand)
+        yield
 
 
 @pytest.fixture(scope="module")
