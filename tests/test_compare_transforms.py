@@ -13,7 +13,7 @@ from compare_transforms import (
 
 from jghand_engine.captures.making.rig import identity_names
 
-POSES = 3
+POSES = 2
 
 
 @pytest.fixture(scope="module")

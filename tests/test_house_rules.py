@@ -4,6 +4,7 @@ They read the source as syntax trees and run nothing of it (but for one import i
 """
 
 import ast
+import functools
 import importlib.util
 import re
 import subprocess
@@ -53,6 +54,7 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+@functools.cache
 def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
@@ -92,13 +94,12 @@ def test_every_room_of_the_engine_is_in_the_list():
     assert present - known <= {"__init__", "__main__"}
 
 
-@pytest.mark.parametrize("path", python_files(ENGINE), ids=name_of)
-def test_a_room_imports_only_from_rooms_above_it(path):
-    own = room(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    if own is None:  # the package itself and its __main__
-        return
+def test_a_room_imports_only_from_rooms_above_it():
     offences(
         f"{name_of(path)}:{line} imports {module}"
+        for path in python_files(ENGINE)
+        # None: the package itself and its __main__
+        if (own := room(".".join(path.relative_to(ROOT).with_suffix("").parts))) is not None
         for module, line in imports(path)
         if (other := room(module)) is not None and other > own
     )
@@ -157,9 +158,9 @@ def test_the_photographer_needs_blender_and_nothing_else():
     )
 
 
-@pytest.mark.parametrize("path", python_files(ADDON), ids=name_of)
-def test_what_imports_blender_names_its_license(path):
-    assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: GPL-3.0-or-later\n")
+def test_what_imports_blender_names_its_license():
+    first = "# SPDX-License-Identifier: GPL-3.0-or-later\n"
+    offences(name_of(path) for path in python_files(ADDON) if not path.read_text(encoding="utf-8").startswith(first))
 
 
 def test_what_is_shared_needs_nothing_but_the_standard_library():
