@@ -8,6 +8,8 @@ import numpy as np
 # smallest area that is drawn, texels^2
 UV_EDGE_SLACK = 0.02
 UV_DOUBLE_AREA_MIN_PX2 = 1e-12
+# texels of faces' boxes that are looked at together, about: what that takes of memory
+TEXELS_MAX = 500_000
 
 
 def rasterize_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -19,22 +21,27 @@ def rasterize_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> t
     values = np.zeros((size, size, corner_values.shape[-1]))
     covered = np.zeros((size, size), dtype=bool)
     corners_px = np.stack([face_uv[..., 0] * size, (1 - face_uv[..., 1]) * size], axis=-1).astype(float) - 0.5
-    for corners, value in zip(corners_px, np.asarray(corner_values, dtype=float), strict=True):
-        edge1, edge2 = corners[1] - corners[0], corners[2] - corners[0]
-        double_area = edge1[0] * edge2[1] - edge2[0] * edge1[1]
-        if abs(double_area) < UV_DOUBLE_AREA_MIN_PX2:
-            continue
-        low = np.clip(np.floor(corners.min(axis=0)).astype(int) - 1, 0, size - 1)
-        high = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 2, 1, size)
-        column, row = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-        x, y = column - corners[0, 0], row - corners[0, 1]
-        b1 = (x * edge2[1] - edge2[0] * y) / double_area
-        b2 = (edge1[0] * y - x * edge1[1]) / double_area
-        b0 = 1 - b1 - b2
-        inside = (b0 >= -UV_EDGE_SLACK) & (b1 >= -UV_EDGE_SLACK) & (b2 >= -UV_EDGE_SLACK)
-        bary = np.stack([b0[inside], b1[inside], b2[inside]], axis=1)
-        values[row[inside], column[inside]] = bary @ value
-        covered[row[inside], column[inside]] = True
+    edge1, edge2 = (corners_px[:, corner] - corners_px[:, 0] for corner in (1, 2))
+    double_area = edge1[:, 0] * edge2[:, 1] - edge2[:, 0] * edge1[:, 1]
+    # the texels that a face may touch: a box
+    low = np.clip(np.floor(corners_px.min(axis=1)).astype(int) - 1, 0, size - 1)
+    width, height = (np.clip(np.ceil(corners_px.max(axis=1)).astype(int) + 2, 1, size) - low).T
+    drawn = np.flatnonzero(np.abs(double_area) >= UV_DOUBLE_AREA_MIN_PX2)
+    done = np.cumsum((width * height)[drawn])
+    # in the order of the faces: where two meet, the later one stays
+    for some in np.split(drawn, np.searchsorted(done, np.arange(TEXELS_MAX, done[-1] if len(done) else 0, TEXELS_MAX))):
+        texels = (width * height)[some]
+        face = some.repeat(texels)
+        place = np.arange(len(face)) - (np.cumsum(texels) - texels).repeat(texels)
+        row, column = low[face, 1] + place // width[face], low[face, 0] + place % width[face]
+        x, y = column - corners_px[face, 0, 0], row - corners_px[face, 0, 1]
+        b1 = (x * edge2[face, 1] - edge2[face, 0] * y) / double_area[face]
+        b2 = (edge1[face, 0] * y - x * edge1[face, 1]) / double_area[face]
+        bary = np.stack([1 - b1 - b2, b1, b2], axis=1)
+        inside = (bary >= -UV_EDGE_SLACK).all(axis=1)
+        row, column = row[inside], column[inside]
+        values[row, column] = np.einsum("tk,tkc->tc", bary[inside], corner_values[face[inside]])
+        covered[row, column] = True
     return values, covered
 
 

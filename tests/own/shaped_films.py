@@ -1,6 +1,6 @@
 """Small films of a hand whose truth is known, drawn by the engine: other bones and thickness than the prior's."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +17,8 @@ from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.track.poses import LIMITS_RAD, JointChain, Poses
 
-PRIOR = load_builtin(handedness=Handedness.RIGHT).prefix(2000)
+# no texture of the skin, which takes seconds to make ready
+PRIOR = replace(load_builtin(handedness=Handedness.RIGHT).prefix(2000), detail=None)
 CANONICAL_M = PRIOR.canonical_joints_m
 WIDTH, HEIGHT, FOCAL_PX, FPS = 96, 160, 118.0, 7.5
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from films_of_bones import SCALE, SKIN, drawn_hands, film_of
 from motion_errors import motion_errors
+from shaped_films import PRIOR
 from tracking_samples import CAMERA, right_joints_m, seen
 
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar import builtin
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import write_png
@@ -59,7 +60,9 @@ def film(tmp_path_factory) -> Path:
 
 @pytest.fixture(autouse=True)
 def detector(monkeypatch):
+    """And a prior of few Gaussians without the texture of its skin, which takes seconds to make ready."""
     monkeypatch.setattr(mediapipe_hands, "video_detector", known)
+    monkeypatch.setattr(builtin, "load_builtin", lambda **_: PRIOR)
 
 
 @pytest.fixture
@@ -149,7 +152,7 @@ def explained(
 ) -> make.Explained:
     chosen = OwnOptions(hand_length_m=length_m, fit_s=LEAST_S, motion=motion)
     with work_folder(work, [film], chosen, resume=resume):
-        return explain([film], load_builtin(handedness=RIGHT), chosen, work, detectors, lambda *_: None)
+        return explain([film], PRIOR, chosen, work, detectors, lambda *_: None)
 
 
 @contextmanager
@@ -217,10 +220,7 @@ def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monke
     # as the tracker has them, up to the film's size
     away = motion_errors(found.joints_m * MOTION_FROM_CAMERA, FPS, JOINTS_M, FPS)
     assert away.aligned_mm < 8
-    told, learned_from = (
-        json.loads((tmp_path / "told.json").read_text()),
-        load_builtin(handedness=RIGHT).info.learned_from,
-    )
+    told, learned_from = json.loads((tmp_path / "told.json").read_text()), PRIOR.info.learned_from
     assert learned_from is not None
     assert (told["motion"], told["pictures_used"]) == (str(motion), learned_from.pictures)
     assert main([*words, "--overwrite", "--resume"]) == 0
@@ -230,10 +230,9 @@ def test_an_avatar_comes_with_the_motion_of_its_film(film, tmp_path, fits, monke
 def test_the_motion_of_a_left_hand_is_a_left_hands(film, tmp_path, fits, monkeypatch):
     whole = explained(film, tmp_path / "me.own", resume=False)
     monkeypatch.setattr(make, "exact_poses", lambda source, track, *_: track.poses)
-    prior = load_builtin(handedness=RIGHT)
-    right = make.motion_of([film], whole, prior, lambda *_: None)
+    right = make.motion_of([film], whole, PRIOR, lambda *_: None)
     track = replace(whole.begun.track, handedness=Handedness.LEFT)
-    left = make.motion_of([film], replace(whole, begun=replace(whole.begun, track=track)), prior, lambda *_: None)
+    left = make.motion_of([film], replace(whole, begun=replace(whole.begun, track=track)), PRIOR, lambda *_: None)
     assert left.handedness is Handedness.LEFT
     np.testing.assert_array_equal(left.joints_m, right.joints_m * (-1, 1, 1))
 

@@ -7,7 +7,9 @@ import pytest
 from drawn_film import explained_of, film_of, plain_hand, window_world
 from scipy.ndimage import gaussian_filter
 
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.detail import NO_RATIO, Detail, log_ratios, ratio_bytes
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.own.detail import TEXELS, Laid, flows_between, seen_detail
 from jghand_engine.own.gather import observe
 from jghand_engine.own.light_and_skin import OwnHand
@@ -19,9 +21,10 @@ SIZE, MARK_TEXELS = (240, 400), 4.0
 
 
 def surface() -> Detail:
-    found = plain_hand().detail
+    """The built-in hand's, without anything on it."""
+    found = load_builtin(handedness=Handedness.RIGHT).detail
     assert found is not None
-    return replace(found, relief=None)
+    return replace(found, texture=np.full((4, 4, 3), NO_RATIO, np.uint8), relief=None)
 
 
 def marks() -> np.ndarray:
@@ -38,7 +41,7 @@ def film() -> FilmView:
 
 def texture_of(film: FilmView) -> np.ndarray:
     """(S, S, 3) uint8"""
-    hand = replace(plain_hand(), detail=None)
+    hand = plain_hand()
     observed = observe(hand, film.joints_m, film.camera, film.pictures, film.masks)
     own = OwnHand(hand, np.ones(len(hand)), window_world())
     return seen_detail(own, surface(), observed.shown, film.joints_m).texture
@@ -86,13 +89,13 @@ def test_a_side_that_is_never_seen_has_no_detail(film):
 
 
 def test_what_gaussians_show_is_no_detail():
-    hand = replace(plain_hand(), detail=None)
-    texture = texture_of(film_of(hand, window_world(), SIZE))
+    texture = texture_of(film_of(plain_hand(), window_world(), SIZE, count=4))
     assert np.abs(log_ratios(texture)).mean() < 0.01
 
 
 def test_the_avatar_of_a_film_has_the_marks_of_its_skin(film, tmp_path):
-    avatar, _ = hand_of(explained_of(film, np.zeros(len(film.joints_m))), plain_hand(), tmp_path, lambda *_: None)
+    prior = replace(plain_hand(), detail=surface())
+    avatar, _ = hand_of(explained_of(film, np.zeros(len(film.joints_m))), prior, tmp_path, lambda *_: None)
     assert avatar.detail is not None
     # observed 0.79: of seven pictures, in a light that was found; and the Gaussians' own colors have some of the marks
     assert likeness(avatar.detail.texture) > 0.75
