@@ -89,8 +89,9 @@ def test_a_side_that_is_never_seen_has_no_detail(film):
 
 
 def test_what_gaussians_show_is_no_detail():
-    texture = texture_of(film_of(plain_hand(), window_world(), SIZE, count=4))
-    assert np.abs(log_ratios(texture)).mean() < 0.01
+    texture = texture_of(film_of(plain_hand(), window_world(), SIZE))
+    # observed 0.0012, and 0.0065 of a texture that has what they show
+    assert np.abs(log_ratios(texture)).mean() < 0.002
 
 
 def test_the_avatar_of_a_film_has_the_marks_of_its_skin(film, tmp_path):
