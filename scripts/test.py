@@ -57,11 +57,22 @@ BLENDER45_PATHS = tuple(
     f"tests/blender/test_{name}.py"
     for name in ("extension", "armature", "render_engine", "saved_files", "built_extension")
 )
+# what our own processes do more than Blender: where its newest version is tried, in that alone
+NEWEST_ALONE = tuple(
+    f"tests/blender/test_{name}.py"
+    for name in [
+        "capture_lit",
+        "capture_render",
+        "demo",
+        "engine_operators",
+        "hand_from_film",
+        "track_video",
+        "training_operators",
+    ]
+)
 # the stories in a window that take part, and the exit code of their script where it cannot try them here
 STORIES = ("newcomer",)
 CANNOT = 77
-# the part of the extension that needs no Blender: tried in the engine's Python, and in one of another version
-ADDON_PATHS = ("tests/addon_core",)
 # how many of the slowest tests each part lists
 SLOWEST = 25
 # pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
@@ -184,10 +195,10 @@ def run_part(part: str, selection: Selection, require_blender: bool, lane: Lane)
     except SetupError as error:
         print(f"\n{error}", file=sys.stderr, flush=True)
         return [Result(name, False if require_blender else None, note="there is no Blender environment, see above")], []
-    if part == "blender52" and paths == BLENDER_PATHS:
-        arguments = (*ADDON_PATHS, *arguments)
     if part == "blender45":
         arguments = (*BLENDER45_PATHS, *arguments[len(paths) :])
+    if part == "blender" and not selection.selective and not why_no_other_blender(BLENDER52):
+        arguments = (*arguments, *(f"--ignore={path}" for path in NEWEST_ALONE))
     result, summary = run_pytest(name, python, arguments, selection.selective, lane)
     return [result], [summary]
 
