@@ -25,8 +25,9 @@ from jghand_engine.template.builtin import load_template
 
 SIZE = (320, 300)
 POSES, VIEWS = ("open", "fist", "point", "pinch"), ("front", "back", "side", "quarter")
-# of the painted hand Gaussians lie on the mesh of the template; of the built-in one, which was learned, below it too
-AVATARS = {name: load_avatar_called(name) for name in ("painted", "builtin")}
+# of the painted hand Gaussians lie on the mesh of the template; of the built-in one, which was learned, below it too.
+# The texture of its skin is in no map
+AVATARS = {name: replace(load_avatar_called(name), detail=None) for name in ("painted", "builtin")}
 
 
 class Shown:
