@@ -184,10 +184,7 @@ class GradientBounds:
 
 
 def assert_same_gradients(
-    got: list[torch.Tensor],
-    want: list[torch.Tensor],
-    bounds: GradientBounds,
-    names: tuple[str, ...] = NAMES,
+    got: list[torch.Tensor], want: list[torch.Tensor], bounds: GradientBounds, names: tuple[str, ...] = NAMES
 ) -> None:
     """The four checks: per element, as a vector, for sparsity, for signed bias."""
     for name, a, b in zip(names, got, want, strict=True):

@@ -4,12 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compare_transforms import (
-    TRANSFORMS,
-    _distances_m,
-    measure_transforms,
-    transform_table,
-)
+from compare_transforms import TRANSFORMS, _distances_m, measure_transforms, transform_table
 
 from jghand_engine.captures.making.rig import identity_names
 

@@ -53,13 +53,7 @@ def test_a_line_of_progress_becomes_a_sentence_with_the_remaining_time():
 
 
 def test_the_sentence_of_a_training_is_not_counted_twice():
-    content = {
-        "jghand": "training",
-        "text": "step 4 of 9 · loss 0.1 · 7 s left",
-        "done": 4,
-        "total": 9,
-        "eta_s": 7.0,
-    }
+    content = {"jghand": "training", "text": "step 4 of 9 · loss 0.1 · 7 s left", "done": 4, "total": 9, "eta_s": 7.0}
     assert JobState().after(content).sentence() == "step 4 of 9 · loss 0.1 · 7 s left"
 
 
@@ -224,13 +218,7 @@ def test_the_steps_of_a_job_follow_one_another_and_the_end_is_told_once(tmp_path
 @posix
 @pytest.mark.parametrize("fault", ["die", "killed"])
 def test_a_step_that_fails_is_the_last_one(tmp_path, fault):
-    steps = (
-        (sys.executable, "-I", str(STAND_IN), fault),
-        (
-            sys.executable,
-            str(tmp_path / "never"),
-        ),
-    )
+    steps = ((sys.executable, "-I", str(STAND_IN), fault), (sys.executable, str(tmp_path / "never")))
     state = ended(Job(spec("short", more=steps)))
     assert state.failure is not None
     assert state.failure.kind in ("crashed", "killed")

@@ -30,12 +30,7 @@ RECEIPT = {
         (Status("stopped", 0.0), "Renderer off: starts when needed", True, []),
         (Status("starting", 12.4), "Starting…  12 s", True, []),
         (Status("ready", 200.0, None, HANDSHAKE), "Ready · CPU · 7.2 ms", True, []),
-        (
-            Status("slow", 90.0, None, HANDSHAKE),
-            "The renderer is not answering",
-            False,
-            ["jghand.restart_engine"],
-        ),
+        (Status("slow", 90.0, None, HANDSHAKE), "The renderer is not answering", False, ["jghand.restart_engine"]),
         (Status("stopping", 1.0), "Stopping…  1 s", True, []),
     ],
 )

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.export.recording import (
-    USD_PRESETS,
-    Recording,
-    avatar_digest,
-    file_names,
-    usd_options,
-)
+from blender_addon.export.recording import USD_PRESETS, Recording, avatar_digest, file_names, usd_options
 from blender_addon.train.training_folder import capture_words, train_words
 
 

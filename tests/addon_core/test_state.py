@@ -35,18 +35,8 @@ STOPPED = (CloseStdin(), Release("stopped"))
 
 # state, event, next state, effects
 TABLE = {
-    "the first wish starts an engine": (
-        Stopped(),
-        StartAsked(10.0),
-        Starting(1, since_s=10.0),
-        (Spawn(1),),
-    ),
-    "a greeting makes it ready": (
-        Starting(1, since_s=9.0),
-        Greeted(10.0, 1),
-        READY,
-        (),
-    ),
+    "the first wish starts an engine": (Stopped(), StartAsked(10.0), Starting(1, since_s=10.0), (Spawn(1),)),
+    "a greeting makes it ready": (Starting(1, since_s=9.0), Greeted(10.0, 1), READY, ()),
     "a greeting of an earlier run does not": (Starting(2), Greeted(10.0, 1), Starting(2), ()),
     "an end while it starts is a failure": (
         Starting(1),
@@ -81,12 +71,7 @@ TABLE = {
         (Kill(), Release("broken_stream")),
     ),
     "the end of an earlier run changes nothing": (READY, Exited(10.0, 0), READY, ()),
-    "a sign of life ends the silence": (
-        Ready(1, silent_s=20.0),
-        Heard(10.0, 1),
-        Ready(1, looked_s=10.0),
-        (),
-    ),
+    "a sign of life ends the silence": (Ready(1, silent_s=20.0), Heard(10.0, 1), Ready(1, looked_s=10.0), ()),
     "a stop closes stdin": (READY, StopAsked(11.0, 0.3), Stopping(1, 0, 11.0, False, 0.3), STOPPED),
     "a restart does too": (READY, RestartAsked(11.0), Stopping(1, 0, 11.0, True, renderer_state.STOP_S), STOPPED),
     "a restart ends in a start": (
@@ -108,12 +93,7 @@ TABLE = {
         Stopping(1, 0, 10.0, True, 3.0),
         (Kill(),),
     ),
-    "after a crash a picture starts it again": (
-        CRASHED,
-        StartAsked(LATER_S),
-        Starting(2, 1, LATER_S),
-        (Spawn(2),),
-    ),
+    "after a crash a picture starts it again": (CRASHED, StartAsked(LATER_S), Starting(2, 1, LATER_S), (Spawn(2),)),
     "but not at once": (CRASHED, StartAsked(12.0), CRASHED, (Release("crashed"),)),
     "and not too often": (
         Failed(9, renderer_state.RESTARTS_MAX, kind="crashed"),

@@ -5,14 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.core.view import (
-    HandInSpace,
-    Moment,
-    Pinhole,
-    SceneLight,
-    avatar_stamp,
-    picture_request,
-)
+from blender_addon.core.view import HandInSpace, Moment, Pinhole, SceneLight, avatar_stamp, picture_request
 from jghand_engine.service.image_request import read_request
 from jghand_engine.service.protocol import Message
 

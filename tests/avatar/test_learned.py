@@ -13,11 +13,7 @@ def with_ellipsoids() -> Learned:
     learned = trained_avatar(40).learned
     assert learned is not None
     g = np.random.default_rng(1)
-    return replace(
-        learned,
-        ellipsoid=Ellipsoid(g.normal(size=(40, 3)), g.normal(size=(40, 4))),
-        world_offsets=True,
-    )
+    return replace(learned, ellipsoid=Ellipsoid(g.normal(size=(40, 3)), g.normal(size=(40, 4))), world_offsets=True)
 
 
 def test_a_prefix_keeps_the_first_of_everything_that_belongs_to_a_gaussian():

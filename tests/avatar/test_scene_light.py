@@ -16,15 +16,7 @@ from jghand_engine.avatar.lamp_rows import LIMITS, Limits, compared_at, irradian
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import estimated
-from jghand_engine.avatar.scene_light import (
-    Baked,
-    Lamp,
-    SceneLight,
-    Shades,
-    World,
-    mirrored_lobes,
-    soft_cosine,
-)
+from jghand_engine.avatar.scene_light import Baked, Lamp, SceneLight, Shades, World, mirrored_lobes, soft_cosine
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness

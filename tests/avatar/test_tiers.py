@@ -141,11 +141,7 @@ def test_the_cheapest_tier_that_loses_little_is_taken(prices, wanted, taken):
 
 
 def test_a_tier_without_a_price_is_refused():
-    for avatar, wanted in (
-        (AVATAR, Tier.LINEAR),
-        (AVATAR, Tier.LINEAR),
-        (distilled_avatar(EXACT), Tier.LINEAR),
-    ):
+    for avatar, wanted in ((AVATAR, Tier.LINEAR), (AVATAR, Tier.LINEAR), (distilled_avatar(EXACT), Tier.LINEAR)):
         with pytest.raises(InputError, match=r"tier.*jghand distill"):
             HandRenderer(avatar, RenderSettings(correctives=wanted))
 

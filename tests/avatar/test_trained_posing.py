@@ -65,12 +65,7 @@ def bones_of_hand(avatar: HandAvatar, joints_m: np.ndarray) -> Bones:
 
 
 def natively(
-    library: Library,
-    avatar: HandAvatar,
-    bones: Bones,
-    *,
-    threads: int = 1,
-    eyes_m: tuple[np.ndarray, ...] = (EYE_M,),
+    library: Library, avatar: HandAvatar, bones: Bones, *, threads: int = 1, eyes_m: tuple[np.ndarray, ...] = (EYE_M,)
 ) -> Gaussians:
     """In the avatar's order, as the last of the eyes sees it."""
     into, count, pool = (

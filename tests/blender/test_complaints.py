@@ -170,9 +170,7 @@ def test_hidden_preconditions(stand_in, context, content):
 
 
 # what a test must not press, and why
-NOT_PRESSED = {
-    "jghand.install_tools": "downloads much (test_engine_operators)",
-}
+NOT_PRESSED = {"jghand.install_tools": "downloads much (test_engine_operators)"}
 
 
 @pytest.mark.parametrize("content", ["a hand", "two hands, one in pose mode", "somebody's rig", "a combined scene"])

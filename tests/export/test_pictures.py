@@ -9,15 +9,7 @@ from hypothesis import strategies as st
 
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
-from jghand_engine.export.pictures import (
-    Cell,
-    SheetStyle,
-    contact_sheet,
-    flatten,
-    read_png,
-    straight_rgba8,
-    write_png,
-)
+from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, straight_rgba8, write_png
 
 
 def test_bytes_are_rounded_to_the_nearest_step_and_clipped():

@@ -9,11 +9,7 @@ from hand import sampled_hands as hands
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.kinematics import (
-    RANGES_DEG,
-    TIP_THICKNESS_PART,
-    ArticulatedHand,
-)
+from jghand_engine.hand.kinematics import RANGES_DEG, TIP_THICKNESS_PART, ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths, check_order
 from jghand_engine.hand.poses import (
     POSES_DEG,

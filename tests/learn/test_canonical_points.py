@@ -10,12 +10,7 @@ import trimesh
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
 from jghand_engine.learn import canonical_points
-from jghand_engine.learn.canonical_points import (
-    CanonicalPoints,
-    bone_areas,
-    place_points,
-    take_turns,
-)
+from jghand_engine.learn.canonical_points import CanonicalPoints, bone_areas, place_points, take_turns
 from jghand_engine.learn.options import PAPER_FAITHFUL
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template

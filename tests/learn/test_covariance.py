@@ -80,11 +80,9 @@ def test_a_quaternion_without_length_is_no_rotation_and_has_a_finite_gradient(le
 @pytest.mark.parametrize("linear", ["collapsed", "zero", "mirrored"])
 def test_any_linear_map_gives_semi_definite_covariances_and_finite_gradients(linear):
     log_scale, quaternion, maps = some(2000, torch.float32)
-    maps = {
-        "collapsed": maps * torch.tensor([1.0, 1.0, 0.0]),
-        "zero": torch.zeros_like(maps),
-        "mirrored": -maps,
-    }[linear]
+    maps = {"collapsed": maps * torch.tensor([1.0, 1.0, 0.0]), "zero": torch.zeros_like(maps), "mirrored": -maps}[
+        linear
+    ]
     leaves = [tensor.clone().requires_grad_() for tensor in (log_scale, quaternion, maps)]
     covariance = posed_covariance(*leaves)
     covariance.sum().backward()

@@ -12,12 +12,7 @@ from jghand_engine.captures.sample import MaskSource, load_image
 from jghand_engine.captures.splits import split_by_rule
 from jghand_engine.errors import InputError
 from jghand_engine.learn import tables
-from jghand_engine.learn.evaluate import (
-    Evaluation,
-    categories_of,
-    finger_flexion_deg,
-    measure_pictures,
-)
+from jghand_engine.learn.evaluate import Evaluation, categories_of, finger_flexion_deg, measure_pictures
 from jghand_engine.learn.perceptual import PerceptualMetric
 
 

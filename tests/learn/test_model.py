@@ -11,13 +11,7 @@ from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, stirred
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M
 from jghand_engine.avatar.learned import LOG_STRETCH_MAX
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.learn.model import (
-    LOBE_SHARPNESS_MAX,
-    SHADOW_GAIN_RANGE,
-    SHINE_SPREAD,
-    LearnedHand,
-    OffsetFrame,
-)
+from jghand_engine.learn.model import LOBE_SHARPNESS_MAX, SHADOW_GAIN_RANGE, SHINE_SPREAD, LearnedHand, OffsetFrame
 from jghand_engine.learn.tensors import HandTensors, LearnedTensors
 
 RIGHT = Handedness.RIGHT

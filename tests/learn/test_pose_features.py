@@ -9,12 +9,7 @@ from small_hands import frames_of
 
 from jghand_engine.avatar.correctives import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG, positional_encoding
 from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
-from jghand_engine.learn.pose_features import (
-    AnglePlanes,
-    finger_angles,
-    normalized,
-    palm_angles,
-)
+from jghand_engine.learn.pose_features import AnglePlanes, finger_angles, normalized, palm_angles
 
 TEXELS = 5
 RANGES = torch.from_numpy(FRAME_RANGES_DEG)

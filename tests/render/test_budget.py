@@ -137,16 +137,7 @@ def test_other_avatars_have_other_files():
     assert len(files) == 4
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "",
-        "[]",
-        "nonsense",
-        '{"24x16, 1 threads": 3}',
-        '{"24x16, 1 threads": {}}',
-    ],
-)
+@pytest.mark.parametrize("content", ["", "[]", "nonsense", '{"24x16, 1 threads": 3}', '{"24x16, 1 threads": {}}'])
 def test_a_file_that_cannot_be_read_is_as_if_it_were_not_there(cache, content):
     avatar = small_avatar(10)
     cache.mkdir()

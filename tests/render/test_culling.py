@@ -7,15 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from splat_scenes import (
-    as_ellipsoids,
-    camera_for,
-    front_camera,
-    hand_gaussians,
-    in_precision,
-    planes_of,
-    reordered,
-)
+from splat_scenes import as_ellipsoids, camera_for, front_camera, hand_gaussians, in_precision, planes_of, reordered
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn import reference

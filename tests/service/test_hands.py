@@ -80,9 +80,7 @@ def test_where_the_hands_own_space_is_does_not_matter(source, right):
     """Only joints seen from the camera count: the same hand given in another space is the same picture."""
     turn = np.array([[0, -1.0, 0, 0.3], [1, 0, 0, -2.0], [0, 0, 1, 0.7], [0, 0, 0, 1]])
     elsewhere = replace(
-        right,
-        joints_m=right.joints_m @ turn[:3, :3].T + turn[:3, 3],
-        world_from_hand=np.linalg.inv(turn),
+        right, joints_m=right.joints_m @ turn[:3, :3].T + turn[:3, 3], world_from_hand=np.linalg.inv(turn)
     )
     # worst observed 0: positions are kept relative to the root
     np.testing.assert_allclose(source.render(asked([elsewhere])).rgba, source.render(asked([right])).rgba, atol=1e-6)

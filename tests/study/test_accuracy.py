@@ -18,19 +18,9 @@ from jghand_engine.render.timing import Measurement, frame_case
 from jghand_engine.study import accuracy_growth, accuracy_measures, accuracy_reference, accuracy_variants
 from jghand_engine.study.accuracy import Accuracy, Row, TruthScore, faster_than, pareto_front
 from jghand_engine.study.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Reach
-from jghand_engine.study.accuracy_measures import (
-    Plan,
-    measure_accuracy,
-)
+from jghand_engine.study.accuracy_measures import Plan, measure_accuracy
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, spread_poses
-from jghand_engine.study.accuracy_variants import (
-    AXES,
-    CORRECTIVES,
-    THREADS,
-    TOGETHER,
-    linear_tiers,
-    variants,
-)
+from jghand_engine.study.accuracy_variants import AXES, CORRECTIVES, THREADS, TOGETHER, linear_tiers, variants
 
 SMALL = (48, 32)
 SHORT = Reach((200, 400), ((24, 16), (48, 32)), (1, 2), (1, 5))

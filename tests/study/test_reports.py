@@ -143,10 +143,7 @@ def test_the_study_of_stability_writes_its_folder(hard_cases, tmp_path, monkeypa
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        (("accuracy", "--size", "much"), "WIDTHxHEIGHT"),
-        (("stability", "--out", "README.md"), "a folder"),
-    ],
+    [(("accuracy", "--size", "much"), "WIDTHxHEIGHT"), (("stability", "--out", "README.md"), "a folder")],
 )
 def test_what_cannot_be_done_is_refused_before_anything_is_measured(words, said, monkeypatch, capsys):
     monkeypatch.setattr(accuracy_measures, "variants", lambda *_: pytest.fail("measured"))

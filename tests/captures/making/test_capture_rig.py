@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.captures.making.rig import (
-    RiggedHand,
-    RigPose,
-    identity_names,
-    load_identity,
-)
+from jghand_engine.captures.making.rig import RiggedHand, RigPose, identity_names, load_identity
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import TIP_THICKNESS_PART
