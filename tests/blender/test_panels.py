@@ -188,23 +188,6 @@ def test_the_pose_library_is_installed_once_and_then_shown(extension, engine):
     assert "jghand.show_pose_shelf" in draw(hand_panel.PosePanel, extension).operators
 
 
-@pytest.mark.parametrize(
-    ("status", "wanted"),
-    [
-        (Status("stopped", 0.0), "Renderer off"),
-        (Status("starting", 12.0), "Starting…  12 s"),
-        (Status("slow", 12.0, None, READY.handshake), "The renderer is not answering"),
-        (Status("stopping", 2.0), "Stopping…  2 s"),
-        (Status("failed", 5.0, JGHandFailure("killed", "signal 9")), "The system ended the renderer"),
-        (Status("failed", 5.0, None), "The renderer stopped"),
-    ],
-)
-def test_the_first_line_says_how_the_renderer_is_while_it_is_not_ready(extension, engine, status, wanted):
-    add()
-    engine.status = status
-    assert text_of(draw(hand_panel.HandPanel, extension)).startswith(wanted)
-
-
 def test_a_ready_renderer_is_told_in_the_preferences_alone(extension, engine):
     add()
     layout = RecordingLayout()
@@ -218,12 +201,6 @@ def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
     seen = draw(hand_panel.HandPanel, extension)
     assert "The renderer cannot be started" in text_of(seen)
     assert "preferences.addon_show" in seen.operators
-
-
-def test_a_chosen_python_that_does_not_exist_is_named(extension, engine):
-    engine.status = Status("failed", 5.0, JGHandFailure("no_python", "/nowhere/python"))
-    said = text_of(draw(hand_panel.HandPanel, extension))
-    assert said.startswith("The chosen Python does not exist /nowhere/python")
 
 
 @pytest.mark.parametrize("damaged", [True, False])

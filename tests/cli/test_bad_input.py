@@ -91,16 +91,6 @@ def test_joints_that_are_missing_stop_the_command_when_asked_for(joints, refused
     refused(*of_motion(tmp_path, gappy(joints), "--on-missing", "stop"), says="2 of 12 frames")
 
 
-@pytest.mark.parametrize(("count", "said"), [(20, "One joint is missing"), (42, "two hands of InterHand2.6M")])
-def test_another_number_of_joints_is_named(joints, refused, tmp_path, count, said):
-    refused(*of_motion(tmp_path, np.concatenate([joints, joints], 1)[:, :count]), says=(f"got {count}", said))
-
-
-def test_millimeters_given_as_meters_are_recognized(joints, command, refused, tmp_path):
-    refused(*of_motion(tmp_path, joints * 1000, "--unit", "m"), says="looks like millimeters")
-    assert command(*of_motion(tmp_path, joints * 1000, "--unit", "mm", "--frames", "0"))[0] == 0
-
-
 def test_a_unit_that_nobody_said_is_recognized_and_told(joints, command, tmp_path):
     figures = tmp_path / "figures.json"
     assert command(*of_motion(tmp_path, joints * 1000, "--frames", "0", "--json", figures))[0] == 0
