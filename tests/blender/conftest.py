@@ -28,7 +28,11 @@ def context():
     """Blender's context with an empty scene of factory settings."""
     import bpy
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if bpy.context.preferences.is_dirty:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.context.preferences.is_dirty = False
+    else:  # takes a sixth of the time
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context
 
 

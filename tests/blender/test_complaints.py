@@ -183,7 +183,7 @@ def test_whatever_may_run_runs_or_says_in_a_sentence_why_not(stand_in, context, 
     ran, is_fresh = 0, False
     for name in our_operators():
         if not is_fresh:
-            bpy.ops.wm.read_factory_settings(use_empty=True)
+            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
             prepare(content)
             # a movie of two small frames
             bpy.context.scene.frame_end, bpy.context.scene.render.resolution_percentage = 2, 5
