@@ -1,7 +1,5 @@
 """The surface of a detail lies on the skin of the person whom its hand shows, at rest and in poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

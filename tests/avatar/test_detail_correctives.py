@@ -1,7 +1,5 @@
 """The surface of a detail moves with the joint angles near it, and with none far away."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
