@@ -2,9 +2,12 @@
 
     git worktree add ../before COMMIT        and build its kernels: python -m jghand_engine.native.build
     python scripts/compare_frames.py ../before [--rounds 10] [--threads 1] [--sizes 512x334,1920x1080]
+    python scripts/compare_frames.py --details none,texture,relief --hands 1 --sizes 1920x1080 --stages
 
 Each checkout draws in a process of its own; the two take turns, frames by frames, so that a neighbor's load meets both.
-Figures are milliseconds of processor time, medians, the other checkout first; of several threads, of all of them.
+So do hands that have none of their detail, its texture alone, and all of it; a last column is over the first of them.
+Figures are milliseconds of processor time, medians, the other checkout first; of several threads, of all of them, but
+stages of the first thread alone.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,13 +30,17 @@ import numpy as np
 HERE = Path(__file__).resolve().parents[1]
 # frames of a turn; the first of each find caches that the other checkout filled, and do not count
 FRAMES, UNCOUNTED = 10, 2
-PRESETS, HANDS, LIGHTS = ("viewport", "final"), (1, 2), ("own", "scene", "lamps")
+PRESETS, HANDS, LIGHTS = ("viewport", "final"), ("1", "2"), ("own", "scene", "lamps")
+# of what the hand has of its own: nothing, the texture, and the relief too
+DETAILS = ("none", "texture", "relief")
 # of two hands, from the middle between them, meters
 ASIDE_M = 0.08
 SUN_W_M2 = 3.0
 
 
-def renderer_of(preset_name: str, hands: int, light: str, width: int, height: int, threads: int) -> Callable[[], Any]:
+def renderer_of(
+    preset_name: str, hands: int, light: str, width: int, height: int, detail: str, threads: int
+) -> Callable[[], Any]:
     """What draws the next frame and returns its receipt."""
     from jghand_engine.avatar.builtin import load_builtin
     from jghand_engine.avatar.relighting import studio
@@ -45,7 +52,12 @@ def renderer_of(preset_name: str, hands: int, light: str, width: int, height: in
     from jghand_engine.study.effects_in_light import LAMPS
 
     sides = (Handedness.RIGHT, Handedness.LEFT)[:hands]
-    subjects = [moving_subject("trained", load_builtin(handedness=side), width, height) for side in sides]
+    avatars = [load_builtin(handedness=side) for side in sides]
+    if detail == "none":
+        avatars = [replace(avatar, detail=None) for avatar in avatars]
+    if detail == "texture":
+        avatars = [replace(avatar, detail=replace(avatar.detail, relief=None)) for avatar in avatars if avatar.detail]
+    subjects = [moving_subject("trained", avatar, width, height) for avatar in avatars]
     sun = Lamp(LampKind.SUN, (SUN_W_M2, SUN_W_M2, SUN_W_M2), (0.3, 1.0, 0.5), angle_rad=0.01)
     lit = {"own": None, "scene": SceneLight(studio(), (sun,)), "lamps": SceneLight(studio(), LAMPS)}[light]
     settings = replace(preset(preset_name), threads=threads)
@@ -63,7 +75,8 @@ def work() -> None:
     time.perf_counter = time.thread_time
     for line in sys.stdin:
         if line not in kept:
-            kept.clear()
+            if len(kept) == len(DETAILS):
+                kept.clear()
             kept[line] = renderer_of(*json.loads(line))
         found = []
         for _ in range(FRAMES):
@@ -95,36 +108,54 @@ def medians(frames: list[dict[str, float]]) -> dict[str, float]:
     return {name: statistics.median(frame.get(name, 0.0) for frame in frames) for name in names}
 
 
+def row(cells: Sequence[str | float]) -> str:
+    return f"| {' | '.join(cell if isinstance(cell, str) else f'{cell:.2f}' for cell in cells)} |"
+
+
+def ratio(part: float, whole: float) -> float:
+    return part / whole if whole else 0.0
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("before", type=Path, nargs="?", help="folder of the other checkout")
     parser.add_argument("--rounds", type=int, default=10, help=f"turns of {FRAMES} frames")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--sizes", default="512x334,1024x1024,1920x1080,3840x2160")
-    parser.add_argument("--lights", default=",".join(LIGHTS), help=f"some of {','.join(LIGHTS)}")
+    for name, every in (("presets", PRESETS), ("hands", HANDS), ("lights", LIGHTS)):
+        parser.add_argument(f"--{name}", default=",".join(every), help=f"some of {','.join(every)}")
+    parser.add_argument("--details", default=DETAILS[-1], help=f"some of {','.join(DETAILS)}")
     parser.add_argument("--stages", action="store_true", help="a row for every stage")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
         return work()
-    if options.before is None:
-        parser.error("the folder of another checkout is wanted")
-    both = [Checkout(options.before.resolve()), Checkout(HERE)]
-    print("| preset | hands | light | size | before | now | ratio |\n|---|---|---|---|---|---|---|")
+    details = options.details.split(",")
+    if options.before is None and len(details) == 1:
+        parser.error("the folder of another checkout is wanted, or several details")
+    checkouts = [Checkout(folder.resolve()) for folder in (options.before, HERE) if folder]
+    columns = ["before", "now", "ratio"] if options.before else ["now"]
+    heads = ["preset", "hands", "light", "size", "detail", *columns, *([f"over {details[0]}"] if details[1:] else [])]
+    print(row(heads), "|" + "---|" * len(heads), sep="\n")
     sizes = [[int(side) for side in size.split("x")] for size in options.sizes.split(",")]
-    kinds = itertools.product(options.lights.split(","), HANDS, PRESETS)
+    kinds = itertools.product(*(chosen.split(",") for chosen in (options.lights, options.hands, options.presets)))
     for (width, height), (light, hands, name) in itertools.product(sizes, list(kinds)):
-        case = [name, hands, light, width, height, options.threads]
-        found: list[list[dict[str, float]]] = [[], []]
+        cases = [[name, int(hands), light, width, height, detail, options.threads] for detail in details]
+        found: list[list[list[dict[str, float]]]] = [[[] for _ in checkouts] for _ in cases]
         for turn in range(options.rounds + 1):
-            for one, frames in zip(both, found, strict=True):
-                frames += one.frames(case) if turn else one.frames(case)[:0]
-        before, now = map(medians, found)
-        shown = list(dict.fromkeys([*before, *now])) if options.stages else ["frame"]
-        for stage in shown:
-            was, is_now = before.get(stage, 0.0), now.get(stage, 0.0)
-            head = f"| {name} | {hands} | {light} | {width} x {height} |" if stage == "frame" else f"| · {stage} ||||"
-            print(f"{head} {was:.2f} | {is_now:.2f} | {is_now / was if was else 0:.2f} |", flush=True)
+            for case, of_case in zip(cases, found, strict=True):
+                for checkout, frames in zip(checkouts, of_case, strict=True):
+                    frames += checkout.frames(case) if turn else checkout.frames(case)[:0]
+        every = [[medians(frames) for frames in of_case] for of_case in found]
+        stages = list(dict.fromkeys(stage for of_case in every for one in of_case for stage in one))
+        for stage, (detail, of_case) in itertools.product(
+            stages if options.stages else ["frame"], zip(details, every, strict=True)
+        ):
+            times = [one.get(stage, 0.0) for one in of_case]
+            head = [name, hands, light, f"{width} x {height}"] if stage == "frame" else [f"· {stage}", "", "", ""]
+            over = [ratio(times[-1], every[0][-1].get(stage, 0.0))] if details[1:] else []
+            versus = [ratio(times[-1], times[0])] if options.before else []
+            print(row([*head, detail, *times, *versus, *over]), flush=True)
 
 
 if __name__ == "__main__":
