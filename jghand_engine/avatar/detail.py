@@ -7,7 +7,7 @@ ratio that the texture has. What exports Gaussians gives them means of it (expor
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,10 +63,10 @@ class Detail:
         """(S, S) bool, which texels show some."""
         return skin_texels(self.face_uv, self.size)
 
-    @cached_property
+    @property
     def mips(self) -> Mips:
-        """What is drawn, made once."""
-        return mips(self.texture, self.skin)
+        """What is drawn of the texture, made once."""
+        return self._levels[0]
 
     @cached_property
     def normals(self) -> np.ndarray:
@@ -77,10 +77,25 @@ class Detail:
             np.add.at(total, self.faces[:, k], across)
         return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
 
-    @cached_property
+    @property
     def slopes(self) -> Slopes | None:
         """What is drawn of the relief, made once."""
-        return None if self.relief is None else self.relief.slopes(self.skin)
+        return self._levels[1]
+
+    @property
+    def texels(self) -> np.ndarray:
+        """(N, 2) uint32: those of the texture, each beside that of the relief; (N, 1) without one."""
+        return self._levels[2]
+
+    @cached_property
+    def _levels(self) -> tuple[Mips, Slopes | None, np.ndarray]:
+        ratios = mips(self.texture, self.skin)
+        if self.relief is None:
+            return ratios, None, ratios.texels[:, None]
+        slopes = self.relief.slopes(self.skin)
+        texels = np.stack([ratios.texels, slopes.texels], -1)
+        # a view: they are tens of megabytes
+        return replace(ratios, texels=texels[:, 0]), slopes, texels
 
     @property
     def texels_per_m(self) -> float:

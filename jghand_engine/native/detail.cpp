@@ -24,26 +24,26 @@ struct DetailHand {
   float* vertex;             // (3, 16 blocks): x, y px, near
   const int32_t* corner;     // (groups, 3, 16): rows of vertices
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
-  float* planes;             // (groups, FACE_ROWS, 16)
+  float* planes;             // (16 groups, 3, 16): see `Plane`
   int32_t* bounds;           // (groups, 4, 16): pixels x0, x1, y0, y1 of each face, both ends included; x0 > x1: none
   int32_t* box;              // (4, groups up to 16): the same of a group
-  const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing
+  const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing; with a
+                             // relief a second word each, four signed bytes: rise by column and row, straight, then bent
   int32_t size_log2, groups;
   float facing;              // sign of the area on the image of a face seen from outside
   float depth;               // m, of the Gaussians below the surface, times the hand's scale
   float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
   float strength;            // 0..1; 0: not drawn
-  float exponent;            // log2 of a ratio per step of a texel
+  float exponent;            // log2 of a ratio over the range of a texel's channel
   // relief
   const LearnedTask* learned;  // whose light falls on it; null: there is none
-  const uint32_t* rises;     // as texels: four signed bytes, rise by column and row, straight, then bent
   const float* normal;       // (blocks, 3, 16) of the vertices at rest, unit
   const int32_t* nearest;    // (blocks, ANCHORS_AROUND, 16): anchors of the light around them
   const int32_t* beside;     // (blocks, ANCHORS_AROUND, 16): rows of Gaussians there
   const float* share;        // (blocks, ANCHORS_AROUND, 16)
   const float* bend;         // (16 blocks): 0 straight to 1 bent
   float* slope;              // (4, 16 blocks): how their light turns with the normal, in the camera's axes; along it
-  float rise;                // m per side of the square, of a step, times the hand's scale; 0: not drawn
+  float rise;                // m per side of the square, over the range of a byte, times the hand's scale; 0: not drawn
 };
 
 // Mirrored field by field in native/detail_task.py.
@@ -68,21 +68,25 @@ constexpr float AREA_MIN_PX2 = 1e-9f;
 constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
 constexpr int SMALLEST_LOG2 = 2;      // the last level has 4 x 4 texels
 constexpr float MIX_FROM = 0.25f, MIX_TO = 0.75f;  // of the way from one level to the next: between them both are mixed
-constexpr float TEXEL_ZERO = 512;
 constexpr int TEXEL_BITS = 10;
+constexpr float FIELD_MIDDLE = 1.5f;  // what changes nothing
+constexpr float AHEAD_PX = 4;         // so many rows before their turn texels are fetched from memory
+constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far before the end of the square, where the
+                                                 // last texel counts wholly but for rounding, and one more is never read
+constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
+constexpr int PICTURE_PLANES = 5;
 
-// rows of a face: its first corner; corners' shares 1 and 2 by x and y; the constants of all three; planes of near and
-// of the texture's column and row, each at the corner, by x, by y. Of relief: planes of the light's change with a rise by
-// column and by row, of its change along the normal, and of the bend; squares of what a rise by column and row tilts
-enum {
-  X, Y, S1X, S1Y, S2X, S2Y, S0, S1, S2, NEAR, NEAR_X, NEAR_Y, U, U_X, U_Y, V, V_X, V_Y,
-  BY_U, BY_U_X, BY_U_Y, BY_V, BY_V_X, BY_V_Y, ALONG, ALONG_X, ALONG_Y, BEND, BEND_X, BEND_Y, UU, UV, VV, FACE_ROWS
-};
+// What is kept of a face. First what is affine on the image: near; the texture's column and row times it; of relief the
+// light's change with a rise by column and by row, its change along the normal, and the bend; and corners' shares. Each
+// has its value at the first corner, and by how much it changes by x and by y, in a vector each: three that lie together.
+// Behind the values stand that corner, and squares of what a rise by column and row tilts.
+enum Plane { NEAR, U, V, BY_U, BY_V, ALONG, BEND, SHARE_0, SHARE_1, SHARE_2, X, Y, UU, UV, VV };
+constexpr int BY_X = LANES, BY_Y = 2 * LANES, FACE_NUMBERS = 3 * LANES;
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
-JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
+JG_INLINE vi to_int(vf x) { return __builtin_convertvector(x, vi); }
 JG_INLINE vi least(vi a, vi b) { return a < b ? a : b; }
-JG_INLINE vi most(vi a, vi b) { return a > b ? a : b; }
+JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
 
 void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   const LearnedTask& surface = *hand.surface;
@@ -131,17 +135,24 @@ JG_INLINE void centers(vf low, vf high, int32_t size, vi& first, vi& last) {
   last = floor_to_int(min(max(high - 0.5f + EDGE_PX, all(-1.f)), limit - 1.f));
 }
 
-struct Plane {
-  vf x, y;
+// Sixteen faces while they are set up: what is kept of each, in rows; and by how much shares of the second and the third
+// corner change by x and by y.
+struct Faces {
+  vf at[LANES], by_x[LANES], by_y[LANES];
+  vf share_x[2], share_y[2];
 };
-// How what is a at the first corner and da more at the others changes along the image.
-JG_INLINE Plane slope(vf da1, vf da2, const vf face[FACE_ROWS]) {
-  return {da1 * face[S1X] + da2 * face[S2X], da1 * face[S1Y] + da2 * face[S2Y]};
+
+// Sets what has these values at the corners.
+JG_INLINE void set_plane(Faces& faces, int plane, const vf corner[3]) {
+  const vf second = corner[1] - corner[0], third = corner[2] - corner[0];
+  faces.at[plane] = corner[0];
+  faces.by_x[plane] = second * faces.share_x[0] + third * faces.share_x[1];
+  faces.by_y[plane] = second * faces.share_y[0] + third * faces.share_y[1];
 }
 
 // What a rise of the relief does to light. Affine on the image: faces are small.
 void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group, const vf x[3], const vf y[3],
-                     const vf near[3], vf face[FACE_ROWS]) {
+                     const vf near[3], Faces& faces) {
   const int64_t rows = LANES * (int64_t)hand.surface->skin.blocks;
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
   vf p[3][3], side[2][3], du[2], dv[2], by_u[3], by_v[3], along[3], bend[3];
@@ -161,7 +172,7 @@ void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group,
     const vf first = (g11 * side[0][i] - g01 * side[1][i]) * inverse, second = (g00 * side[1][i] - g01 * side[0][i]) * inverse;
     u[i] = du[0] * first + du[1] * second, v[i] = dv[0] * first + dv[1] * second;
   }
-  face[UU] = dot(u, u), face[UV] = dot(u, v), face[VV] = dot(v, v);
+  faces.at[UU] = dot(u, u), faces.at[UV] = dot(u, v), faces.at[VV] = dot(v, v);
   for (int k = 0; k < 3; k++) {
     vi row;
     memcpy(&row, hand.corner + (3 * (int64_t)group + k) * LANES, sizeof row);
@@ -170,11 +181,8 @@ void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group,
     by_u[k] = dot(slope, u), by_v[k] = dot(slope, v);
     along[k] = gather(hand.slope + 3 * rows, row), bend[k] = gather(hand.bend, row);
   }
-  const auto plane = [&](int at, const vf value[3]) __attribute__((always_inline)) {
-    const Plane d = slope(value[1] - value[0], value[2] - value[0], face);
-    face[at] = value[0], face[at + 1] = d.x, face[at + 2] = d.y;
-  };
-  plane(BY_U, by_u), plane(BY_V, by_v), plane(ALONG, along), plane(BEND, bend);
+  set_plane(faces, BY_U, by_u), set_plane(faces, BY_V, by_v), set_plane(faces, ALONG, along);
+  set_plane(faces, BEND, bend);
 }
 
 void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
@@ -207,25 +215,29 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
   for (int k = 0; k < 4; k++) hand.box[k * stride + group] = box[k];
   if (box[1] < 0) return;
-  vf face[FACE_ROWS];
+  Faces faces = {};
   const vf inverse = 1.f / select(seen, area, all(1.f));
-  face[X] = x[0], face[Y] = y[0];
-  face[S1X] = y2 * inverse, face[S1Y] = -x2 * inverse, face[S2X] = -y1 * inverse, face[S2Y] = x1 * inverse;
-  const vf s0x = face[S1X] + face[S2X], s0y = face[S1Y] + face[S2Y];
-  face[S0] = 1.f + EDGE_PX * sqrt(s0x * s0x + s0y * s0y);
-  face[S1] = EDGE_PX * sqrt(face[S1X] * face[S1X] + face[S1Y] * face[S1Y]);
-  face[S2] = EDGE_PX * sqrt(face[S2X] * face[S2X] + face[S2Y] * face[S2Y]);
-  const Plane d = slope(near[1] - near[0], near[2] - near[0], face);
-  face[NEAR] = near[0], face[NEAR_X] = d.x, face[NEAR_Y] = d.y;
+  faces.share_x[0] = y2 * inverse, faces.share_y[0] = -x2 * inverse;
+  faces.share_x[1] = -y1 * inverse, faces.share_y[1] = x1 * inverse;
+  const vf corner_share[3][3] = {{all(1.f), vf{}, vf{}}, {vf{}, all(1.f), vf{}}, {vf{}, vf{}, all(1.f)}};
+  for (int k = 0; k < 3; k++) {
+    const int plane = SHARE_0 + k;
+    set_plane(faces, plane, corner_share[k]);
+    const vf by_x = faces.by_x[plane], by_y = faces.by_y[plane];
+    faces.at[plane] += EDGE_PX * sqrt(by_x * by_x + by_y * by_y);
+  }
+  faces.at[X] = x[0], faces.at[Y] = y[0];
+  set_plane(faces, NEAR, near);
   for (int k = 0; k < 2; k++) {
     vf w[3];
     for (int i = 0; i < 3; i++) w[i] = load(uv + LANES * (2 * i + k)) * (t.orthographic ? all(1.f) : near[i]);
-    const Plane e = slope(w[1] - w[0], w[2] - w[0], face);
-    face[U + 3 * k] = w[0], face[U_X + 3 * k] = e.x, face[U_Y + 3 * k] = e.y;
+    set_plane(faces, U + k, w);
   }
-  if (hand.rise > 0) relief_of_group(t, hand, group, x, y, near, face);
-  float* out = hand.planes + FACE_ROWS * LANES * (int64_t)group;
-  for (int k = 0; k < (hand.rise > 0 ? FACE_ROWS : BY_U); k++) store(out + LANES * k, face[k]);
+  if (hand.rise > 0) relief_of_group(t, hand, group, x, y, near, faces);
+  transpose(faces.at), transpose(faces.by_x), transpose(faces.by_y);
+  float* out = hand.planes + FACE_NUMBERS * LANES * (int64_t)group;
+  for (int i = 0; i < LANES; i++, out += FACE_NUMBERS)
+    store(out, faces.at[i]), store(out + BY_X, faces.by_x[i]), store(out + BY_Y, faces.by_y[i]);
 }
 
 // The nearest face of each pixel of a part of the image.
@@ -234,33 +246,43 @@ struct Surface {
   alignas(64) float near[TILE_Y][TILE_X + LANES];
   alignas(64) int32_t face[TILE_Y][TILE_X + LANES];  // its number and its hand's; -1: none
   int32_t x, y;
+  bool is_clear;  // whether anything stands above: in most tiles nothing is seen
 };
+
+void clear(Surface& tile) {
+  const vf nothing = all(-3.0e38f);
+  const vi no_face = all(-1);
+  for (int y = 0; y < TILE_Y; y++)
+    for (int x = 0; x < TILE_X; x += LANES) store(&tile.near[y][x], nothing), store(&tile.face[y][x], no_face);
+  tile.is_clear = true;
+}
 
 const vf LANE = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
 // Puts what a face covers of the tile where nothing is nearer.
-JG_INLINE void cover_face(Surface& tile, const float* f, int32_t number, int32_t x0, int32_t x1, int32_t y0, int32_t y1) {
-  const auto at = [f](int row) __attribute__((always_inline)) { return f[LANES * row]; };
-  const float s1x = at(S1X), s1y = at(S1Y), s2x = at(S2X), s2y = at(S2Y), near_x = at(NEAR_X), near_y = at(NEAR_Y);
-  const float dy = (float)(tile.y + y0) + 0.5f - at(Y);
+JG_INLINE void cover_face(Surface& tile, const float* face, int32_t number, int32_t x0, int32_t x1, int32_t y0,
+                          int32_t y1) {
+  const float *by_x = face + BY_X, *by_y = face + BY_Y;
+  alignas(64) float at[LANES];
+  store(at, load(face) + ((float)(tile.y + y0) + 0.5f - face[Y]) * load(by_y));
   for (int32_t x = x0; x <= x1; x += LANES) {
-    const vf dx = LANE + ((float)(tile.x + x) + 0.5f - at(X));
-    vf share1 = dx * s1x + (at(S1) + dy * s1y), share2 = dx * s2x + (at(S2) + dy * s2y);
-    vf share0 = (at(S0) - dy * (s1y + s2y)) - dx * (s1x + s2x), near = dx * near_x + (at(NEAR) + dy * near_y);
+    const vf dx = LANE + ((float)(tile.x + x) + 0.5f - face[X]);
+    vf near = dx * by_x[NEAR] + at[NEAR], share[3];
+    for (int k = 0; k < 3; k++) share[k] = dx * by_x[SHARE_0 + k] + at[SHARE_0 + k];
     for (int32_t y = y0; y <= y1; y++) {
       const vf before = load(&tile.near[y][x]);
-      const vi closer = (min(min(share1, share2), share0) >= 0) & (near > before);
-      vi face;
-      memcpy(&face, &tile.face[y][x], sizeof face);
+      const vi closer = (min(min(share[1], share[2]), share[0]) >= 0) & (near > before);
+      vi face_before;
+      memcpy(&face_before, &tile.face[y][x], sizeof face_before);
       store(&tile.near[y][x], select(closer, near, before));
-      store(&tile.face[y][x], closer ? all(number) : face);
-      share1 += s1y, share2 += s2y, share0 -= s1y + s2y, near += near_y;
+      store(&tile.face[y][x], closer ? all(number) : face_before);
+      for (int k = 0; k < 3; k++) share[k] += by_y[SHARE_0 + k];
+      near += by_y[NEAR];
     }
   }
 }
 
-// Whether anything of a hand is in the tile.
-bool cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
+void cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
   const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
   const int32_t right = tile.x + TILE_X - 1, bottom = tile.y + TILE_Y - 1;
   const auto touching = [&](const int32_t* p, int64_t step) __attribute__((always_inline)) {
@@ -269,86 +291,89 @@ bool cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
     memcpy(&y0, p + 2 * step, sizeof y0), memcpy(&y1, p + 3 * step, sizeof y1);
     return bit_mask((x0 <= right) & (x1 >= tile.x) & (y0 <= bottom) & (y1 >= tile.y));
   };
-  bool any = false;
   for (int32_t sixteen = 0; sixteen < hand.groups; sixteen += LANES) {
     for (uint32_t groups = touching(hand.box + sixteen, stride); groups; groups &= groups - 1) {
       const int32_t group = sixteen + __builtin_ctz(groups);
       const int32_t* bounds = hand.bounds + 4 * LANES * (int64_t)group;
-      for (uint32_t faces = touching(bounds, LANES); faces; faces &= faces - 1, any = true) {
+      uint32_t faces = touching(bounds, LANES);
+      if (faces && !tile.is_clear) clear(tile);
+      for (; faces; faces &= faces - 1) {
         const int i = __builtin_ctz(faces);
         const int32_t x0 = bounds[i] - tile.x, x1 = bounds[LANES + i] - tile.x;
         const int32_t y0 = bounds[2 * LANES + i] - tile.y, y1 = bounds[3 * LANES + i] - tile.y;
-        cover_face(tile, hand.planes + FACE_ROWS * LANES * (int64_t)group + i, number << FACE_BITS | (LANES * group + i),
+        const int32_t row = LANES * group + i;
+        cover_face(tile, hand.planes + FACE_NUMBERS * (int64_t)row, number << FACE_BITS | row,
                    x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0, y1 < TILE_Y ? y1 : TILE_Y - 1);
       }
     }
   }
-  return any;
 }
-
-struct Color {
-  vf r, g, b;
-};
 
 // Where a level of the texture lies in memory.
 struct Level {
-  vi size, start;
+  vi size_log2, start;
 };
 JG_INLINE Level level_of(int32_t size_log2, vi number) {
   // texels of the levels before it: four times what is left out of the square, over 3, which is a factor modulo 2^32
   const vi four_times = all(4 << 2 * size_log2);
-  return {all(1 << size_log2) >> number, (four_times - (four_times >> 2 * number)) * all((int32_t)0xaaaaaaab)};
+  return {all(size_log2) - number, (four_times - (four_times >> 2 * number)) * all((int32_t)0xaaaaaaab)};
 }
-JG_INLINE vi column_of(const Level& level, vi x) {
-  const vi inside = least(most(x, vi{}), level.size - 1);
-  return (inside >> 2 << 4) + (inside & 3);
-}
+JG_INLINE vf size_of(const Level& level) { return float_of((level.size_log2 + FLOAT_BIAS) << FLOAT_FRACTION_BITS); }
+JG_INLINE vi column_of(vi x) { return (x & ~3) << 2 | (x & 3); }
 JG_INLINE vi row_of(const Level& level, vi y) {
-  const vi inside = least(most(y, vi{}), level.size - 1);
-  return level.start + (inside >> 2) * (level.size << 2) + ((inside & 3) << 2);
+  return level.start + ((y & ~3) << level.size_log2) + ((y & 3) << 2);
 }
 
-// The four texels around (u, v) of a level, and their shares.
-struct Around {
-  vi index[4];
-  vf share[4];
+// The texture, and the relief's rises by column and row, straight, then bent: each 1 to 2, as `field` has it.
+enum Channel { RED, GREEN, BLUE, STRAIGHT, BENT = STRAIGHT + 2, CHANNELS = BENT + 2 };
+
+// Bits of a texel as the fraction of a float, which is quicker than a conversion; of two's complement, the middle is 0.
+template <int first, int bits, bool is_signed = false>
+JG_INLINE vf field(vi texel) {
+  constexpr int up = FLOAT_FRACTION_BITS - first - bits, mask = ((1 << bits) - 1) << (FLOAT_FRACTION_BITS - bits);
+  constexpr int sign = is_signed ? 1 << (FLOAT_FRACTION_BITS - 1) : 0;
+  return float_of(((up > 0 ? texel << (up > 0 ? up : 0) : texel >> (up > 0 ? 0 : -up)) & mask) ^ (FLOAT_ONE | sign));
+}
+
+// Texel of a level at (u, v), `before` of its sides farther to the left and up, as far as the square reaches.
+struct Place {
+  vf x, y;
 };
-JG_INLINE Around around(const Level& level, vf u, vf v) {
-  const vf limit = to_float(level.size);
-  // in floats first: coordinates of pixels that another hand covers may be no numbers
-  const vf x = min(max(u * limit - 0.5f, all(-1.f)), limit), y = min(max(v * limit - 0.5f, all(-1.f)), limit);
-  const vi x0 = floor_to_int(x), y0 = floor_to_int(y);
-  const vf fx = x - to_float(x0), fy = y - to_float(y0), wx = 1.f - fx, wy = 1.f - fy;
-  const vi left = column_of(level, x0), right = column_of(level, x0 + 1);
-  const vi top = row_of(level, y0), bottom = row_of(level, y0 + 1);
-  return {{top + left, top + right, bottom + left, bottom + right}, {wx * wy, fx * wy, wx * fy, fx * fy}};
+JG_INLINE Place place_on(const Level& level, vf u, vf v, float before) {
+  const vf size = size_of(level), last = size - BEFORE_LAST;
+  // coordinates of pixels that another hand covers may be no numbers
+  return {min(max(u * size - before, vf{}), last), min(max(v * size - before, vf{}), last)};
 }
 
-// The texture there, in steps of a texel.
-JG_INLINE Color look_up(const DetailHand& hand, const Around& near) {
-  Color out = {};
-  for (int k = 0; k < 4; k++) {
-    const vi texel = gather_bits(hand.texels, near.index[k]), mask = all((1 << TEXEL_BITS) - 1);
-    out.r += near.share[k] * to_float(texel & mask);
-    out.g += near.share[k] * to_float((texel >> TEXEL_BITS) & mask);
-    out.b += near.share[k] * to_float((texel >> (2 * TEXEL_BITS)) & mask);
-  }
-  return out;
+// Has texels around (u, v) brought from memory, those of every `step`th pixel.
+template <bool has_relief, int step>
+JG_INLINE void fetch_level(const uint32_t* texels, const Level& level, vf u, vf v) {
+  const Place at = place_on(level, u, v, 0);
+  alignas(64) int32_t index[LANES];
+  store(index, row_of(level, to_int(at.y)) + column_of(to_int(at.x)));
+  for (int i = 0; i < LANES; i += step) __builtin_prefetch(texels + (has_relief ? 2 : 1) * (int64_t)index[i]);
 }
 
-// The relief's rises there, by column and row, in steps.
-JG_INLINE void rises_at(const DetailHand& hand, const Around& near, vf bend, vf out[2]) {
-  vf four[4] = {};
-  const bool is_bent = bit_mask(bend > 0);
+// Adds `part` of what a level shows at (u, v) by the four texels around it.
+template <bool has_relief>
+JG_INLINE void add_level(const uint32_t* texels, const Level& level, vf u, vf v, vf part, vf out[CHANNELS]) {
+  const Place at = place_on(level, u, v, 0.5f);
+  const vf left = floor(at.x), top = floor(at.y), fx = at.x - left, lower = (at.y - top) * part, upper = part - lower;
+  const vi x0 = to_int(left), y0 = to_int(top);
+  const vi column[2] = {column_of(x0), column_of(x0 + 1)}, row[2] = {row_of(level, y0), row_of(level, y0 + 1)};
+  const vf share[4] = {upper - upper * fx, upper * fx, lower - lower * fx, lower * fx};
   for (int k = 0; k < 4; k++) {
-    const vi texel = gather_bits(hand.rises, near.index[k]);
-    const auto add = [&](int byte) __attribute__((always_inline)) {
-      four[byte] += near.share[k] * to_float((texel << (24 - 8 * byte)) >> 24);
-    };
-    add(0), add(1);
-    if (is_bent) add(2), add(3);
+    const vi index = row[k / 2] + column[k % 2];
+    vi color, rises;
+    if constexpr (has_relief) gather_pairs(texels, index, color, rises);
+    else color = gather_bits(texels, index);
+    out[RED] += share[k] * field<0, TEXEL_BITS>(color);
+    out[GREEN] += share[k] * field<TEXEL_BITS, TEXEL_BITS>(color);
+    out[BLUE] += share[k] * field<2 * TEXEL_BITS, TEXEL_BITS>(color);
+    if constexpr (!has_relief) continue;
+    out[STRAIGHT] += share[k] * field<0, 8, true>(rises), out[STRAIGHT + 1] += share[k] * field<8, 8, true>(rises);
+    out[BENT] += share[k] * field<16, 8, true>(rises), out[BENT + 1] += share[k] * field<24, 8, true>(rises);
   }
-  for (int i = 0; i < 2; i++) out[i] = is_bent ? four[i] + bend * (four[2 + i] - four[i]) : four[i];
 }
 
 // 1 from `full` on, 0 up to `none`, smooth between.
@@ -357,16 +382,36 @@ JG_INLINE vf smooth(vf x, float none, float full) {
   return s * s * (3.f - 2.f * s);
 }
 
-// What is interpolated on a face, at sixteen pixels: itself, and its change by x and by y.
+// What is known of sixteen pixels by their faces. See `Plane`.
 struct Interpolated {
-  vf at, x, y;
+  vf at[LANES];         // at each pixel
+  vf by_x[3], by_y[3];  // of the first three planes
 };
 
-// Sets it in the lanes `mine` to that of one face, `row` of its planes; the pixels lie (dx, dy) from its first corner.
-JG_INLINE void interpolate(Interpolated& i, vi mine, const float* face, int row, vf dx, float dy) {
-  const float x = face[LANES * (row + 1)], y = face[LANES * (row + 2)];
-  i.at = select(mine, face[LANES * row] + dx * x + dy * y, i.at);
-  i.x = select(mine, all(x), i.x), i.y = select(mine, all(y), i.y);
+// face: (16) as `Surface` has them
+template <bool has_relief>
+JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, vi mine, vf x, float y) {
+  Interpolated out = {};
+  out.at[NEAR] = all(1.f);
+  vi faces;
+  memcpy(&faces, face, sizeof faces);
+  const vi before = JG_SHUFFLE(faces, faces, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
+  // few faces share sixteen pixels: where another one begins
+  for (uint32_t first = bit_mask(mine) & (bit_mask(faces != before) | 1); first; first &= first - 1) {
+    const int32_t number = face[__builtin_ctz(first)];
+    const float *f = hand.planes + (int64_t)FACE_NUMBERS * (number & ((1 << FACE_BITS) - 1)), *by_x = f + BY_X;
+    const vi same = faces == all(number);
+    const vf dx = x - f[X];
+    alignas(64) float at[LANES];
+    store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
+    for (int k = NEAR; k <= (has_relief ? BEND : V); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
+    for (int k = NEAR; k <= V; k++) {
+      out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]);
+      out.by_y[k] = select(same, all(f[BY_Y + k]), out.by_y[k]);
+    }
+    if (has_relief) for (int k = UU; k <= VV; k++) out.at[k] = select(same, all(f[k]), out.at[k]);
+  }
+  return out;
 }
 
 // The level for texels of which a pixel spans the root of spans2, and the part of the next one.
@@ -374,119 +419,92 @@ struct Chosen {
   vi fine;
   vf part;
 };
-JG_INLINE Chosen level_for(vf spans2, vi mine, int32_t last) {
-  if (!bit_mask(mine & (spans2 > 1.f))) return {};
-  const vf wanted = min(max(0.5f * log2(spans2), vf{}), all((float)last));
-  const vi fine = floor_to_int(wanted);
-  return {fine, min(max((wanted - to_float(fine) - MIX_FROM) * (1.f / (MIX_TO - MIX_FROM)), vf{}), all(1.f))};
-}
-
-// What of a face's relief counts at sixteen pixels.
-struct ReliefAt {
-  vf by_u, by_v, along, bend, uu, uv, vv;
-};
-JG_INLINE void interpolate(ReliefAt& r, vi mine, const float* face, vf dx, float dy) {
-  const auto plane = [&](vf& at, int row) __attribute__((always_inline)) {
-    const float *f = face + LANES * row;
-    at = select(mine, f[0] + dx * f[LANES] + dy * f[2 * LANES], at);
-  };
-  plane(r.by_u, BY_U), plane(r.by_v, BY_V), plane(r.along, ALONG), plane(r.bend, BEND);
-  r.uu = select(mine, all(face[LANES * UU]), r.uu), r.uv = select(mine, all(face[LANES * UV]), r.uv);
-  r.vv = select(mine, all(face[LANES * VV]), r.vv);
+JG_INLINE Chosen level_for(vf spans2, int32_t last) {
+  const vf wanted = min(max(0.5f * log2(spans2), vf{}), all((float)last)), fine = floor(wanted);
+  return {to_int(fine), clamped((wanted - fine - MIX_FROM) * (1.f / (MIX_TO - MIX_FROM)))};
 }
 
 // How much more light skin of the relief's slope gets than the surface: with the slope of the light q, normals n and n',
-// 1 + q.(n' - n). rise: by column and row, in steps
-JG_INLINE vf relief_light(const DetailHand& hand, const ReliefAt& r, const vf rise[2]) {
+// 1 + q.(n' - n). rise: by column and row, over hand.rise
+JG_INLINE vf relief_light(const DetailHand& hand, const vf at[LANES], const vf rise[2]) {
   const vf du = rise[0] * hand.rise, dv = rise[1] * hand.rise;
-  const vf steep2 = du * du * r.uu + 2.f * du * dv * r.uv + dv * dv * r.vv;
-  const vf light = 1.f - r.along + (r.along - du * r.by_u - dv * r.by_v) * inverse_sqrt(1.f + steep2);
+  const vf steep2 = du * du * at[UU] + 2.f * du * dv * at[UV] + dv * dv * at[VV];
+  const vf light = 1.f - at[ALONG] + (at[ALONG] - du * at[BY_U] - dv * at[BY_V]) * inverse_sqrt(1.f + steep2);
   return min(max(light, all(LIGHT_LEAST)), all(LIGHT_MOST));
 }
 
-// What the colors of sixteen pixels of a row are multiplied by, where the face of `mine` is the nearest.
-JG_INLINE Color ratios(const DetailTask& t, const DetailHand& hand, vi face, vi mine, vf x, float y, vf alpha, vf depth) {
-  Interpolated n = {all(1.f), vf{}, vf{}}, iu = {}, iv = {};
-  ReliefAt relief = {};
-  // few faces share sixteen pixels
-  for (uint32_t rest = bit_mask(mine); rest;) {
-    const int32_t number = face[__builtin_ctz(rest)], place = number & ((1 << FACE_BITS) - 1);
-    const float* f = hand.planes + (int64_t)FACE_ROWS * LANES * (place / LANES) + place % LANES;
-    const vi same = face == all(number);
-    const vf dx = x - f[LANES * X];
-    const float dy = y - f[LANES * Y];
-    interpolate(n, same, f, NEAR, dx, dy), interpolate(iu, same, f, U, dx, dy), interpolate(iv, same, f, V, dx, dy);
-    if (hand.rise > 0) interpolate(relief, same, f, dx, dy);
-    rest &= ~bit_mask(same);
-  }
-  const vf z = t.orthographic ? -n.at : 1.f / n.at, over = t.orthographic ? all(1.f) : z;
+// Multiplies the colors of sixteen pixels of a row where the face of `mine` is the nearest.
+template <bool has_relief>
+JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, vf x, float y, vf alpha, vf depth,
+                     vf color[3]) {
+  const Interpolated n = interpolate<has_relief>(hand, face, mine, x, y);
+  const vf near = n.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
   // what lies below a surface is farther along a ray that grazes it
-  const vf slope_x = n.x * t.fx * over, slope_y = n.y * t.fy * over;
-  const vf graze = min(sqrt(1.f + slope_x * slope_x + slope_y * slope_y), all(t.graze_max));
-  const vf apart = abs(depth - z - hand.depth) / graze;
+  const vf slope_x = n.by_x[NEAR] * t.fx * over, slope_y = n.by_y[NEAR] * t.fy * over;
+  const vf upright = max(inverse_sqrt(1.f + slope_x * slope_x + slope_y * slope_y), all(1.f / t.graze_max));
+  const vf apart = abs(depth - z - hand.depth) * upright;
   vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * (1.f - smooth(apart, hand.fade_from, hand.fade_to));
   weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.strength;
-  if (!bit_mask(weight > 0)) return {all(1.f), all(1.f), all(1.f)};
-  const vf u = iu.at * over, v = iv.at * over;
+  if (!bit_mask(weight > 0)) return;
+  const vf u = n.at[U] * over, v = n.at[V] * over;
   // how many texels a pixel spans: the mean square of its two sides
   const vf turn = t.orthographic ? vf{} : all(1.f), nu = u * turn, nv = v * turn;
-  const vf ux = iu.x - nu * n.x, uy = iu.y - nu * n.y, vx = iv.x - nv * n.x, vy = iv.y - nv * n.y;
+  const vf ux = n.by_x[U] - nu * n.by_x[NEAR], uy = n.by_y[U] - nu * n.by_y[NEAR];
+  const vf vx = n.by_x[V] - nv * n.by_x[NEAR], vy = n.by_y[V] - nv * n.by_y[NEAR];
   const float size = (float)(1 << hand.size_log2);
   const int32_t last = hand.size_log2 - SMALLEST_LOG2;
   const vf spans2 = (ux * ux + uy * uy + vx * vx + vy * vy) * over * over * (0.5f * size * size);
-  const Chosen chosen = level_for(spans2, mine, last);
-  const Level level = level_of(hand.size_log2, chosen.fine);
-  // texels of the pixels two rows farther down are on their way when those have their turn
-  const vf far = over * 2.f, limit = to_float(level.size);
-  const vf x_far = min(max((u + uy * far) * limit, vf{}), limit), y_far = min(max((v + vy * far) * limit, vf{}), limit);
-  const vi ahead = column_of(level, floor_to_int(x_far)) + row_of(level, floor_to_int(y_far));
-  for (int lane = 0; lane < LANES; lane += 3) __builtin_prefetch(hand.texels + ahead[lane]);
-  const Around near = around(level, u, v);
-  Color texel = look_up(hand, near);
-  vf rise[2];
-  if (hand.rise > 0) rises_at(hand, near, relief.bend, rise);
-  const vf part = chosen.part;
-  if (bit_mask(mine & (part > 0))) {
-    const Around next = around(level_of(hand.size_log2, least(chosen.fine + 1, all(last))), u, v);
-    const Color other = look_up(hand, next);
-    texel.r += part * (other.r - texel.r), texel.g += part * (other.g - texel.g), texel.b += part * (other.b - texel.b);
-    if (hand.rise > 0) {
-      vf coarser[2];
-      rises_at(hand, next, relief.bend, coarser);
-      for (int i = 0; i < 2; i++) rise[i] += part * (coarser[i] - rise[i]);
-    }
-  }
-  texel.r -= TEXEL_ZERO, texel.g -= TEXEL_ZERO, texel.b -= TEXEL_ZERO;
-  const vf step = weight * hand.exponent;
+  const Chosen chosen = level_for(spans2, last);
+  const Level fine = level_of(hand.size_log2, chosen.fine), coarse = level_of(hand.size_log2, least(chosen.fine + 1, all(last)));
+  const vf far = over * AHEAD_PX, u_far = u + uy * far, v_far = v + vy * far;
+  fetch_level<has_relief, 1>(hand.texels, fine, u_far, v_far);
+  fetch_level<has_relief, 2>(hand.texels, coarse, u_far, v_far);
+  vf texel[CHANNELS] = {};
+  add_level<has_relief>(hand.texels, fine, u, v, 1.f - chosen.part, texel);
+  if (bit_mask(mine & (chosen.part > 0))) add_level<has_relief>(hand.texels, coarse, u, v, chosen.part, texel);
   vf light = all(1.f);
-  if (hand.rise > 0) light += weight * (relief_light(hand, relief, rise) - 1.f);
-  return {light * exp2(step * texel.r), light * exp2(step * texel.g), light * exp2(step * texel.b)};
+  if constexpr (has_relief) {
+    vf rise[2];
+    for (int i = 0; i < 2; i++)
+      rise[i] = texel[STRAIGHT + i] - FIELD_MIDDLE + n.at[BEND] * (texel[BENT + i] - texel[STRAIGHT + i]);
+    light += weight * (relief_light(hand, n.at, rise) - 1.f);
+  }
+  const vf exponent = weight * hand.exponent;
+  for (int i = 0; i < 3; i++) color[i] *= light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
 }
 
-void shade_row(const DetailTask& t, const Surface& tile, int32_t row) {
+// What of a hand is the nearest in a tile.
+template <bool has_relief>
+void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
+  // copies: what is written into the picture might be these numbers, as far as a compiler knows
+  const DetailTask t = task;
+  const DetailHand hand = t.hands[number];
   const int64_t pixels = (int64_t)t.width * t.height;
-  for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
-    vi face;
-    memcpy(&face, &tile.face[row][x], sizeof face);
-    if (!bit_mask(face >= 0)) continue;
-    const int32_t left = tile.x + x, n = t.width - left;
-    float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
-    const vf alpha = load_first(p + 3 * pixels, n), covered = max(alpha, all(t.alpha_from));
-    const vf depth = load_first(p + 4 * pixels, n) / covered;
-    if (!bit_mask((face >= 0) & (alpha > t.alpha_from))) continue;
-    vf r = load_first(p, n), g = load_first(p + pixels, n), b = load_first(p + 2 * pixels, n);
-    for (int32_t hand = 0; hand < t.hand_count; hand++) {
-      const vi mine = face >> FACE_BITS == all(hand);
-      if (t.hands[hand].strength == 0 || !bit_mask(mine)) continue;
-      const float y = (float)(tile.y + row) + 0.5f;
-      const Color ratio = ratios(t, t.hands[hand], face, mine, LANE + ((float)left + 0.5f), y, alpha, depth);
-      r *= ratio.r, g *= ratio.g, b *= ratio.b;
+  for (int32_t row = 0; row < TILE_Y && tile.y + row < t.height; row++) {
+    for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
+      vi face;
+      memcpy(&face, &tile.face[row][x], sizeof face);
+      const vi mine = face >> FACE_BITS == all(number);
+      if (!bit_mask(mine)) continue;
+      const int32_t left = tile.x + x, n = t.width - left;
+      float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
+      // a tile is too narrow for what prefetches by itself
+      for (int k = 0; k < PICTURE_PLANES; k++) __builtin_prefetch(p + k * pixels + 2 * (int64_t)t.width);
+      const vf alpha = load_first(p + 3 * pixels, n);
+      if (!bit_mask(mine & (alpha > t.alpha_from))) continue;
+      const vf depth = load_first(p + 4 * pixels, n) * inverse(max(alpha, all(t.alpha_from)));
+      vf color[3];
+      for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
+      const vf at_x = LANE + ((float)left + 0.5f);
+      const float at_y = (float)(tile.y + row) + 0.5f;
+      shade<has_relief>(t, hand, &tile.face[row][x], mine, at_x, at_y, alpha, depth, color);
+      for (int k = 0; k < 3; k++) store_first(p + k * pixels, color[k], n);
     }
-    store_first(p, r, n), store_first(p + pixels, g, n), store_first(p + 2 * pixels, b, n);
   }
 }
 
-void keep_hits(const DetailTask& t, const Surface& tile) {
+void keep_hits(const DetailTask& t, Surface& tile) {
+  if (!tile.is_clear) clear(tile);
   const int32_t columns = t.width - tile.x < TILE_X ? t.width - tile.x : TILE_X;
   for (int32_t y = 0; y < TILE_Y && tile.y + y < t.height; y++) {
     const int64_t first = (int64_t)(tile.y + y) * t.width + tile.x;
@@ -497,16 +515,15 @@ void keep_hits(const DetailTask& t, const Surface& tile) {
 
 void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   Surface tile;
-  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y;
-  const vf nothing = all(-3.0e38f);
-  const vi no_face = all(-1);
-  for (int y = 0; y < TILE_Y; y++)
-    for (int x = 0; x < TILE_X; x += LANES) store(&tile.near[y][x], nothing), store(&tile.face[y][x], no_face);
-  bool any = false;
+  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y, tile.is_clear = false;
   // one that is not drawn hides others all the same
-  for (int32_t hand = 0; hand < t.hand_count; hand++) any |= cover_hand(tile, t.hands[hand], hand);
+  for (int32_t hand = 0; hand < t.hand_count; hand++) cover_hand(tile, t.hands[hand], hand);
   if (t.hit) return keep_hits(t, tile);
-  for (int32_t y = 0; any && y < TILE_Y && tile.y + y < t.height; y++) shade_row(t, tile, y);
+  for (int32_t hand = 0; tile.is_clear && hand < t.hand_count; hand++) {
+    if (t.hands[hand].strength == 0) continue;
+    if (t.hands[hand].learned) shade_hand<true>(t, hand, tile);
+    else shade_hand<false>(t, hand, tile);
+  }
 }
 
 }  // namespace

@@ -8,8 +8,8 @@ import numpy as np
 
 _I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
 
-# floats that the kernel keeps of a face
-FACE_ROWS = 33
+# vectors of sixteen floats that the kernel keeps of a face
+FACE_VECTORS = 3
 # a texel is three channels of so many bits in 32; the middle one is the ratio 1
 TEXEL_BITS, TEXEL_ZERO = 10, 512
 
@@ -21,7 +21,7 @@ class DetailHand(ctypes.Structure):
         *((name, _P) for name in ("surface", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent")),
-        *((name, _P) for name in ("learned", "rises", "normal", "nearest", "beside", "share", "bend", "slope")),
+        *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope")),
         ("rise", _F32),
     )
 

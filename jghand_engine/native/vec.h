@@ -7,6 +7,7 @@
 #endif
 
 #define JG_INLINE static inline __attribute__((always_inline))
+#define JG_SHUFFLE __builtin_shufflevector
 
 namespace jg {
 
@@ -114,12 +115,33 @@ JG_INLINE vf gather(const float* p, vi index) {
   return r;
 }
 #endif
-
-// Rounds towards minus infinity. By conversion, not by the (x + M) - M trick, which fast-math folds away.
-JG_INLINE vi floor_to_int(vf x) {
-  vi n = __builtin_convertvector(x, vi);
-  return n + (__builtin_convertvector(n, vf) > x);  // a true comparison is -1
+// Two words that lie together, by the number of the pair.
+JG_INLINE void gather_pairs(const uint32_t* p, vi index, vi& first, vi& second) {
+  vi low, high;
+#if defined(__AVX512F__)
+  low = (vi)_mm512_i32gather_epi64(_mm512_castsi512_si256((__m512i)index), p, 8);
+  high = (vi)_mm512_i32gather_epi64(_mm512_extracti64x4_epi64((__m512i)index, 1), p, 8);
+#else
+  for (int i = 0; i < LANES / 2; i++) {
+    memcpy((char*)&low + 8 * i, p + 2 * (int64_t)index[i], 8);
+    memcpy((char*)&high + 8 * i, p + 2 * (int64_t)index[i + LANES / 2], 8);
+  }
+#endif
+  first = JG_SHUFFLE(low, high, 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+  second = JG_SHUFFLE(low, high, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
 }
+
+// Rounds towards minus infinity. By an instruction or by conversion, not by the (x + M) - M trick, which fast-math folds
+// away; without the instruction only what an int32 holds.
+JG_INLINE vf floor(vf x) {
+#if defined(__clang__)
+  return __builtin_elementwise_floor(x);
+#else
+  const vf n = __builtin_convertvector(__builtin_convertvector(x, vi), vf);
+  return n > x ? n - 1.f : n;
+#endif
+}
+JG_INLINE vi floor_to_int(vf x) { return __builtin_convertvector(floor(x), vi); }
 
 // One bit per lane of a comparison.
 JG_INLINE uint32_t bit_mask(vi condition) {
@@ -168,15 +190,17 @@ JG_INLINE vf exp2_of_negative(vf e) {
 
 // 2^e for any e; below -126 and for NaN 2^-126, above 126 2^126. Relative error 3e-7.
 JG_INLINE vf exp2(vf e) {
-  const vf inside = min(max(e, all(-126.f)), all(126.f));
-  const vi n = floor_to_int(inside);
-  const vf f = inside - __builtin_convertvector(n, vf);
+  const vf inside = min(max(e, all(-126.f)), all(126.f)), whole = floor(inside), f = inside - whole;
   vf p = f * 0.0018775766948238015f + 0.00898933969438076f;
   p = p * f + 0.05582631751894951f;
   p = p * f + 0.24015361070632935f;
   p = p * f + 0.6931530833244324f;
   p = p * f + 1.0f;
-  return float_of(bits_of(p) + (n << 23));
+#if defined(__AVX512F__)
+  return (vf)_mm512_scalef_ps((__m512)p, (__m512)whole);
+#else
+  return float_of(bits_of(p) + (__builtin_convertvector(whole, vi) << 23));
+#endif
 }
 
 // log2 for x > 0, absolute error below one unit in the last place of the result. Anything below the smallest
@@ -193,8 +217,6 @@ JG_INLINE vf log2(vf x) {
 }
 
 // ---- rows and columns -----------------------------------------------------------------------------------------------
-
-#define JG_SHUFFLE __builtin_shufflevector
 
 // Sixteen (x, y, z) triples, one after the other in memory, as three vectors.
 JG_INLINE void load_triples(const float* p, vf& x, vf& y, vf& z) {

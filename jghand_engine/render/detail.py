@@ -28,7 +28,7 @@ from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
-from jghand_engine.native.detail_task import FACE_ROWS, DetailHand, DetailTask
+from jghand_engine.native.detail_task import FACE_VECTORS, TEXEL_BITS, DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import CorrectiveKind
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import shared_pool
@@ -42,8 +42,10 @@ FADE_FROM_M, FADE_TO_M = 0.002, 0.004
 GRAZE_MAX = 4.0
 # alpha between which it fades in: the last pixel of an outline is that of the Gaussians
 ALPHA_FROM, ALPHA_TO = 0.5, 0.9
-# log2 of a ratio per step of a packed texel
-_LOG2_PER_STEP = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0)
+# values of a byte
+BYTES = 256
+# log2 of a ratio over the range of a channel of a packed texel
+_LOG2_PER_CHANNEL = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0) * (1 << TEXEL_BITS)
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ class NativeDetail:
             task.depth, task.fade_from, task.fade_to = (
                 own.scale * length_m for length_m in (hand.depth_m, FADE_FROM_M, FADE_TO_M)
             )
-            hand.rise_m = own.scale * hand.step_m
+            hand.rise_m = own.scale * hand.range_m
 
     def prepare(self, planes: np.ndarray, camera: Camera, strengths: Sequence[float]) -> None:
         """Sets the next image, (5, H, W) as the rasterizer leaves it: its colors are changed in place.
@@ -116,7 +118,7 @@ class NativeDetail:
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
         for hand, own, strength in zip(self._hands, self._tasks, strengths, strict=True):
-            own.strength, own.exponent = strength, hand.power * _LOG2_PER_STEP
+            own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
             # one that only hides others needs no light
             own.rise = hand.rise_m if strength > 0 else 0.0
         self.team.fill(0)
@@ -159,7 +161,7 @@ class _Hand:
 
     def __init__(self, hand: DetailedHand) -> None:
         detail, self.power, self.depth_m = hand.detail, hand.power, hand.detail.depth_m
-        blocks, mips = Blocks(detail.position_m), detail.mips
+        blocks = Blocks(detail.position_m)
         relative = detail.position_m.astype(np.float64) - hand.joints_m[0]
         self._skin_arrays = {"rest": blocks.blocked(np.pad(relative, ((0, 0), (0, 1))))}
         self._skin_arrays |= blocks.bones(hand.weights)
@@ -181,10 +183,10 @@ class _Hand:
             "vertex": aligned_zeros((3, blocks.rows)),
             "corner": np.ascontiguousarray(corner.reshape(groups, LANES, 3).swapaxes(1, 2)),
             "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
-            "planes": aligned_zeros((groups, FACE_ROWS, LANES)),
+            "planes": aligned_zeros((groups * LANES, FACE_VECTORS, LANES)),
             "bounds": aligned_zeros((groups, 4, LANES), np.int32),
             "box": aligned_zeros((4, boxes), np.int32),
-            "texels": mips.texels,
+            "texels": np.ascontiguousarray(detail.mips.texels),
         }
         # what is beyond the last group touches nothing
         self._arrays["box"][::2], self._arrays["box"][1::2] = np.iinfo(np.int32).max, -1
@@ -196,16 +198,16 @@ class _Hand:
             groups=groups,
             facing=facing,
         )
-        self.step_m, self.rise_m, self._bend = 0.0, 0.0, None
+        self.range_m, self.rise_m, self._bend = 0.0, 0.0, None
         if hand.light is not None and detail.slopes is not None:
-            self.step_m = detail.slopes.step_m
+            self.range_m = detail.slopes.step_m * BYTES
             self._bend = Bend(detail.position_m, finger_shares(detail.bone_weights), hand.joints_m)
             # keeps what the task points to
             self._light = hand.light
             self._joints_m = hand.joints_m - hand.joints_m[0]
             self._near = np.ascontiguousarray(blocks.in_rows(self._bend.near).T)
             self._arrays |= {
-                "rises": detail.slopes.texels,
+                "texels": detail.texels,
                 "normal": blocks.blocked(detail.normals),
                 "nearest": blocks.blocked(hand.light.nearest, np.int32),
                 "beside": blocks.blocked(hand.light.beside, np.int32),
