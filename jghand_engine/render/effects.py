@@ -68,7 +68,7 @@ NO_BLUR = (Decision(Effect.MOTION, False, "no shutter"), Decision(Effect.FOCUS, 
 SKIN_MS, NETWORK_MS, LINEAR_MS, CAST_MS, RASTER_MS = 5e-6, 2.7e-4, 2e-5, 2e-5, 1.3e-4
 MAP_MS, SHADOW_MS = 1e-6, 3e-7
 # ... of detail, per face and per pixel, and per pixel with a relief
-FACE_MS, TEXEL_MS, RELIEF_TEXEL_MS = 1e-4, 2e-5, 3e-5
+FACE_MS, TEXEL_MS, RELIEF_TEXEL_MS = 1e-4, 5e-6, 7e-6
 
 
 def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
