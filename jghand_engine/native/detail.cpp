@@ -69,7 +69,7 @@ constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands
 constexpr int SMALLEST_LOG2 = 2;      // the last level has 4 x 4 texels
 constexpr float MIX_FROM = 0.25f, MIX_TO = 0.75f;  // of the way from one level to the next: between them both are mixed
 constexpr int TEXEL_BITS = 10;
-constexpr float FIELD_MIDDLE = 1.5f;  // what changes nothing
+constexpr float FIELD_MIDDLE = 1.5f;  // what changes nothing, see `field`
 constexpr float AHEAD_PX = 4;         // so many rows before their turn texels are fetched from memory
 constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far before the end of the square, where the
                                                  // last texel counts wholly but for rounding, and one more is never read
@@ -435,8 +435,8 @@ JG_INLINE vf relief_light(const DetailHand& hand, const vf at[LANES], const vf r
 
 // Multiplies the colors of sixteen pixels of a row where the face of `mine` is the nearest.
 template <bool has_relief>
-JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, vf x, float y, vf alpha, vf depth,
-                     vf color[3]) {
+JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, vf x, float y, vf alpha,
+                     vf depth, vf color[3]) {
   const Interpolated n = interpolate<has_relief>(hand, face, mine, x, y);
   const vf near = n.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
   // what lies below a surface is farther along a ray that grazes it
@@ -455,7 +455,8 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const int32_t*
   const int32_t last = hand.size_log2 - SMALLEST_LOG2;
   const vf spans2 = (ux * ux + uy * uy + vx * vx + vy * vy) * over * over * (0.5f * size * size);
   const Chosen chosen = level_for(spans2, last);
-  const Level fine = level_of(hand.size_log2, chosen.fine), coarse = level_of(hand.size_log2, least(chosen.fine + 1, all(last)));
+  const Level fine = level_of(hand.size_log2, chosen.fine);
+  const Level coarse = level_of(hand.size_log2, least(chosen.fine + 1, all(last)));
   const vf far = over * AHEAD_PX, u_far = u + uy * far, v_far = v + vy * far;
   fetch_level<has_relief, 1>(hand.texels, fine, u_far, v_far);
   fetch_level<has_relief, 2>(hand.texels, coarse, u_far, v_far);
