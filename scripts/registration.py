@@ -11,14 +11,15 @@ from dataclasses import replace
 import numpy as np
 from other_person import Somebody
 
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives, angle_numbers
+from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
+from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives, angle_changes
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import vertex_normals
 
 # poses that the correctives are fitted to, as a capture varies them, and with which seed: none of a capture's. Twice as
@@ -28,20 +29,29 @@ POSES, SEED = 200, 1
 LEVELS = 3
 # penalty on directions, per pose and square radian: ten times more or less is worse on other poses
 RIDGE = 3e-5
+# behind the wrist Gaussians lie elsewhere than the skin, and a turn of the forearm is no angle of the hand: so far from
+# the wrist nothing is moved any more
+FADE_M = 0.03
 # vertices at once: bounds the memory to 100 MB
 AT_ONCE = 512
 STEPS = 127
 
 
 def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
-    """The avatar with the surface of its detail on the skin of a person whom its joints are those of.
+    """The avatar with the surface of its detail on the skin of a person whom its joints are those of; the forearm's
+    stays where it was.
 
-    InputError for an avatar without detail, or one whose surface is not that of the template.
+    InputError for an avatar without detail, or one whose surface is not that of the person's mesh.
     """
-    detail = avatar.detail
+    detail, hand = avatar.detail, RiggedHand(one.identity)
     if detail is None:
         raise InputError(f"avatar {avatar.info.name}", wanted="one with detail", came="one without")
-    hand, surface = RiggedHand(one.identity), SkinSurface(one.identity, LEVELS, one.maps)
+    mesh = Subdivision.of(one.identity.faces, one.identity.face_uv, 1)
+    if len(detail.position_m) > mesh.faces.max() + 1 or not np.array_equal(
+        detail.faces, mesh.faces[: len(detail.faces)]
+    ):
+        raise InputError(f"detail of {avatar.info.name}", wanted=f"the mesh of {one.identity.name}", came="another")
+    surface = SkinSurface(one.identity, LEVELS, one.maps)
     posed = hand.pose(varied_poses(hand, POSES, SEED).angles_deg)
     skeleton = avatar.for_hand(Handedness.RIGHT).skeleton()
     weights = avatar.map_weights(detail.position_m, detail.bone_weights).astype(np.float64)
@@ -57,26 +67,31 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         # by how much the kernel scales an offset less than skinning does a place
         turn.append(np.cbrt(np.maximum(np.abs(np.linalg.det(linear)) / bones.scale**3, BLEND_DET_MIN)))
         angles_rad.append(bones.angles_rad)
+    behind_m = (detail.position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY
+    part = np.clip(1 - behind_m / FADE_M, 0, 1)[:, None]
+    part = part * part * (3 - 2 * part)
     mean_m = np.mean(rest_m, 0)
-    wanted_m = (np.stack(rest_m) - mean_m) * np.stack(turn)[..., None]
-    constant_m, correctives = _fit(angle_numbers(np.stack(angles_rad)), detail.bone_weights, wanted_m)
-    place_m = (mean_m + constant_m).astype(np.float32)
+    wanted_m = part * (np.stack(rest_m) - mean_m) * np.stack(turn)[..., None]
+    changes = angle_changes(np.stack(angles_rad), avatar.canonical_angles_rad)
+    constant_m, correctives = _fit(changes, detail.bone_weights, wanted_m)
+    moved_m = part * (mean_m - detail.position_m) + constant_m
     outwards = vertex_normals(detail.position_m.astype(np.float64), detail.faces)
-    sunk_m = ((detail.position_m - place_m) * outwards).sum(1)[np.unique(detail.faces)]
+    sunk_m = -(moved_m * outwards).sum(1)[np.unique(detail.faces[(part[detail.faces] == 1).all((1, 2))])]
     depth_m = max(detail.depth_m - float(np.median(sunk_m)), 0.0)
+    place_m = (detail.position_m + moved_m).astype(np.float32)
     return replace(avatar, detail=replace(detail, position_m=place_m, correctives=correctives, depth_m=depth_m))
 
 
-def _fit(numbers: np.ndarray, weights: np.ndarray, wanted_m: np.ndarray) -> tuple[np.ndarray, DetailCorrectives]:
-    """By least squares of numbers (P, 21, NUMBERS), weights (V, 21) and offsets (P, V, 3): constants (V, 3), meters,
+def _fit(changes: np.ndarray, weights: np.ndarray, wanted_m: np.ndarray) -> tuple[np.ndarray, DetailCorrectives]:
+    """By least squares of changes (P, 21, NUMBERS), weights (V, 21) and offsets (P, V, 3): constants (V, 3), meters,
     and the correctives."""
     constant_m, direction = np.zeros(wanted_m.shape[1:]), np.zeros((len(weights), NUMBERS, 3), np.int8)
     scale_m = np.zeros(len(weights), np.float32)
     for start in range(0, len(weights), AT_ONCE):
         rows = slice(start, start + AT_ONCE)
-        mixed, offset_m = np.einsum("vb,pbk->vpk", weights[rows], numbers), wanted_m[:, rows].swapaxes(0, 1)
+        mixed, offset_m = np.einsum("vb,pbk->vpk", weights[rows], changes), wanted_m[:, rows].swapaxes(0, 1)
         middle, level_m = mixed.mean(1, keepdims=True), offset_m.mean(1, keepdims=True)
-        square = (mixed - middle).swapaxes(1, 2) @ (mixed - middle) + RIDGE * len(numbers) * np.eye(NUMBERS)
+        square = (mixed - middle).swapaxes(1, 2) @ (mixed - middle) + RIDGE * len(changes) * np.eye(NUMBERS)
         found_m = np.linalg.solve(square, (mixed - middle).swapaxes(1, 2) @ (offset_m - level_m))
         scale_m[rows] = np.abs(found_m).max((1, 2)) / STEPS
         step_m = np.maximum(scale_m[rows], np.finfo(np.float32).tiny).astype(np.float64)[:, None, None]

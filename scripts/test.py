@@ -24,7 +24,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import environments
@@ -91,11 +91,12 @@ class Result:
 
 @dataclass(frozen=True)
 class Selection:
-    """The options for pytest, and the paths of each part; a part with None is not run."""
+    """The options for pytest, and the paths of each part; a part with None is not run. of_all: all parts are run"""
 
     options: tuple[str, ...]
     engine: tuple[str, ...] | None
     blender: tuple[str, ...] | None
+    of_all: bool = False
 
     @classmethod
     def of(cls, arguments: list[str]) -> "Selection":
@@ -197,7 +198,7 @@ def run_part(part: str, selection: Selection, require_blender: bool, lane: Lane)
         return [Result(name, False if require_blender else None, note="there is no Blender environment, see above")], []
     if part == "blender45":
         arguments = (*BLENDER45_PATHS, *arguments[len(paths) :])
-    if part == "blender" and not selection.selective and not why_no_other_blender(BLENDER52):
+    if part == "blender" and selection.of_all and not why_no_other_blender(BLENDER52):
         arguments = (*arguments, *(f"--ignore={path}" for path in NEWEST_ALONE))
     result, summary = run_pytest(name, python, arguments, selection.selective, lane)
     return [result], [summary]
@@ -301,7 +302,7 @@ def main() -> int:
         parts = (options.only,) if options.only else SELECTABLE
         results, summaries = run_lane(parts, selection, options.require_blender, Lane(show_now, {}))
     else:
-        results, summaries = run_lanes(selection, options.require_blender)
+        results, summaries = run_lanes(replace(selection, of_all=True), options.require_blender)
     print_summary(results, summaries)
     print(f"{time.perf_counter() - started:.0f} s in all, of {ALL_S} s")
     return 1 if any(result.passed is False for result in results) else 0

@@ -46,7 +46,9 @@ def posed_surface(avatar: HandAvatar, joints_m: np.ndarray) -> tuple[np.ndarray,
     relative = detail.position_m - avatar.canonical_joints_m[0]
     posed_m = np.einsum("vij,vj->vi", maps[..., :3], relative) + maps[..., 3] + bones.root_m
     if detail.correctives is not None:
-        numbers = detail.bone_weights.astype(np.float64) @ angle_numbers(bones.angles_rad)
+        rest = avatar.for_hand(Handedness.RIGHT).skeleton().bones(avatar.canonical_joints_m, np.float64)
+        changes = angle_numbers(bones.angles_rad) - angle_numbers(rest.angles_rad)
+        numbers = detail.bone_weights.astype(np.float64) @ changes
         offset_m = np.einsum("vk,vkc->vc", numbers, detail.correctives.direction * np.float64(1))
         offset_m *= detail.correctives.scale_m[:, None]
         volume = np.abs(np.linalg.det(maps[..., :3] / bones.scale))

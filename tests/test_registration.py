@@ -7,17 +7,27 @@ import pytest
 import registration
 from detail_reference import posed_surface
 from other_person import Somebody, somebody
+from scipy.spatial import KDTree
 from test_other_person import painted
 
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
+from jghand_engine.avatar.builtin import load_avatar_called, load_builtin
+from jghand_engine.avatar.detail import Detail
+from jghand_engine.avatar.posing import Posing
 from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.person import Person
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.render.detail import FADE_TO_M
 
 AVATAR = load_builtin(handedness=Handedness.RIGHT).prefix(10)
+
+
+def surface_of(avatar: HandAvatar) -> Detail:
+    assert avatar.detail is not None
+    return avatar.detail
 
 
 def of_adult(avatar: HandAvatar = AVATAR) -> Somebody:
@@ -25,32 +35,96 @@ def of_adult(avatar: HandAvatar = AVATAR) -> Somebody:
     return somebody(avatar, "adult_woman", Person(), painted(0, 0.5))
 
 
-def apart_mm(avatar: HandAvatar, one: Somebody, name: str, levels: int) -> np.ndarray:
-    """Of the vertices of the detail from where the person's skin has them, in a named pose."""
-    hand, surface = RiggedHand(one.identity), SkinSurface(one.identity, levels, one.maps)
+def apart_mm(
+    avatar: HandAvatar, one: Somebody, joints_m: np.ndarray, vertices_m: np.ndarray, levels: int
+) -> np.ndarray:
+    """Of the vertices of the detail before the wrist from where the person's skin has them, in a pose of the rig."""
+    surface = SkinSurface(one.identity, levels, one.maps)
+    skin_m = surface.posed(vertices_m, surface.bent(joints_m[None])[0])
+    surface_m, _ = posed_surface(avatar, joints_m)
+    on_hand = np.intersect1d(np.unique(surface_of(avatar).faces), np.flatnonzero(behind_m(avatar) < 0))
+    return 1e3 * np.linalg.norm(surface_m - skin_m[: len(surface_m)], axis=1)[on_hand]
+
+
+def behind_m(avatar: HandAvatar) -> np.ndarray:
+    """(V,) how far behind the wrist the detail's vertices lie at rest."""
+    return (surface_of(avatar).position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY
+
+
+def named(one: Somebody, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and vertices of the rig in a pose."""
+    hand = RiggedHand(one.identity)
     posed = hand.pose(hand.angles_of(name)[None])
-    skin_m = surface.posed(hand.skin(posed)[0], surface.bent(posed.joints_m)[0])
-    surface_m, _ = posed_surface(avatar, posed.joints_m[0])
-    return 1e3 * np.linalg.norm(surface_m - skin_m[: len(surface_m)], axis=1)[np.unique(avatar.detail.faces)]
+    return posed.joints_m[0], hand.skin(posed)[0]
 
 
-def test_registered_detail_follows_the_skin_of_poses_that_it_was_not_fitted_to(monkeypatch):
-    monkeypatch.setattr(registration, "POSES", 40)
-    monkeypatch.setattr(registration, "LEVELS", 1)
-    child = replace(of_adult(), identity=somebody(AVATAR, "child", Person(), painted(0, 0.5)).identity)
-    plain = replace(AVATAR, detail=replace(AVATAR.detail, correctives=None))
-    on_skin = registration.registered(plain, child)
-    for name in ("pinch", "point"):
-        before, after = (np.median(apart_mm(one, child, name, 1)) for one in (plain, on_skin))
-        # observed: 0.04 and 0.10, of 1.25 and 1.23
-        assert after < 0.15
-        assert before > 1
+@pytest.fixture(scope="module")
+def child() -> Somebody:
+    return somebody(AVATAR, "child", Person(), painted(0, 0.5))
+
+
+@pytest.fixture(scope="module")
+def registered_child(child) -> tuple[HandAvatar, HandAvatar]:
+    """Before and after, with fewer poses and a coarser skin than hands that are shipped."""
+    plain = replace(AVATAR, detail=replace(surface_of(AVATAR), correctives=None))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registration, "POSES", 40)
+        patch.setattr(registration, "LEVELS", 1)
+        return plain, registration.registered(plain, child)
+
+
+@pytest.mark.parametrize("name", ["pinch", "point"])
+def test_registered_detail_follows_the_skin_of_poses_that_it_was_not_fitted_to(child, registered_child, name):
+    before, after = (np.quantile(apart_mm(one, child, *named(child, name), 1), [0.5, 0.95]) for one in registered_child)
+    # observed: 0.04 and 0.10, at most 0.30; before 1.13 and 1.16
+    assert after[0] < 0.15
+    assert after[1] < 0.6
+    assert before[0] > 1
+
+
+def test_the_forearm_stays_where_the_gaussians_have_it(registered_child):
+    before, after = registered_child
+    far = behind_m(before) > registration.FADE_M
+    np.testing.assert_array_equal(surface_of(after).position_m[far], surface_of(before).position_m[far])
+    correctives = surface_of(after).correctives
+    assert correctives is not None
+    assert not correctives.scale_m[far].any()
 
 
 @pytest.mark.parametrize("name", ["open", "fist", "pinch"])
 def test_the_built_in_hands_detail_lies_on_the_skin_of_its_person(name):
-    # most of it is the relief, which is left out here. Observed: 0.21 to 0.29; as it was learned, 1.0 to 1.4
-    assert np.median(apart_mm(AVATAR, of_adult(), name, 2)) < 0.4
+    middle, most = np.quantile(apart_mm(AVATAR, of_adult(), *named(of_adult(), name), 2), [0.5, 0.95])
+    # most of it is the relief, which is left out here. Observed: 0.22 to 0.30, 0.74 to 0.96
+    assert middle < 0.4
+    assert most < 1.2
+
+
+@pytest.mark.parametrize("hand", ["builtin", "strong"])
+def test_nothing_is_moved_in_the_hand_at_rest(hand):
+    avatar = load_avatar_called(hand)
+    resting = replace(avatar, detail=replace(surface_of(avatar), correctives=None))
+    moved_m = posed_surface(avatar, avatar.canonical_joints_m)[0] - posed_surface(resting, avatar.canonical_joints_m)[0]
+    assert np.abs(moved_m).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["open", "fist"])
+@pytest.mark.parametrize("hand", ["builtin", "strong"])
+def test_gaussians_are_near_enough_for_detail_on_hand_and_forearm(hand, name):
+    avatar = load_avatar_called(hand).for_hand(Handedness.RIGHT)
+    joints_m = named_pose(name, avatar.rest_joints_m, handedness=Handedness.RIGHT)
+    surface_m, scale = posed_surface(avatar, joints_m)
+    apart_m = KDTree(Posing(avatar)(joints_m).position_m).query(surface_m)[0] / scale
+    behind = behind_m(avatar)
+    shown = np.isin(np.arange(len(surface_m)), surface_of(avatar).faces)
+    for part in (behind < 0, (behind > 0) & (behind < 0.1)):
+        # detail is gone FADE_TO_M from the depth at which they usually are. Observed: 1.8 to 3.2 mm
+        assert np.quantile(apart_m[part & shown], 0.95) < FADE_TO_M + surface_of(avatar).depth_m
+
+
+def test_another_mesh_is_refused(child):
+    other = replace(AVATAR, detail=replace(surface_of(AVATAR), faces=surface_of(AVATAR).faces[::-1].copy()))
+    with pytest.raises(InputError, match="mesh of child"):
+        registration.registered(other, child)
 
 
 def test_a_hand_without_detail_is_refused():

@@ -109,6 +109,11 @@ class HandAvatar:
         return self.canonical_joints_m if self.own_joints_m is None else self.own_joints_m
 
     @property
+    def canonical_angles_rad(self) -> np.ndarray:
+        """(37,) of the canonical hand, see `Bones`."""
+        return self.for_hand(Handedness.RIGHT).skeleton().bones(self.canonical_joints_m).angles_rad
+
+    @property
     def pixel_m(self) -> float:
         """Of the pictures that it was learned from, see `LearnedFrom`; 0: not known."""
         return 0.0 if self.info.learned_from is None else self.info.learned_from.pixel_m

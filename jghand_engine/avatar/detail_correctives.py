@@ -26,8 +26,8 @@ _PALM_BONES, _FINGER_ANGLES = 6, 30
 
 @dataclass(frozen=True)
 class DetailCorrectives:
-    """offset = scale sum_k (sum_i W_i numbers_ik) direction_k in canonical axes, which turns with the skin as those of
-    Gaussians do.
+    """offset = scale sum_k (sum_i W_i changes_ik) direction_k in canonical axes, which turns with the skin as those of
+    Gaussians do: none of the canonical hand.
 
     direction: (V, NUMBERS, 3) int8
     scale_m:   (V,) float32, meters
@@ -40,10 +40,10 @@ class DetailCorrectives:
         """Those of some vertices, by their numbers."""
         return DetailCorrectives(self.direction[vertices], self.scale_m[vertices])
 
-    def offset_m(self, bone_weights: np.ndarray, angles_rad: np.ndarray) -> np.ndarray:
-        """(V, 3) canonical axes, meters, of vertices of weights (V, 21) at the (37,) angles of a pose."""
-        numbers = bone_weights.astype(np.float64) @ angle_numbers(angles_rad)
-        return self.scale_m[:, None] * np.einsum("vk,vkc->vc", numbers, self.direction.astype(np.float64))
+    def offset_m(self, bone_weights: np.ndarray, changes: np.ndarray) -> np.ndarray:
+        """(V, 3) canonical axes, meters, of vertices of weights (V, 21) in a pose of `angle_changes` (21, NUMBERS)."""
+        mixed = bone_weights.astype(np.float64) @ changes
+        return self.scale_m[:, None] * np.einsum("vk,vkc->vc", mixed, self.direction.astype(np.float64))
 
     def arrays(self, blocks: Blocks) -> dict[str, np.ndarray]:
         """What the kernel reads of the linear tier, by its fields of LearnedTask: no constant, no shade."""
@@ -51,6 +51,11 @@ class DetailCorrectives:
         constant = np.zeros((len(self.scale_m), 8), np.float32)
         constant[:, 6] = self.scale_m
         return {"direction": blocks.blocked(direction, np.int8), "constant": blocks.blocked(constant)}
+
+
+def angle_changes(angles_rad: np.ndarray, rest_rad: np.ndarray) -> np.ndarray:
+    """(..., 21, NUMBERS) what the numbers of a pose, of its (..., 37) angles, have more than those at rest (37,)."""
+    return angle_numbers(angles_rad) - angle_numbers(rest_rad)
 
 
 def angle_numbers(angles_rad: np.ndarray) -> np.ndarray:

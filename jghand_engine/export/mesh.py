@@ -76,7 +76,9 @@ def export_meshes(
     files = tuple(names.path(target, index) for index in frames)
     shared = surface.relief_files(names.name) if names.suffix == "obj" else {}
     companions = [path.with_suffix(suffix) for path in files for suffix in COMPANIONS] if names.suffix == "obj" else []
-    kept = names.refuse_others(target, files, len(sequence), [*companions, *(target / name for name in shared)])
+    # another part of the motion has the same pictures
+    others = [target / name for name, content in shared.items() if not _has(target / name, content)]
+    kept = names.refuse_others(target, files, len(sequence), [*companions, *others])
     for name, content in shared.items():
         write_file(target / name, content)
         size += len(content)
@@ -87,6 +89,10 @@ def export_meshes(
         if progress:
             progress(done, len(files))
     return MeshReport(files, len(surface.vertex), len(surface.faces), size, kept)
+
+
+def _has(path: Path, content: bytes) -> bool:
+    return path.is_file() and path.read_bytes() == content
 
 
 def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: Handedness) -> HandTemplate:

@@ -65,11 +65,11 @@ def test_a_file_returns_correctives_as_they_are(tmp_path, hand, storage):
     [
         ({"direction": np.zeros((3, NUMBERS, 3), np.int8)}, "direction.*shape"),
         ({"direction": np.zeros((3, NUMBERS, 3), np.float32)}, "direction.*signed bytes"),
-        ({"scale_m": np.full(6994, np.nan, np.float32)}, "scale_m"),
-        ({"scale_m": np.full(6994, 1.0, np.float32)}, "scale_m"),
+        ({"scale_m": np.full(9999, np.nan, np.float32)}, "scale_m"),
+        ({"scale_m": np.full(9999, 1.0, np.float32)}, "scale_m"),
     ],
 )
-def test_correctives_that_move_nothing_or_too_far_are_not_written(tmp_path, hand, change, named):
+def test_correctives_of_other_vertices_or_that_reach_too_far_are_not_written(tmp_path, hand, change, named):
     own = moving(hand).detail
     if "scale_m" in change:
         change = {"scale_m": change["scale_m"][: len(own.position_m)]}

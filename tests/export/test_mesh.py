@@ -147,6 +147,14 @@ def test_a_picture_of_the_name_of_a_texture_is_not_replaced(tmp_path, name):
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"hand.{name}" for name in written]
 
 
+def test_frames_written_in_parts_share_the_pictures_of_the_relief(tmp_path):
+    detail = replace(detail_of(np.full((64, 64, 3), 128, np.uint8)), relief=Relief(np.zeros((64, 64, 2), np.int8)))
+    avatar, motion = replace(small_avatar(), detail=detail), lively_motion(Handedness.RIGHT, 2)
+    for frame in range(2):
+        export_meshes(tmp_path, avatar, motion, FrameFiles(suffix="obj"), frames=range(frame, frame + 1))
+    assert [path.name for path in sorted(tmp_path.glob("*.obj"))] == ["hand.0000.obj", "hand.0001.obj"]
+
+
 def test_one_pose_of_a_motion_can_be_had_from_the_command_line(tmp_path, capsys):
     words = ["export", "mesh-ply", "--poses", "open,fist", "--avatar", "painted", "--frames", "3"]
     assert main([*words, "--out", str(tmp_path)]) == 0

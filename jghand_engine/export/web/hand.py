@@ -15,7 +15,7 @@ from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MI
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, products
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
-from jghand_engine.avatar.detail_correctives import NUMBERS, SIMPLE
+from jghand_engine.avatar.detail_correctives import NUMBERS, SIMPLE, angle_numbers
 from jghand_engine.avatar.detail_mips import filled, with_rings
 from jghand_engine.avatar.detail_storage import differences, height_differences
 from jghand_engine.avatar.lamp_rows import LIMITS
@@ -204,7 +204,7 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
     powers = [detail_power(avatar, in_scene=in_scene) for in_scene in (False, True)]
     return {
         "tasks": {"surface": task_in_words(surface), "hands": task_in_words(hand), "task": task_in_words(task)},
-        "products": products(SIMPLE, NUMBERS),
+        "products": products(SIMPLE, NUMBERS), "rest": angle_numbers(avatar.canonical_angles_rad).ravel().tolist(),
         "size": detail.size, "log_ratios_max": [power * LOG_RATIO_MAX for power in powers], "depth_m": detail.depth_m,
         "fades_m": [FADE_FROM_M, FADE_TO_M], "graze_max": GRAZE_MAX, "alphas": [ALPHA_FROM, ALPHA_TO],
         "mixes": [MIX_FROM, MIX_TO], "relief": relief,

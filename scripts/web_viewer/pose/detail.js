@@ -3,9 +3,9 @@
 import { posedJoints } from './capsules.js';
 
 export class Detail {
-  constructor({ size, relief, tasks, products }, { memory, kernels }) {
+  constructor({ size, relief, tasks, products, rest }, { memory, kernels }) {
     const { views, pointers } = memory;
-    Object.assign(this, { relief, views, pointers, kernels, products, fields: tasks.surface.fields });
+    Object.assign(this, { relief, views, pointers, kernels, products, rest, fields: tasks.surface.fields });
     for (const [name, task] of Object.entries(tasks)) this[name] = memory.task(`detail.${name}`, task, 'detail.');
     if (kernels.jg_detail_task_bytes() !== this.task.byteLength || kernels.jg_detail_hand_bytes() !== this.hands.byteLength)
       throw new Error('hand.js and pose.js are of different versions of JGHand. Export the folder anew.');
@@ -22,7 +22,7 @@ export class Detail {
     floats.set(joints.slice(0, 3), fields['skin.shift']);
     floats[fields['skin.scale']] = views.scale[0];
     floats[fields['skin.inverse_scale']] = 1 / Math.max(views.scale[0], 1.17549435e-38);
-    if (numbers) numbers.set(angleNumbers(views.angles, this.products));
+    if (numbers) numbers.set(angleNumbers(views.angles, this.products).map((number, k) => number - this.rest[k]));
     this.kernels.jg_detail_vertices(pointers['detail.task']);
     if (relief) this.bend();
   }
