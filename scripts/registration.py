@@ -12,13 +12,14 @@ import numpy as np
 from other_person import Somebody
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
-from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives, angle_changes
+from jghand_engine.avatar.detail_correctives import NUMBERS, DetailCorrectives, angle_numbers
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.template.reshape import pulled_back
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import vertex_normals
 
@@ -60,10 +61,8 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         # vertices of a coarser mesh come first
         skin_m = surface.posed(vertices_m, bent)[: len(weights)]
         bones = skeleton.bones(joints_m, np.float64)
-        maps = np.einsum("vb,bij->vij", weights, bones.linear_offset)
-        linear = maps[..., :3]
-        back = np.linalg.solve(linear, (skin_m - bones.root_m - maps[..., 3])[..., None])[..., 0]
-        rest_m.append(back + skeleton.canonical_root_m)
+        rest_m.append(pulled_back(skeleton, skin_m, weights, joints_m))
+        linear = np.einsum("vb,bij->vij", weights, bones.linear_offset[..., :3])
         # by how much the kernel scales an offset less than skinning does a place
         turn.append(np.cbrt(np.maximum(np.abs(np.linalg.det(linear)) / bones.scale**3, BLEND_DET_MIN)))
         angles_rad.append(bones.angles_rad)
@@ -72,7 +71,7 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
     part = part * part * (3 - 2 * part)
     mean_m = np.mean(rest_m, 0)
     wanted_m = part * (np.stack(rest_m) - mean_m) * np.stack(turn)[..., None]
-    changes = angle_changes(np.stack(angles_rad), avatar.canonical_angles_rad)
+    changes = angle_numbers(np.stack(angles_rad)) - angle_numbers(avatar.canonical_angles_rad)
     constant_m, correctives = _fit(changes, detail.bone_weights, wanted_m)
     moved_m = part * (mean_m - detail.position_m) + constant_m
     outwards = vertex_normals(detail.position_m.astype(np.float64), detail.faces)

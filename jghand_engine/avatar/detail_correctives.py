@@ -20,6 +20,7 @@ from jghand_engine.hand.skeleton import ANGLE_COUNT
 SIMPLE = 7
 # ... of which products of two of the first four follow: more of them brought a twentieth
 NUMBERS = SIMPLE + 10
+_FIRST, _SECOND = products(SIMPLE, NUMBERS)
 # bones 0 to 5 are the palm's
 _PALM_BONES, _FINGER_ANGLES = 6, 30
 
@@ -27,7 +28,7 @@ _PALM_BONES, _FINGER_ANGLES = 6, 30
 @dataclass(frozen=True)
 class DetailCorrectives:
     """offset = scale sum_k (sum_i W_i changes_ik) direction_k in canonical axes, which turns with the skin as those of
-    Gaussians do: none of the canonical hand.
+    Gaussians do. changes: what the `angle_numbers` of a pose have more than those of the canonical hand.
 
     direction: (V, NUMBERS, 3) int8
     scale_m:   (V,) float32, meters
@@ -41,7 +42,7 @@ class DetailCorrectives:
         return DetailCorrectives(self.direction[vertices], self.scale_m[vertices])
 
     def offset_m(self, bone_weights: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """(V, 3) canonical axes, meters, of vertices of weights (V, 21) in a pose of `angle_changes` (21, NUMBERS)."""
+        """(V, 3) canonical axes, meters, of vertices of weights (V, 21) in a pose of changes (21, NUMBERS)."""
         mixed = bone_weights.astype(np.float64) @ changes
         return self.scale_m[:, None] * np.einsum("vk,vkc->vc", mixed, self.direction.astype(np.float64))
 
@@ -53,11 +54,6 @@ class DetailCorrectives:
         return {"direction": blocks.blocked(direction, np.int8), "constant": blocks.blocked(constant)}
 
 
-def angle_changes(angles_rad: np.ndarray, rest_rad: np.ndarray) -> np.ndarray:
-    """(..., 21, NUMBERS) what the numbers of a pose, of its (..., 37) angles, have more than those at rest (37,)."""
-    return angle_numbers(angles_rad) - angle_numbers(rest_rad)
-
-
 def angle_numbers(angles_rad: np.ndarray) -> np.ndarray:
     """(..., 21, NUMBERS) what the bones say of a pose, of its (..., 37) angles."""
     fingers = np.moveaxis(angles_rad[..., :_FINGER_ANGLES].reshape(*angles_rad.shape[:-1], 3, 5, 2), -2, -3)
@@ -65,6 +61,5 @@ def angle_numbers(angles_rad: np.ndarray) -> np.ndarray:
     numbers = np.zeros((*angles_rad.shape[:-1], JOINT_COUNT, NUMBERS))
     numbers[..., :_PALM_BONES, :SIMPLE] = angles_rad[..., None, _FINGER_ANGLES:ANGLE_COUNT]
     numbers[..., _PALM_BONES:, : SIMPLE - 1] = np.concatenate([of_finger] * 3, -2)
-    first, second = products(SIMPLE, NUMBERS)
-    numbers[..., SIMPLE:] = numbers[..., first] * numbers[..., second]
+    numbers[..., SIMPLE:] = numbers[..., _FIRST] * numbers[..., _SECOND]
     return numbers

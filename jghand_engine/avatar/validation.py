@@ -90,23 +90,17 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
             "detail texture": (detail.texture, (side, side, 3), 0, 255),
         },
     )
+    of_bytes: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {}
     if detail.relief is not None:
-        height = detail.relief.height
-        if height.dtype != np.int8:
-            raise InputError(f"{thing}: relief", wanted="signed bytes", came=str(height.dtype), remedy=REMEDY)
-        _check_ranges(thing, {"detail relief": (height, (side, side, 2), -128, 127)})
+        of_bytes["relief"] = (detail.relief.height, (side, side, 2))
     if detail.correctives is not None:
-        direction, scale_m = detail.correctives.direction, detail.correctives.scale_m
-        if direction.dtype != np.int8:
-            raise InputError(f"{thing}: direction", wanted="signed bytes", came=str(direction.dtype), remedy=REMEDY)
-        most_m = AVATAR_REACH_M / 127
-        _check_ranges(
-            thing,
-            {
-                "detail direction": (direction, (vertices, NUMBERS, 3), -128, 127),
-                "detail scale_m": (scale_m, (vertices,), 0.0, most_m),
-            },
-        )
+        of_bytes["direction"] = (detail.correctives.direction, (vertices, NUMBERS, 3))
+        most_m = AVATAR_REACH_M / np.iinfo(np.int8).max
+        _check_ranges(thing, {"detail scale_m": (detail.correctives.scale_m, (vertices,), 0.0, most_m)})
+    for name, (values, shape) in of_bytes.items():
+        if values.dtype != np.int8:
+            raise InputError(f"{thing}: {name}", wanted="signed bytes", came=str(values.dtype), remedy=REMEDY)
+        _check_ranges(thing, {f"detail {name}": (values, shape, -128, 127)})
     total = detail.bone_weights.sum(1, dtype=np.float64)
     off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "detail bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total, "vertex")

@@ -18,7 +18,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
-from jghand_engine.avatar.detail_correctives import NUMBERS, angle_changes
+from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import Bend, finger_shares
@@ -52,7 +52,7 @@ _LOG2_PER_CHANNEL = LOG_RATIO_MAX / RATIO_STEPS / STEPS_PER_BYTE / np.log(2.0) *
 class DetailedHand:
     """detail: of an avatar · power: of its ratios, see `detail_power` · joints_m: (21, 3) canonical, meters · weights:
     (V, maps) of all maps that move its surface · light: around its vertices, where it has a relief that light falls
-    on · rest_rad: (37,) angles of the canonical hand, for correctives"""
+    on · rest: (21, NUMBERS) `angle_numbers` of the canonical hand, where it has correctives"""
 
     detail: Detail
     power: float
@@ -60,7 +60,7 @@ class DetailedHand:
     handedness: Handedness
     weights: np.ndarray
     light: LightAround | None = None
-    rest_rad: np.ndarray | None = None
+    rest: np.ndarray | None = None
 
     @classmethod
     def of(cls, avatar: HandAvatar, power: float, poser: Poser | None = None) -> DetailedHand:
@@ -70,18 +70,18 @@ class DetailedHand:
             raise InputError("detail of a hand", wanted="an avatar with one", came=avatar.info.name)
         weights = avatar.map_weights(detail.position_m, detail.bone_weights)
         light = None if poser is None or detail.relief is None else poser.light_around(detail.position_m)
-        rest_rad = None if detail.correctives is None else avatar.canonical_angles_rad
-        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, light, rest_rad)
+        rest = None if detail.correctives is None else angle_numbers(avatar.canonical_angles_rad)
+        return cls(detail, power, avatar.canonical_joints_m, avatar.handedness, weights, light, rest)
 
     def posed_m(self, bones: Bones) -> np.ndarray:
         """(V, 3) where a pose has the vertices, meters: as the kernel moves them, in float64."""
         maps = np.einsum("vb,bij->vij", self.weights, bones.linear_offset)
         linear, rest_m = maps[..., :3], self.detail.position_m - self.joints_m[0]
         posed_m = np.einsum("vij,vj->vi", linear, rest_m) + maps[..., 3] + bones.root_m
-        if self.detail.correctives is not None and self.rest_rad is not None:
+        if self.detail.correctives is not None and self.rest is not None:
             linear_1 = linear / max(bones.scale, float(np.finfo(np.float32).tiny))
             size = np.cbrt(np.maximum(np.abs(np.linalg.det(linear_1)), BLEND_DET_MIN))
-            changes = angle_changes(bones.angles_rad, self.rest_rad)
+            changes = angle_numbers(bones.angles_rad) - self.rest
             offset_m = self.detail.correctives.offset_m(self.detail.bone_weights, changes)
             posed_m += np.einsum("vij,vj->vi", linear / size[:, None, None], offset_m)
         return posed_m
@@ -173,8 +173,8 @@ class _Hand:
         self._skin = self._surface.skin
         set_pointers(self._skin, self._skin_arrays)
         self._numbers, self._correctives = aligned_zeros((hand.weights.shape[1], NUMBERS)), {}
-        self._rest_rad = hand.rest_rad
-        if detail.correctives is not None and hand.rest_rad is not None:
+        self._rest = hand.rest
+        if detail.correctives is not None and hand.rest is not None:
             self._correctives = detail.correctives.arrays(blocks) | {"numbers": self._numbers}
             self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
             set_pointers(self._surface, self._correctives)
@@ -184,7 +184,7 @@ class _Hand:
         corner = faces.in_rows(np.argsort(blocks.order)[detail.faces], np.int32)
         texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1)
         groups, boxes = faces.count, -(-faces.count // LANES) * LANES
-        is_lit = hand.light is not None and detail.relief is not None
+        slopes = None if hand.light is None else detail.slopes
         self._arrays = {
             "vertex": aligned_zeros((3, blocks.rows)),
             "corner": np.ascontiguousarray(corner.reshape(groups, LANES, 3).swapaxes(1, 2)),
@@ -192,7 +192,7 @@ class _Hand:
             "planes": aligned_zeros((groups * LANES, FACE_VECTORS, LANES)),
             "bounds": aligned_zeros((groups, 4, LANES), np.int32),
             "box": aligned_zeros((4, boxes), np.int32),
-            "texels": detail.texels if is_lit else np.ascontiguousarray(detail.mips.texels),
+            "texels": np.ascontiguousarray(detail.mips.texels) if slopes is None else detail.texels,
         }
         # what is beyond the last group touches nothing
         self._arrays["box"][::2], self._arrays["box"][1::2] = np.iinfo(np.int32).max, -1
@@ -205,8 +205,8 @@ class _Hand:
             facing=facing,
         )
         self.range_m, self.rise_m, self._bend = 0.0, 0.0, None
-        if is_lit and hand.light is not None and detail.slopes is not None:
-            self.range_m = detail.slopes.step_m * BYTES
+        if hand.light is not None and slopes is not None:
+            self.range_m = slopes.step_m * BYTES
             self._bend = Bend(detail.position_m, finger_shares(detail.bone_weights), hand.joints_m)
             # keeps what the task points to
             self._light = hand.light
@@ -231,8 +231,8 @@ class _Hand:
         # the inverse of a hand without size is finite, as the Gaussians' is
         inverse_scale = 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
         self._skin.shift, self._skin.scale, self._skin.inverse_scale = tuple(shift_m), bones.scale, inverse_scale
-        if self._rest_rad is not None:
-            self._numbers[:JOINT_COUNT] = angle_changes(bones.angles_rad, self._rest_rad)
+        if self._rest is not None:
+            self._numbers[:JOINT_COUNT] = angle_numbers(bones.angles_rad) - self._rest
         if self._bend is not None:
             joints_m = posed_joints_m(bones.linear_offset, self._joints_m)
             bent = self._bend.of_joints(joints_m[None])[0].astype(np.float32)
