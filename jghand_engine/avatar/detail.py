@@ -42,6 +42,8 @@ class Detail:
     depth_m:      how far the blended depth of the Gaussians lies below the surface
     relief:       what turns with the light, of as many texels; None for none
     correctives:  what the pose changes beyond skinning; None for nothing
+    ends_hand:    whether the surface is so near the skin, in all poses, that pictures end where it does
+    whole:        (V,) float32, 0..1, how much of the hand is shown there, where it fades away; None: all of it
     """
 
     position_m: np.ndarray
@@ -52,6 +54,8 @@ class Detail:
     depth_m: float
     relief: Relief | None = None
     correctives: DetailCorrectives | None = None
+    ends_hand: bool = False
+    whole: np.ndarray | None = None
 
     @property
     def size(self) -> int:

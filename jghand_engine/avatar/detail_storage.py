@@ -58,7 +58,7 @@ DEFLATED_MAX = 1.001
 # 9 takes twice as long for less than a hundredth
 DEFLATE_LEVEL = 6
 # what a detail need not have
-_MAY_LACK = ("relief_bytes", "direction_bytes")
+_MAY_LACK = ("relief_bytes", "direction_bytes", "ends_hand")
 # no hand's vertices are farther from the template's origin, meters
 BOX_MAX_M = 10.0
 
@@ -67,7 +67,7 @@ BOX_MAX_M = 10.0
 class DetailAbout:
     """What the JSON says. size: of the texture · texture_bytes: of the deflated one · box_m: of the vertices, low and
     high corner · relief_bytes: as of the texture, 0 of no relief · direction_bytes: of the correctives, 0 of
-    none"""
+    none · ends_hand: as of Detail"""
 
     vertices: int
     faces: int
@@ -77,6 +77,7 @@ class DetailAbout:
     box_m: list[list[float]]
     relief_bytes: int = 0
     direction_bytes: int = 0
+    ends_hand: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; of a detail without a relief or correctives as it was before there were any."""
@@ -100,7 +101,8 @@ class DetailAbout:
             "relief_bytes": _deflated_max(2, size**2),
             "direction_bytes": _deflated_max(3 * NUMBERS, about.vertices),
         }
-        return replace(about, **{name: of.count(name, 1, most[name]) for name in _MAY_LACK if name in of.fields})
+        sizes = {name: of.count(name, 1, limit) for name, limit in most.items() if name in of.fields}
+        return replace(about, **sizes, ends_hand=of.flag("ends_hand", False))
 
 
 def _deflated_max(channels: int, places: int) -> int:
@@ -140,8 +142,9 @@ def pack_detail(detail: Detail, storage: Storage) -> tuple[dict[str, np.ndarray]
         packed["weight_bone"], packed["weight"] = largest_weights(weights)
         packed["face_uv"] = np.rint(detail.face_uv * np.float64(UINT16_MAX)).astype(np.uint16)
     about = DetailAbout(
-        len(position_m), len(detail.faces), detail.size, len(packed["texture"]), float(detail.depth_m), box_m
-    )
+        len(position_m), len(detail.faces), detail.size, len(packed["texture"]), float(detail.depth_m), box_m,
+        ends_hand=detail.ends_hand,
+    )  # fmt: skip
     if detail.relief is not None:
         packed["relief"] = _deflated(height_differences(detail.relief.height))
         about = replace(about, relief_bytes=len(packed["relief"]))
@@ -176,6 +179,7 @@ def unpack_detail(packed: dict[str, np.ndarray], about: DetailAbout, thing: str)
         depth_m=about.depth_m,
         relief=_relief(own["relief"], about.size, thing) if about.relief_bytes else None,
         correctives=_correctives(own, about.vertices, thing) if about.direction_bytes else None,
+        ends_hand=about.ends_hand,
     )
 
 

@@ -10,8 +10,8 @@ order; the engine's level order ends here.
 
 A trained avatar has format_version 2, a description `learnt` and the arrays of `learned_storage`. One that was learned
 in known light has version 3: older JGHands refuse it, who would draw its albedo as its colors. One with a detail,
-trained or not, has version 4, a description `detail` and the arrays of `detail_storage`; one whose detail has a relief
-or correctives version 5. Avatars that were not trained are still written as version 1.
+trained or not, has version 4, a description `detail` and the arrays of `detail_storage`; one whose detail has a relief,
+correctives, or the hand's end version 5. Avatars that were not trained are still written as version 1.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_expon
 from jghand_engine.json_files import JsonObject
 
 FORMAT_VERSION = 5
-# the newest without a relief or correctives of a detail, without a detail, without a known light, and without anything
-# learned
+# the newest without what came last of a detail (a relief, correctives, the hand's end), without a detail, without a
+# known light, and without anything learned
 DETAIL_VERSION, LIT_VERSION, LEARNED_VERSION, PAINTED_VERSION = 4, 3, 2, 1
 METADATA_KEY = "jghand"
 
@@ -278,7 +278,8 @@ def _is_linear(avatar: HandAvatar) -> bool:
 
 def _version(avatar: HandAvatar) -> int:
     if avatar.detail is not None:
-        is_old = avatar.detail.relief is None and avatar.detail.correctives is None
+        detail = avatar.detail
+        is_old = detail.relief is None and detail.correctives is None and not detail.ends_hand
         return DETAIL_VERSION if is_old else FORMAT_VERSION
     if avatar.learned is None:
         return PAINTED_VERSION

@@ -4,6 +4,9 @@
 //   set up   per face the planes of what is interpolated, and what it may touch; groups of sixteen neighbors
 //   shade    per tile: the nearest face of each pixel, then the texture there; or the faces are told, for learning
 //
+// A surface that is where the skin is ends the hand: alpha becomes the part of a pixel that it covers. Gaussians end
+// within their own width, and skin closer than that.
+//
 // A relief is light that falls on skin of another slope: vertices ask how the light turns with their normal, and pixels
 // multiply that by how their own leans.
 //
@@ -23,10 +26,13 @@ struct DetailHand {
   const LearnedTask* surface;  // of the vertices: their skin, and linear correctives of their places or none
   float* vertex;             // (3, 16 blocks): x, y px, near
   const int32_t* corner;     // (groups, 3, 16): rows of vertices
+  const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
+  const float* whole;        // (16 blocks): 0..1, how much of the hand is shown there; below 1 alpha is not filled up
   float* planes;             // (16 groups, 3, 16): see `Plane`
-  int32_t* bounds;           // (groups, 4, 16): pixels x0, x1, y0, y1 of each face, both ends included; x0 > x1: none
-  int32_t* box;              // (4, groups up to 16): the same of a group
+  int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
+                             // ends included, and whether it may be at an outline
+  int32_t* box;              // (4, groups up to 16): the same of a group; x1 < 0: none of its faces is seen
   const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing; with a
                              // relief a second word each, four signed bytes: rise by column and row, straight, then bent
   int32_t size_log2, groups;
@@ -56,6 +62,7 @@ struct DetailTask {
   float fx, fy, cx, cy, z_near;
   float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
   float graze_max;             // lengths along a ray that grazes the surface are longer by this factor at most
+  float outline;               // 0..1: how much of alpha is what the surfaces cover
   int32_t hand_count, width, height, orthographic;
 };
 
@@ -74,13 +81,20 @@ constexpr float AHEAD_PX = 4;         // so many rows before their turn texels a
 constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far before the end of the square, where the
                                                  // last texel counts wholly but for rounding, and one more is never read
 constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
-constexpr int PICTURE_PLANES = 5;
+constexpr int PICTURE_PLANES = 5, ALPHA = 3, DEPTH = 4;
+constexpr int BOUNDS = 5, AT_OUTLINE = 4;
+constexpr float FILLED_FROM = 1.f / 64;  // alpha from which on a pixel is the hand's wholly: enough to know its color
+// of a pixel covered by a face: four rows of four, in the middle of the sixteenths of its area
+const vf SAMPLE_X = {-.375f, -.125f, .125f, .375f, -.375f, -.125f, .125f, .375f,
+                     -.375f, -.125f, .125f, .375f, -.375f, -.125f, .125f, .375f};
+const vf SAMPLE_Y = {-.375f, -.375f, -.375f, -.375f, -.125f, -.125f, -.125f, -.125f,
+                     .125f, .125f, .125f, .125f, .375f, .375f, .375f, .375f};
 
-// What is kept of a face. First what is affine on the image: near; the texture's column and row times it; of relief the
-// light's change with a rise by column and by row, its change along the normal, and the bend; and corners' shares. Each
-// has its value at the first corner, and by how much it changes by x and by y, in a vector each: three that lie together.
+// What is kept of a face. First what is affine on the image: near; the texture's column and row times it; how much is
+// shown; of relief the light's change with a rise by column and by row, its change along the normal, and the bend; and
+// corners' shares. Each has its value at the first corner, and by how much it changes by x and by y, in a vector each: three that lie together.
 // Behind the values stand that corner, and squares of what a rise by column and row tilts.
-enum Plane { NEAR, U, V, BY_U, BY_V, ALONG, BEND, SHARE_0, SHARE_1, SHARE_2, X, Y, UU, UV, VV };
+enum Plane { NEAR, U, V, WHOLE, BY_U, BY_V, ALONG, BEND, SHARE_0, SHARE_1, SHARE_2, X, Y, UU, UV, VV };
 constexpr int BY_X = LANES, BY_Y = 2 * LANES, FACE_NUMBERS = 3 * LANES;
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
@@ -189,8 +203,9 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   const int64_t rows = LANES * (int64_t)hand.surface->skin.blocks;
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
   vf x[3], y[3], near[3];
+  vi row_of_corner[3];
   for (int k = 0; k < 3; k++) {
-    vi row;
+    vi& row = row_of_corner[k];
     memcpy(&row, hand.corner + (3 * (int64_t)group + k) * LANES, sizeof row);
     x[k] = gather(hand.vertex, row), y[k] = gather(hand.vertex + rows, row), near[k] = gather(hand.vertex + 2 * rows, row);
   }
@@ -198,13 +213,27 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   vi first_x, last_x, first_y, last_y;
   centers(min(min(x[0], x[1]), x[2]), max(max(x[0], x[1]), x[2]), t.width, first_x, last_x);
   centers(min(min(y[0], y[1]), y[2]), max(max(y[0], y[1]), y[2]), t.height, first_y, last_y);
-  const vi seen = (area * hand.facing > AREA_MIN_PX2) & (first_x <= last_x) & (first_y <= last_y);
+  vf whole[3];
+  for (int k = 0; k < 3; k++) whole[k] = gather(hand.whole, row_of_corner[k]);
+  vi seen = area * hand.facing > AREA_MIN_PX2, at_outline = all(0);
+  if (t.outline > 0) {
+    for (int k = 0; k < 3; k++) {
+      vi across;
+      memcpy(&across, hand.opposite + (3 * (int64_t)group + k) * LANES, sizeof across);
+      const int next = (k + 1) % 3;
+      const vf dx = gather(hand.vertex, across) - x[k], dy = gather(hand.vertex + rows, across) - y[k];
+      const vf beyond = dx * (y[next] - y[k]) - (x[next] - x[k]) * dy;
+      at_outline |= ~((beyond > 0) & (area > 0)) & ~((beyond < 0) & (area < 0));
+    }
+  } else {
+    seen &= (first_x <= last_x) & (first_y <= last_y);
+  }
   const vi nowhere = all((int32_t)INT32_MAX);
   first_x = seen ? first_x : nowhere, last_x = seen ? last_x : all(-1);
   first_y = seen ? first_y : nowhere, last_y = seen ? last_y : all(-1);
-  int32_t* bounds = hand.bounds + 4 * LANES * (int64_t)group;
+  int32_t* bounds = hand.bounds + BOUNDS * LANES * (int64_t)group;
   store(bounds, first_x), store(bounds + LANES, last_x), store(bounds + 2 * LANES, first_y);
-  store(bounds + 3 * LANES, last_y);
+  store(bounds + 3 * LANES, last_y), store(bounds + AT_OUTLINE * LANES, at_outline);
   int32_t box[4] = {INT32_MAX, -1, INT32_MAX, -1};
   for (int i = 0; i < LANES; i++) {
     if (bounds[i] < box[0]) box[0] = bounds[i];
@@ -214,7 +243,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   }
   const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
   for (int k = 0; k < 4; k++) hand.box[k * stride + group] = box[k];
-  if (box[1] < 0) return;
+  if (!bit_mask(seen)) return;
   Faces faces = {};
   const vf inverse = 1.f / select(seen, area, all(1.f));
   faces.share_x[0] = y2 * inverse, faces.share_y[0] = -x2 * inverse;
@@ -227,7 +256,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
     faces.at[plane] += EDGE_PX * sqrt(by_x * by_x + by_y * by_y);
   }
   faces.at[X] = x[0], faces.at[Y] = y[0];
-  set_plane(faces, NEAR, near);
+  set_plane(faces, NEAR, near), set_plane(faces, WHOLE, whole);
   for (int k = 0; k < 2; k++) {
     vf w[3];
     for (int i = 0; i < 3; i++) w[i] = load(uv + LANES * (2 * i + k)) * (t.orthographic ? all(1.f) : near[i]);
@@ -245,13 +274,17 @@ struct Surface {
   // with room for a vector that begins at the last column
   alignas(64) float near[TILE_Y][TILE_X + LANES];
   alignas(64) int32_t face[TILE_Y][TILE_X + LANES];  // its number and its hand's; -1: none
+  uint64_t doubted[TILE_Y];                       // bits of pixels that the surface may cover in part
+  uint16_t samples[TILE_Y][TILE_X];               // of these, which samples of a pixel it covers
   int32_t x, y;
   bool is_clear;  // whether anything stands above: in most tiles nothing is seen
 };
+static_assert(TILE_X == 64 && LANES == 16, "a row of pixels is a word, samples of a pixel are a vector");
 
 void clear(Surface& tile) {
   const vf nothing = all(-3.0e38f);
   const vi no_face = all(-1);
+  memset(tile.doubted, 0, sizeof tile.doubted), memset(tile.samples, 0, sizeof tile.samples);
   for (int y = 0; y < TILE_Y; y++)
     for (int x = 0; x < TILE_X; x += LANES) store(&tile.near[y][x], nothing), store(&tile.face[y][x], no_face);
   tile.is_clear = true;
@@ -282,31 +315,79 @@ JG_INLINE void cover_face(Surface& tile, const float* face, int32_t number, int3
   }
 }
 
-void cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
+// Where a face is in a tile: centers of pixels, both ends included; none where the first is beyond the last.
+struct Span {
+  int32_t x0, x1, y0, y1;
+};
+
+// Calls act(number of a face, its place) for all faces of a hand that reach into the tile, or to `around` pixels before.
+template <typename Act>
+JG_INLINE void each_face(const Surface& tile, const DetailHand& hand, int32_t around, Act act) {
   const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
-  const int32_t right = tile.x + TILE_X - 1, bottom = tile.y + TILE_Y - 1;
+  const vi left = all(tile.x - around), right = all(tile.x + TILE_X - 1 + around);
+  const vi top = all(tile.y - around), bottom = all(tile.y + TILE_Y - 1 + around);
   const auto touching = [&](const int32_t* p, int64_t step) __attribute__((always_inline)) {
     vi x0, x1, y0, y1;
     memcpy(&x0, p, sizeof x0), memcpy(&x1, p + step, sizeof x1);
     memcpy(&y0, p + 2 * step, sizeof y0), memcpy(&y1, p + 3 * step, sizeof y1);
-    return bit_mask((x0 <= right) & (x1 >= tile.x) & (y0 <= bottom) & (y1 >= tile.y));
+    return bit_mask((x0 <= right) & (x1 >= left) & (y0 <= bottom) & (y1 >= top));
   };
   for (int32_t sixteen = 0; sixteen < hand.groups; sixteen += LANES) {
     for (uint32_t groups = touching(hand.box + sixteen, stride); groups; groups &= groups - 1) {
       const int32_t group = sixteen + __builtin_ctz(groups);
-      const int32_t* bounds = hand.bounds + 4 * LANES * (int64_t)group;
-      uint32_t faces = touching(bounds, LANES);
-      if (faces && !tile.is_clear) clear(tile);
-      for (; faces; faces &= faces - 1) {
+      const int32_t* bounds = hand.bounds + BOUNDS * LANES * (int64_t)group;
+      for (uint32_t faces = touching(bounds, LANES); faces; faces &= faces - 1) {
         const int i = __builtin_ctz(faces);
-        const int32_t x0 = bounds[i] - tile.x, x1 = bounds[LANES + i] - tile.x;
-        const int32_t y0 = bounds[2 * LANES + i] - tile.y, y1 = bounds[3 * LANES + i] - tile.y;
-        const int32_t row = LANES * group + i;
-        cover_face(tile, hand.planes + FACE_NUMBERS * (int64_t)row, number << FACE_BITS | row,
-                   x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0, y1 < TILE_Y ? y1 : TILE_Y - 1);
+        const int32_t x0 = bounds[i] - tile.x - around, x1 = bounds[LANES + i] - tile.x + around;
+        const int32_t y0 = bounds[2 * LANES + i] - tile.y - around, y1 = bounds[3 * LANES + i] - tile.y + around;
+        act(LANES * group + i, Span{x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0,
+                                    y1 < TILE_Y ? y1 : TILE_Y - 1}, bounds[AT_OUTLINE * LANES + i]);
       }
     }
   }
+}
+
+void cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
+  each_face(tile, hand, 0, [&](int32_t row, const Span& at, int32_t) __attribute__((always_inline)) {
+    if (!tile.is_clear) clear(tile);
+    const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
+    cover_face(tile, face, number << FACE_BITS | row, at.x0, at.x1, at.y0, at.y1);
+  });
+}
+
+// Bits of the columns of a span.
+JG_INLINE uint64_t columns_of(const Span& at) { return (~0ull >> (TILE_X - 1 - (at.x1 - at.x0))) << at.x0; }
+
+void doubt_outlines(Surface& tile, const DetailHand& hand) {
+  each_face(tile, hand, 1, [&](int32_t, const Span& at, int32_t at_outline) __attribute__((always_inline)) {
+    if (!at_outline) return;
+    if (!tile.is_clear) clear(tile);
+    for (int32_t y = at.y0; y <= at.y1; y++) tile.doubted[y] |= columns_of(at);
+  });
+}
+
+// Finds which samples of doubted pixels a hand covers. Where no face covers the center of one, it gets one of those that
+// cover some of it.
+void sample_hand(Surface& tile, const DetailHand& hand, int32_t number) {
+  each_face(tile, hand, 1, [&](int32_t row, const Span& at, int32_t) __attribute__((always_inline)) {
+    const float *face = hand.planes + FACE_NUMBERS * (int64_t)row, *by_x = face + BY_X, *by_y = face + BY_Y;
+    vf share[3];
+    for (int k = 0; k < 3; k++) {
+      const int plane = SHARE_0 + k;
+      share[k] = face[plane] + SAMPLE_X * by_x[plane] + SAMPLE_Y * by_y[plane];
+    }
+    for (int32_t y = at.y0; y <= at.y1; y++) {
+      for (uint64_t pixels = tile.doubted[y] & columns_of(at); pixels; pixels &= pixels - 1) {
+        const int x = __builtin_ctzll(pixels);
+        const float dx = (float)(tile.x + x) + 0.5f - face[X], dy = (float)(tile.y + y) + 0.5f - face[Y];
+        vf least = share[0] + (dx * by_x[SHARE_0] + dy * by_y[SHARE_0]);
+        for (int k = 1; k < 3; k++) least = min(least, share[k] + (dx * by_x[SHARE_0 + k] + dy * by_y[SHARE_0 + k]));
+        const uint32_t covered = bit_mask(least >= 0);
+        tile.samples[y][x] |= (uint16_t)covered;
+        if (covered && tile.face[y][x] < 0) tile.face[y][x] = number << FACE_BITS | row;
+      }
+    }
+  });
 }
 
 // Where a level of the texture lies in memory.
@@ -404,7 +485,7 @@ JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, 
     const vf dx = x - f[X];
     alignas(64) float at[LANES];
     store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
-    for (int k = NEAR; k <= (has_relief ? BEND : V); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
+    for (int k = NEAR; k <= (has_relief ? BEND : WHOLE); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
     for (int k = NEAR; k <= V; k++) {
       out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]);
       out.by_y[k] = select(same, all(f[BY_Y + k]), out.by_y[k]);
@@ -435,9 +516,8 @@ JG_INLINE vf relief_light(const DetailHand& hand, const vf at[LANES], const vf r
 
 // Multiplies the colors of sixteen pixels of a row where the face of `mine` is the nearest.
 template <bool has_relief>
-JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, vf x, float y, vf alpha,
-                     vf depth, vf color[3]) {
-  const Interpolated n = interpolate<has_relief>(hand, face, mine, x, y);
+JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpolated& n, vi mine, vf alpha, vf depth,
+                     vf color[3]) {
   const vf near = n.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
   // what lies below a surface is farther along a ray that grazes it
   const vf slope_x = n.by_x[NEAR] * t.fx * over, slope_y = n.by_y[NEAR] * t.fy * over;
@@ -474,6 +554,18 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const int32_t*
   for (int i = 0; i < 3; i++) color[i] *= light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
 }
 
+// The part of sixteen pixels that surfaces cover, of those that they cover at all.
+JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {
+  const uint64_t doubted = tile.doubted[row] >> x & 0xffff;
+  alignas(64) float part[LANES];
+  store(part, all(1.f));
+  for (uint64_t pixels = doubted; pixels; pixels &= pixels - 1) {
+    const int i = __builtin_ctzll(pixels);
+    part[i] = (1.f / LANES) * (float)__builtin_popcount(tile.samples[row][x + i]);
+  }
+  return load(part);
+}
+
 // What of a hand is the nearest in a tile.
 template <bool has_relief>
 void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
@@ -491,15 +583,41 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
       // a tile is too narrow for what prefetches by itself
       for (int k = 0; k < PICTURE_PLANES; k++) __builtin_prefetch(p + k * pixels + 2 * (int64_t)t.width);
-      const vf alpha = load_first(p + 3 * pixels, n);
-      if (!bit_mask(mine & (alpha > t.alpha_from))) continue;
-      const vf depth = load_first(p + 4 * pixels, n) * inverse(max(alpha, all(t.alpha_from)));
+      const vf alpha = load_first(p + ALPHA * pixels, n);
+      if (!bit_mask(mine & (alpha > (t.outline > 0 ? 0.f : t.alpha_from)))) continue;
+      const vf at_x = LANE + ((float)left + 0.5f);
+      const Interpolated at = interpolate<has_relief>(hand, &tile.face[row][x], mine, at_x, (float)(tile.y + row) + 0.5f);
+      const vf whole = t.outline * clamped(at.at[WHOLE]);
+      const vf filled = alpha + whole * (min(alpha * (1.f / FILLED_FROM), all(1.f)) - alpha);
+      const vf depth = load_first(p + DEPTH * pixels, n) * inverse(max(alpha, all(FILLED_FROM)));
       vf color[3];
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
-      const vf at_x = LANE + ((float)left + 0.5f);
-      const float at_y = (float)(tile.y + row) + 0.5f;
-      shade<has_relief>(t, hand, &tile.face[row][x], mine, at_x, at_y, alpha, depth, color);
+      shade<has_relief>(t, hand, at, mine, filled, depth, color);
+      if (t.outline > 0) {
+        const vf part = 1.f + t.outline * (covered_part(tile, row, x) - 1.f);
+        const vf more = select(mine & (alpha > 0), filled * part * inverse(alpha), all(1.f));
+        for (int k = 0; k < 3; k++) color[k] *= more;
+        for (int k = ALPHA; k <= DEPTH; k++) store_first(p + k * pixels, load_first(p + k * pixels, n) * more, n);
+      }
       for (int k = 0; k < 3; k++) store_first(p + k * pixels, color[k], n);
+    }
+  }
+}
+
+// Takes away what no surface covers.
+void cut_outside(const DetailTask& t, const Surface& tile) {
+  const int64_t pixels = (int64_t)t.width * t.height;
+  for (int32_t row = 0; row < TILE_Y && tile.y + row < t.height; row++) {
+    for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
+      vi outside = all(-1);
+      if (tile.is_clear) memcpy(&outside, &tile.face[row][x], sizeof outside);
+      outside = outside < 0;
+      const int32_t left = tile.x + x, n = t.width - left;
+      float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
+      if (!bit_mask(outside & (load_first(p + ALPHA * pixels, n) > 0))) continue;
+      const vf stays = select(outside, all(1.f - t.outline), all(1.f));
+      for (int k = 0; k < PICTURE_PLANES; k++)
+        store_first(p + k * pixels, load_first(p + k * pixels, n) * stays, n);
     }
   }
 }
@@ -520,6 +638,11 @@ void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   // one that is not drawn hides others all the same
   for (int32_t hand = 0; hand < t.hand_count; hand++) cover_hand(tile, t.hands[hand], hand);
   if (t.hit) return keep_hits(t, tile);
+  if (t.outline > 0) {
+    for (int32_t hand = 0; hand < t.hand_count; hand++) doubt_outlines(tile, t.hands[hand]);
+    for (int32_t hand = 0; tile.is_clear && hand < t.hand_count; hand++) sample_hand(tile, t.hands[hand], hand);
+    cut_outside(t, tile);
+  }
   for (int32_t hand = 0; tile.is_clear && hand < t.hand_count; hand++) {
     if (t.hands[hand].strength == 0) continue;
     if (t.hands[hand].learned) shade_hand<true>(t, hand, tile);

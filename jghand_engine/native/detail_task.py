@@ -8,8 +8,8 @@ import numpy as np
 
 _I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
 
-# vectors of sixteen floats that the kernel keeps of a face
-FACE_VECTORS = 3
+# vectors of sixteen floats that the kernel keeps of a face, and numbers of where it is on the image
+FACE_VECTORS, FACE_BOUNDS = 3, 5
 # a texel is three channels of so many bits in 32; the middle one is the ratio 1
 TEXEL_BITS, TEXEL_ZERO = 10, 512
 
@@ -18,7 +18,8 @@ class DetailHand(ctypes.Structure):
     """DetailHand of native/detail.cpp, field by field."""
 
     _fields_ = (
-        *((name, _P) for name in ("surface", "vertex", "corner", "corner_uv", "planes", "bounds", "box", "texels")),
+        *((name, _P) for name in ("surface", "vertex", "corner", "opposite", "corner_uv", "whole")),
+        *((name, _P) for name in ("planes", "bounds", "box", "texels")),
         *((name, _I32) for name in ("size_log2", "groups")),
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent")),
         *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope")),
@@ -32,7 +33,10 @@ class DetailTask(ctypes.Structure):
     _fields_ = (
         *((name, _P) for name in ("hands", "picture", "hit", "hit_near")),
         ("camera_from_position", ctypes.c_double * 12),
-        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to", "graze_max")),
+        *(
+            (name, _F32)
+            for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to", "graze_max", "outline")
+        ),
         *((name, _I32) for name in ("hand_count", "width", "height", "orthographic")),
     )
 

@@ -129,6 +129,7 @@ class Backend:
         # numbers of the hands that have one
         self._detailed = [place for place, avatar in enumerate(avatars) if avatar.detail is not None]
         self._detail: NativeDetail | None = None
+        self._ends_hands = all(avatar.detail is not None and avatar.detail.ends_hand for avatar in avatars)
         if self._detailed:
             self._detail = NativeDetail(
                 library,
@@ -168,7 +169,8 @@ class Backend:
         # an image that is kept has its own
         detail = self._detail if canvas.detail and not keep_image else None
         if detail is not None:
-            detail.prepare(self._planes, camera, [canvas.detail[place] for place in self._detailed])
+            strengths = [canvas.detail[place] for place in self._detailed]
+            detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands)
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)

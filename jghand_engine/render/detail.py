@@ -28,7 +28,7 @@ from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
-from jghand_engine.native.detail_task import FACE_VECTORS, TEXEL_BITS, DetailHand, DetailTask
+from jghand_engine.native.detail_task import FACE_BOUNDS, FACE_VECTORS, TEXEL_BITS, DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import CorrectiveKind
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import shared_pool
@@ -113,9 +113,11 @@ class NativeDetail:
             )
             hand.rise_m = own.scale * hand.range_m
 
-    def prepare(self, planes: np.ndarray, camera: Camera, strengths: Sequence[float]) -> None:
-        """Sets the next image, (5, H, W) as the rasterizer leaves it: its colors are changed in place.
-        strengths: 0..1 per hand"""
+    def prepare(
+        self, planes: np.ndarray, camera: Camera, strengths: Sequence[float], *, ends_hands: bool = False
+    ) -> None:
+        """Sets the next image, (5, H, W) as the rasterizer leaves it, which is changed in place.
+        strengths: 0..1 per hand · ends_hands: whether nothing is drawn that is not on one of the surfaces"""
         task, self._keep = self._task, planes
         task.picture = address(planes, np.float32, "planes", (5, camera.height, camera.width), writable=True)
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
@@ -125,6 +127,7 @@ class NativeDetail:
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
             # one that only hides others needs no light
             own.rise = hand.rise_m if strength > 0 else 0.0
+        task.outline = min(strengths) if ends_hands else 0.0
         self.team.fill(0)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -160,6 +163,37 @@ class SurfaceHits:
         return self._drawn.hits(replace(camera, camera_from_world=camera.camera_from_world @ root))
 
 
+def lid(faces: np.ndarray) -> np.ndarray:
+    """(L, 3) faces that close the holes of a surface (F, 3), each a fan of its rim's vertices."""
+    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    across = set(map(tuple, sides[:, ::-1].tolist()))
+    # seen from the other side, which vertex of a rim follows a vertex
+    following = {end: start for start, end in sides.tolist() if (start, end) not in across}
+    found = []
+    while following:
+        first, last = following.popitem()
+        while (vertex := following.pop(last)) != first:
+            found.append((first, last, vertex))
+            last = vertex
+    return np.array(found, faces.dtype).reshape(-1, 3)
+
+
+def opposite_vertices(faces: np.ndarray) -> np.ndarray:
+    """(F, 3) of faces (F, 3): the vertex across the side from each corner to the next; that corner where none is."""
+    across = {
+        (end, start): vertex
+        for corners in (faces, np.roll(faces, -1, 1), np.roll(faces, -2, 1))
+        for start, end, vertex in corners.tolist()
+    }
+    sides = zip(faces.ravel().tolist(), np.roll(faces, -1, 1).ravel().tolist(), strict=True)
+    return np.array([across.get(side, side[0]) for side in sides]).reshape(-1, 3)
+
+
+def _in_groups(faces: Blocks, rows: np.ndarray) -> np.ndarray:
+    """(groups, 3, 16) int32 of rows (F, 3) of vertices."""
+    return np.ascontiguousarray(faces.in_rows(rows, np.int32).reshape(faces.count, LANES, 3).swapaxes(1, 2))
+
+
 class _Hand:
     """One hand's arrays, and the task that points to them."""
 
@@ -178,19 +212,28 @@ class _Hand:
             self._correctives = detail.correctives.arrays(blocks) | {"numbers": self._numbers}
             self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
             set_pointers(self._surface, self._correctives)
-        # neighbors stand together; a group is filled up with faces without area
-        faces = Blocks(detail.position_m[detail.faces].mean(1))
-        self.face_of_row = faces.in_rows(np.arange(len(detail.faces)), np.int32)
-        corner = faces.in_rows(np.argsort(blocks.order)[detail.faces], np.int32)
         texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1)
+        corner, numbers = detail.faces, np.arange(len(detail.faces))
+        if detail.ends_hand:
+            # what ends a hand is closed, or one could look through it
+            corner = np.concatenate([corner, lid(corner)])
+            texture_xy, numbers = np.resize(texture_xy, (len(corner), 3, 2)), np.resize(numbers, len(corner))
+            texture_xy[len(detail.faces) :], numbers[len(detail.faces) :] = 0, -1
+        # neighbors stand together; a group is filled up with faces without area
+        faces, row_of = Blocks(detail.position_m[corner].mean(1)), np.argsort(blocks.order)
+        self.face_of_row = faces.in_rows(numbers, np.int32)
         groups, boxes = faces.count, -(-faces.count // LANES) * LANES
         slopes = None if hand.light is None else detail.slopes
         self._arrays = {
             "vertex": aligned_zeros((3, blocks.rows)),
-            "corner": np.ascontiguousarray(corner.reshape(groups, LANES, 3).swapaxes(1, 2)),
+            "corner": _in_groups(faces, row_of[corner]),
+            "opposite": _in_groups(faces, row_of[opposite_vertices(corner)]),
             "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
+            "whole": blocks.blocked(
+                (np.ones(len(detail.position_m)) if detail.whole is None else detail.whole)[:, None]
+            ),
             "planes": aligned_zeros((groups * LANES, FACE_VECTORS, LANES)),
-            "bounds": aligned_zeros((groups, 4, LANES), np.int32),
+            "bounds": aligned_zeros((groups, FACE_BOUNDS, LANES), np.int32),
             "box": aligned_zeros((4, boxes), np.int32),
             "texels": np.ascontiguousarray(detail.mips.texels) if slopes is None else detail.texels,
         }

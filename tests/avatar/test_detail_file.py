@@ -50,6 +50,14 @@ def test_a_file_returns_a_relief_as_it_is(tmp_path, in_relief, storage):
     assert np.array_equal(again.height, in_relief.detail.relief.height)
 
 
+def test_a_file_says_whether_its_detail_ends_the_hand_and_older_programs_refuse_it(tmp_path, hand):
+    for ends, version in ((True, 5), (False, 4)):
+        save_avatar(tmp_path / "hand.jghand", replace(hand, detail=replace(hand.detail, ends_hand=ends)))
+        assert load_avatar(tmp_path / "hand.jghand").detail.ends_hand is ends
+        with safetensors.safe_open(tmp_path / "hand.jghand", "numpy") as stored:
+            assert json.loads(stored.metadata()[METADATA_KEY])["format_version"] == version
+
+
 @pytest.mark.parametrize("storage", list(Storage))
 def test_a_file_returns_correctives_as_they_are(tmp_path, hand, storage):
     own = moving(hand)

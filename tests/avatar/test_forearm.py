@@ -87,6 +87,10 @@ def test_a_hidden_forearm_has_no_detail_that_would_hide_what_is_behind_it():
     assert len(hidden.face_uv) == len(hidden.faces) < len(shown.faces) <= len(skin)
     for ends_m, left in ((0.125, shown), (0.02, hidden)):
         assert ((detail.position_m @ FOREARM_WAY)[left.faces].min(1) < ends_m).all()
+        assert left.whole is not None
+        # what fades is not filled up where the surface ends the hand
+        assert left.whole[left.faces].min() < 0.2
+        assert left.whole.max() == 1
 
 
 def test_manos_hands_fade_where_theirs_end_and_unknown_ones_stay():
