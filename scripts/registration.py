@@ -19,6 +19,8 @@ from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.rotations import quaternions
+from jghand_engine.hand.sequence import palm_frames
 from jghand_engine.template.reshape import pulled_back
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import vertex_normals
@@ -30,17 +32,14 @@ POSES, SEED = 200, 1
 LEVELS = 3
 # penalty on directions, per pose and square radian: ten times more or less is worse on other poses
 RIDGE = 3e-5
-# behind the wrist Gaussians lie elsewhere than the skin, and a turn of the forearm is no angle of the hand: so far from
-# the wrist nothing is moved any more
-FADE_M = 0.03
 # vertices at once: bounds the memory to 100 MB
 AT_ONCE = 512
 STEPS = 127
 
 
 def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
-    """The avatar with the surface of its detail on the skin of a person whom its joints are those of; the forearm's
-    stays where it was.
+    """The avatar with the surface of its detail on the skin of a person whom its joints are those of, where pictures of
+    it end then.
 
     InputError for an avatar without detail, or one whose surface is not that of the person's mesh.
     """
@@ -54,31 +53,37 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         raise InputError(f"detail of {avatar.info.name}", wanted=f"the mesh of {one.identity.name}", came="another")
     surface = SkinSurface(one.identity, LEVELS, one.maps)
     posed = hand.pose(varied_poses(hand, POSES, SEED).angles_deg)
-    skeleton = avatar.for_hand(Handedness.RIGHT).skeleton()
+    skeleton, forearm = avatar.for_hand(Handedness.RIGHT).skeleton(), still_forearm(one, posed.joints_m)
     weights = avatar.map_weights(detail.position_m, detail.bone_weights).astype(np.float64)
     rest_m, turn, angles_rad = [], [], []
-    for vertices_m, joints_m, bent in zip(hand.skin(posed), posed.joints_m, surface.bent(posed.joints_m), strict=True):
+    poses = zip(hand.skin(posed), posed.joints_m, surface.bent(posed.joints_m), forearm, strict=True)
+    for vertices_m, joints_m, bent, turn_of_forearm in poses:
         # vertices of a coarser mesh come first
         skin_m = surface.posed(vertices_m, bent)[: len(weights)]
-        bones = skeleton.bones(joints_m, np.float64)
-        rest_m.append(pulled_back(skeleton, skin_m, weights, joints_m))
+        bones = skeleton.bones(joints_m, np.float64, forearm=turn_of_forearm)
+        rest_m.append(pulled_back(skeleton, skin_m, weights, joints_m, turn_of_forearm))
         linear = np.einsum("vb,bij->vij", weights, bones.linear_offset[..., :3])
         # by how much the kernel scales an offset less than skinning does a place
         turn.append(np.cbrt(np.maximum(np.abs(np.linalg.det(linear)) / bones.scale**3, BLEND_DET_MIN)))
         angles_rad.append(bones.angles_rad)
-    behind_m = (detail.position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY
-    part = np.clip(1 - behind_m / FADE_M, 0, 1)[:, None]
-    part = part * part * (3 - 2 * part)
     mean_m = np.mean(rest_m, 0)
-    wanted_m = part * (np.stack(rest_m) - mean_m) * np.stack(turn)[..., None]
+    wanted_m = (np.stack(rest_m) - mean_m) * np.stack(turn)[..., None]
     changes = angle_numbers(np.stack(angles_rad)) - angle_numbers(avatar.canonical_angles_rad)
     constant_m, correctives = _fit(changes, detail.bone_weights, wanted_m)
-    moved_m = part * (mean_m - detail.position_m) + constant_m
+    moved_m = mean_m - detail.position_m + constant_m
     outwards = vertex_normals(detail.position_m.astype(np.float64), detail.faces)
-    sunk_m = -(moved_m * outwards).sum(1)[np.unique(detail.faces[(part[detail.faces] == 1).all((1, 2))])]
+    on_hand = (detail.position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY < 0
+    sunk_m = -(moved_m * outwards).sum(1)[np.unique(detail.faces[on_hand[detail.faces].all(1)])]
     depth_m = max(detail.depth_m - float(np.median(sunk_m)), 0.0)
     place_m = (detail.position_m + moved_m).astype(np.float32)
-    return replace(avatar, detail=replace(detail, position_m=place_m, correctives=correctives, depth_m=depth_m))
+    surface = replace(detail, position_m=place_m, correctives=correctives, depth_m=depth_m, ends_hand=True)
+    return replace(avatar, detail=surface)
+
+
+def still_forearm(one: Somebody, joints_m: np.ndarray) -> np.ndarray:
+    """(P, 4) turns (`HandPose`) that keep a person's forearm where it is at rest, in poses (P, 21, 3) of its rig."""
+    at_rest, frames = palm_frames(one.identity.joints_m[None])[0], palm_frames(joints_m)[0]
+    return quaternions(frames.swapaxes(-1, -2) @ at_rest)
 
 
 def _fit(changes: np.ndarray, weights: np.ndarray, wanted_m: np.ndarray) -> tuple[np.ndarray, DetailCorrectives]:

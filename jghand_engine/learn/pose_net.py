@@ -84,7 +84,7 @@ class PoseNet(nn.Module):
         """The same network for the first `count` Gaussians; parameters are shared."""
         return self.part(slice(count))
 
-    def part(self, rows: slice) -> PoseNet:
+    def part(self, rows: slice | Tensor) -> PoseNet:
         """The same network for some of the Gaussians; parameters are shared."""
         other = PoseNet.__new__(PoseNet)
         nn.Module.__init__(other)
