@@ -336,6 +336,7 @@ def make_plan(film: Film, options: Options, about: dict) -> CapturePlan:
     return CapturePlan(
         about, json.loads(json.dumps(told)), names, pose.joints_m, hand.skin(pose).astype(np.float32),
         skin.surface.faces, skin.surface.face_uv.astype(np.float32), tuple(cameras), skin.files, skin,
+        hand.forearm(pose),
     )  # fmt: skip
 
 

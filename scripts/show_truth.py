@@ -145,6 +145,7 @@ def begun(options: Options) -> CapturePlan:
         cameras=tuple(camera(view, names, pose.joints_m, (width, height)) for view in options.views),
         files=skin.files,
         person=skin,
+        forearm=hand.forearm(pose),
     )
     pictures = {
         f"{number}/{name}": {

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, own_flesh
 from jghand_engine.avatar.relief import Relief
@@ -16,7 +16,7 @@ from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
 from jghand_engine.learn.light import LightTensors
 from jghand_engine.learn.pose_net import PoseNet
 from jghand_engine.learn.tensors import HandTensors, LearnedTensors
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import load_template, load_template_with_forearm
 
 
 def small_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
@@ -47,6 +47,16 @@ def small_tensors(count: int = 200, seed: int = 0) -> HandTensors:
         bone_weights=weights.float(),
         uvd=torch.rand(count, 3, generator=g),
     )
+
+
+def on_template(forearm: bool) -> HandAvatar:
+    """The painted hand's arrays, its first Gaussians at the vertices of a template."""
+    template = load_template_with_forearm() if forearm else load_template()
+    painted = load_painted(handedness=Handedness.RIGHT).prefix(len(template.vertices_m))
+    info, weights = replace(painted.info, template=template.identifier), template.bone_weights.astype(np.float32)
+    whole = np.ones(len(painted), np.float32)
+    rest_m = template.vertices_m.astype(np.float32)
+    return replace(painted, info=info, position_m=rest_m, opacity=whole, bone_weights=weights)
 
 
 def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None = None) -> HandAvatar:

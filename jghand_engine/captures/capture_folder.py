@@ -25,7 +25,9 @@ from jghand_engine.captures.reading import Report, find_roots, subfolders
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.wrist import unit_turns
 from jghand_engine.json_files import JsonObject
+from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.mesh import HandTemplate
 
 # the same papers leave an image out when the hand's box is nearer to the border than this or smaller, pixels; when it
@@ -36,8 +38,9 @@ PAPER_DARK = 20
 PAPER_CHANNEL_DIFFERENCE = 1
 PAPER_MASK_MIN_PX = 3000
 
-# what `jghand capture` says of its pictures, and the mark among it of those that show the forearm too
-PLAN_FILE, FOREARM = Path("plan") / "plan.json", "forearm"
+# what `jghand capture` says of its pictures and of their poses; the mark among the one of those that show the forearm
+# too, and the array among the other that says how it is turned
+PLAN_FILE, HANDS_FILE, FOREARM = Path("plan") / "plan.json", Path("plan") / "hands.npz", "forearm"
 
 _LEARN, _SHOW = "ROM04_RT_Occlusion", "ROM03_RT_No_Occlusion"
 
@@ -112,8 +115,14 @@ def open_capture(
     else:
         capture = read_interhand(place, choice, report=report)
     capture, lights = replace(capture, shows_forearm=_shows_forearm(capture.folder)), read_lights(capture.folder)
+    forearm = _forearm(capture) if capture.shows_forearm else None
     return capture.only(
-        replace(sample, template=template, light=_light(sample, lights) if lights else None)
+        replace(
+            sample,
+            template=template,
+            light=_light(sample, lights) if lights else None,
+            forearm=None if forearm is None else forearm[sample.frame],
+        )
         for sample in capture.samples
     )
 
@@ -125,6 +134,17 @@ def _shows_forearm(folder: Path) -> bool:
     plan = JsonObject.of_file(file, "Start the command that made the capture again, in another folder.")
     render = plan.object("render")
     return render is not None and render.flag(FOREARM, False)
+
+
+def _forearm(capture: Capture) -> np.ndarray | None:
+    """(P, 4) how the forearm is turned in each frame of a capture of ours; None for one of before that was known."""
+    file, thing = capture.folder / HANDS_FILE, f"the poses of the capture {capture.folder}"
+    turns = read_arrays(file, (), thing, optional=(FOREARM,)).get(FOREARM) if file.exists() else None
+    if turns is None:
+        return None
+    if turns.shape[1:] != (4,) or len(turns) <= max(sample.frame for sample in capture.samples):
+        raise InputError(f"{FOREARM} in {thing}", wanted="(poses, 4) quaternions", came=f"shape {turns.shape}")
+    return unit_turns(turns)
 
 
 def _light(sample: Sample, lights: dict[tuple[int, str], KnownLight]) -> KnownLight:

@@ -16,6 +16,7 @@ from jghand_engine.captures.masks import lit_part, template_mask
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.mesh import HandTemplate
 
@@ -51,6 +52,7 @@ class Sample:
     mask_source, mask: how to get the mask; `mask` is the file for MaskSource.FILE
     template:    whose silhouette stands in for a mask; None: the built-in hand's
     light:       what lights it; None: unknown
+    forearm:     (4,) how its forearm is turned, see `HandPose`; None: unknown
     """
 
     image: Path
@@ -65,11 +67,17 @@ class Sample:
     mask: Path | None = None
     template: HandTemplate | None = None
     light: KnownLight | None = None
+    forearm: np.ndarray | None = None
 
     @property
     def pose(self) -> tuple[str, int]:
         """What names the pose: images of several cameras share it."""
         return self.sequence, self.frame
+
+    @property
+    def hand(self) -> HandPose:
+        """What renderers draw to compare it with the image."""
+        return HandPose(self.joints_m, self.forearm)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, Handedness
 from jghand_engine.hand.kinematics import RANGES_DEG, ArchingHand, ArticulatedHand, Contact
-from jghand_engine.hand.rotations import quaternions
-from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence, palm_frames
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence, forearm_turns
 from jghand_engine.hand.wrist import NO_TURN, ZERO
 
 _Finger = tuple[float, float, float, float]
@@ -205,8 +204,7 @@ def pose_sequence_of_names(
 def _still_forearm(hand: ArticulatedHand, joints_m: np.ndarray) -> np.ndarray | None:
     """(F, 4) turns that keep the forearm of a right hand (F, 21, 3) where it is at rest, while the palm, which would
     carry it (`HandPose`), arches with the knuckles; None where it never does."""
-    (at_rest,), _ = palm_frames(hand.straight_joints_m[None])
-    turns = quaternions(np.swapaxes(palm_frames(joints_m)[0], -1, -2) @ at_rest)
+    turns = forearm_turns(joints_m, hand.straight_joints_m, np.eye(3))
     turns[np.linalg.norm(turns[:, 1:], axis=-1) < ZERO] = NO_TURN
     return None if (turns == NO_TURN).all() else turns
 

@@ -15,7 +15,7 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import bone_lengths, check_joint_shape
-from jghand_engine.hand.rotations import slerp, slerp_rotation, turns_between
+from jghand_engine.hand.rotations import quaternions, slerp, slerp_rotation, turns_between
 from jghand_engine.hand.skeleton import PALM_NORMAL_MIN, ZERO_BONE_EPS
 from jghand_engine.hand.wrist import NO_TURN, unit_turns
 
@@ -347,6 +347,13 @@ def palm_frames(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     has_plane &= np.isfinite(frames).all(axis=(1, 2))
     frames[~has_plane] = np.eye(3)
     return frames, has_plane
+
+
+def forearm_turns(joints_m: np.ndarray, rest_joints_m: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """(F, 4) how the forearms of right hands (F, 21, 3) are turned, see `HandPose`, that go by rotations `carried`
+    (F, 3, 3) from where they are at the hand's rest (21, 3). Joints in level order."""
+    (at_rest,), _ = palm_frames(rest_joints_m[None])
+    return quaternions(np.swapaxes(palm_frames(joints_m)[0], -1, -2) @ carried @ at_rest)
 
 
 def _palms_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, ...]:

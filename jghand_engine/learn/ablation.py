@@ -26,6 +26,7 @@ from jghand_engine.captures.splits import Split
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, judged_mix, spread
@@ -42,6 +43,7 @@ from jghand_engine.learn.work_folder import Start, WorkFolder
 from jghand_engine.native.library import load
 from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.native.threads import thread_count
+from jghand_engine.render.blur import Hand
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.gate import ShadowGate, extent_px, fade, fade_with_size
@@ -117,11 +119,11 @@ class LiveHand:
         self._gate = ShadowGate(avatar.canonical_joints_m)
         self._library = load(settings.backend)
 
-    def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
-        """(21, 3) world joints -> (H, W, 4) float32 premultiplied sRGB. InputError for the other hand."""
+    def __call__(self, hand: Hand, handedness: Handedness, camera: Camera) -> np.ndarray:
+        """A pose, or (21, 3) world joints -> (H, W, 4) float32 premultiplied sRGB. InputError for the other hand."""
         if handedness is not self._transform.handedness:
             raise InputError("hand to draw", wanted=self._transform.handedness, came=handedness)
-        settings = self._settings
+        settings, joints_m = self._settings, HandPose.of(hand).joints_m
         with torch.no_grad():
             bones = self._transform.bones(torch.from_numpy(np.ascontiguousarray(joints_m)).float())
             gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(camera.eye_m))
@@ -181,7 +183,7 @@ class _BalancedHand(AvatarPicturer):
     light: as near to that picture as a hand comes that no light changes."""
 
     def in_light(self, sample: Sample, light: SceneLight) -> np.ndarray:
-        rgba = self(sample.joints_m, sample.handedness, sample.camera)
+        rgba = self(sample.hand, sample.handedness, sample.camera)
         rgb, truth = srgb_to_linear(rgba[..., :3]), judged_mix(sample).rgb
         gain = (rgb * truth).sum((0, 1)) / np.maximum(np.square(rgb).sum((0, 1)), 1e-9)
         return np.concatenate([rgb * gain, rgba[..., 3:]], -1).astype(np.float32)

@@ -29,6 +29,7 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.crops import CropScore, crop_groups, crop_means, crop_scores
 from jghand_engine.learn.metrics import compare, mask_box
 from jghand_engine.learn.perceptual import PerceptualMetric, distances
+from jghand_engine.render.blur import Hand
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -44,8 +45,9 @@ FLEXION_REGIONS_DEG = (15.0, 35.0, 60.0)
 class Picturer(Protocol):
     """Whatever draws a hand: an avatar in the renderer, or a model that is still learning."""
 
-    def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
-        """(21, 3) level-order joints, world, meters -> (H, W, 4) float32, premultiplied, display-referred sRGB."""
+    def __call__(self, hand: Hand, handedness: Handedness, camera: Camera) -> np.ndarray:
+        """A pose, or (21, 3) level-order joints, world, meters -> (H, W, 4) float32, premultiplied, display-referred
+        sRGB."""
         ...
 
 
@@ -56,21 +58,19 @@ class AvatarPicturer:
         self._avatar, self._settings = avatar, replace(settings, antialias=False)
         self._renderers: dict[tuple[Handedness, bool], SceneRenderer] = {}
 
-    def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
-        return self._rgba(joints_m, handedness, camera, None)
+    def __call__(self, hand: Hand, handedness: Handedness, camera: Camera) -> np.ndarray:
+        return self._rgba(hand, handedness, camera, None)
 
     def in_light(self, sample: Sample, light: SceneLight) -> np.ndarray:
         """(H, W, 4) float32, premultiplied, scene-linear: the hand of a sample in a light."""
-        return self._rgba(sample.joints_m, sample.handedness, sample.camera, light)
+        return self._rgba(sample.hand, sample.handedness, sample.camera, light)
 
-    def _rgba(
-        self, joints_m: np.ndarray, handedness: Handedness, camera: Camera, light: SceneLight | None
-    ) -> np.ndarray:
+    def _rgba(self, hand: Hand, handedness: Handedness, camera: Camera, light: SceneLight | None) -> np.ndarray:
         key = handedness, light is not None
         if key not in self._renderers:
             self._renderers[key] = SceneRenderer([self._avatar.for_hand(handedness)], self._settings, light)
         self._renderers[key].light = light
-        return self._renderers[key].render([joints_m], camera).rgba
+        return self._renderers[key].render([hand], camera).rgba
 
 
 def pictured(sample: Sample, draw: Picturer) -> tuple[np.ndarray, TrainingImage, float]:
@@ -80,7 +80,7 @@ def pictured(sample: Sample, draw: Picturer) -> tuple[np.ndarray, TrainingImage,
     """
     if sample.light is None or not isinstance(draw, AvatarPicturer):
         truth, started = load_image(sample), time.perf_counter()
-        rgba = draw(sample.joints_m, sample.handedness, sample.camera)
+        rgba = draw(sample.hand, sample.handedness, sample.camera)
         return rgba, truth, 1e3 * (time.perf_counter() - started)
     one = judged_mix(sample)
     started = time.perf_counter()

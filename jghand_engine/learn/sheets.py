@@ -120,7 +120,7 @@ def view_sheet(samples: Sequence[Sample], draw: Picturer, title: str) -> np.ndar
     for sample in samples:
         for view in VIEWS:
             camera = _camera(sample.joints_m[None], sample.handedness, view)
-            rgba = draw(sample.joints_m, sample.handedness, camera)
+            rgba = draw(sample.hand, sample.handedness, camera)
             hand = _Square.around(rgba[..., 3]).hand(rgba[..., :3], rgba[..., 3])
             cells.append(Cell(f"{view} · pose {sample.frame}", hand))
     return _with_head(_sheet(cells, len(VIEWS)), title, "Each row: one pose that was not learned, from new sides")

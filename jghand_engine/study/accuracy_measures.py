@@ -219,6 +219,6 @@ def pictures_psnr_db(drawers: Sequence[Picturer], truth: Truth) -> np.ndarray:
         picture = load_image(sample)
         for line, draw in enumerate(drawers):
             # premultiplied: over black it is the picture
-            rgb = draw(sample.joints_m, sample.handedness, sample.camera)[..., :3]
+            rgb = draw(sample.hand, sample.handedness, sample.camera)[..., :3]
             psnr_db[line, column] = psnr(checked_picture("rgb", rgb, picture.mask), picture.rgb)
     return psnr_db

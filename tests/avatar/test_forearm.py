@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_avatars import known_avatar, trained_avatar
+from small_avatars import known_avatar, on_template, trained_avatar
 
-from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
+from jghand_engine.avatar.avatar import FOREARM_WAY
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.forearm import FOREARM_FADE_M, WRIST_CUT_M, WRIST_WAY, ended
@@ -22,16 +22,6 @@ from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import WITH_FOREARM, load_template, load_template_with_forearm
 from jghand_engine.template.surface import boundary_loop
-
-
-def on_template(forearm: bool) -> HandAvatar:
-    """The painted hand's arrays, its first Gaussians at the vertices of a template."""
-    template = load_template_with_forearm() if forearm else load_template()
-    painted = load_painted(handedness=Handedness.RIGHT).prefix(len(template.vertices_m))
-    info, weights = replace(painted.info, template=template.identifier), template.bone_weights.astype(np.float32)
-    whole = np.ones(len(painted), np.float32)
-    rest_m = template.vertices_m.astype(np.float32)
-    return replace(painted, info=info, position_m=rest_m, opacity=whole, bone_weights=weights)
 
 
 def test_the_fade_lies_where_the_template_ends():

@@ -7,21 +7,32 @@ import numpy as np
 import pytest
 import torch
 from picture_sets import LEFT, RIGHT, pose
+from small_avatars import on_template
 
 from jghand_engine.captures.sample import MaskSource, load_image
 from jghand_engine.captures.splits import split_by_rule
 from jghand_engine.errors import InputError
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.learn import tables
-from jghand_engine.learn.evaluate import Evaluation, categories_of, finger_flexion_deg, measure_pictures
+from jghand_engine.learn.evaluate import (
+    AvatarPicturer,
+    Evaluation,
+    categories_of,
+    finger_flexion_deg,
+    measure_pictures,
+    pictured,
+)
 from jghand_engine.learn.perceptual import PerceptualMetric
+from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.settings import RenderSettings
 
 
 def truth_but(capture, error):
     """Draws the very truth, `error` brighter on the hand."""
     by_camera = {(id(s.camera), s.joints_m.tobytes()): s for s in capture.samples}
 
-    def draw(joints_m, handedness, camera):
-        picture = load_image(by_camera[id(camera), joints_m.tobytes()])
+    def draw(hand, handedness, camera):
+        picture = load_image(by_camera[id(camera), hand.joints_m.tobytes()])
         rgb = picture.rgb + error * (picture.mask[..., None] >= 0.5)
         return np.concatenate([rgb, picture.mask[..., None]], -1).astype(np.float32)
 
@@ -76,6 +87,16 @@ def test_perceptual_metrics_are_taken_on_the_picture_and_on_the_box(capture, spl
     metric = PerceptualMetric("ST-LPIPS", "", lambda x: [x], (torch.ones(1, 3, 1, 1),))
     (picture,) = measure_pictures({"one": split.test[:1]}, truth_but(capture, 0.1), perceptual=[metric])
     assert picture.scores["st_lpips_box"] > picture.scores["st_lpips_full"] > 0
+
+
+def test_a_picture_is_drawn_with_the_forearm_turned_as_it_is_in_it(capture):
+    arm, turn = on_template(forearm=True), np.array([0.98, 0.0, 0.199, 0.0])
+    sample = replace(capture.samples[0], forearm=turn)
+    settings = RenderSettings(antialias=False)
+    drawn, straight = (pictured(one, AvatarPicturer(arm, settings))[0] for one in (sample, capture.samples[0]))
+    wanted = HandRenderer(arm, settings).render(HandPose(sample.joints_m, turn), sample.camera).rgba
+    assert np.array_equal(drawn, wanted)
+    assert np.abs(drawn - straight).max() > 0.5
 
 
 # ---- tables ---------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from picture_sets import LEFT, recorded, write_set
 
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.masks import template_mask
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.learn import sheets
 from jghand_engine.learn.evaluate import measure_pictures
 
@@ -15,9 +16,9 @@ def capture(tmp_path_factory):
     return open_capture(write_set(tmp_path_factory.mktemp("set"), recorded(LEFT, frames=3, cameras=3)))
 
 
-def draw(joints_m, handedness, camera):
+def draw(hand, handedness, camera):
     """The silhouette of the template in one color."""
-    mask = template_mask(camera, joints_m, handedness)[..., None]
+    mask = template_mask(camera, HandPose.of(hand).joints_m, handedness)[..., None]
     return np.concatenate([mask * [0.8, 0.6, 0.5], mask], -1).astype(np.float32)
 
 

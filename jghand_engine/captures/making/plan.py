@@ -1,7 +1,8 @@
 """The plan of a capture: every hand, camera and light before the first ray, and the same again from its folder.
 
 plan/plan.json     options, cameras, names of poses, what the worker needs to know
-plan/hands.npz     vertices_m (P, V, 3) of the rig, joints_m (P, 21, 3) level order, faces, face_uv
+plan/hands.npz     vertices_m (P, V, 3) of the rig, joints_m (P, 21, 3) level order, faces, face_uv, and
+                   forearm (P, 4), see `HandPose`; captures of before have none
 plan/skin.png …    the skin, mesh.npy with it: see person_skin.py
 plan/light.exr or .hdr   the environment, when it is a file of the user's
 plan/lights.json, worlds/   the light of every image, when it varies (lights.py)
@@ -25,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.captures.capture_folder import FOREARM, PLAN_FILE
+from jghand_engine.captures.capture_folder import FOREARM, HANDS_FILE, PLAN_FILE
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, PlannedCamera, plan_cameras
 from jghand_engine.captures.making.close_ups import plan_close_ups
@@ -56,6 +57,8 @@ FORMAT = 1
 FOLDER = PLAN_FILE.parent
 # waiting for another process that is just writing the plan, seconds: it needs some on a slow disk
 LOCK_WAIT_S = 30.0
+# arrays of hands.npz, which are fields of the plan
+HANDS_ARRAYS = ("vertices_m", "joints_m", "faces", "face_uv")
 # of hands.npz unpacked: 100 MB are the rig in as many poses as there may be, 40 MB the finest mesh's faces
 HANDS_BYTES_MAX = 256 * 2**20
 # joints of the middle of the palm, about which hands turn
@@ -90,6 +93,7 @@ class CapturePlan:
     cameras:     those that see all poses, then close-ups, which see one
     files:       name -> bytes, of the skin, of an environment that is the user's, of lights that vary and of skies
     person:      makes the fine mesh of a new plan; None where it is made
+    forearm:     (P, 4) how the forearm is turned, see `HandPose`; None: not known
     """
 
     description: dict[str, Any]
@@ -102,6 +106,7 @@ class CapturePlan:
     cameras: tuple[PlannedCamera, ...]
     files: dict[str, bytes]
     person: PersonSkin | None = None
+    forearm: np.ndarray | None = None
 
     @property
     def hand_vertices_m(self) -> np.ndarray:
@@ -214,6 +219,7 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
         cameras=tuple(cameras),
         files={**person.files, **lit_by},
         person=person,
+        forearm=hand.forearm(posed),
     )
     if isinstance(options.light, Light):
         return plan
@@ -274,10 +280,9 @@ def write_plan(folder: Path, plan: CapturePlan, mesh: Path) -> None:
     os.replace(mesh, folder / FOLDER / MESH_FILE)
     for name, data in plan.files.items():
         write_file(folder / FOLDER / name, data)
-    with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
-        np.savez_compressed(
-            stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
-        )
+    hands = {name: getattr(plan, name) for name in (*HANDS_ARRAYS, *([] if plan.forearm is None else [FOREARM]))}
+    with writing(folder / HANDS_FILE) as path, open(path, "wb") as stream:
+        np.savez_compressed(stream, **hands)
     write_interhand(folder, plan.record)
     write_file(folder / SPLITS_FILE, json.dumps(plan.split(), indent=2) + "\n")
     content = {
@@ -313,8 +318,7 @@ def read_plan(folder: Path) -> CapturePlan | None:
         if content["format"] != FORMAT:
             raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
         light = content["render"]["light"]
-        arrays = ("vertices_m", "joints_m", "faces", "face_uv")
-        hands = read_arrays(folder / FOLDER / "hands.npz", arrays, thing, max_bytes=HANDS_BYTES_MAX)
+        hands = read_arrays(folder / HANDS_FILE, HANDS_ARRAYS, thing, optional=(FOREARM,), max_bytes=HANDS_BYTES_MAX)
         wanted = (len(content["poses"]), int(hands["faces"].max()) + 1, 4)
         came = np.load(folder / FOLDER / MESH_FILE, mmap_mode="r", allow_pickle=False).shape
         if came != wanted:
@@ -325,6 +329,7 @@ def read_plan(folder: Path) -> CapturePlan | None:
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],
             hands["faces"], hands["face_uv"], tuple(_camera(one) for one in content["cameras"]), files,
+            forearm=hands.get(FOREARM),
         )  # fmt: skip
     except FileNotFoundError as error:
         if not file.exists():

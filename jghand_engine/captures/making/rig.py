@@ -21,6 +21,7 @@ from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import angles_on
 from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation, unit
+from jghand_engine.hand.sequence import forearm_turns
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields, with_forearm
 from jghand_engine.template.checks import expect_shape
@@ -228,6 +229,11 @@ class RiggedHand(ArticulatedHand):
             blended = np.einsum("vj,jab->vab", hand.weights25, turn)
             frames.append(np.einsum("vab,vb->va", blended, hand.vertices_m) + hand.weights25 @ offset)
         return np.stack(frames)
+
+    def forearm(self, pose: RigPose) -> np.ndarray:
+        """(F, 4) how its forearm is turned, see `HandPose`: it goes with the wrist, and not with the knuckles, which
+        arch the palm."""
+        return forearm_turns(pose.joints_m, self.identity.joints_m, pose.turn[:, 0])
 
     def _cupping(self, angles_deg: np.ndarray) -> np.ndarray:
         """(F, 5, 4) -> (F, 5, 3, 3) rotations of the metacarpals (the thumb's has none): the palm hollows when fingers
