@@ -125,7 +125,7 @@ class HandAvatar:
     @property
     def has_forearm(self) -> bool:
         """Whether it was learned with one."""
-        return self.info.template.endswith(FOREARM_SUFFIX)
+        return forearm_way(self.info.template) is not None
 
     @property
     def map_count(self) -> int:
@@ -137,8 +137,7 @@ class HandAvatar:
         bones (N, 21): slices take their shares of what follows the palm."""
         if not self.has_forearm:
             return bone_weights
-        shares = slice_shares((position_m - self.canonical_joints_m[0]) @ FOREARM_WAY)
-        return np.concatenate([bone_weights, (bone_weights[:, :1] * shares).astype(bone_weights.dtype)], 1)
+        return with_slices(position_m, bone_weights, self.canonical_joints_m[0])
 
     def with_stiff_wrist(self) -> HandAvatar:
         """The same, whose forearm goes with the palm."""
@@ -155,7 +154,7 @@ class HandAvatar:
             swing=info.swing,
             scale_mode=info.scale_mode,
             variant=variant,
-            forearm_way=FOREARM_WAY if self.has_forearm else None,
+            forearm_way=forearm_way(info.template),
         )
 
     def prefix(self, count: int) -> HandAvatar:
@@ -170,6 +169,17 @@ class HandAvatar:
         shorter = replace(self, learned=learned, **{name: getattr(self, name)[:count] for name in arrays})
         scale = sigma_scale_for_prefix(count, len(self))
         return replace(shorter, sigma_m=grown_radii(shorter.sigma_m, scale, shorter.uvd[:, 2]))
+
+
+def forearm_way(template: str) -> np.ndarray | None:
+    """(3,) from the wrist along the forearm of a template by its identifier; None for one without."""
+    return FOREARM_WAY if template.endswith(FOREARM_SUFFIX) else None
+
+
+def with_slices(position_m: np.ndarray, bone_weights: np.ndarray, root_m: np.ndarray) -> np.ndarray:
+    """(N, 21 + SLICE_COUNT) `HandAvatar.map_weights` of a hand with a forearm, whose wrist is at root_m (3,)."""
+    shares = slice_shares((position_m - root_m) @ FOREARM_WAY)
+    return np.concatenate([bone_weights, (bone_weights[:, :1] * shares).astype(bone_weights.dtype)], 1)
 
 
 def check_follows_joints(avatar: HandAvatar) -> None:

@@ -123,9 +123,10 @@ class LiveHand:
         """A pose, or (21, 3) world joints -> (H, W, 4) float32 premultiplied sRGB. InputError for the other hand."""
         if handedness is not self._transform.handedness:
             raise InputError("hand to draw", wanted=self._transform.handedness, came=handedness)
-        settings, joints_m = self._settings, HandPose.of(hand).joints_m
+        settings, pose = self._settings, HandPose.of(hand)
+        joints_m = np.ascontiguousarray(pose.joints_m)
         with torch.no_grad():
-            bones = self._transform.bones(torch.from_numpy(np.ascontiguousarray(joints_m)).float())
+            bones = self._transform.bones(torch.from_numpy(joints_m).float(), pose.forearm)
             gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(camera.eye_m))
             picture = rasterize(gaussians, camera, settings)
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, forearm_way
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform
 from jghand_engine.learn import rotations as rot
@@ -26,10 +26,13 @@ def transform_called(
     handedness: Handedness,
     swing: str = Swing.MINIMAL,
     scale_mode: ScaleMode = "axial",
+    forearm_way: np.ndarray | None = None,
 ) -> JointTransform:
     """The transform `kind`; the rest as `JointTransform` takes it. A HALO-like one has no use for the scale mode."""
     transform = HaloLikeTransform if kind is Transform.HALO_LIKE else JointTransform
-    return transform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
+    return transform(
+        canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode, forearm_way=forearm_way
+    )
 
 
 def transform_of(avatar: HandAvatar | HandTensors) -> JointTransform:
@@ -41,6 +44,7 @@ def transform_of(avatar: HandAvatar | HandTensors) -> JointTransform:
         handedness=avatar.handedness,
         swing=info.swing,
         scale_mode=info.scale_mode,
+        forearm_way=forearm_way(info.template),
     )
 
 

@@ -19,11 +19,12 @@ from scipy import ndimage, sparse
 from torch import Tensor, nn
 from torch.nn import functional
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, forearm_way, with_slices
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, NO_RATIO, Detail, mixed_level, ratio_bytes
 from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.hand.sequence import HandPose
+from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.learn.pictures import LruCache, Pictures
 from jghand_engine.native.library import load as load_native
 from jghand_engine.render.camera import Camera
@@ -98,9 +99,19 @@ class Surface:
         """(V, 3) canonical."""
         return self.matrix @ (self.template.vertices_m + self.height_m[:, None] * self._normal)
 
-    def posed(self, joints_m: np.ndarray) -> np.ndarray:
+    @property
+    def map_weights(self) -> np.ndarray:
+        """(V, maps) of all maps of the skeleton, see `HandAvatar.map_weights`."""
+        if forearm_way(self.template.identifier) is None:
+            return self.bone_weights
+        return with_slices(self.position_m, self.bone_weights, self.template.joints_m[0])
+
+    def bones(self, hand: HandPose) -> Bones:
+        return self.skeleton.bones(hand.joints_m, forearm=hand.forearm)
+
+    def posed(self, hand: HandPose) -> np.ndarray:
         """(V, 3) in the world of the joints."""
-        return skinned(self.position_m, self.bone_weights, self.skeleton, joints_m)
+        return skinned(self.position_m, self.map_weights, self.skeleton, hand.joints_m, hand.forearm)
 
     def normals(self, posed_m: np.ndarray) -> np.ndarray:
         """(V, 3) unit, outwards."""
@@ -118,7 +129,7 @@ class Surface:
             texture=np.full((4, 4, 3), NO_RATIO, np.uint8),
             depth_m=0.0,
         )
-        hand = DetailedHand(closed, 1.0, self.template.joints_m, self.skeleton.handedness, closed.bone_weights)
+        hand = DetailedHand(closed, 1.0, self.template.joints_m, self.skeleton.handedness, self.map_weights)
         return SurfaceHits(load_native("auto"), hand)
 
 
@@ -130,7 +141,7 @@ class Beside:
     """A picture's mask beside the Gaussians. hand: (H, W) bool · trusted: (H, W) bool, both show nothing but skin
     depth_m: (H, W) float32 of the Gaussians · pixel_m: at the hand"""
 
-    joints_m: np.ndarray
+    pose: HandPose
     camera: Camera
     hand: np.ndarray
     trusted: np.ndarray
@@ -145,12 +156,12 @@ def beside(avatar: HandAvatar, samples: Sequence[Sample], pictures: Pictures) ->
     found = []
     for sample in (samples[one] for one in chosen):
         view = pictures.view(sample)
-        frame, mask = renderer.render([sample.joints_m], view.camera), view.mask.numpy()
+        frame, mask = renderer.render([sample.hand], view.camera), view.mask.numpy()
         trusted = ndimage.binary_erosion(
             (mask > WHOLLY) & (frame.rgba[..., 3] > WHOLLY_DRAWN), iterations=OUTLINE_PX, border_value=1
         )
         pixel_m = float(np.linalg.norm(view.camera.eye_m - sample.joints_m.mean(0))) / view.camera.fx
-        found.append(Beside(sample.joints_m, view.camera, mask > 0.5, trusted, frame.depth_m, pixel_m))
+        found.append(Beside(sample.hand, view.camera, mask > 0.5, trusted, frame.depth_m, pixel_m))
     return found
 
 
@@ -166,7 +177,7 @@ def fit_surface(surface: Surface, pictures: Sequence[Beside]) -> float:
         hits, wide_m = surface.hits(), []
         total, weight = np.zeros(len(surface.bone_weights)), np.zeros(len(surface.bone_weights))
         for one in pictures:
-            face, _ = hits(surface.skeleton.bones(one.joints_m), one.camera)
+            face, _ = hits(surface.bones(one.pose), one.camera)
             _add_heights(surface, one, face, depth_m, total, weight)
             wide_m.append(one.pixel_m * _wider_px(face >= 0, one.hand, NEAR_M / one.pixel_m))
         if turn:
@@ -191,7 +202,7 @@ def _add_heights(
     """Adds to (V,) sums, in place: how much farther out the Gaussians' depth is than each vertex, meters, and how much
     that counts. depth_m: how far below the surface it is to be, to tell what is of another finger"""
     y, x = np.nonzero(one.trusted & (face >= 0) & (face < len(surface.faces)))
-    posed_m = surface.posed(one.joints_m)
+    posed_m = surface.posed(one.pose)
     corners, shares = surface.faces[face[y, x]], _shares(posed_m[surface.faces[face[y, x]]], one.camera, y, x)
     seen_m = np.einsum("nk,nki->ni", shares, posed_m[corners]) - one.camera.eye_m
     outwards = np.einsum("nk,nki->ni", shares, surface.normals(posed_m)[corners])
@@ -272,14 +283,14 @@ class DetailLearner(nn.Module):
             levels.append(functional.avg_pool2d(levels[-1], 2))
         return levels
 
-    def ratios(self, joints_m: np.ndarray, cameras: Sequence[Camera]) -> Ratio:
+    def ratios(self, hand: HandPose, cameras: Sequence[Camera]) -> Ratio:
         """What the renderer multiplies colors by in pictures of one pose; looked up in one go, since the gradient of a
         texture is as large as the texture."""
-        each = [self._places.get(_key(joints_m, camera), partial(self._placed, joints_m, camera)) for camera in cameras]
+        each = [self._places.get(_key(hand, camera), partial(self._placed, hand, camera)) for camera in cameras]
         uv, level = (torch.cat([getattr(one, name) for one in each]) for name in ("uv", "level"))
         values = _looked_up(self.mips(), uv.float() / UV_STEPS, level).split([len(one.pixel) for one in each])
         of = dict(zip(map(id, cameras), zip(each, values, strict=True), strict=True))
-        scale, depth_m = self._surface.skeleton.bones(joints_m).scale, float(self.depth_m)
+        scale, depth_m = self._surface.bones(hand).scale, float(self.depth_m)
 
         def ratio(camera: Camera, alpha: Tensor, depth_sum: Tensor) -> Tensor:
             places, log_ratio = of[id(camera)]
@@ -293,15 +304,15 @@ class DetailLearner(nn.Module):
 
         return ratio
 
-    def _placed(self, joints_m: np.ndarray, camera: Camera) -> _Places:
+    def _placed(self, hand: HandPose, camera: Camera) -> _Places:
         surface = self._surface
         if self._hits is None:
             surface.height_m = self.height_m.numpy().copy()
             self._hits = surface.hits()
-        face, depth_m = self._hits(surface.skeleton.bones(joints_m), camera)
+        face, depth_m = self._hits(surface.bones(hand), camera)
         y, x = np.nonzero((face >= 0) & (face < len(surface.faces)))
         face, depth_m = face[y, x], depth_m[y, x]
-        corners_m = surface.posed(joints_m)[surface.faces[face]]
+        corners_m = surface.posed(hand)[surface.faces[face]]
         uv = np.einsum("nk,nki->ni", _shares(corners_m, camera, y, x), surface.face_uv[face])
         # texels that a pixel spans, the mean square of its two sides, as the renderer takes them
         spans2 = TEXELS**2 * _squared_slopes(surface.face_uv[face], camera.project(corners_m)[0]) / 2
@@ -335,10 +346,11 @@ class DetailLearner(nn.Module):
         )
 
 
-def _key(joints_m: np.ndarray, camera: Camera) -> tuple:
+def _key(hand: HandPose, camera: Camera) -> tuple:
     """What decides where a picture's pixels are in the texture."""
     inside = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    return (joints_m.tobytes(), camera.camera_from_world.tobytes(), *inside)
+    forearm = None if hand.forearm is None else hand.forearm.tobytes()
+    return (hand.joints_m.tobytes(), forearm, camera.camera_from_world.tobytes(), *inside)
 
 
 def _looked_up(mips: Sequence[Tensor], uv: Tensor, level: Tensor) -> Tensor:

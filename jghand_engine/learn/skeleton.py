@@ -5,7 +5,7 @@ The formulas are those of `hand.skeleton`; METHOD 2.6 to 2.10.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.hand.skeleton import SCALE_RATIO_MIN, CanonicalHand, ScaleMode, Swing, scale_exponent
+from jghand_engine.hand.wrist import Wrist
 from jghand_engine.learn import rotations as rot
 from jghand_engine.learn.frames import CanonicalTensors, ComponentFrames, HandFrames, compute_frames
 
@@ -27,7 +28,7 @@ class BoneTransforms:
         x_posed_m - root_m = linear @ (x_m - canonical_root_m) + offset_m
 
     Add `root_m` last: a hand far from the origin then loses nothing before it. For a left hand the matrices act on
-    the right-hand template.
+    the right-hand template. Of a hand whose forearm is turned the changes of its slices follow, see `Wrist`.
 
     linear: (..., 21, 3, 3) · offset_m: (..., 21, 3) · root_m: (..., 3) · canonical_root_m: (3,)
     scale: (...) scale of the whole hand, s_g · frames: frames and flags, in right-hand space
@@ -54,6 +55,7 @@ class JointTransform:
     handedness:         of the joints that `bones` will get; left ones are mirrored, the canonical hand stays right
     swing:              'minimal' or 'euler', see Swing
     scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
+    forearm_way:        (3,) of the canonical hand, from the wrist along its forearm; None for a hand without one
     InputError for an unusable canonical hand or an unknown option.
     """
 
@@ -64,15 +66,21 @@ class JointTransform:
         handedness: Handedness,
         swing: str = Swing.MINIMAL,
         scale_mode: ScaleMode = "axial",
+        forearm_way: np.ndarray | None = None,
     ) -> None:
         self.handedness = Handedness(handedness)
         self.swing = Swing(swing)
         self.exponent = scale_exponent(scale_mode)
-        self.canonical = CanonicalTensors.of(CanonicalHand.build(canonical_joints_m))
+        canonical = CanonicalHand.build(canonical_joints_m)
+        self._wrist = None if forearm_way is None else Wrist(canonical.frames[0], forearm_way)
+        self.canonical = CanonicalTensors.of(canonical)
         self._casts: dict[tuple[torch.dtype, torch.device], CanonicalTensors] = {}
 
-    def bones(self, joints_m: Tensor) -> BoneTransforms:
+    def bones(self, joints_m: Tensor, forearm: np.ndarray | None = None) -> BoneTransforms:
         """(..., 21, 3) level-order joints -> BoneTransforms with the same batch shape.
+
+        forearm: (4,) its turn, see `HandPose`, of one hand without a batch; of a hand without one it counts for
+        nothing. No gradient goes through what it changes.
 
         Differentiable; float64 stays float64, half precision is computed in float32, autocast is switched off inside.
         A hand with a non-finite joint gets NaN matrices and the flag NOT_FINITE; others are not touched by it.
@@ -86,7 +94,12 @@ class JointTransform:
         with torch.autocast(joints_m.device.type, enabled=False):
             batch = joints_m.shape[:-2]
             joints = joints_m.reshape(-1, *joints_m.shape[-2:]).permute(2, 1, 0)
-            return self._component_first(self._mirrored(joints.contiguous()), batch)
+            bones = self._component_first(self._mirrored(joints.contiguous()), batch)
+        if self._wrist is None or forearm is None:
+            return bones
+        changes = self._wrist.changes(bones.linear[0].detach().double().cpu().numpy(), forearm)
+        linear, offset_m = (torch.from_numpy(part).to(bones.linear) for part in (changes[..., :3], changes[..., 3]))
+        return replace(bones, linear=torch.cat([bones.linear, linear]), offset_m=torch.cat([bones.offset_m, offset_m]))
 
     def frames(self, joints_m: Tensor) -> HandFrames:
         """(..., 21, 3) joints -> their frames alone."""

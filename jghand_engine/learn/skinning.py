@@ -1,4 +1,5 @@
-"""Posing an avatar: linear blend skinning of its Gaussians by the 21 bone transforms (METHOD 2.8, 2.9).
+"""Posing an avatar: linear blend skinning of its Gaussians by the 21 bone transforms (METHOD 2.8, 2.9), and those of a
+forearm's slices.
 
 This is the differentiable form, in any floating dtype; the native path of the renderer is tested against it.
 """
@@ -10,12 +11,12 @@ from typing import Protocol
 
 import torch
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, with_slices
 from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
 from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.light import gloss, lit, seen_from_outside, unit
@@ -98,8 +99,17 @@ class SkinMaps:
     turning: torch.Tensor
 
 
+def map_weights(position_m: torch.Tensor, bone_weights: torch.Tensor, bones: PoseTransforms) -> torch.Tensor:
+    """(N, J) weights of all maps of `bones`, of canonical places (N, 3) with weights of bones (N, 21): slices of a
+    turned forearm take their shares, see `HandAvatar.map_weights`. No gradient goes there."""
+    if len(bones.linear) == bone_weights.shape[1]:
+        return bone_weights
+    numbers = (tensor.detach().cpu().numpy() for tensor in (position_m, bone_weights, bones.canonical_root_m))
+    return torch.from_numpy(with_slices(*numbers)).to(bone_weights.device)
+
+
 def skin_maps(bone_weights: torch.Tensor, bones: PoseTransforms) -> SkinMaps:
-    """The maps of Gaussians with `bone_weights` (N, 21) under `bones` of one pose."""
+    """The maps of Gaussians with `bone_weights` (N, 21), see also `map_weights`, under `bones` of one pose."""
     with torch.autocast(bones.linear.device.type, enabled=False):
         linear, offset_m = blend(bone_weights, bones)
         radius = posed_radius_scale(linear, bones.scale)
@@ -138,12 +148,12 @@ def posed_anchors(
 ) -> tuple[tuple[torch.Tensor, torch.Tensor], torch.Tensor]:
     """Places and normals (A, 3) of the anchors, and the joints (21, 3), of one pose, root-relative."""
     anchors, dtype = shadow.anchors, bones.linear.dtype
-    maps = skin_maps(anchors.bone_weights, bones)
+    maps = skin_maps(map_weights(anchors.position_m, anchors.bone_weights, bones), bones)
     root_m = bones.canonical_root_m.to(dtype)
     position_m = apply(maps.linear, anchors.position_m.to(dtype) - root_m) + maps.offset_m
     normal = unit(apply(maps.turning, anchors.normal.to(dtype)))
     # bone i ends at joint i
-    joints_m = apply(bones.linear, canonical_joints_m.to(dtype) - root_m) + bones.offset_m
+    joints_m = apply(bones.linear[:JOINT_COUNT], canonical_joints_m.to(dtype) - root_m) + bones.offset_m[:JOINT_COUNT]
     return (position_m, normal), joints_m
 
 
@@ -166,7 +176,7 @@ def pose_skin(
     learned = avatar.learned
     with torch.autocast(bones.linear.device.type, enabled=False):
         dtype = bones.linear.dtype
-        maps = maps or skin_maps(avatar.bone_weights, bones)
+        maps = maps or skin_maps(map_weights(avatar.position_m, avatar.bone_weights, bones), bones)
         relative_m = avatar.position_m.to(dtype) - bones.canonical_root_m.to(dtype)
         position_m = apply(maps.linear, relative_m) + maps.offset_m
         if correction is not None:

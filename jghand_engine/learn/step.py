@@ -19,13 +19,14 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, forearm_way
 from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.avatar.learned import no_light
 from jghand_engine.captures.captures import by_pose
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton, Transform
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
@@ -45,7 +46,7 @@ from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.reference import Picture
 from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
-from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
+from jghand_engine.learn.skinning import PosedSkin, SkinMaps, map_weights, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS
 from jghand_engine.native.library import load as load_native
@@ -138,6 +139,7 @@ class HandTraining:
             handedness=self._handedness,
             swing=model.swing,
             scale_mode=model.scale_mode,
+            forearm_way=forearm_way(material.template.identifier),
         )
         self._gate = ShadowGate(points.joints_m.numpy())
         self._poses = by_pose(material.train)
@@ -180,8 +182,13 @@ class HandTraining:
         fine = about is not None and 0 < about.pixel_m <= PIXEL_MAX_M
         if self.options.schedule.detail_from is None or not fine or self.options.transform is not Transform.JOINTS:
             return None
-        joints_m, swing, scale_mode = self._points.joints_m.numpy(), model.swing, model.scale_mode
-        skeleton = Skeleton(joints_m, handedness=self._handedness, swing=swing, scale_mode=scale_mode)
+        skeleton = Skeleton(
+            self._points.joints_m.numpy(),
+            handedness=self._handedness,
+            swing=model.swing,
+            scale_mode=model.scale_mode,
+            forearm_way=forearm_way(self._material.template.identifier),
+        )
         return DetailLearner(self._material.template, skeleton)
 
     # ---- Trainable ---------------------------------------------------------------------------------------------------
@@ -314,7 +321,7 @@ class HandTraining:
         """What multiplies the colors of these pictures of that pose."""
         if self._detail is None or not self._detail.is_found:
             return None
-        return self._detail.ratios(sample.joints_m, [view.camera for view in views])
+        return self._detail.ratios(sample.hand, [view.camera for view in views])
 
     def _set_rates(self, number: int, part: float) -> None:
         schedule = self.options.schedule
@@ -417,15 +424,15 @@ class HandTraining:
         return rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
 
     def _posed_bones(self, sample: Sample) -> _PosedBones:
-        return self._known.get(sample.pose, lambda: self._new_posed_bones(sample.joints_m))
+        return self._known.get(sample.pose, lambda: self._new_posed_bones(sample.hand))
 
-    def _new_posed_bones(self, joints_m: np.ndarray) -> _PosedBones:
-        bones = self._transform.bones(torch.from_numpy(joints_m).float())
-        maps = skin_maps(self._points.bone_weights, bones)
+    def _new_posed_bones(self, hand: HandPose) -> _PosedBones:
+        bones = self._transform.bones(torch.from_numpy(hand.joints_m).float(), hand.forearm)
+        maps = skin_maps(map_weights(self._points.position_m, self._points.bone_weights, bones), bones)
         with torch.no_grad():
             cast = None if self._relit is not None else self._cast
             seen = None if cast is None else see_lamps(cast, self._points.joints_m, bones)
-        gate = 1.0 if self.options.printed_shadow else fade(self._gate.score(joints_m, float(bones.scale)))
+        gate = 1.0 if self.options.printed_shadow else fade(self._gate.score(hand.joints_m, float(bones.scale)))
         posed = _PosedBones(bones, maps, gate, seen)
         return mapped(posed, lambda tensor: tensor.to(self._device))
 

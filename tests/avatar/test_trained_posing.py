@@ -8,7 +8,7 @@ import torch
 from small_avatars import ellipsoid_avatar, trained_avatar
 from small_hands import joints_of
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, PoseNetShape, PoseNetwork
 from jghand_engine.avatar.learned import Learned
@@ -21,6 +21,7 @@ from jghand_engine.learn.skinning import posed_skin, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
+from jghand_engine.template.builtin import WITH_FOREARM
 
 AVATAR = trained_avatar(601)
 EYE_M = np.array([0.1, 0.2, 0.45])
@@ -124,7 +125,8 @@ def exactly(avatar: HandAvatar, bones: Bones, dtype: torch.dtype = torch.float64
 def sound(avatar: HandAvatar, bones: Bones) -> torch.Tensor:
     """(N,) not at the limit where the palm's rotation takes over: rounding decides there."""
     linear = torch.from_numpy(bones.linear_offset[:, :, :3].astype(np.float64)) / max(bones.scale, 1e-38)
-    blended = torch.einsum("nb,bij->nij", torch.from_numpy(avatar.bone_weights).double(), linear)
+    weights = torch.from_numpy(avatar.map_weights(avatar.position_m, avatar.bone_weights))
+    blended = torch.einsum("nb,bij->nij", weights.double(), linear)
     return (torch.linalg.det(blended).abs() / 1e-3 - 1).abs() > 1e-4
 
 
@@ -173,6 +175,37 @@ def test_left_hands_are_lit_as_the_world_lights_them(library, name):
     avatar = KINDS[name].for_hand(Handedness.LEFT)
     bones = bones_of_hand(avatar, joints_of("claw", Handedness.LEFT))
     check(avatar, bones, natively(library, avatar, bones))
+
+
+@pytest.mark.parametrize("side", list(Handedness))
+@pytest.mark.parametrize("name", ["network", "linear-8", "ellipsoids"])
+def test_a_turned_forearm_is_the_one_that_training_uses(library, name, side):
+    avatar = with_forearm(KINDS[name]).for_hand(side)
+    joints_m, turn = joints_of("fist", side), np.array([0.9, 0.3, -0.2, 0.25])
+    bones, straight = (avatar.skeleton().bones(joints_m, forearm=forearm) for forearm in (turn, None))
+    found = natively(library, avatar, bones)
+    check(avatar, bones, found)
+    moved_m = found.position_m - exactly(avatar, straight).position_m
+    assert float(moved_m.norm(dim=-1).max()) > 0.05
+
+
+def with_forearm(avatar: HandAvatar) -> HandAvatar:
+    """The same whose first Gaussians, and the anchors at them, lie along a forearm and follow the palm."""
+    learned, count, g = learned_of(avatar), 20, np.random.default_rng(0)
+    behind_m = avatar.canonical_joints_m[0] + g.uniform(-0.03, 0.15, (count, 1)) * FOREARM_WAY
+    places_m = (behind_m + g.normal(0, 0.02, (count, 3))).astype(np.float32)
+    of_palm = np.eye(21, dtype=np.float32)[:1].repeat(count, 0)
+
+    def placed(record):
+        parts = {"position_m": places_m, "bone_weights": of_palm}
+        return replace(
+            record, **{name: np.concatenate([part, getattr(record, name)[count:]]) for name, part in parts.items()}
+        )
+
+    assert learned.cast is not None
+    cast = replace(learned.cast, anchors=placed(learned.cast.anchors))
+    info = replace(avatar.info, template=WITH_FOREARM)
+    return replace(placed(avatar), info=info, learned=replace(learned, cast=cast))
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 47])

@@ -16,7 +16,7 @@ from jghand_engine.learn import step
 from jghand_engine.learn.canonical_points import CanonicalPoints
 from jghand_engine.learn.model import ModelOptions
 from jghand_engine.learn.options import Schedule, TrainOptions
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import template_called
 
 TINY = TrainOptions(
     model=ModelOptions(gaussians=1500, plane_texels=24, depth_texels=8, hidden=16, pose=PoseNetShape()),
@@ -27,8 +27,8 @@ _PLACE = step.place_points
 
 
 @functools.cache
-def _points_of_the_builtin_hand(count: int, **how) -> CanonicalPoints:
-    return _PLACE(load_template(), count, **how)
+def _points_of(identifier: str, count: int, **how) -> CanonicalPoints:
+    return _PLACE(template_called(identifier), count, **how)
 
 
 @pytest.fixture(scope="session")
@@ -45,8 +45,8 @@ def tiny(monkeypatch) -> TrainOptions:
     """
 
     def place(template, count, **how):
-        assert template is load_template()
-        return _points_of_the_builtin_hand(count, **how)
+        assert template is template_called(template.identifier)
+        return _points_of(template.identifier, count, **how)
 
     monkeypatch.setattr(step, "place_points", place)
     monkeypatch.setitem(options_module.PRESETS, "default", TINY)

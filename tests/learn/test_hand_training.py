@@ -21,15 +21,24 @@ from jghand_engine.learn.step import HandTraining, Material
 from jghand_engine.learn.work_folder import Start, stamp_of
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import load_template, load_template_with_forearm
+
+# by 10 degrees, a little more than those of captures
+TURN = np.array([0.996, 0.05, -0.04, 0.06])
 
 
 @pytest.fixture
 def build(small_capture, tiny):
     """Makes trainings of the tiny capture."""
     split = split_capture(open_capture(small_capture))
-    material = Material(split.train, split.test[:1], load_template(), AvatarInfo("tiny", "", "test"))
-    return lambda options=tiny: HandTraining(material, options)
+
+    def make(options=tiny, forearm=None):
+        template = load_template() if forearm is None else load_template_with_forearm()
+        samples = [replace(sample, forearm=forearm) for sample in split.train]
+        info = AvatarInfo("tiny", template.identifier, "test")
+        return HandTraining(Material(samples, split.test[:1], template, info), options)
+
+    return make
 
 
 @pytest.fixture
@@ -88,27 +97,29 @@ def test_a_resumed_training_equals_an_uninterrupted_one_bit_for_bit(build, optio
     assert straight.out.read_bytes() == options.out.read_bytes()
 
 
-@pytest.mark.parametrize("shadow", [False, True])
-def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, small_capture, tmp_path, shadow):
-    """By the renderer that users have, from a file, in front of every camera; of bent fingers, where the shadow is."""
-    training = build(replace(tiny, shadow=shadow))
-    losses(training, 20)
+@pytest.mark.parametrize(("shadow", "forearm"), [(False, None), (True, None), (True, TURN)], ids=str)
+def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, small_capture, tmp_path, shadow, forearm):
+    """By the renderer that users have, from a file, in front of every camera; of bent fingers, where the shadow is, and
+    of a turned forearm, which is short in the pictures."""
+    training = build(replace(tiny, shadow=shadow), forearm)
+    losses(training, 20 if forearm is None else 2)
     save_avatar(tmp_path / "hand.jghand", training.avatar())
     # the pictures are too small for a shadow that is only drawn where it is seen
     settings = RenderSettings(shadow=ShadowMode.ALWAYS, shadow_samples=tiny.shadow_samples, antialias=False)
     renderer = HandRenderer(load_avatar(tmp_path / "hand.jghand"), settings)
     strengths = []
-    for sample in open_capture(small_capture).samples:
+    for sample in (replace(one, forearm=forearm) for one in open_capture(small_capture).samples):
         view = Pictures().view(sample)
         with torch.no_grad():
             avatar, posed = training._live(), training._posed_bones(sample)
             skin, _ = training._pose(avatar, posed, 1.0)
             rgb, alpha = training._draw_view(avatar, skin, posed.shadow, view.camera)
-        ours = renderer.render(sample.joints_m, view.camera)
+        ours = renderer.render(sample.hand, view.camera)
         error = np.abs(ours.rgba - torch.cat([rgb, alpha[..., None]], -1).numpy()).max(-1)
         # a Gaussian that hardly passes the cut at 1/255 on one side is left out on the other (RENDERING 3): observed
         # once in 24 pictures, 7 pixels of one, and two Gaussians in one pixel; all others 5e-6, with the shadow 2.3e-5
-        assert float((error > 5e-5).mean()) < 5e-3, sample
+        # slices are shared where the Gaussians began, not where they have moved to: observed 2.9e-4
+        assert float((error > (5e-5 if forearm is None else 5e-4)).mean()) < 5e-3, sample
         assert float(error.max()) < 2 / 255, sample
         strengths.append(posed.shadow)
     assert max(strengths) > 0.5

@@ -2,15 +2,17 @@
 
 from functools import cache
 
+import numpy as np
 import pytest
 import torch
 from hand import sampled_hands as hands
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jghand_engine.avatar.avatar import FOREARM_WAY
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.skeleton import FrameFlag
+from jghand_engine.hand.skeleton import FrameFlag, Skeleton
 from jghand_engine.learn.skeleton import JointTransform
 
 CANONICAL = hands.canonical()
@@ -202,6 +204,22 @@ def test_joints_are_exact_for_any_hand(seed, bone, scale, exponent, swing, hande
     # 2e-12 mm for hands of ordinary size, METHOD 2.11; round-off grows with the size
     limit = 2e-12 * max(1.0, scale)
     assert hands.joint_error_mm(transform.bones(joints).matrices(), CANONICAL, joints) < limit
+
+
+@pytest.mark.parametrize("handedness", list(Handedness))
+def test_slices_of_a_turned_forearm_differ_from_the_palm_as_the_kernels_do(handedness):
+    options = {"handedness": handedness, "forearm_way": FOREARM_WAY}
+    joints, turn = hands.sample(1, seed=7)[0], np.array([0.9, 0.3, -0.2, 0.25])
+    ours = JointTransform(CANONICAL_M, **options).bones(joints, turn)
+    wanted = Skeleton(CANONICAL_M, **options).bones(joints.numpy(), np.float64, forearm=turn).linear_offset
+    found = torch.cat([ours.linear, ours.offset_m[..., None]], -1).numpy()
+    # worst observed 2e-15
+    np.testing.assert_allclose(found, wanted, atol=1e-13)
+    assert np.abs(found[21:]).max() > 0.3
+    bare = JointTransform(CANONICAL_M, handedness=handedness)
+    assert (
+        len(bare.bones(joints, turn).linear) == len(JointTransform(CANONICAL_M, **options).bones(joints).linear) == 21
+    )
 
 
 def test_unusable_arguments_are_named():

@@ -7,12 +7,14 @@ import pytest
 import torch
 from painted_samples import camera_at, painted_samples
 from scipy.spatial.transform import Rotation
+from small_avatars import on_template
 from small_hands import INFO, joints_of
 from small_trainings import SMALL, small_training
 
-from jghand_engine.avatar.avatar import LearnedFrom
+from jghand_engine.avatar.avatar import LearnedFrom, forearm_way
 from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn import detail, step
 from jghand_engine.learn.detail import Beside, DetailLearner, Surface, _grazes, fit_surface
@@ -20,7 +22,7 @@ from jghand_engine.learn.options import PAPER_FAITHFUL
 from jghand_engine.native import library
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import load_template, load_template_with_forearm
 from jghand_engine.template.mesh import HandTemplate
 
 EYES_M = ((0.5, 0.1, 0.1), (-0.5, 0.1, 0.1), (0.0, 0.1, 0.6), (0.0, 0.1, -0.6), (0.1, 0.7, 0.2), (0.3, 0.2, 0.5))
@@ -39,13 +41,13 @@ def beside_gaussians(truth: Surface, below_m: float) -> list[Beside]:
     """Pictures of Gaussians so far below a surface."""
     found, hits = [], truth.hits()
     for pose in ("relaxed", "flat"):
-        joints_m = joints_of(pose, truth.skeleton.handedness)
+        hand = HandPose(joints_of(pose, truth.skeleton.handedness))
         for eye_m in EYES_M:
-            eye_m = np.array(eye_m) + joints_m.mean(0)
+            eye_m = np.array(eye_m) + hand.joints_m.mean(0)
             camera = camera_at(eye_m, size=SIZE_PX, focal_px=FOCAL_PX)
-            face, depth_m = hits(truth.skeleton.bones(joints_m), camera)
+            face, depth_m = hits(truth.bones(hand), camera)
             y, x = np.nonzero(face >= 0)
-            posed_m, closed = truth.posed(joints_m), truth._closed
+            posed_m, closed = truth.posed(hand), truth._closed
             shares = detail._shares(posed_m[closed[face[y, x]]], camera, y, x)
             outwards = np.einsum("nk,nki->ni", shares, truth.normals(posed_m)[closed[face[y, x]]])
             at_m = np.einsum("nk,nki->ni", shares, posed_m[closed[face[y, x]]])
@@ -53,7 +55,7 @@ def beside_gaussians(truth: Surface, below_m: float) -> list[Beside]:
             # the plane below the skin is farther along the ray by that part of the way
             deeper = np.where(face >= 0, depth_m, 0.0)
             deeper[y, x] *= 1 + below_m / np.maximum(into, 0.05)
-            found.append(Beside(joints_m, camera, face >= 0, face >= 0, deeper.astype(np.float32), 1.3e-3))
+            found.append(Beside(hand, camera, face >= 0, face >= 0, deeper.astype(np.float32), 1.3e-3))
     return found
 
 
@@ -76,10 +78,10 @@ def small_texture(monkeypatch) -> int:
     return 512
 
 
-def learner_of(handedness: Handedness = Handedness.RIGHT) -> DetailLearner:
+def learner_of(template: HandTemplate, handedness: Handedness) -> DetailLearner:
     """Found, with a smooth texture."""
-    template = load_template()
-    learner = DetailLearner(template, Skeleton(template.joints_m, handedness=handedness))
+    way = forearm_way(template.identifier)
+    learner = DetailLearner(template, Skeleton(template.joints_m, handedness=handedness, forearm_way=way))
     learner.depth_m.fill_(DEPTH_M)
     rows, columns = torch.meshgrid(torch.arange(detail.TEXELS), torch.arange(detail.TEXELS), indexing="ij")
     with torch.no_grad():
@@ -90,28 +92,33 @@ def learner_of(handedness: Handedness = Handedness.RIGHT) -> DetailLearner:
     return learner
 
 
-@pytest.mark.parametrize("eye_m", [FRONT_M, GRAZING_M])
+@pytest.mark.parametrize(("template", "eye_m"), [
+    (load_template(), FRONT_M), (load_template(), GRAZING_M), (load_template_with_forearm(), FRONT_M)
+])  # fmt: skip
 @pytest.mark.parametrize("handedness", list(Handedness))
-def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness, eye_m):
-    """Of Gaussians a little below the skin, which is farther along a ray that grazes it."""
-    learner, joints_m = learner_of(handedness), joints_of("relaxed", handedness)
+def test_it_is_learned_as_the_renderer_draws_it(small_texture, handedness, template, eye_m):
+    """Of Gaussians a little below the skin, which is farther along a ray that grazes it; of a turned forearm, too."""
+    hand = HandPose(joints_of("relaxed", handedness), np.array([0.9, 0.3, -0.2, 0.25]))
+    learner, joints_m = learner_of(template, handedness), hand.joints_m
     camera = camera_at(joints_m.mean(0) + np.array(eye_m), size=SIZE_PX, focal_px=2 * FOCAL_PX)
-    bones = learner._surface.skeleton.bones(joints_m)
+    if template.forearm_face_count:
+        camera = Camera.looking_at(
+            np.array(eye_m), joints_m[0], (1, 0, 0), width=SIZE_PX[0], height=SIZE_PX[1], focal_px=FOCAL_PX
+        )
+    bones = learner._surface.skeleton.bones(joints_m, forearm=hand.forearm)
     _, surface_m = learner._surface.hits()(bones, camera)
     alpha = np.where(np.isfinite(surface_m), 1.0, 0.0).astype(np.float32)
-    places = learner._placed(joints_m, camera)
+    places = learner._placed(hand, camera)
     below_m = np.zeros(alpha.size, np.float32)
     below_m[places.pixel.numpy()] = DEPTH_M * places.graze.numpy()
     seen_m = np.where(alpha > 0, surface_m, 0) + below_m.reshape(alpha.shape)
     planes = np.stack([*(3 * [alpha]), alpha, seen_m]).astype(np.float32)
-    ours = learner.ratios(joints_m, [camera])(camera, *(torch.from_numpy(plane.copy()) for plane in planes[3:]))
+    ours = learner.ratios(hand, [camera])(camera, *(torch.from_numpy(plane.copy()) for plane in planes[3:]))
     drawn = learner.detail()
     assert drawn is not None
     assert np.abs(log_ratios(drawn.texture) - learner.texture.detach().permute(1, 2, 0).numpy()).max() < 0.003
-    template = learner._surface.template
-    native = NativeDetail(
-        library.load("auto"), [DetailedHand(drawn, 1.0, template.joints_m, handedness, drawn.bone_weights)]
-    )
+    avatar = replace(on_template(forearm=template.forearm_face_count > 0), detail=drawn, handedness=handedness)
+    native = NativeDetail(library.load("auto"), [DetailedHand.of(avatar, 1.0)])
     native.pose([bones], [bones.root_m])
     native.prepare(planes, camera, [1.0])
     native.run()

@@ -14,6 +14,7 @@ from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.learn.ablation import LiveHand
 from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.options import PAPER_FAITHFUL, LossWeights, TrainOptions, Transform
@@ -331,7 +332,7 @@ def test_the_shadow_of_a_small_hand_comes_with_the_same_poses_as_that_of_a_large
     for name, strength in (("open", 0.0), ("fist", 1.0)):
         joints_m = named_pose(name, canonical_m, handedness=Handedness.RIGHT)
         for scale in (0.5, 1.0, 2.0):
-            assert training._new_posed_bones(scale * joints_m).shadow == pytest.approx(strength, abs=1e-6)
+            assert training._new_posed_bones(HandPose(scale * joints_m)).shadow == pytest.approx(strength, abs=1e-6)
 
 
 def test_long_gradients_are_shortened(build):
