@@ -2,8 +2,8 @@
 
 Pictures of half a millimeter per pixel leave a bent knuckle thinner by one than it is. And a person's forearm keeps
 still while the palm, which carries it in a pose of 21 joints, arches: what learned from pictures without knowing that
-has it up to a centimeter off, and a few large Gaussians deep inside. Of a person whose skin is computed its place is
-known in every pose.
+has it up to a centimeter off, in few Gaussians deep inside, most of which were never seen. Of a person whose skin is
+computed its place is known in every pose, and its color.
 """
 
 from __future__ import annotations
@@ -13,21 +13,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from other_person import Somebody
-from registration import still_forearm
-from scipy.spatial import KDTree
 from torch.nn import functional
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
+from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Posing
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand
+from jghand_engine.captures.skin.color import RGB_LIMITS
 from jghand_engine.captures.skin.surface import SkinSurface
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.pose_net import PoseNet
 from jghand_engine.learn.tier_prices import pose_net_of
-from jghand_engine.template.closest import Surface
+from jghand_engine.template.closest import ClosestPoints, Surface
+from jghand_engine.template.texture import sample_bilinear
 
 # poses that the network learns, and with which seed: none of a capture's
 POSES, SEED = 160, 2
@@ -39,9 +41,6 @@ LEVELS = 1
 FROM_M, TO_M = 0.0, 0.02
 # apart from its usual depth by less than this a Gaussian stays: it has learned its color and its shade there
 SLACK_M = 0.0005
-# how many Gaussians are beside one, which of them are on the outside, and by which part of how far one lies below these
-# it stays below them: large ones, far below, fill an outline badly
-BESIDE, OUTERMOST, SUNK = 32, 0.85, 0.4
 # steps of Gaussians by chance in a pose by chance; rate at the first and the last
 STEPS, AT_ONCE, RATES = 4000, 4000, (2e-3, 1e-5)
 # residual from which on it counts by its length alone, mm: skin that the network cannot follow does not spoil the rest
@@ -60,11 +59,13 @@ class _Poses:
 
 def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
     """The avatar with its network and its places such that Gaussians are in all poses as deep below a person's skin,
-    whose joints it has, as they are on the whole. Cheaper tiers are left out. InputError for an avatar without a
-    network."""
+    whose joints it has, as they are on the whole; those of the forearm look as the person's maps say. Cheaper tiers are
+    left out. InputError for an avatar without a network, or one that did not learn in known light."""
     learned, network = avatar.learned, pose_net_of(avatar)
-    assert learned is not None
-    poses = _wanted(avatar, one)
+    if learned is None or learned.response is None:
+        raise InputError(f"avatar {avatar.info.name}", wanted="one that learned in known light", came="another")
+    home = _Home.of(avatar, one)
+    poses, on_arm = _wanted(avatar, one, home), torch.from_numpy(home.on_arm[:, None])
     bone_weights, uvd = torch.from_numpy(avatar.bone_weights), torch.from_numpy(avatar.uvd)
     before, net = (PoseNet.of(network, bone_weights, uvd) for _ in range(2))
     net.requires_grad_(True)
@@ -78,7 +79,7 @@ def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         angles = Angles.of(poses.angles_rad[pose])
         found = net.part(rows)(angles)
         with torch.no_grad():
-            shade = before.part(rows)(angles).shade
+            shade = (1 - on_arm[rows]) * before.part(rows)(angles).shade
         apart_mm = 1e3 * (found.offset_m + constant_m[rows] - poses.offset_m[pose, rows])
         loss = functional.smooth_l1_loss(apart_mm, torch.zeros_like(apart_mm), beta=ROBUST_MM)
         loss = loss + SHADE_WEIGHT * (found.shade - shade).square().mean()
@@ -88,8 +89,52 @@ def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         rate.step()
         if step % (STEPS // 4) == STEPS // 4 - 1:
             constant_m = _constant(net, poses)
-    position_m = avatar.position_m + constant_m.numpy()
-    return replace(avatar, position_m=position_m, learned=replace(learned, correctives=net.plain(), distilled=None))
+    learned = replace(learned, correctives=net.plain(), distilled=None)
+    return home.painted(replace(avatar, position_m=avatar.position_m + constant_m.numpy(), learned=learned), one)
+
+
+@dataclass(frozen=True)
+class _Home:
+    """Where Gaussians are in the hand at rest.
+
+    surface: of the person · skin: (F, 3) its faces · near: places on them · normal: (N, 3) there
+    on_arm: (N,) 0..1, how much of a Gaussian is the forearm's
+    """
+
+    surface: SkinSurface
+    skin: np.ndarray
+    near: ClosestPoints
+    normal: np.ndarray
+    on_arm: np.ndarray
+
+    @classmethod
+    def of(cls, avatar: HandAvatar, one: Somebody) -> _Home:
+        surface, joints_m = SkinSurface(one.identity, LEVELS, one.maps), one.identity.joints_m
+        skin = surface.faces[: one.identity.skin_face_count * 4**LEVELS]
+        resting = Surface(surface.posed(one.identity.vertices_m, surface.bent(joints_m[None])[0]), skin)
+        near = resting.closest(Posing(avatar.for_hand(Handedness.RIGHT))(joints_m).position_m.astype(np.float64))
+        behind_m = (avatar.position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY
+        part = np.clip((behind_m - FROM_M) / (TO_M - FROM_M), 0, 1)
+        on_arm = (part * part * (3 - 2 * part)).astype(np.float32)
+        return cls(surface, skin, near, resting.normals(near.face, near.barycentric), on_arm)
+
+    def painted(self, avatar: HandAvatar, one: Somebody) -> HandAvatar:
+        """The avatar with the forearm's color from a person's maps, by how it answers light like the hand."""
+        learned, arm = avatar.learned, self.on_arm[:, None]
+        assert learned is not None
+        assert learned.response is not None
+        uv = np.einsum("nk,nkc->nc", self.near.barycentric, self.surface.face_uv[self.near.face])
+        albedo = sample_bilinear(one.blurred(one.maps.rgb), uv)
+        on_hand = self.on_arm == 0
+        albedo = (albedo * np.median(avatar.rgb[on_hand] / albedo[on_hand], 0)).clip(*RGB_LIMITS)
+        normal = (1 - arm) * learned.normal + arm * self.normal
+        normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32)
+        rows = {name: getattr(learned.response, name) for name in SkinResponse.ROWS}
+        usual = {name: row + self.on_arm * (np.median(row[on_hand]) - row) for name, row in rows.items()}
+        rgb = ((1 - arm) * avatar.rgb + arm * albedo).astype(np.float32)
+        return replace(
+            avatar, rgb=rgb, learned=replace(learned, normal=normal, response=replace(learned.response, **usual))
+        )
 
 
 def _constant(net: PoseNet, poses: _Poses) -> torch.Tensor:
@@ -99,24 +144,18 @@ def _constant(net: PoseNet, poses: _Poses) -> torch.Tensor:
         return torch.stack([offset_m - net(Angles.of(angles)).offset_m for offset_m, angles in pairs]).mean(0)
 
 
-def _wanted(avatar: HandAvatar, one: Somebody) -> _Poses:
-    hand = RiggedHand(one.identity)
+def _wanted(avatar: HandAvatar, one: Somebody, home: _Home) -> _Poses:
+    hand, right = RiggedHand(one.identity), avatar.for_hand(Handedness.RIGHT)
     posed = hand.pose(varied_poses(hand, POSES, SEED).angles_deg)
-    surface, right = SkinSurface(one.identity, LEVELS, one.maps), avatar.for_hand(Handedness.RIGHT)
-    posing, skeleton = Posing(right), right.skeleton()
-    skin = surface.faces[: one.identity.skin_face_count * 4**LEVELS]
-    resting = Surface(surface.posed(one.identity.vertices_m, surface.bent(one.identity.joints_m[None])[0]), skin)
-    home = resting.closest(posing(one.identity.joints_m).position_m.astype(np.float64))
+    surface, near, posing, skeleton = home.surface, home.near, Posing(right), right.skeleton()
     net = PoseNet.of(pose_net_of(avatar), torch.from_numpy(avatar.bone_weights), torch.from_numpy(avatar.uvd))
     weights = avatar.map_weights(avatar.position_m, avatar.bone_weights).astype(np.float64)
     below_m, outwards, offsets_m, turns, angles_rad = [], [], [], [], []
-    poses = zip(
-        hand.skin(posed), posed.joints_m, surface.bent(posed.joints_m), still_forearm(one, posed.joints_m), strict=True
-    )
+    poses = zip(hand.skin(posed), posed.joints_m, surface.bent(posed.joints_m), hand.forearm(posed), strict=True)
     for vertices_m, joints_m, bent, forearm in poses:
         bones, skin_m = skeleton.bones(joints_m, np.float64, forearm=forearm), surface.posed(vertices_m, bent)
-        outwards.append(Surface(skin_m, skin).normals(home.face, home.barycentric).astype(np.float32))
-        on_skin_m = np.einsum("nk,nkc->nc", home.barycentric, skin_m[skin[home.face]])
+        outwards.append(Surface(skin_m, home.skin).normals(near.face, near.barycentric).astype(np.float32))
+        on_skin_m = np.einsum("nk,nkc->nc", near.barycentric, skin_m[home.skin[near.face]])
         below_m.append((posing(joints_m, forearm).position_m - on_skin_m).astype(np.float32))
         maps = np.einsum("vb,bij->vij", weights, bones.linear_offset)[..., :3]
         size = np.cbrt(np.maximum(np.abs(np.linalg.det(maps)), BLEND_DET_MIN * bones.scale**3))
@@ -125,18 +164,12 @@ def _wanted(avatar: HandAvatar, one: Somebody) -> _Poses:
         with torch.no_grad():
             offsets_m.append(net(Angles.of(angles_rad[-1])).offset_m.numpy())
     depth_m = np.stack([(below * normal).sum(1) for below, normal in zip(below_m, outwards, strict=True)])
-    behind_m = (avatar.position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY
-    part = np.clip((behind_m - FROM_M) / (TO_M - FROM_M), 0, 1)
-    part = (part * part * (3 - 2 * part)).astype(np.float32)
-    usual_m = np.median(depth_m, 0)
-    # those that lie below others in a forearm were never seen, and may have any color: they stay below them
-    _, near = KDTree(home.point_m).query(home.point_m, BESIDE)
-    below_others_m = np.minimum(usual_m - np.quantile(usual_m[near], OUTERMOST, axis=1), 0).astype(np.float32)
-    usual_m += part * (np.median(usual_m[behind_m < FROM_M]) + SUNK * below_others_m - usual_m)
+    usual_m, on_arm = np.median(depth_m, 0), home.on_arm
+    usual_m += on_arm * (np.median(usual_m[on_arm == 0]) - usual_m)
     for k, (below, normal, turn) in enumerate(zip(below_m, outwards, turns, strict=True)):
         apart_m = usual_m - depth_m[k]
-        apart_m -= (1 - part) * np.clip(apart_m, -SLACK_M, SLACK_M)
+        apart_m -= (1 - on_arm) * np.clip(apart_m, -SLACK_M, SLACK_M)
         missing_m = apart_m[:, None] * normal
-        missing_m -= part[:, None] * (below - depth_m[k][:, None] * normal)
+        missing_m -= on_arm[:, None] * (below - depth_m[k][:, None] * normal)
         offsets_m[k] = offsets_m[k] + np.linalg.solve(turn, missing_m[..., None])[..., 0]
     return _Poses(torch.from_numpy(np.stack(offsets_m)), torch.stack(angles_rad))

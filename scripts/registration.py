@@ -19,8 +19,6 @@ from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.rotations import quaternions
-from jghand_engine.hand.sequence import palm_frames
 from jghand_engine.template.reshape import pulled_back
 from jghand_engine.template.subdivision import Subdivision
 from jghand_engine.template.surface import vertex_normals
@@ -53,7 +51,7 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         raise InputError(f"detail of {avatar.info.name}", wanted=f"the mesh of {one.identity.name}", came="another")
     surface = SkinSurface(one.identity, LEVELS, one.maps)
     posed = hand.pose(varied_poses(hand, POSES, SEED).angles_deg)
-    skeleton, forearm = avatar.for_hand(Handedness.RIGHT).skeleton(), still_forearm(one, posed.joints_m)
+    skeleton, forearm = avatar.for_hand(Handedness.RIGHT).skeleton(), hand.forearm(posed)
     weights = avatar.map_weights(detail.position_m, detail.bone_weights).astype(np.float64)
     rest_m, turn, angles_rad = [], [], []
     poses = zip(hand.skin(posed), posed.joints_m, surface.bent(posed.joints_m), forearm, strict=True)
@@ -78,12 +76,6 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
     place_m = (detail.position_m + moved_m).astype(np.float32)
     surface = replace(detail, position_m=place_m, correctives=correctives, depth_m=depth_m, ends_hand=True)
     return replace(avatar, detail=surface)
-
-
-def still_forearm(one: Somebody, joints_m: np.ndarray) -> np.ndarray:
-    """(P, 4) turns (`HandPose`) that keep a person's forearm where it is at rest, in poses (P, 21, 3) of its rig."""
-    at_rest, frames = palm_frames(one.identity.joints_m[None])[0], palm_frames(joints_m)[0]
-    return quaternions(frames.swapaxes(-1, -2) @ at_rest)
 
 
 def _fit(changes: np.ndarray, weights: np.ndarray, wanted_m: np.ndarray) -> tuple[np.ndarray, DetailCorrectives]:

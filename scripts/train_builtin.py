@@ -16,7 +16,8 @@ from pathlib import Path
 
 import tyro
 from build_family import TRAINED, kept_maps
-from other_person import person_detail, somebody
+from on_skin import on_skin
+from other_person import Somebody, person_detail, somebody
 from registration import registered
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -42,22 +43,25 @@ class Options:
 
 
 def main(options: Options) -> None:
-    capture, trained, baked = (options.work / name for name in ("capture", "trained.jghand", "baked.jghand"))
+    names = ("capture", "trained.jghand", "on_skin.jghand", "baked.jghand")
+    capture, trained, moved, baked = (options.work / name for name in names)
     run("capture", "--out", capture, *CAPTURE)
     goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
-    run("distill", trained, capture, "--out", baked, "--overwrite")
-    avatar = with_maps(load_avatar(baked), options.work)
+    learned = load_avatar(trained)
+    person = somebody(learned, *TRAINED, kept_maps(options.work, *TRAINED, MAP_PX))
+    save_avatar(moved, on_skin(learned, person))
+    run("distill", moved, capture, "--out", baked, "--overwrite")
+    avatar = with_maps(load_avatar(baked), person)
     avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", license=LICENSE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)
     print(f"{options.out}: {len(avatar)} Gaussians, {options.out.stat().st_size / 1e6:.2f} MB")
 
 
-def with_maps(avatar: HandAvatar, folder: Path) -> HandAvatar:
-    """The avatar with the detail of its person's maps, which are kept in a folder, on that person's skin."""
+def with_maps(avatar: HandAvatar, person: Somebody) -> HandAvatar:
+    """The avatar with the detail of its person's maps on that person's skin."""
     if avatar.detail is None:
         return avatar
-    person = somebody(avatar, *TRAINED, kept_maps(folder, *TRAINED, MAP_PX))
     return registered(replace(avatar, detail=person_detail(avatar.detail, person)), person)
 
 

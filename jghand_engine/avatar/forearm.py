@@ -38,7 +38,7 @@ def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     detail, opacity = avatar.detail, avatar.opacity * shown_at(avatar.position_m).astype(np.float32)
     if detail is not None:
         # what is not there hides nothing behind it
-        whole = shown_at(detail.position_m).astype(np.float32)
+        whole = (1 - (1 - shown_at(detail.position_m)) ** LAYERS).astype(np.float32)
         stays = (whole > 0)[detail.faces].any(1)
         detail = replace(detail, faces=detail.faces[stays], face_uv=detail.face_uv[stays], whole=whole)
     return replace(avatar, opacity=opacity, detail=detail)

@@ -26,9 +26,10 @@ struct DetailHand {
   const LearnedTask* surface;  // of the vertices: their skin, and linear correctives of their places or none
   float* vertex;             // (3, 16 blocks): x, y px, near
   const int32_t* corner;     // (groups, 3, 16): rows of vertices
-  const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next
+  const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next; where
+                             // no face is across, that corner
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
-  const float* whole;        // (16 blocks): 0..1, how much of the hand is shown there; below 1 alpha is not filled up
+  const float* whole;        // (16 blocks): 0..1, how much of the hand is shown there
   float* planes;             // (16 groups, 3, 16): see `Plane`
   int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
                              // ends included, and whether it may be at an outline
@@ -587,15 +588,14 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       if (!bit_mask(mine & (alpha > (t.outline > 0 ? 0.f : t.alpha_from)))) continue;
       const vf at_x = LANE + ((float)left + 0.5f);
       const Interpolated at = interpolate<has_relief>(hand, &tile.face[row][x], mine, at_x, (float)(tile.y + row) + 0.5f);
-      const vf whole = t.outline * clamped(at.at[WHOLE]);
-      const vf filled = alpha + whole * (min(alpha * (1.f / FILLED_FROM), all(1.f)) - alpha);
+      const vf filled = min(alpha * (1.f / FILLED_FROM), all(1.f));
       const vf depth = load_first(p + DEPTH * pixels, n) * inverse(max(alpha, all(FILLED_FROM)));
       vf color[3];
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
-      shade<has_relief>(t, hand, at, mine, filled, depth, color);
+      shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), depth, color);
       if (t.outline > 0) {
-        const vf part = 1.f + t.outline * (covered_part(tile, row, x) - 1.f);
-        const vf more = select(mine & (alpha > 0), filled * part * inverse(alpha), all(1.f));
+        const vf wanted = filled * clamped(at.at[WHOLE]) * covered_part(tile, row, x);
+        const vf more = select(mine & (alpha > 0), 1.f + t.outline * (wanted * inverse(alpha) - 1.f), all(1.f));
         for (int k = 0; k < 3; k++) color[k] *= more;
         for (int k = ALPHA; k <= DEPTH; k++) store_first(p + k * pixels, load_first(p + k * pixels, n) * more, n);
       }

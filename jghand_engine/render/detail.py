@@ -163,21 +163,6 @@ class SurfaceHits:
         return self._drawn.hits(replace(camera, camera_from_world=camera.camera_from_world @ root))
 
 
-def lid(faces: np.ndarray) -> np.ndarray:
-    """(L, 3) faces that close the holes of a surface (F, 3), each a fan of its rim's vertices."""
-    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    across = set(map(tuple, sides[:, ::-1].tolist()))
-    # seen from the other side, which vertex of a rim follows a vertex
-    following = {end: start for start, end in sides.tolist() if (start, end) not in across}
-    found = []
-    while following:
-        first, last = following.popitem()
-        while (vertex := following.pop(last)) != first:
-            found.append((first, last, vertex))
-            last = vertex
-    return np.array(found, faces.dtype).reshape(-1, 3)
-
-
 def opposite_vertices(faces: np.ndarray) -> np.ndarray:
     """(F, 3) of faces (F, 3): the vertex across the side from each corner to the next; that corner where none is."""
     across = {
@@ -213,21 +198,15 @@ class _Hand:
             self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
             set_pointers(self._surface, self._correctives)
         texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1)
-        corner, numbers = detail.faces, np.arange(len(detail.faces))
-        if detail.ends_hand:
-            # what ends a hand is closed, or one could look through it
-            corner = np.concatenate([corner, lid(corner)])
-            texture_xy, numbers = np.resize(texture_xy, (len(corner), 3, 2)), np.resize(numbers, len(corner))
-            texture_xy[len(detail.faces) :], numbers[len(detail.faces) :] = 0, -1
         # neighbors stand together; a group is filled up with faces without area
-        faces, row_of = Blocks(detail.position_m[corner].mean(1)), np.argsort(blocks.order)
-        self.face_of_row = faces.in_rows(numbers, np.int32)
+        faces, row_of = Blocks(detail.position_m[detail.faces].mean(1)), np.argsort(blocks.order)
+        self.face_of_row = faces.in_rows(np.arange(len(detail.faces)), np.int32)
         groups, boxes = faces.count, -(-faces.count // LANES) * LANES
         slopes = None if hand.light is None else detail.slopes
         self._arrays = {
             "vertex": aligned_zeros((3, blocks.rows)),
-            "corner": _in_groups(faces, row_of[corner]),
-            "opposite": _in_groups(faces, row_of[opposite_vertices(corner)]),
+            "corner": _in_groups(faces, row_of[detail.faces]),
+            "opposite": _in_groups(faces, row_of[opposite_vertices(detail.faces)]),
             "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
             "whole": blocks.blocked(
                 (np.ones(len(detail.position_m)) if detail.whole is None else detail.whole)[:, None]

@@ -16,7 +16,7 @@ from jghand_engine.hand.poses import named_pose
 from jghand_engine.native import library as native_library
 from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.detail import DetailedHand, SurfaceHits, lid, opposite_vertices
+from jghand_engine.render.detail import DetailedHand, SurfaceHits, opposite_vertices
 from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
@@ -111,26 +111,17 @@ def test_a_part_of_a_picture_has_the_pixels_of_the_whole():
     assert apart.max() < 0.1
 
 
-def test_where_the_hand_fades_away_alpha_is_not_filled_up():
-    avatar, seen = hand(), camera()
-    fading = changed(avatar, whole=np.zeros(len(surface(avatar).position_m), np.float32))
-    thin = np.full(len(avatar), 0.02, np.float32)
-    ended, without = (
-        drawn(replace(one, opacity=thin), seen=seen).rgba[..., 3] for one in (fading, hand(ends_hand=False))
-    )
-    inside = covered(avatar, "open", seen) == 1
-    np.testing.assert_allclose(ended[inside], without[inside], atol=1e-6)
-    assert np.median(without[inside]) < 0.5
+def test_where_the_hand_fades_away_alpha_does_so_however_many_gaussians_there_are():
+    half = changed(hand(), whole=np.full(len(surface(hand()).position_m), 0.5, np.float32))
+    np.testing.assert_allclose(drawn(half).rgba[..., 3], 0.5 * drawn(hand()).rgba[..., 3], atol=1e-6)
 
 
-def test_one_does_not_look_through_the_open_end_of_a_hand():
-    avatar = hand()
+def test_through_its_open_end_nothing_is_seen_of_a_hands_inside():
     seen = Camera.looking_at((0.0, -0.4, 0.03), (0.0, 0.0, 0.0), (0, 0, 1), width=90, height=90, focal_px=420.0)
-    rim_m = surface(avatar).position_m[np.unique(lid(surface(avatar).faces))]
-    (column, row), _ = seen.project(rim_m.mean(0))
-    middle = np.s_[int(row) - 3 : int(row) + 4, int(column) - 3 : int(column) + 4]
-    assert not covered(avatar, "open", seen)[middle].any()
-    assert (drawn(avatar, seen=seen).rgba[middle][..., 3] > 0.99).all()
+    inside = covered(hand(), "open", seen) == 0
+    ended, without = (drawn(hand(ends_hand=on), seen=seen).rgba[inside, 3] for on in (True, False))
+    assert (without > 0.99).sum() > 1000
+    assert (ended > 0).sum() < 10
 
 
 def test_beside_a_hand_whose_surface_is_not_its_skin_none_is_ended():
@@ -181,12 +172,3 @@ def test_in_the_light_of_a_scene_it_is_the_same():
 def test_across_each_side_of_a_face_is_the_vertex_of_its_neighbor():
     faces = np.array([[0, 1, 2], [2, 1, 3]])
     assert opposite_vertices(faces).tolist() == [[0, 3, 2], [0, 1, 3]]
-
-
-def test_a_lid_closes_a_surface_so_that_each_side_has_a_face_on_either_side():
-    faces = surface(hand()).faces
-    closed = np.concatenate([faces, lid(faces)])
-    sides = closed[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    assert len(lid(faces)) > 10
-    assert set(map(tuple, sides.tolist())) == set(map(tuple, sides[:, ::-1].tolist()))
-    assert not len(lid(closed))
