@@ -44,7 +44,15 @@ from jghand_engine.template.surface import one_uv_each
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
 _ROUNDED = {
     *("skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places", "scene.material"),
-    *("detail.skin.rest", "detail.constant", "detail.uv", "detail.share", "detail.normal", "detail.near"),
+    *(
+        "detail.skin.rest",
+        "detail.constant",
+        "detail.uv",
+        "detail.share",
+        "detail.normal",
+        "detail.near",
+        "detail.whole",
+    ),
 }
 # those that the kernels or the page write
 _WRITTEN = {
@@ -55,8 +63,8 @@ _WRITTEN = {
 }
 # of a signed byte, which makes an unsigned one in the same order of it
 SIGN_BIT = np.uint8(128)
-# of what relief makes of light (native/detail.cpp)
-LIGHT_LEAST, LIGHT_MOST = 0.4, 2.5
+# of what relief makes of light, and alpha from which on a pixel is the hand's wholly (native/detail.cpp)
+LIGHT_LEAST, LIGHT_MOST, FILLED_FROM = 0.4, 2.5, 1 / 64
 # the light that is turned: an even world, W/(m2 sr), and a wide sun, W/m2 on what faces it: skin of middle tone that
 # does is as bright as it can be without being cut
 WORLD_RADIANCE, SUN_W_M2, SUN_RAD = 0.45, 3.5, 0.35
@@ -200,6 +208,9 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
             "joints_m": (avatar.canonical_joints_m - avatar.canonical_joints_m[0]).tolist(),
             "rest_deg": bend.rest_deg.tolist(), "bend_deg": BEND_DEG,
         }  # fmt: skip
+    if detail.ends_hand:
+        whole = np.ones(len(detail.position_m)) if detail.whole is None else detail.whole
+        own["whole"] = blocks.in_rows(whole[vertex, None])[..., None]
     arrays |= {f"detail.{name}": array for name, array in own.items()}
     powers = [detail_power(avatar, in_scene=in_scene) for in_scene in (False, True)]
     return {
@@ -207,7 +218,7 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
         "products": products(SIMPLE, NUMBERS), "rest": angle_numbers(avatar.canonical_angles_rad).ravel().tolist(),
         "size": detail.size, "log_ratios_max": [power * LOG_RATIO_MAX for power in powers], "depth_m": detail.depth_m,
         "fades_m": [FADE_FROM_M, FADE_TO_M], "graze_max": GRAZE_MAX, "alphas": [ALPHA_FROM, ALPHA_TO],
-        "mixes": [MIX_FROM, MIX_TO], "relief": relief,
+        "mixes": [MIX_FROM, MIX_TO], "relief": relief, "filled_from": FILLED_FROM if detail.ends_hand else None,
     }  # fmt: skip
 
 

@@ -1,4 +1,5 @@
-// By how much the texture of the skin and its relief change the colors of the Gaussians: native/detail.cpp.
+// By how much the texture of the skin and its relief change the colors of the Gaussians, and the part of a pixel that the
+// surface covers, where the hand ends with it: native/detail.cpp.
 import * as THREE from 'three';
 import { shader } from './shader.js';
 
@@ -8,6 +9,10 @@ const VERTEX = `
   uniform mat4 viewMatrix, projectionMatrix;
   out vec2 at;
   out float z;
+#ifdef ENDS
+  in float whole;
+  out float shown;
+#endif
 #ifdef RELIEF
   in float slopeX, slopeY, slopeZ, along, bend;
   out vec3 place, slope;
@@ -17,6 +22,9 @@ const VERTEX = `
     vec4 eye = viewMatrix * vec4(x, y, -near, 1.0);
     at = uv, z = -eye.z;
     gl_Position = projectionMatrix * eye;
+#ifdef ENDS
+    shown = whole;
+#endif
 #ifdef RELIEF
     place = eye.xyz, slope = mat3(viewMatrix) * vec3(slopeX, slopeY, slopeZ), alongAndBend = vec2(along, bend);
 #endif
@@ -30,7 +38,12 @@ const FRAGMENT = `
   uniform vec2 size, alphas, fades, mixes, logRatiosMax;
   uniform float texels, depth, grazeMax, middle, scale, coverFrom;
   uniform bool fills, linear;
-  out vec4 change;
+  layout(location = 0) out vec4 change;
+#ifdef ENDS
+  in float shown;
+  uniform float filledFrom;
+  layout(location = 1) out vec4 end;
+#endif
 #ifdef RELIEF
   in vec3 place, slope;
   in vec2 alongAndBend;
@@ -54,11 +67,15 @@ const FRAGMENT = `
   void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     float alpha = texelFetch(picture, pixel, 0).a;
-    float drawn = middle + texelFetch(more, pixel, 0).g / max(alpha, alphas.x);
+    float drawn = middle + texelFetch(more, pixel, 0).g / max(alpha, 0.015625);
     // what lies below a surface is farther along a ray that grazes it
     vec2 focal = 0.5 * size * vec2(projectionMatrix[0][0], projectionMatrix[1][1]), slope = vec2(dFdx(z), dFdy(z)) * focal / z;
     float apart = abs(drawn - z - scale * depth) / min(sqrt(1.0 + dot(slope, slope)), grazeMax);
     float cover = fills ? smoothstep(coverFrom, 1.0, alpha) : alpha;
+#ifdef ENDS
+    end = vec4(shown);
+    cover = min(cover / filledFrom, 1.0);
+#endif
     float weight = smoothstep(alphas.x, alphas.y, cover) * (1.0 - smoothstep(scale * fades.x, scale * fades.y, apart));
     vec2 x = dFdx(at), y = dFdy(at);
     float level = max(0.5 * log2(0.5 * texels * texels * (dot(x, x) + dot(y, y))), 0.0);
@@ -83,10 +100,12 @@ export class Detail extends THREE.Mesh {
         const numbers = views[`detail.${array}`]?.subarray(k * rows, (k + 1) * rows);
         if (numbers) geometry.setAttribute(name, new THREE.BufferAttribute(numbers, 1).setUsage(THREE.DynamicDrawUsage));
       });
+    if (detail.filled_from) geometry.setAttribute('whole', new THREE.BufferAttribute(views['detail.whole'], 1));
     geometry.setAttribute('uv', new THREE.BufferAttribute(views['detail.uv'], 2));
     geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(views['detail.faces']), 1));
     const { scale } = views, values = {
       ratios: mipmapped(hand.detail.texture, detail.size), texels: detail.size, depth: detail.depth_m, grazeMax: detail.graze_max,
+      filledFrom: detail.filled_from,
     };
     for (const [name, pair] of Object.entries({ logRatiosMax: 'log_ratios_max', alphas: 'alphas', fades: 'fades_m', mixes: 'mixes' }))
       values[name] = new THREE.Vector2(...detail[pair]);
@@ -96,7 +115,8 @@ export class Detail extends THREE.Mesh {
     const uniforms = { ...common, scale: { get value() { return scale[0]; } } };
     for (const [name, value] of Object.entries(values)) uniforms[name] = { value };
     super(geometry, shader(VERTEX, FRAGMENT, {
-      depthTest: true, depthWrite: true, uniforms, blending: THREE.NoBlending, defines: relief ? { RELIEF: 1 } : {},
+      depthTest: true, depthWrite: true, uniforms, blending: THREE.NoBlending,
+      defines: { ...(relief && { RELIEF: 1 }), ...(detail.filled_from && { ENDS: 1 }) },
       side: hand.description.handedness === 'left' ? THREE.BackSide : THREE.FrontSide,
     }));
     this.frustumCulled = false;

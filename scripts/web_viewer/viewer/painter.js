@@ -5,24 +5,31 @@ import { Detail } from './detail.js';
 import { shader } from './shader.js';
 import { Splats } from './splats.js';
 
+const SAMPLES_MOST = 8;  // of a pixel, by which the part of it that the surface covers is found
 const SAMPLES = 200;  // Gaussians whose mean depth is the middle: depths are blended from there, or halves were too coarse
 
 const VERTEX = `
   void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const FRAGMENT = `
-  uniform sampler2D picture, more, changes;
-  uniform float frontMin, coverFrom;
+  uniform sampler2D picture, more, changes, ends;
+  uniform float frontMin, coverFrom, filledFrom;
   uniform bool linear, fills;
   out vec4 shown;
   void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 sum = texelFetch(picture, at, 0);
     vec3 rgb = sum.rgb / max(texelFetch(more, at, 0).r, max(frontMin * sum.a, 1e-6));
+    float alpha = fills ? smoothstep(coverFrom, 1.0, sum.a) : sum.a;
 #ifdef DETAIL
-    rgb *= 1.0 + texelFetch(changes, at, 0).rgb;
+    // the mean of the samples of a pixel that the surface covers
+    vec4 change = texelFetch(changes, at, 0);
+    rgb *= 1.0 + change.rgb / max(change.a, 1e-3);
+#endif
+#ifdef ENDS
+    alpha = min(alpha / filledFrom, 1.0) * texelFetch(ends, at, 0).r;
 #endif
     if (linear) rgb = mix(12.92 * rgb, 1.055 * pow(max(rgb, 1e-6), vec3(1.0 / 2.4)) - 0.055, greaterThan(rgb, vec3(0.0031308)));
-    shown = vec4(clamp(rgb, 0.0, 1.0), 1.0) * (fills ? smoothstep(coverFrom, 1.0, sum.a) : sum.a);
+    shown = vec4(clamp(rgb, 0.0, 1.0), 1.0) * alpha;
   }`;
 
 export class Painter {
@@ -41,11 +48,13 @@ export class Painter {
     this.common = { size: { value: new THREE.Vector2() }, middle: { value: 0 }, ...cover };
     this.splats = new Splats(hand, contract, this.common);
     this.detail = hand.detail && new Detail(hand, { ...this.common, picture, more });
-    this.changes = hand.detail && new THREE.WebGLRenderTarget(1, 1, halves);
+    const filledFrom = hand.description.detail?.filled_from, samples = Math.min(renderer.capabilities.maxSamples, SAMPLES_MOST);
+    this.changes = hand.detail && new THREE.WebGLRenderTarget(1, 1, { ...halves, ...(filledFrom && { count: 2, samples }) });
     const geometry = new THREE.BufferGeometry().setIndex([0, 1, 2]);
     this.resolve = new THREE.Mesh(geometry, shader(VERTEX, FRAGMENT, {
-      blending: THREE.NoBlending, defines: hand.detail ? { DETAIL: 1 } : {}, uniforms: {
-        picture, more, changes: { value: this.changes?.texture }, frontMin: { value: contract.front_min }, ...cover,
+      blending: THREE.NoBlending, defines: { ...(hand.detail && { DETAIL: 1 }), ...(filledFrom && { ENDS: 1 }) }, uniforms: {
+        picture, more, changes: { value: this.changes?.texture }, ends: { value: this.changes?.textures[1] },
+        frontMin: { value: contract.front_min }, filledFrom: { value: filledFrom }, ...cover,
       },
     }));
     this.resolve.frustumCulled = false;
