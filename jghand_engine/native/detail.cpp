@@ -32,7 +32,7 @@ struct DetailHand {
   const float* whole;        // (16 blocks): 0..1, how much of the hand is shown there
   float* planes;             // (16 groups, 3, 16): see `Plane`
   int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
-                             // ends included, and whether it may be at an outline
+                             // ends included, and bits of its sides, each from a corner to the next, at an outline
   int32_t* box;              // (4, groups up to 16): the same of a group; x1 < 0: none of its faces is seen
   const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing; with a
                              // relief a second word each, four signed bytes: rise by column and row, straight, then bent
@@ -78,6 +78,7 @@ constexpr int SMALLEST_LOG2 = 2;      // the last level has 4 x 4 texels
 constexpr float MIX_FROM = 0.25f, MIX_TO = 0.75f;  // of the way from one level to the next: between them both are mixed
 constexpr int TEXEL_BITS = 10;
 constexpr float FIELD_MIDDLE = 1.5f;  // what changes nothing, see `field`
+constexpr int CUT_AHEAD_PX = 8;       // so many rows before their turn alpha is fetched
 constexpr float AHEAD_PX = 4;         // so many rows before their turn texels are fetched from memory
 constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far before the end of the square, where the
                                                  // last texel counts wholly but for rounding, and one more is never read
@@ -224,7 +225,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
       const int next = (k + 1) % 3;
       const vf dx = gather(hand.vertex, across) - x[k], dy = gather(hand.vertex + rows, across) - y[k];
       const vf beyond = dx * (y[next] - y[k]) - (x[next] - x[k]) * dy;
-      at_outline |= ~((beyond > 0) & (area > 0)) & ~((beyond < 0) & (area < 0));
+      at_outline |= ~((beyond > 0) & (area > 0)) & ~((beyond < 0) & (area < 0)) & (1 << k);
     }
   } else {
     seen &= (first_x <= last_x) & (first_y <= last_y);
@@ -359,11 +360,28 @@ void cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
 // Bits of the columns of a span.
 JG_INLINE uint64_t columns_of(const Span& at) { return (~0ull >> (TILE_X - 1 - (at.x1 - at.x0))) << at.x0; }
 
+// Marks the pixels that a side at an outline crosses.
 void doubt_outlines(Surface& tile, const DetailHand& hand) {
-  each_face(tile, hand, 1, [&](int32_t, const Span& at, int32_t at_outline) __attribute__((always_inline)) {
+  each_face(tile, hand, 1, [&](int32_t row, const Span& at, int32_t at_outline) __attribute__((always_inline)) {
     if (!at_outline) return;
     if (!tile.is_clear) clear(tile);
-    for (int32_t y = at.y0; y <= at.y1; y++) tile.doubted[y] |= columns_of(at);
+    const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
+    for (int side = 0; side < 3; side++) {
+      if (!(at_outline >> side & 1)) continue;
+      // the share of the corner across is 0 along it, and changes by this from the middle of a pixel to a corner
+      const int plane = SHARE_0 + (side + 2) % 3;
+      const float by_x = face[BY_X + plane], by_y = face[BY_Y + plane];
+      const float within = 0.5f * (__builtin_fabsf(by_x) + __builtin_fabsf(by_y));
+      for (int32_t y = at.y0; y <= at.y1; y++) {
+        const float first = face[plane] + ((float)(tile.y + y) + 0.5f - face[Y]) * by_y;
+        uint64_t crossed = 0;
+        for (int32_t x = at.x0 & -LANES; x <= at.x1; x += LANES) {
+          const vf share = (LANE + ((float)(tile.x + x) + 0.5f - face[X])) * by_x + first;
+          crossed |= (uint64_t)bit_mask(abs(share) <= within) << x;
+        }
+        tile.doubted[y] |= crossed & columns_of(at);
+      }
+    }
   });
 }
 
@@ -371,6 +389,9 @@ void doubt_outlines(Surface& tile, const DetailHand& hand) {
 // cover some of it.
 void sample_hand(Surface& tile, const DetailHand& hand, int32_t number) {
   each_face(tile, hand, 1, [&](int32_t row, const Span& at, int32_t) __attribute__((always_inline)) {
+    uint64_t doubted = 0;
+    for (int32_t y = at.y0; y <= at.y1; y++) doubted |= tile.doubted[y];
+    if (!(doubted & columns_of(at))) return;
     const float *face = hand.planes + FACE_NUMBERS * (int64_t)row, *by_x = face + BY_X, *by_y = face + BY_Y;
     vf share[3];
     for (int k = 0; k < 3; k++) {
@@ -558,6 +579,7 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpol
 // The part of sixteen pixels that surfaces cover, of those that they cover at all.
 JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {
   const uint64_t doubted = tile.doubted[row] >> x & 0xffff;
+  if (!doubted) return all(1.f);
   alignas(64) float part[LANES];
   store(part, all(1.f));
   for (uint64_t pixels = doubted; pixels; pixels &= pixels - 1) {
@@ -596,8 +618,10 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       if (t.outline > 0) {
         const vf wanted = filled * clamped(at.at[WHOLE]) * covered_part(tile, row, x);
         const vf more = select(mine & (alpha > 0), 1.f + t.outline * (wanted * inverse(alpha) - 1.f), all(1.f));
-        for (int k = 0; k < 3; k++) color[k] *= more;
-        for (int k = ALPHA; k <= DEPTH; k++) store_first(p + k * pixels, load_first(p + k * pixels, n) * more, n);
+        if (bit_mask(more != 1)) {
+          for (int k = 0; k < 3; k++) color[k] *= more;
+          for (int k = ALPHA; k <= DEPTH; k++) store_first(p + k * pixels, load_first(p + k * pixels, n) * more, n);
+        }
       }
       for (int k = 0; k < 3; k++) store_first(p + k * pixels, color[k], n);
     }
@@ -614,6 +638,9 @@ void cut_outside(const DetailTask& t, const Surface& tile) {
       outside = outside < 0;
       const int32_t left = tile.x + x, n = t.width - left;
       float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
+      // a tile is too narrow for what prefetches by itself
+      __builtin_prefetch(p + ALPHA * pixels + CUT_AHEAD_PX * (int64_t)t.width);
+      if (!bit_mask(outside)) continue;
       if (!bit_mask(outside & (load_first(p + ALPHA * pixels, n) > 0))) continue;
       const vf stays = select(outside, all(1.f - t.outline), all(1.f));
       for (int k = 0; k < PICTURE_PLANES; k++)
