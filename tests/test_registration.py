@@ -20,7 +20,7 @@ from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.render.detail import FADE_TO_M
+from jghand_engine.render.detail import FADE_TO_M, DetailedHand
 
 AVATAR = load_builtin(handedness=Handedness.RIGHT).prefix(10)
 
@@ -35,27 +35,20 @@ def of_adult(avatar: HandAvatar = AVATAR) -> Somebody:
     return somebody(avatar, "adult_woman", Person(), painted(0, 0.5))
 
 
-def apart_mm(
-    avatar: HandAvatar, one: Somebody, joints_m: np.ndarray, vertices_m: np.ndarray, levels: int
-) -> np.ndarray:
-    """Of the vertices of the detail before the wrist from where the person's skin has them, in a pose of the rig."""
-    surface = SkinSurface(one.identity, levels, one.maps)
-    skin_m = surface.posed(vertices_m, surface.bent(joints_m[None])[0])
-    surface_m, _ = posed_surface(avatar, joints_m)
-    on_hand = np.intersect1d(np.unique(surface_of(avatar).faces), np.flatnonzero(behind_m(avatar) < 0))
-    return 1e3 * np.linalg.norm(surface_m - skin_m[: len(surface_m)], axis=1)[on_hand]
+def apart_mm(avatar: HandAvatar, one: Somebody, name: str, levels: int) -> np.ndarray:
+    """Of the vertices of the detail from where the person's skin has them, in a pose of the rig."""
+    hand, surface = RiggedHand(one.identity), SkinSurface(one.identity, levels, one.maps)
+    posed = hand.pose(hand.angles_of(name)[None])
+    skin_m = surface.posed(hand.skin(posed)[0], surface.bent(posed.joints_m)[0])
+    bones = avatar.skeleton().bones(posed.joints_m[0], np.float64, forearm=hand.forearm(posed)[0])
+    surface_m = DetailedHand.of(avatar, 1.0).posed_m(bones)
+    shown = np.unique(surface_of(avatar).faces)
+    return 1e3 * np.linalg.norm(surface_m - skin_m[: len(surface_m)], axis=1)[shown]
 
 
 def behind_m(avatar: HandAvatar) -> np.ndarray:
     """(V,) how far behind the wrist the detail's vertices lie at rest."""
     return (surface_of(avatar).position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY
-
-
-def named(one: Somebody, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Joints and vertices of the rig in a pose."""
-    hand = RiggedHand(one.identity)
-    posed = hand.pose(hand.angles_of(name)[None])
-    return posed.joints_m[0], hand.skin(posed)[0]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +59,7 @@ def child() -> Somebody:
 @pytest.fixture(scope="module")
 def registered_child(child) -> tuple[HandAvatar, HandAvatar]:
     """Before and after, with fewer poses and a coarser skin than hands that are shipped."""
-    plain = replace(AVATAR, detail=replace(surface_of(AVATAR), correctives=None))
+    plain = replace(AVATAR, detail=replace(surface_of(AVATAR), correctives=None, ends_hand=False))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(registration, "POSES", 40)
         patch.setattr(registration, "LEVELS", 1)
@@ -75,25 +68,20 @@ def registered_child(child) -> tuple[HandAvatar, HandAvatar]:
 
 @pytest.mark.parametrize("name", ["pinch", "point"])
 def test_registered_detail_follows_the_skin_of_poses_that_it_was_not_fitted_to(child, registered_child, name):
-    before, after = (np.quantile(apart_mm(one, child, *named(child, name), 1), [0.5, 0.95]) for one in registered_child)
+    before, after = (np.quantile(apart_mm(one, child, name, 1), [0.5, 0.95]) for one in registered_child)
     # observed: 0.04 and 0.10, at most 0.30; before 1.13 and 1.16
     assert after[0] < 0.15
     assert after[1] < 0.6
     assert before[0] > 1
 
 
-def test_the_forearm_stays_where_the_gaussians_have_it(registered_child):
-    before, after = registered_child
-    far = behind_m(before) > registration.FADE_M
-    np.testing.assert_array_equal(surface_of(after).position_m[far], surface_of(before).position_m[far])
-    correctives = surface_of(after).correctives
-    assert correctives is not None
-    assert not correctives.scale_m[far].any()
+def test_a_hand_ends_with_its_registered_detail(registered_child):
+    assert [surface_of(one).ends_hand for one in registered_child] == [False, True]
 
 
 @pytest.mark.parametrize("name", ["open", "fist", "pinch"])
 def test_the_built_in_hands_detail_lies_on_the_skin_of_its_person(name):
-    middle, most = np.quantile(apart_mm(AVATAR, of_adult(), *named(of_adult(), name), 2), [0.5, 0.95])
+    middle, most = np.quantile(apart_mm(AVATAR, of_adult(), name, 2), [0.5, 0.95])
     # most of it is the relief, which is left out here. Observed: 0.22 to 0.30, 0.74 to 0.96
     assert middle < 0.4
     assert most < 1.2
