@@ -60,7 +60,9 @@ class _Poses:
 def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
     """The avatar with its network and its places such that Gaussians are in all poses as deep below a person's skin,
     whose joints it has, as they are on the whole; those of the forearm look as the person's maps say. Cheaper tiers are
-    left out. InputError for an avatar without a network, or one that did not learn in known light."""
+    left out; `uvd` stays where Gaussians began, for the network knows them by it. InputError for an avatar without a
+    network, or one that did not learn in known light.
+    """
     learned, network = avatar.learned, pose_net_of(avatar)
     if learned is None or learned.response is None:
         raise InputError(f"avatar {avatar.info.name}", wanted="one that learned in known light", came="another")

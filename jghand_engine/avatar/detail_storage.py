@@ -80,7 +80,7 @@ class DetailAbout:
     ends_hand: bool = False
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; of a detail without a relief or correctives as it was before there were any."""
+        """For JSON; of a detail that has none of what it need not have as it was before there was any."""
         return {name: value for name, value in asdict(self).items() if value or name not in _MAY_LACK}
 
     @classmethod
@@ -131,6 +131,11 @@ def expected_detail_arrays(about: DetailAbout, storage: Storage) -> dict[str, tu
 
 def pack_detail(detail: Detail, storage: Storage) -> tuple[dict[str, np.ndarray], DetailAbout]:
     """Arrays as they stand in a file, and what is said of them."""
+    if detail.whole is not None:
+        remedy = "Save the avatar before `ended`, which lays it on an avatar that is to be seen."
+        raise InputError(
+            "detail of an avatar", wanted="one of the whole hand", came="one that fades away", remedy=remedy
+        )
     position_m, weights = detail.position_m.astype(np.float32), detail.bone_weights[:, LEVEL_OF_STANDARD]
     box_m = [position_m.min(0).tolist(), position_m.max(0).tolist()]
     packed = {"faces": detail.faces.astype(np.uint16), "texture": _deflated(differences(detail.texture))}

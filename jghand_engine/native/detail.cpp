@@ -12,68 +12,19 @@
 //
 // What is nearer is a larger `near`, 1/z or, of parallel rays, -z: it is linear on the image, and so are the texture's
 // coordinates times it (of parallel rays: by themselves).
+#include "detail_surface.h"
 #include "export.h"
 #include "projection.h"
-#include "scene_light.h"
 #include "shadow.h"
-#include "skin.h"
 #include "team.h"
 
 namespace jg {
 
-// Of one hand. Mirrored field by field in native/detail_task.py.
-struct DetailHand {
-  const LearnedTask* surface;  // of the vertices: their skin, and linear correctives of their places or none
-  float* vertex;             // (3, 16 blocks): x, y px, near
-  const int32_t* corner;     // (groups, 3, 16): rows of vertices
-  const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next; where
-                             // no face is across, that corner
-  const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
-  const float* whole;        // (16 blocks): 0..1, how much of the hand is shown there
-  float* planes;             // (16 groups, 3, 16): see `Plane`
-  int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
-                             // ends included, and bits of its sides, each from a corner to the next, at an outline
-  int32_t* box;              // (4, groups up to 16): the same of a group; x1 < 0: none of its faces is seen
-  const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing; with a
-                             // relief a second word each, four signed bytes: rise by column and row, straight, then bent
-  int32_t size_log2, groups;
-  float facing;              // sign of the area on the image of a face seen from outside
-  float depth;               // m, of the Gaussians below the surface, times the hand's scale
-  float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
-  float strength;            // 0..1; 0: not drawn
-  float exponent;            // log2 of a ratio over the range of a texel's channel
-  // relief
-  const LearnedTask* learned;  // whose light falls on it; null: there is none
-  const float* normal;       // (blocks, 3, 16) of the vertices at rest, unit
-  const int32_t* nearest;    // (blocks, ANCHORS_AROUND, 16): anchors of the light around them
-  const int32_t* beside;     // (blocks, ANCHORS_AROUND, 16): rows of Gaussians there
-  const float* share;        // (blocks, ANCHORS_AROUND, 16)
-  const float* bend;         // (16 blocks): 0 straight to 1 bent
-  float* slope;              // (4, 16 blocks): how their light turns with the normal, in the camera's axes; along it
-  float rise;                // m per side of the square, over the range of a byte, times the hand's scale; 0: not drawn
-};
-
-// Mirrored field by field in native/detail_task.py.
-struct DetailTask {
-  const DetailHand* hands;
-  float* picture;  // (5, H, W) premultiplied R G B, alpha, sum of weight * z
-  int32_t* hit;    // (H, W) row of the nearest face of the first hand, -1: none; null where colors are wanted
-  float* hit_near; // (H, W)
-  double camera_from_position[12];
-  float fx, fy, cx, cy, z_near;
-  float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
-  float graze_max;             // lengths along a ray that grazes the surface are longer by this factor at most
-  float outline;               // 0..1: how much of alpha is what the surfaces cover
-  int32_t hand_count, width, height, orthographic;
-};
-
 namespace {
 
 constexpr int PARTS = 32;            // items per hand of the steps over vertices and faces
-constexpr int TILE_X = 64, TILE_Y = 32;
 constexpr float EDGE_PX = 1.f / 512;  // faces reach so much farther: no gaps between neighbors
 constexpr float AREA_MIN_PX2 = 1e-9f;
-constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
 constexpr int SMALLEST_LOG2 = 2;      // the last level has 4 x 4 texels
 constexpr float MIX_FROM = 0.25f, MIX_TO = 0.75f;  // of the way from one level to the next: between them both are mixed
 constexpr int TEXEL_BITS = 10;
@@ -84,20 +35,7 @@ constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far 
                                                  // last texel counts wholly but for rounding, and one more is never read
 constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
 constexpr int PICTURE_PLANES = 5, ALPHA = 3, DEPTH = 4;
-constexpr int BOUNDS = 5, AT_OUTLINE = 4;
 constexpr float FILLED_FROM = 1.f / 64;  // alpha from which on a pixel is the hand's wholly: enough to know its color
-// of a pixel covered by a face: four rows of four, in the middle of the sixteenths of its area
-const vf SAMPLE_X = {-.375f, -.125f, .125f, .375f, -.375f, -.125f, .125f, .375f,
-                     -.375f, -.125f, .125f, .375f, -.375f, -.125f, .125f, .375f};
-const vf SAMPLE_Y = {-.375f, -.375f, -.375f, -.375f, -.125f, -.125f, -.125f, -.125f,
-                     .125f, .125f, .125f, .125f, .375f, .375f, .375f, .375f};
-
-// What is kept of a face. First what is affine on the image: near; the texture's column and row times it; how much is
-// shown; of relief the light's change with a rise by column and by row, its change along the normal, and the bend; and
-// corners' shares. Each has its value at the first corner, and by how much it changes by x and by y, in a vector each: three that lie together.
-// Behind the values stand that corner, and squares of what a rise by column and row tilts.
-enum Plane { NEAR, U, V, WHOLE, BY_U, BY_V, ALONG, BEND, SHARE_0, SHARE_1, SHARE_2, X, Y, UU, UV, VV };
-constexpr int BY_X = LANES, BY_Y = 2 * LANES, FACE_NUMBERS = 3 * LANES;
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
 JG_INLINE vi to_int(vf x) { return __builtin_convertvector(x, vi); }
@@ -217,15 +155,19 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   centers(min(min(y[0], y[1]), y[2]), max(max(y[0], y[1]), y[2]), t.height, first_y, last_y);
   vf whole[3];
   for (int k = 0; k < 3; k++) whole[k] = gather(hand.whole, row_of_corner[k]);
-  vi seen = area * hand.facing > AREA_MIN_PX2, at_outline = all(0);
+  vi seen = area * hand.facing > AREA_MIN_PX2, kind = all(0);
   if (t.outline > 0) {
+    // a pixel whose center it does not reach may be covered in part
+    seen &= (max(max(x[0], x[1]), x[2]) >= 0) & (min(min(x[0], x[1]), x[2]) <= (float)t.width);
+    seen &= (max(max(y[0], y[1]), y[2]) >= 0) & (min(min(y[0], y[1]), y[2]) <= (float)t.height);
+    kind = min(min(whole[0], whole[1]), whole[2]) < 1 ? all(FADES) : all(0);
     for (int k = 0; k < 3; k++) {
       vi across;
       memcpy(&across, hand.opposite + (3 * (int64_t)group + k) * LANES, sizeof across);
       const int next = (k + 1) % 3;
       const vf dx = gather(hand.vertex, across) - x[k], dy = gather(hand.vertex + rows, across) - y[k];
       const vf beyond = dx * (y[next] - y[k]) - (x[next] - x[k]) * dy;
-      at_outline |= ~((beyond > 0) & (area > 0)) & ~((beyond < 0) & (area < 0)) & (1 << k);
+      kind |= ~((beyond > 0) & (area > 0)) & ~((beyond < 0) & (area < 0)) & (1 << k);
     }
   } else {
     seen &= (first_x <= last_x) & (first_y <= last_y);
@@ -235,7 +177,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   first_y = seen ? first_y : nowhere, last_y = seen ? last_y : all(-1);
   int32_t* bounds = hand.bounds + BOUNDS * LANES * (int64_t)group;
   store(bounds, first_x), store(bounds + LANES, last_x), store(bounds + 2 * LANES, first_y);
-  store(bounds + 3 * LANES, last_y), store(bounds + AT_OUTLINE * LANES, at_outline);
+  store(bounds + 3 * LANES, last_y), store(bounds + FACE_KIND * LANES, kind);
   int32_t box[4] = {INT32_MAX, -1, INT32_MAX, -1};
   for (int i = 0; i < LANES; i++) {
     if (bounds[i] < box[0]) box[0] = bounds[i];
@@ -269,147 +211,6 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   float* out = hand.planes + FACE_NUMBERS * LANES * (int64_t)group;
   for (int i = 0; i < LANES; i++, out += FACE_NUMBERS)
     store(out, faces.at[i]), store(out + BY_X, faces.by_x[i]), store(out + BY_Y, faces.by_y[i]);
-}
-
-// The nearest face of each pixel of a part of the image.
-struct Surface {
-  // with room for a vector that begins at the last column
-  alignas(64) float near[TILE_Y][TILE_X + LANES];
-  alignas(64) int32_t face[TILE_Y][TILE_X + LANES];  // its number and its hand's; -1: none
-  uint64_t doubted[TILE_Y];                       // bits of pixels that the surface may cover in part
-  uint16_t samples[TILE_Y][TILE_X];               // of these, which samples of a pixel it covers
-  int32_t x, y;
-  bool is_clear;  // whether anything stands above: in most tiles nothing is seen
-};
-static_assert(TILE_X == 64 && LANES == 16, "a row of pixels is a word, samples of a pixel are a vector");
-
-void clear(Surface& tile) {
-  const vf nothing = all(-3.0e38f);
-  const vi no_face = all(-1);
-  memset(tile.doubted, 0, sizeof tile.doubted), memset(tile.samples, 0, sizeof tile.samples);
-  for (int y = 0; y < TILE_Y; y++)
-    for (int x = 0; x < TILE_X; x += LANES) store(&tile.near[y][x], nothing), store(&tile.face[y][x], no_face);
-  tile.is_clear = true;
-}
-
-const vf LANE = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-
-// Puts what a face covers of the tile where nothing is nearer.
-JG_INLINE void cover_face(Surface& tile, const float* face, int32_t number, int32_t x0, int32_t x1, int32_t y0,
-                          int32_t y1) {
-  const float *by_x = face + BY_X, *by_y = face + BY_Y;
-  alignas(64) float at[LANES];
-  store(at, load(face) + ((float)(tile.y + y0) + 0.5f - face[Y]) * load(by_y));
-  for (int32_t x = x0; x <= x1; x += LANES) {
-    const vf dx = LANE + ((float)(tile.x + x) + 0.5f - face[X]);
-    vf near = dx * by_x[NEAR] + at[NEAR], share[3];
-    for (int k = 0; k < 3; k++) share[k] = dx * by_x[SHARE_0 + k] + at[SHARE_0 + k];
-    for (int32_t y = y0; y <= y1; y++) {
-      const vf before = load(&tile.near[y][x]);
-      const vi closer = (min(min(share[1], share[2]), share[0]) >= 0) & (near > before);
-      vi face_before;
-      memcpy(&face_before, &tile.face[y][x], sizeof face_before);
-      store(&tile.near[y][x], select(closer, near, before));
-      store(&tile.face[y][x], closer ? all(number) : face_before);
-      for (int k = 0; k < 3; k++) share[k] += by_y[SHARE_0 + k];
-      near += by_y[NEAR];
-    }
-  }
-}
-
-// Where a face is in a tile: centers of pixels, both ends included; none where the first is beyond the last.
-struct Span {
-  int32_t x0, x1, y0, y1;
-};
-
-// Calls act(number of a face, its place) for all faces of a hand that reach into the tile, or to `around` pixels before.
-template <typename Act>
-JG_INLINE void each_face(const Surface& tile, const DetailHand& hand, int32_t around, Act act) {
-  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
-  const vi left = all(tile.x - around), right = all(tile.x + TILE_X - 1 + around);
-  const vi top = all(tile.y - around), bottom = all(tile.y + TILE_Y - 1 + around);
-  const auto touching = [&](const int32_t* p, int64_t step) __attribute__((always_inline)) {
-    vi x0, x1, y0, y1;
-    memcpy(&x0, p, sizeof x0), memcpy(&x1, p + step, sizeof x1);
-    memcpy(&y0, p + 2 * step, sizeof y0), memcpy(&y1, p + 3 * step, sizeof y1);
-    return bit_mask((x0 <= right) & (x1 >= left) & (y0 <= bottom) & (y1 >= top));
-  };
-  for (int32_t sixteen = 0; sixteen < hand.groups; sixteen += LANES) {
-    for (uint32_t groups = touching(hand.box + sixteen, stride); groups; groups &= groups - 1) {
-      const int32_t group = sixteen + __builtin_ctz(groups);
-      const int32_t* bounds = hand.bounds + BOUNDS * LANES * (int64_t)group;
-      for (uint32_t faces = touching(bounds, LANES); faces; faces &= faces - 1) {
-        const int i = __builtin_ctz(faces);
-        const int32_t x0 = bounds[i] - tile.x - around, x1 = bounds[LANES + i] - tile.x + around;
-        const int32_t y0 = bounds[2 * LANES + i] - tile.y - around, y1 = bounds[3 * LANES + i] - tile.y + around;
-        act(LANES * group + i, Span{x0 < 0 ? 0 : x0, x1 < TILE_X ? x1 : TILE_X - 1, y0 < 0 ? 0 : y0,
-                                    y1 < TILE_Y ? y1 : TILE_Y - 1}, bounds[AT_OUTLINE * LANES + i]);
-      }
-    }
-  }
-}
-
-void cover_hand(Surface& tile, const DetailHand& hand, int32_t number) {
-  each_face(tile, hand, 0, [&](int32_t row, const Span& at, int32_t) __attribute__((always_inline)) {
-    if (!tile.is_clear) clear(tile);
-    const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
-    cover_face(tile, face, number << FACE_BITS | row, at.x0, at.x1, at.y0, at.y1);
-  });
-}
-
-// Bits of the columns of a span.
-JG_INLINE uint64_t columns_of(const Span& at) { return (~0ull >> (TILE_X - 1 - (at.x1 - at.x0))) << at.x0; }
-
-// Marks the pixels that a side at an outline crosses.
-void doubt_outlines(Surface& tile, const DetailHand& hand) {
-  each_face(tile, hand, 1, [&](int32_t row, const Span& at, int32_t at_outline) __attribute__((always_inline)) {
-    if (!at_outline) return;
-    if (!tile.is_clear) clear(tile);
-    const float* face = hand.planes + FACE_NUMBERS * (int64_t)row;
-    for (int side = 0; side < 3; side++) {
-      if (!(at_outline >> side & 1)) continue;
-      // the share of the corner across is 0 along it, and changes by this from the middle of a pixel to a corner
-      const int plane = SHARE_0 + (side + 2) % 3;
-      const float by_x = face[BY_X + plane], by_y = face[BY_Y + plane];
-      const float within = 0.5f * (__builtin_fabsf(by_x) + __builtin_fabsf(by_y));
-      for (int32_t y = at.y0; y <= at.y1; y++) {
-        const float first = face[plane] + ((float)(tile.y + y) + 0.5f - face[Y]) * by_y;
-        uint64_t crossed = 0;
-        for (int32_t x = at.x0 & -LANES; x <= at.x1; x += LANES) {
-          const vf share = (LANE + ((float)(tile.x + x) + 0.5f - face[X])) * by_x + first;
-          crossed |= (uint64_t)bit_mask(abs(share) <= within) << x;
-        }
-        tile.doubted[y] |= crossed & columns_of(at);
-      }
-    }
-  });
-}
-
-// Finds which samples of doubted pixels a hand covers. Where no face covers the center of one, it gets one of those that
-// cover some of it.
-void sample_hand(Surface& tile, const DetailHand& hand, int32_t number) {
-  each_face(tile, hand, 1, [&](int32_t row, const Span& at, int32_t) __attribute__((always_inline)) {
-    uint64_t doubted = 0;
-    for (int32_t y = at.y0; y <= at.y1; y++) doubted |= tile.doubted[y];
-    if (!(doubted & columns_of(at))) return;
-    const float *face = hand.planes + FACE_NUMBERS * (int64_t)row, *by_x = face + BY_X, *by_y = face + BY_Y;
-    vf share[3];
-    for (int k = 0; k < 3; k++) {
-      const int plane = SHARE_0 + k;
-      share[k] = face[plane] + SAMPLE_X * by_x[plane] + SAMPLE_Y * by_y[plane];
-    }
-    for (int32_t y = at.y0; y <= at.y1; y++) {
-      for (uint64_t pixels = tile.doubted[y] & columns_of(at); pixels; pixels &= pixels - 1) {
-        const int x = __builtin_ctzll(pixels);
-        const float dx = (float)(tile.x + x) + 0.5f - face[X], dy = (float)(tile.y + y) + 0.5f - face[Y];
-        vf least = share[0] + (dx * by_x[SHARE_0] + dy * by_y[SHARE_0]);
-        for (int k = 1; k < 3; k++) least = min(least, share[k] + (dx * by_x[SHARE_0 + k] + dy * by_y[SHARE_0 + k]));
-        const uint32_t covered = bit_mask(least >= 0);
-        tile.samples[y][x] |= (uint16_t)covered;
-        if (covered && tile.face[y][x] < 0) tile.face[y][x] = number << FACE_BITS | row;
-      }
-    }
-  });
 }
 
 // Where a level of the texture lies in memory.
@@ -576,19 +377,6 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpol
   for (int i = 0; i < 3; i++) color[i] *= light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
 }
 
-// The part of sixteen pixels that surfaces cover, of those that they cover at all.
-JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {
-  const uint64_t doubted = tile.doubted[row] >> x & 0xffff;
-  if (!doubted) return all(1.f);
-  alignas(64) float part[LANES];
-  store(part, all(1.f));
-  for (uint64_t pixels = doubted; pixels; pixels &= pixels - 1) {
-    const int i = __builtin_ctzll(pixels);
-    part[i] = (1.f / LANES) * (float)__builtin_popcount(tile.samples[row][x + i]);
-  }
-  return load(part);
-}
-
 // What of a hand is the nearest in a tile.
 template <bool has_relief>
 void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
@@ -616,11 +404,14 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), depth, color);
       if (t.outline > 0) {
-        const vf wanted = filled * clamped(at.at[WHOLE]) * covered_part(tile, row, x);
+        const vi solid = ((all((int32_t)(tile.solid[row] >> x)) >> LANE_NUMBER) & 1) != 0;
+        const vf whole = select(solid, all(1.f), clamped(at.at[WHOLE]));
+        const vf wanted = filled * whole * covered_part(tile, row, x);
         const vf more = select(mine & (alpha > 0), 1.f + t.outline * (wanted * inverse(alpha) - 1.f), all(1.f));
         if (bit_mask(more != 1)) {
           for (int k = 0; k < 3; k++) color[k] *= more;
-          for (int k = ALPHA; k <= DEPTH; k++) store_first(p + k * pixels, load_first(p + k * pixels, n) * more, n);
+          store_first(p + ALPHA * pixels, min(alpha * more, all(1.f)), n);
+          store_first(p + DEPTH * pixels, load_first(p + DEPTH * pixels, n) * more, n);
         }
       }
       for (int k = 0; k < 3; k++) store_first(p + k * pixels, color[k], n);
@@ -661,11 +452,12 @@ void keep_hits(const DetailTask& t, Surface& tile) {
 
 void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   Surface tile;
-  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y, tile.is_clear = false;
+  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y, tile.is_clear = tile.fades = false;
   // one that is not drawn hides others all the same
   for (int32_t hand = 0; hand < t.hand_count; hand++) cover_hand(tile, t.hands[hand], hand);
   if (t.hit) return keep_hits(t, tile);
   if (t.outline > 0) {
+    for (int32_t hand = 0; tile.fades && hand < t.hand_count; hand++) mark_solid(tile, t.hands[hand]);
     for (int32_t hand = 0; hand < t.hand_count; hand++) doubt_outlines(tile, t.hands[hand]);
     for (int32_t hand = 0; tile.is_clear && hand < t.hand_count; hand++) sample_hand(tile, t.hands[hand], hand);
     cut_outside(t, tile);
@@ -683,7 +475,7 @@ void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
 JG_API int32_t jg_detail_hand_bytes() { return sizeof(jg::DetailHand); }
 JG_API int32_t jg_detail_task_bytes() { return sizeof(jg::DetailTask); }
 
-// Multiplies the colors of a drawn picture by detail, together with the other threads of the team.
+// Multiplies the colors of a drawn picture by detail, and ends its hands, together with the other threads of the team.
 JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
   const jg::DetailTask t = *task;
   const auto parts = [&](int step, auto count, auto work) {

@@ -2,8 +2,9 @@
 pixel, multiplies the color there, and so does what its relief makes of the light.
 
 The surface is skinned as Gaussians are, with correctives of its own, and of several hands the nearest counts. A pixel
-gets the level of the texture whose texels are as large as it is, and a mean of two levels between. Detail fades out at
-the outline, and where the Gaussians lie elsewhere than the surface: where something else is in front of it.
+gets the level of the texture whose texels are as large as it is, and a mean of two levels between. Detail fades out
+where the Gaussians lie elsewhere than the surface: where something else is in front of it; and at the outline, unless
+the surface is the skin's: then the hand ends with it, and alpha becomes the part of a pixel that it covers.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ FADE_FROM_M, FADE_TO_M = 0.002, 0.004
 # ... times the inverse cosine of the angle at which the surface is seen, up to this: on flanks Gaussians lie deeper
 # along the ray, and a palm seen nearly along its skin had no detail
 GRAZE_MAX = 4.0
-# alpha between which it fades in: the last pixel of an outline is that of the Gaussians
+# alpha between which it fades in: the last pixel of an outline that the surface does not end is that of the Gaussians
 ALPHA_FROM, ALPHA_TO = 0.5, 0.9
 # values of a byte
 BYTES = 256
@@ -165,13 +166,12 @@ class SurfaceHits:
 
 def opposite_vertices(faces: np.ndarray) -> np.ndarray:
     """(F, 3) of faces (F, 3): the vertex across the side from each corner to the next; that corner where none is."""
-    across = {
-        (end, start): vertex
-        for corners in (faces, np.roll(faces, -1, 1), np.roll(faces, -2, 1))
-        for start, end, vertex in corners.tolist()
-    }
-    sides = zip(faces.ravel().tolist(), np.roll(faces, -1, 1).ravel().tolist(), strict=True)
-    return np.array([across.get(side, side[0]) for side in sides]).reshape(-1, 3)
+    start, end = faces.astype(np.int64), np.roll(faces, -1, 1)
+    base = int(faces.max(initial=0)) + 1
+    side, back = (start * base + end).ravel(), (end * base + start).ravel()
+    order = np.argsort(side)
+    found = order[np.searchsorted(side, back, sorter=order).clip(max=len(side) - 1)]
+    return np.where(side[found] == back, np.roll(faces, -2, 1).ravel()[found], faces.ravel()).reshape(-1, 3)
 
 
 def _in_groups(faces: Blocks, rows: np.ndarray) -> np.ndarray:
@@ -206,7 +206,9 @@ class _Hand:
         self._arrays = {
             "vertex": aligned_zeros((3, blocks.rows)),
             "corner": _in_groups(faces, row_of[detail.faces]),
-            "opposite": _in_groups(faces, row_of[opposite_vertices(detail.faces)]),
+            "opposite": _in_groups(
+                faces, row_of[opposite_vertices(detail.faces) if detail.ends_hand else detail.faces]
+            ),
             "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
             "whole": blocks.blocked(
                 (np.ones(len(detail.position_m)) if detail.whole is None else detail.whole)[:, None]

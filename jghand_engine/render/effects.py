@@ -266,7 +266,9 @@ def plan_detail(scene: Scene, views: Sequence[View], settings: RenderSettings) -
         size = view.bones.scale * scene.camera.px_per_meter(nearest_m) if nearest_m > contract.Z_NEAR_M else math.inf
         spans.append(detail.texels_per_m / max(size, 1e-9))
         hand = view.hand
-        seen.append(math.expm1(detail.strongest(spans[-1], hand.detail_power, is_lit=hand.learned is not None)))
+        color = math.expm1(detail.strongest(spans[-1], hand.detail_power, is_lit=hand.learned is not None))
+        # outlines are seen at any size
+        seen.append(1.0 if detail.ends_hand else color)
         side = min(extent, scene.camera.width, scene.camera.height)
         cost += len(detail.faces) * FACE_MS + 0.5 * side**2 * (TEXEL_MS if detail.relief is None else RELIEF_TEXEL_MS)
     strengths = tuple(1.0 if effects.forces(Effect.DETAIL) else min(max(s / DETAIL_UNSEEN - 1, 0.0), 1.0) for s in seen)

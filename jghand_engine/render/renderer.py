@@ -205,7 +205,8 @@ class SceneRenderer:
 
     def bone_ids(self, camera: Camera) -> np.ndarray:
         """(H, W) uint8: which bone covers most of a pixel, of the hands as they were drawn last, through the middle of
-        the camera's lens: the number, 1..20, of the joint of the standard order at which it ends; 0 for nothing.
+        the camera's lens: the number, 1..20, of the joint of the standard order at which it ends; 0 for nothing. Of
+        the Gaussians, which may reach farther than the picture's alpha.
 
         InputError when nothing was drawn yet.
         """

@@ -50,6 +50,12 @@ def test_a_file_returns_a_relief_as_it_is(tmp_path, in_relief, storage):
     assert np.array_equal(again.height, in_relief.detail.relief.height)
 
 
+def test_a_hand_that_was_made_to_fade_away_is_not_written(tmp_path, hand):
+    fading = replace(hand.detail, whole=np.ones(len(hand.detail.position_m), np.float32))
+    with pytest.raises(InputError, match="fades away"):
+        save_avatar(tmp_path / "hand.jghand", replace(hand, detail=fading))
+
+
 def test_a_file_says_whether_its_detail_ends_the_hand_and_older_programs_refuse_it(tmp_path, hand):
     for ends, version in ((True, 5), (False, 4)):
         save_avatar(tmp_path / "hand.jghand", replace(hand, detail=replace(hand.detail, ends_hand=ends)))

@@ -53,8 +53,8 @@ def test_gaussians_have_the_ratio_of_the_texture_under_them():
 )
 def test_a_picture_of_these_gaussians_is_nearer_to_that_of_the_texture(pose, view, gain_db):
     avatar = load_avatar_called("builtin")
-    # colors hold no slopes
-    avatar = replace(avatar, detail=replace(avatar.detail, relief=None))
+    # colors hold no slopes, and no outline
+    avatar = replace(avatar, detail=replace(avatar.detail, relief=None, ends_hand=False))
     joints_m = named_pose(pose, avatar.canonical_joints_m, handedness=Handedness.RIGHT)
     camera = framing_camera(joints_m[None], Handedness.RIGHT, view, width=768, height=768)
     true, colored, without = (

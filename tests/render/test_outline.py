@@ -14,9 +14,11 @@ from jghand_engine.avatar.scene_light import Lamp, SceneLight
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.native import library as native_library
+from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.detail import DetailedHand, SurfaceHits, opposite_vertices
+from jghand_engine.render.detail import DetailedHand, NativeDetail, SurfaceHits, opposite_vertices
 from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
@@ -144,6 +146,38 @@ def test_two_hands_end_where_either_does():
         moved.camera_from_world[:3, 3] += moved.camera_from_world[:3, :3] @ (place[0] - joints_m[0])
         parts.append(covered(hand(), "open", moved))
     assert ((rgba[..., 3] > 0) != (np.maximum(*parts) > 0)).sum() < 10
+
+
+@pytest.mark.parametrize("name", ["open", "fist"])
+def test_through_a_part_that_fades_away_what_is_behind_it_stays_solid(name):
+    """Of one hand in front of another the whole wrist is not shown."""
+    near = changed(hand(), whole=(surface(hand()).position_m[:, 1] > 0.12).astype(np.float32))
+    joints_m, seen = pose(name), camera()
+    both = SceneRenderer([near, hand()], DRAWN).render([joints_m + np.array([0, 0, 0.1]), joints_m], seen).rgba
+    behind = covered(hand(), name, seen) == 1
+    assert (drawn(near, name, replace(seen, camera_from_world=seen.camera_from_world)).rgba[..., 3] < 0.5).sum() > 300
+    assert both[behind, 3].min() > 0.99
+
+
+def test_alpha_is_at_most_one():
+    assert drawn(load_builtin(handedness=Handedness.RIGHT)).rgba[..., 3].max() == 1
+
+
+def test_half_of_the_effect_is_half_of_the_way():
+    avatar, seen = changed(hand(), texture=flat(64, 0.0)), camera()
+    library, joints_m = native_library.load(), pose("open")
+    planes = []
+    for strength in (0.0, 0.5, 1.0):
+        one = aligned_zeros((5, seen.height, seen.width))
+        one[...] = 0.3
+        drawer = NativeDetail(library, [DetailedHand.of(avatar, 1.0)])
+        bones = avatar.skeleton().bones(joints_m)
+        drawer.pose([bones], [bones.root_m])
+        drawer.prepare(one, seen, [strength], ends_hands=True)
+        shared_pool(1).run(lambda _thread, drawer=drawer: drawer.run())
+        planes.append(one)
+    assert np.abs(planes[2] - planes[0]).max() > 0.29
+    np.testing.assert_allclose(planes[1], (planes[0] + planes[2]) / 2, atol=1e-6)
 
 
 @pytest.mark.parametrize("variant", native_library.runnable_variants())

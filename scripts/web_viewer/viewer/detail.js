@@ -31,6 +31,7 @@ const VERTEX = `
   }`;
 
 const FRAGMENT = `
+  const float DEPTH_ALPHA_MIN = 1.0 / 64.0;
   in vec2 at;
   in float z;
   uniform mat4 projectionMatrix;
@@ -67,7 +68,7 @@ const FRAGMENT = `
   void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     float alpha = texelFetch(picture, pixel, 0).a;
-    float drawn = middle + texelFetch(more, pixel, 0).g / max(alpha, 0.015625);
+    float drawn = middle + texelFetch(more, pixel, 0).g / max(alpha, DEPTH_ALPHA_MIN);
     // what lies below a surface is farther along a ray that grazes it
     vec2 focal = 0.5 * size * vec2(projectionMatrix[0][0], projectionMatrix[1][1]), slope = vec2(dFdx(z), dFdy(z)) * focal / z;
     float apart = abs(drawn - z - scale * depth) / min(sqrt(1.0 + dot(slope, slope)), grazeMax);
