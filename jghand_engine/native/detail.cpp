@@ -430,8 +430,8 @@ void cut_outside(const DetailTask& t, const Surface& tile) {
       const int32_t left = tile.x + x, n = t.width - left;
       float* p = t.picture + (int64_t)(tile.y + row) * t.width + left;
       // a tile is too narrow for what prefetches by itself
-      __builtin_prefetch(p + ALPHA * pixels + CUT_AHEAD_PX * (int64_t)t.width);
       if (!bit_mask(outside)) continue;
+      __builtin_prefetch(p + ALPHA * pixels + CUT_AHEAD_PX * (int64_t)t.width);
       if (!bit_mask(outside & (load_first(p + ALPHA * pixels, n) > 0))) continue;
       const vf stays = select(outside, all(1.f - t.outline), all(1.f));
       for (int k = 0; k < PICTURE_PLANES; k++)

@@ -35,7 +35,7 @@ BLUE = (0.15, 0.3, 0.6)
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
     """Three pictures of a blue hand."""
-    hand = estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(3000)
+    hand = replace(estimated(load_builtin(handedness=Handedness.RIGHT)).prefix(3000), detail=None)
     hand = replace(hand, rgb=np.broadcast_to(np.float32(BLUE), hand.rgb.shape).copy())
     folder = tmp_path_factory.mktemp("lit")
     # coverage as trainings blend it
