@@ -188,6 +188,13 @@ def test_every_kernel_and_any_number_of_threads_ends_a_hand_alike(variant):
     assert (np.abs(one[..., 3] - drawn(hand(), "fist").rgba[..., 3]) > 1e-3).mean() < 1e-3
 
 
+def test_a_hand_of_few_pixels_ends_with_its_skin_too():
+    far = replace(camera(30, 35), fx=105.0, fy=105.0, cx=15.0, cy=17.5)
+    by_bounds, rgba = replace(DRAWN, effects=Choice()), drawn(changed(hand(), texture=flat(64, 0.0)), seen=far).rgba
+    smooth = changed(hand(), texture=flat(64, 0.0))
+    np.testing.assert_array_equal(drawn(smooth, seen=far, settings=by_bounds).rgba, rgba)
+
+
 def test_without_detail_a_hand_ends_as_its_gaussians_do():
     without = replace(DRAWN, effects=Choice.parse("motion-blur,depth-of-field"))
     assert np.array_equal(drawn(hand(), settings=without).rgba, drawn(hand(ends_hand=False), settings=without).rgba)
