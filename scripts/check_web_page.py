@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
@@ -49,10 +50,12 @@ POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
 COMPARED = (0, 20, 100)
 # lights in which they are: the hand's own, and a sun so many degrees around it and above it, where relief shows
 LIGHTS = {"own": (), "turned": (100, 10)}
-# the picture without the self-shadow that the page leaves out, away from the outline; seen 58.9 at least, and 50 to 56
+# the picture without the self-shadow that the page leaves out, away from the outline; seen 63.5 at least, and 50 to 56
 # without the relief. At the outline a graphics card counts four or eight samples of a pixel, and the engine sixteen:
-# with it 46.1 to 49.3
-PSNR_LEAST_DB, WITH_OUTLINE_LEAST_DB = 57.0, 44.0
+# with it 46.1 to 49.4
+PSNR_LEAST_DB, WITH_OUTLINE_LEAST_DB = 60.0, 44.0
+# alpha of a pixel that is hand alone, but for rounding
+WHOLE = 0.999
 # meters that a joint which is moved moves at least, and one that is not at most
 MOVED_M, STILL_M = 1e-3, 1e-9
 
@@ -111,9 +114,9 @@ def sun_at(view: WebView, around_deg: float, height_deg: float) -> tuple[float, 
 def drawn_by_us(
     avatar: HandAvatar, sequence: PoseSequence, camera: Camera, shadow: ShadowMode, light: SceneLight | None
 ) -> list[np.ndarray]:
-    """(H, W, 3) uint8 on black of the frames that are compared."""
+    """(H, W, 4) premultiplied, display-referred, of the frames that are compared."""
     renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=shadow), light)
-    return [flatten(renderer.render(sequence.joints_m[frame], camera).displayed(), BLACK) for frame in COMPARED]
+    return [renderer.render(sequence.joints_m[frame], camera).displayed() for frame in COMPARED]
 
 
 def visited(page: Path, wanted: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
@@ -124,13 +127,10 @@ def visited(page: Path, wanted: list[dict[str, Any]], folder: Path) -> dict[str,
     return json.loads(clients.node("photograph_page.mjs", page, plan, folder))
 
 
-def away_from_outline(picture: np.ndarray) -> np.ndarray:
-    """(H, W) bool of a picture (H, W, 3) over black: pixels that are hand, or not, like all around them."""
-    hand = np.pad((picture > 0).any(-1), 1, mode="edge")
-    height, width = picture.shape[:2]
-    around = np.stack([hand[y : y + height, x : x + width] for y in range(3) for x in range(3)])
-    count = around.sum(0)
-    return (count == 0) | (count == len(around))
+def away_from_outline(alpha: np.ndarray) -> np.ndarray:
+    """(H, W) bool of alpha (H, W): pixels that are wholly hand, or not at all, like all around them."""
+    whole = binary_erosion(alpha > WHOLE, np.ones((3, 3)), border_value=1)
+    return np.logical_or(whole, np.logical_not(binary_dilation(alpha > 0, np.ones((3, 3)))))
 
 
 def main() -> int:
@@ -163,9 +163,9 @@ def main() -> int:
         scene = turned_light(sun_at(view, *sun)) if sun else None
         drawn = (drawn_by_us(avatar, sequence, camera, mode, scene) for mode in (ShadowMode.OFF, ShadowMode.GATED))
         ours += zip([f"{light}_{frame}" for frame in COMPARED], *drawn, strict=True)
-    for name, one, other in ours:
-        page = read_png(folder / f"{name}.png")[..., :3]
-        away = away_from_outline(one)
+    for name, *drawn in ours:
+        page, away = read_png(folder / f"{name}.png")[..., :3], away_from_outline(drawn[0][..., 3])
+        one, other = (flatten(rgba, BLACK) for rgba in drawn)
         without, whole, with_shadow = psnr_db(page[away], one[away]), psnr_db(page, one), psnr_db(page, other)
         least, all_least = min(least, without), min(all_least, whole)
         apart = np.abs(page.astype(int) - one)

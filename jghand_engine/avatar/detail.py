@@ -58,6 +58,11 @@ class Detail:
     whole: np.ndarray | None = None
 
     @property
+    def shown(self) -> np.ndarray:
+        """(V,) `whole` of every vertex."""
+        return np.ones(len(self.position_m), np.float32) if self.whole is None else self.whole
+
+    @property
     def size(self) -> int:
         """S, texels along a side."""
         return self.texture.shape[0]

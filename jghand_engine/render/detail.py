@@ -210,9 +210,7 @@ class _Hand:
                 faces, row_of[opposite_vertices(detail.faces) if detail.ends_hand else detail.faces]
             ),
             "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
-            "whole": blocks.blocked(
-                (np.ones(len(detail.position_m)) if detail.whole is None else detail.whole)[:, None]
-            ),
+            "whole": blocks.blocked(detail.shown[:, None]),
             "planes": aligned_zeros((groups * LANES, FACE_VECTORS, LANES)),
             "bounds": aligned_zeros((groups, FACE_BOUNDS, LANES), np.int32),
             "box": aligned_zeros((4, boxes), np.int32),

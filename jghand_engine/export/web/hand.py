@@ -209,8 +209,7 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
             "rest_deg": bend.rest_deg.tolist(), "bend_deg": BEND_DEG,
         }  # fmt: skip
     if detail.ends_hand:
-        whole = np.ones(len(detail.position_m)) if detail.whole is None else detail.whole
-        own["whole"] = blocks.in_rows(whole[vertex, None])[..., None]
+        own["whole"] = blocks.in_rows(detail.shown[vertex, None])[..., None]
     arrays |= {f"detail.{name}": array for name, array in own.items()}
     powers = [detail_power(avatar, in_scene=in_scene) for in_scene in (False, True)]
     return {
@@ -218,7 +217,8 @@ def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[s
         "products": products(SIMPLE, NUMBERS), "rest": angle_numbers(avatar.canonical_angles_rad).ravel().tolist(),
         "size": detail.size, "log_ratios_max": [power * LOG_RATIO_MAX for power in powers], "depth_m": detail.depth_m,
         "fades_m": [FADE_FROM_M, FADE_TO_M], "graze_max": GRAZE_MAX, "alphas": [ALPHA_FROM, ALPHA_TO],
-        "mixes": [MIX_FROM, MIX_TO], "relief": relief, "filled_from": FILLED_FROM if detail.ends_hand else None,
+        "mixes": [MIX_FROM, MIX_TO], "relief": relief, "filled_from": FILLED_FROM,
+        "ends_hand": detail.ends_hand,
     }  # fmt: skip
 
 

@@ -1,5 +1,5 @@
 // By how much the texture of the skin and its relief change the colors of the Gaussians, and the part of a pixel that the
-// surface covers, where the hand ends with it: native/detail.cpp.
+// surface covers, where the hand ends with it: native/detail.cpp. Colors change by what is seen at the middle of a pixel.
 import * as THREE from 'three';
 import { shader } from './shader.js';
 
@@ -9,10 +9,6 @@ const VERTEX = `
   uniform mat4 viewMatrix, projectionMatrix;
   out vec2 at;
   out float z;
-#ifdef ENDS
-  in float whole;
-  out float shown;
-#endif
 #ifdef RELIEF
   in float slopeX, slopeY, slopeZ, along, bend;
   out vec3 place, slope;
@@ -22,29 +18,20 @@ const VERTEX = `
     vec4 eye = viewMatrix * vec4(x, y, -near, 1.0);
     at = uv, z = -eye.z;
     gl_Position = projectionMatrix * eye;
-#ifdef ENDS
-    shown = whole;
-#endif
 #ifdef RELIEF
     place = eye.xyz, slope = mat3(viewMatrix) * vec3(slopeX, slopeY, slopeZ), alongAndBend = vec2(along, bend);
 #endif
   }`;
 
 const FRAGMENT = `
-  const float DEPTH_ALPHA_MIN = 1.0 / 64.0;
   in vec2 at;
   in float z;
   uniform mat4 projectionMatrix;
   uniform sampler2D picture, more, ratios;
   uniform vec2 size, alphas, fades, mixes, logRatiosMax;
-  uniform float texels, depth, grazeMax, middle, scale, coverFrom;
+  uniform float texels, depth, grazeMax, middle, scale, coverFrom, filledFrom;
   uniform bool fills, linear;
-  layout(location = 0) out vec4 change;
-#ifdef ENDS
-  in float shown;
-  uniform float filledFrom;
-  layout(location = 1) out vec4 end;
-#endif
+  out vec4 change;
 #ifdef RELIEF
   in vec3 place, slope;
   in vec2 alongAndBend;
@@ -68,13 +55,12 @@ const FRAGMENT = `
   void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     float alpha = texelFetch(picture, pixel, 0).a;
-    float drawn = middle + texelFetch(more, pixel, 0).g / max(alpha, DEPTH_ALPHA_MIN);
+    float drawn = middle + texelFetch(more, pixel, 0).g / max(alpha, filledFrom);
     // what lies below a surface is farther along a ray that grazes it
     vec2 focal = 0.5 * size * vec2(projectionMatrix[0][0], projectionMatrix[1][1]), slope = vec2(dFdx(z), dFdy(z)) * focal / z;
     float apart = abs(drawn - z - scale * depth) / min(sqrt(1.0 + dot(slope, slope)), grazeMax);
     float cover = fills ? smoothstep(coverFrom, 1.0, alpha) : alpha;
 #ifdef ENDS
-    end = vec4(shown);
     cover = min(cover / filledFrom, 1.0);
 #endif
     float weight = smoothstep(alphas.x, alphas.y, cover) * (1.0 - smoothstep(scale * fades.x, scale * fades.y, apart));
@@ -101,7 +87,7 @@ export class Detail extends THREE.Mesh {
         const numbers = views[`detail.${array}`]?.subarray(k * rows, (k + 1) * rows);
         if (numbers) geometry.setAttribute(name, new THREE.BufferAttribute(numbers, 1).setUsage(THREE.DynamicDrawUsage));
       });
-    if (detail.filled_from) geometry.setAttribute('whole', new THREE.BufferAttribute(views['detail.whole'], 1));
+    if (detail.ends_hand) geometry.setAttribute('whole', new THREE.BufferAttribute(views['detail.whole'], 1));
     geometry.setAttribute('uv', new THREE.BufferAttribute(views['detail.uv'], 2));
     geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(views['detail.faces']), 1));
     const { scale } = views, values = {
@@ -117,7 +103,7 @@ export class Detail extends THREE.Mesh {
     for (const [name, value] of Object.entries(values)) uniforms[name] = { value };
     super(geometry, shader(VERTEX, FRAGMENT, {
       depthTest: true, depthWrite: true, uniforms, blending: THREE.NoBlending,
-      defines: { ...(relief && { RELIEF: 1 }), ...(detail.filled_from && { ENDS: 1 }) },
+      defines: { ...(relief && { RELIEF: 1 }), ...(detail.ends_hand && { ENDS: 1 }) },
       side: hand.description.handedness === 'left' ? THREE.BackSide : THREE.FrontSide,
     }));
     this.frustumCulled = false;
@@ -128,6 +114,24 @@ export class Detail extends THREE.Mesh {
   showPose() {
     this.hand.detail.pose(this.hand);
     for (const name of Object.values(MOVING).flat()) if (name in this.geometry.attributes) this.geometry.attributes[name].needsUpdate = true;
+  }
+}
+
+const ENDS_VERTEX = `
+  in float x, y, near, whole;
+  uniform mat4 viewMatrix, projectionMatrix;
+  out float shown;
+  void main() { shown = whole, gl_Position = projectionMatrix * viewMatrix * vec4(x, y, -near, 1.0); }`;
+const ENDS_FRAGMENT = `
+  in float shown;
+  out vec4 part;
+  void main() { part = vec4(shown); }`;
+
+// How much of the hand is shown on the surface of its detail
+export class Ends extends THREE.Mesh {
+  constructor({ geometry, material: { side } }) {
+    super(geometry, shader(ENDS_VERTEX, ENDS_FRAGMENT, { depthTest: true, depthWrite: true, blending: THREE.NoBlending, side }));
+    this.frustumCulled = false;
   }
 }
 

@@ -1,7 +1,7 @@
 // One picture: the Gaussians, blended beside each other in float16 as color and as what else is known of a pixel, then by how
 // much the detail of the skin changes it, then the color of what is seen from outside (native/raster_blend.cpp).
 import * as THREE from 'three';
-import { Detail } from './detail.js';
+import { Detail, Ends } from './detail.js';
 import { shader } from './shader.js';
 import { Splats } from './splats.js';
 
@@ -11,7 +11,7 @@ const SAMPLES = 200;  // Gaussians whose mean depth is the middle: depths are bl
 const VERTEX = `
   void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const FRAGMENT = `
-  uniform sampler2D picture, more, changes, ends;
+  uniform sampler2D picture, more, changes, parts;
   uniform float frontMin, coverFrom, filledFrom;
   uniform bool linear, fills;
   out vec4 shown;
@@ -21,12 +21,10 @@ const FRAGMENT = `
     vec3 rgb = sum.rgb / max(texelFetch(more, at, 0).r, max(frontMin * sum.a, 1e-6));
     float alpha = fills ? smoothstep(coverFrom, 1.0, sum.a) : sum.a;
 #ifdef DETAIL
-    // the mean of the samples of a pixel that the surface covers
-    vec4 change = texelFetch(changes, at, 0);
-    rgb *= 1.0 + change.rgb / max(change.a, 1e-3);
+    rgb *= 1.0 + texelFetch(changes, at, 0).rgb;
 #endif
 #ifdef ENDS
-    alpha = min(alpha / filledFrom, 1.0) * texelFetch(ends, at, 0).r;
+    alpha = min(alpha / filledFrom, 1.0) * texelFetch(parts, at, 0).r;
 #endif
     if (linear) rgb = mix(12.92 * rgb, 1.055 * pow(max(rgb, 1e-6), vec3(1.0 / 2.4)) - 0.055, greaterThan(rgb, vec3(0.0031308)));
     shown = vec4(clamp(rgb, 0.0, 1.0), 1.0) * alpha;
@@ -48,12 +46,14 @@ export class Painter {
     this.common = { size: { value: new THREE.Vector2() }, middle: { value: 0 }, ...cover };
     this.splats = new Splats(hand, contract, this.common);
     this.detail = hand.detail && new Detail(hand, { ...this.common, picture, more });
-    const filledFrom = hand.description.detail?.filled_from, samples = Math.min(renderer.capabilities.maxSamples, SAMPLES_MOST);
-    this.changes = hand.detail && new THREE.WebGLRenderTarget(1, 1, { ...halves, ...(filledFrom && { count: 2, samples }) });
+    this.changes = hand.detail && new THREE.WebGLRenderTarget(1, 1, halves);
+    const { ends_hand: endsHand, filled_from: filledFrom } = hand.description.detail ?? {};
+    this.ends = endsHand && new Ends(this.detail);
+    this.parts = endsHand && new THREE.WebGLRenderTarget(1, 1, { samples: Math.min(renderer.capabilities.maxSamples, SAMPLES_MOST) });
     const geometry = new THREE.BufferGeometry().setIndex([0, 1, 2]);
     this.resolve = new THREE.Mesh(geometry, shader(VERTEX, FRAGMENT, {
-      blending: THREE.NoBlending, defines: { ...(hand.detail && { DETAIL: 1 }), ...(filledFrom && { ENDS: 1 }) }, uniforms: {
-        picture, more, changes: { value: this.changes?.texture }, ends: { value: this.changes?.textures[1] },
+      blending: THREE.NoBlending, defines: { ...(hand.detail && { DETAIL: 1 }), ...(endsHand && { ENDS: 1 }) }, uniforms: {
+        picture, more, changes: { value: this.changes?.texture }, parts: { value: this.parts?.texture },
         frontMin: { value: contract.front_min }, filledFrom: { value: filledFrom }, ...cover,
       },
     }));
@@ -72,7 +72,7 @@ export class Painter {
   }
 
   draw(camera) {
-    const { renderer, target, changes, common, splats, detail, resolve } = this;
+    const { renderer, target, changes, ends, parts, common, splats, detail, resolve } = this;
     renderer.getDrawingBufferSize(common.size.value);
     target.setSize(common.size.value.x, common.size.value.y);
     common.middle.value = this.middle(camera);
@@ -87,6 +87,12 @@ export class Painter {
       renderer.setRenderTarget(changes);
       renderer.clear();
       renderer.render(detail, camera);
+    }
+    if (ends) {
+      parts.setSize(common.size.value.x, common.size.value.y);
+      renderer.setRenderTarget(parts);
+      renderer.clear();
+      renderer.render(ends, camera);
     }
     renderer.setRenderTarget(null);
     renderer.clear();
