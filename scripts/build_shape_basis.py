@@ -70,7 +70,8 @@ def residual(name: str, *, forearm: bool) -> np.ndarray:
     template = load_template_with_forearm() if forearm else load_template()
     hand = load_identity(name, forearm=forearm)
     skeleton = Skeleton(template.joints_m, handedness=Handedness.RIGHT)
-    return pulled_back(skeleton, hand.vertices_m, template.bone_weights, hand.joints_m) - template.vertices_m
+    bones = skeleton.bones(hand.joints_m, np.float64)
+    return pulled_back(skeleton, hand.vertices_m, template.bone_weights, bones) - template.vertices_m
 
 
 def principal(differences_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

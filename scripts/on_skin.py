@@ -67,9 +67,9 @@ def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
     if learned is None or learned.response is None:
         raise InputError(f"avatar {avatar.info.name}", wanted="one that learned in known light", came="another")
     home = _Home.of(avatar, one)
-    poses, on_arm = _wanted(avatar, one, home), torch.from_numpy(home.on_arm[:, None])
     bone_weights, uvd = torch.from_numpy(avatar.bone_weights), torch.from_numpy(avatar.uvd)
     before, net = (PoseNet.of(network, bone_weights, uvd) for _ in range(2))
+    poses, on_arm = _wanted(avatar, one, home, before), torch.from_numpy(home.on_arm[:, None])
     net.requires_grad_(True)
     constant_m = _constant(net, poses)
     optimizer = torch.optim.Adam(net.parameters(), lr=RATES[0])
@@ -146,11 +146,10 @@ def _constant(net: PoseNet, poses: _Poses) -> torch.Tensor:
         return torch.stack([offset_m - net(Angles.of(angles)).offset_m for offset_m, angles in pairs]).mean(0)
 
 
-def _wanted(avatar: HandAvatar, one: Somebody, home: _Home) -> _Poses:
+def _wanted(avatar: HandAvatar, one: Somebody, home: _Home, net: PoseNet) -> _Poses:
     hand, right = RiggedHand(one.identity), avatar.for_hand(Handedness.RIGHT)
     posed = hand.pose(varied_poses(hand, POSES, SEED).angles_deg)
     surface, near, posing, skeleton = home.surface, home.near, Posing(right), right.skeleton()
-    net = PoseNet.of(pose_net_of(avatar), torch.from_numpy(avatar.bone_weights), torch.from_numpy(avatar.uvd))
     weights = avatar.map_weights(avatar.position_m, avatar.bone_weights).astype(np.float64)
     below_m, outwards, offsets_m, turns, angles_rad = [], [], [], [], []
     poses = zip(hand.skin(posed), posed.joints_m, surface.bent(posed.joints_m), hand.forearm(posed), strict=True)

@@ -106,7 +106,12 @@ def other_shape(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvata
     fine = Subdivision.of(template.faces, template.face_uv, LEVELS)
     skeleton = avatar.for_hand(Handedness.RIGHT).skeleton()
     own_m, other_m = (
-        pulled_back(skeleton, _skin_m(one), fine.matrix @ one.identity.bone_weights, one.identity.joints_m)
+        pulled_back(
+            skeleton,
+            _skin_m(one),
+            fine.matrix @ one.identity.bone_weights,
+            skeleton.bones(one.identity.joints_m, np.float64),
+        )
         for one in (own, other)
     )
     before_m = fine.matrix @ template.vertices_m

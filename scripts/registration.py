@@ -59,7 +59,7 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         # vertices of a coarser mesh come first
         skin_m = surface.posed(vertices_m, bent)[: len(weights)]
         bones = skeleton.bones(joints_m, np.float64, forearm=turn_of_forearm)
-        rest_m.append(pulled_back(skeleton, skin_m, weights, joints_m, turn_of_forearm))
+        rest_m.append(pulled_back(skeleton, skin_m, weights, bones))
         linear = np.einsum("vb,bij->vij", weights, bones.linear_offset[..., :3])
         # by how much the kernel scales an offset less than skinning does a place
         turn.append(np.cbrt(np.maximum(np.abs(np.linalg.det(linear)) / bones.scale**3, BLEND_DET_MIN)))
@@ -68,14 +68,13 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
     wanted_m = (np.stack(rest_m) - mean_m) * np.stack(turn)[..., None]
     changes = angle_numbers(np.stack(angles_rad)) - angle_numbers(avatar.canonical_angles_rad)
     constant_m, correctives = _fit(changes, detail.bone_weights, wanted_m)
-    moved_m = mean_m - detail.position_m + constant_m
+    place_m = (mean_m + constant_m).astype(np.float32)
     outwards = vertex_normals(detail.position_m.astype(np.float64), detail.faces)
     on_hand = (detail.position_m - avatar.canonical_joints_m[0]) @ FOREARM_WAY < 0
-    sunk_m = -(moved_m * outwards).sum(1)[np.unique(detail.faces[on_hand[detail.faces].all(1)])]
+    sunk_m = ((detail.position_m - place_m) * outwards).sum(1)[np.unique(detail.faces[on_hand[detail.faces].all(1)])]
     depth_m = max(detail.depth_m - float(np.median(sunk_m)), 0.0)
-    place_m = (detail.position_m + moved_m).astype(np.float32)
-    surface = replace(detail, position_m=place_m, correctives=correctives, depth_m=depth_m, ends_hand=True)
-    return replace(avatar, detail=surface)
+    detail = replace(detail, position_m=place_m, correctives=correctives, depth_m=depth_m, ends_hand=True)
+    return replace(avatar, detail=detail)
 
 
 def _fit(changes: np.ndarray, weights: np.ndarray, wanted_m: np.ndarray) -> tuple[np.ndarray, DetailCorrectives]:

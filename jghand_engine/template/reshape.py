@@ -14,7 +14,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.learned import CastShadow, own_flesh
 from jghand_engine.hand.rotations import unit
-from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.template.closest import ClosestPoints, Surface
 from jghand_engine.template.surface import face_normals
 
@@ -22,16 +22,9 @@ from jghand_engine.template.surface import face_normals
 AREA_MIN_M2 = 1e-12
 
 
-def pulled_back(
-    skeleton: Skeleton,
-    posed_m: np.ndarray,
-    bone_weights: np.ndarray,
-    joints_m: np.ndarray,
-    forearm: np.ndarray | None = None,
-) -> np.ndarray:
-    """(V, 3) canonical places that skinning carries to `posed_m` (V, 3) when the joints are `joints_m` (21, 3) and the
-    forearm is turned as `HandPose` has it: the inverse of `mesh.skinned`. bone_weights: (V, 21), or of all maps"""
-    bones = skeleton.bones(joints_m, np.float64, forearm=forearm)
+def pulled_back(skeleton: Skeleton, posed_m: np.ndarray, bone_weights: np.ndarray, bones: Bones) -> np.ndarray:
+    """(V, 3) canonical places that skinning carries to `posed_m` (V, 3) in the pose of the skeleton's `bones`, float64:
+    the inverse of `mesh.skinned`. bone_weights: (V, 21), or of all maps"""
     maps = np.einsum("vb,bij->vij", bone_weights, bones.linear_offset[: bone_weights.shape[1]])
     relative = posed_m - bones.root_m - maps[..., 3]
     return np.linalg.solve(maps[..., :3], relative[..., None])[..., 0] + skeleton.canonical_root_m

@@ -74,7 +74,8 @@ def test_the_surface_of_the_detail_goes_with_the_skin(avatar):
 def test_a_persons_own_joints_carry_its_pulled_back_surface_to_where_it_was(name):
     hand = load_identity(name)
     skeleton = Skeleton(TEMPLATE.joints_m, handedness=Handedness.RIGHT)
-    back_m = pulled_back(skeleton, hand.vertices_m, hand.bone_weights, hand.joints_m)
+    bones = skeleton.bones(hand.joints_m, np.float64)
+    back_m = pulled_back(skeleton, hand.vertices_m, hand.bone_weights, bones)
     own = replace(TEMPLATE, vertices_m=back_m, bone_weights=hand.bone_weights)
     np.testing.assert_allclose(posed_vertices(own, skeleton, hand.joints_m), hand.vertices_m, atol=1e-9)
     # lengths of bones and the size of the hand are in the joints: what is left is thickness
