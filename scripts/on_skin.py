@@ -18,6 +18,7 @@ from torch.nn import functional
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.posing import Posing
+from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand
@@ -134,9 +135,8 @@ class _Home:
         rows = {name: getattr(learned.response, name) for name in SkinResponse.ROWS}
         usual = {name: row + self.on_arm * (np.median(row[on_hand]) - row) for name, row in rows.items()}
         rgb = ((1 - arm) * avatar.rgb + arm * albedo).astype(np.float32)
-        return replace(
-            avatar, rgb=rgb, learned=replace(learned, normal=normal, response=replace(learned.response, **usual))
-        )
+        response = replace(learned.response, bounce=thrown_back(rgb), ambient=np.zeros(3, np.float32), **usual)
+        return replace(avatar, rgb=rgb, learned=replace(learned, normal=normal, response=response))
 
 
 def _constant(net: PoseNet, poses: _Poses) -> torch.Tensor:

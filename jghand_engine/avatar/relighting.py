@@ -17,10 +17,10 @@ from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import InputError
 
 # of hands that were learned in known light, path traced: half width of the rounded corner of a cosine (red goes
-# deepest), albedo of what throws light back, part of the world's light that no shadow takes
+# deepest)
 SOFTNESS = (0.24, 0.17, 0.11)
-BOUNCE = (0.31, 0.15, 0.12)
-AMBIENT = (0.017, 0.014, 0.013)
+# so much of its mean albedo skin throws back onto skin: of 0.5 to 1 what shows 40 pictures of a hand best
+THROWN_BACK = 0.8
 # GGX roughness of their skin and what it reflects at right angles
 ROUGHNESS, REFLECTANCE = 0.45, 0.027
 # mean albedo of skin, linear, that a hand of unknown light is brought to
@@ -71,6 +71,11 @@ def albedo_gain(avatar: HandAvatar) -> np.ndarray:
     return np.array(MEAN_ALBEDO) / np.maximum(weight @ linear / weight.sum(), 1e-6)
 
 
+def thrown_back(albedo: np.ndarray) -> np.ndarray:
+    """(3,) `bounce` of a SkinResponse. albedo: (N, 3) linear"""
+    return (THROWN_BACK * albedo.mean(0)).astype(np.float32)
+
+
 def detail_power(avatar: HandAvatar, *, in_scene: bool) -> float:
     """Of the ratios of an avatar's detail: those of light are to be ones of display-referred colors, or the other way
     round, where it is drawn in other light than it learned in. A power stands in for sRGB's curve."""
@@ -108,8 +113,8 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
         roughness=material.roughness,
         reflectance=material.reflectance,
         softness=np.array(SOFTNESS),
-        bounce=np.array(BOUNCE),
-        ambient=np.array(AMBIENT),
+        bounce=thrown_back(material.albedo),
+        ambient=np.zeros(3, np.float32),
         shade_gain=SHADE_GAIN,
     )
     cast = replace(learned.cast, lamp_rgb=np.zeros((CELLS, 3), np.float32))
@@ -147,7 +152,7 @@ def in_studio(avatar: HandAvatar) -> HandAvatar:
     light = Light(exponent, lobe[:, :3], lobe[:, 3], reflected * lobe[:, 4:], np.zeros(()))
     light = Light(**{name: np.asarray(values, np.float32) for name, values in vars(light).items()})
     # skin that sees nothing of the light gets what skin around it throws back
-    bounced = (response.ambient + response.bounce / (1 - np.minimum(response.bounce, ALBEDO_MAX))) * mean
+    bounced = (response.ambient + response.bounce) * mean
     cast = replace(learned.cast, lamp_rgb=terms.light.astype(np.float32), bounced_rgb=bounced.astype(np.float32))
     shine = (response.reflectance / max(reflected, 1e-6)).astype(np.float32)
     shown = replace(learned, light=light, shine=shine, cast=cast, response=None, in_studio=True)

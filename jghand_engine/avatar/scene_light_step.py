@@ -37,6 +37,8 @@ MIRROR_SHARPNESS = 0.5
 WHOLLY = 1e-6
 # W/m2 that no shadow takes, at least: a black channel is not divided by
 AMBIENT_MIN = 1e-12
+# neighboring anchors, in the order of their blocks, that throw light onto others as one: centimeters of skin
+PATCH = 8
 # without a world its cells are black
 BLACK = World(np.zeros((2, 4, 3)))
 
@@ -61,7 +63,7 @@ class SceneLightStep:
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             **_standing_before(cast),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
-            "given": aligned_zeros((4, 9)),
+            "thrown": aligned_zeros((rows // PATCH, 10)),
             "sky": aligned_zeros((blocks.rows,)),
             # 7 numbers of the world and 3 of each lamp, in whole vectors
             "reached": aligned_zeros((rows, padded_rows(7 + 3 * LAMPS_MAX))),
@@ -131,7 +133,7 @@ class SceneLightStep:
             self.arrays["lobe"][:, 3] /= np.log(2)
         task.ambient = tuple(np.maximum(response.ambient * mean, AMBIENT_MIN).tolist())
         task.least = tuple((WORLD_FLOOR * mean).tolist())
-        task.bounce = tuple((response.bounce / np.pi * (4 * np.pi / CELLS)).tolist())
+        task.bounce = tuple(response.bounce.tolist())
         task.softness = tuple(response.softness.tolist())
 
 

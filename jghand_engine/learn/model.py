@@ -25,7 +25,7 @@ from jghand_engine.avatar.avatar import (
 )
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, Ellipsoid, ShadowLook, own_flesh
-from jghand_engine.avatar.relighting import AMBIENT, BOUNCE, REFLECTANCE, SHADE_GAIN, SOFTNESS
+from jghand_engine.avatar.relighting import REFLECTANCE, SHADE_GAIN, SOFTNESS, THROWN_BACK
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.canonical_points import CanonicalPoints
 from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
@@ -176,8 +176,6 @@ class LearnedHand(nn.Module):
             self.raw_bounced = nn.Parameter(torch.logit(torch.full((3,), BOUNCED_START)))
         if options.known_light:
             self.log_softness = nn.Parameter(torch.tensor(SOFTNESS).log())
-            self.raw_bounce = nn.Parameter(torch.logit(torch.tensor(BOUNCE)))
-            self.raw_ambient = nn.Parameter(torch.logit(torch.tensor(AMBIENT)))
             self.log_reflectance = nn.Parameter(torch.tensor(math.log(REFLECTANCE)))
         low, high = SHADOW_GAIN_RANGE
         self.raw_shadow_gain = nn.Parameter(torch.logit(torch.tensor(math.log(contract.SHADOW_GAIN / low, high / low))))
@@ -250,7 +248,7 @@ class LearnedHand(nn.Module):
         few = [self.irradiance, self.lobe_direction, self.lobe_log_sharpness, self.lobe_raw_rgb, self.raw_rim]
         few += [self.raw_shadow_gain, self.raw_shadow_tint]
         if self.options.known_light:
-            few += [self.log_softness, self.raw_bounce, self.raw_ambient, self.log_reflectance]
+            few += [self.log_softness, self.log_reflectance]
         return [*few, self.raw_lamps, self.raw_bounced] if self.options.cast_shadow else few
 
     def cast_shadow(self, count: int) -> CastTensors | None:
@@ -267,8 +265,8 @@ class LearnedHand(nn.Module):
             roughness=ROUGHNESS_LEAST + ROUGHNESS_SPAN * torch.sigmoid(out[:, 12]),
             reflectance=torch.exp(self.log_reflectance + REFLECTANCE_SPREAD * torch.tanh(out[:, 10])),
             softness=self.log_softness.exp(),
-            bounce=torch.sigmoid(self.raw_bounce),
-            ambient=torch.sigmoid(self.raw_ambient),
+            bounce=THROWN_BACK * torch.sigmoid(out[:, 3:6].detach()).mean(0),
+            ambient=out.new_zeros(3),
             shade_gain=SHADE_GAIN,
         )
         match self.options.left_out:

@@ -20,12 +20,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from jghand_engine.avatar.blocks import compact_order
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
 from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH
 from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, lamp_rows, light_shares, world_shade
-from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, SkinResponse
-from jghand_engine.avatar.scene_light import CELLS, WORLD_FLOOR, SceneLight
-from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
+from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, Anchors, SkinResponse
+from jghand_engine.avatar.scene_light import WORLD_FLOOR, SceneLight
+from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, PATCH, WIDE_SOFTNESS, mirrored
 from jghand_engine.learn.cast_shadow import CastTensors, Flesh, Skin, past_flesh
 from jghand_engine.learn.light import harmonics, seen_from_outside, smooth, unit
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
@@ -36,7 +37,9 @@ DISTANCE2_MIN = 1e-12
 FACING_MIN = 1e-3
 GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
 EDGE_GAIN = 100.0
-HIDDEN_MIN, WEIGHT_MIN = 1e-9, 1e-6
+FACING_SUM_MIN = 1e-9
+CAUGHT_MIN = 0.01
+FACED_MIN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -132,14 +135,6 @@ def world_irradiance(light: SceneLight, response: ResponseTensors, normal: Tenso
     return torch.maximum(harmonics(normal) @ coefficients, least)
 
 
-def mean_irradiance(light: SceneLight, response: ResponseTensors, normal: Tensor) -> Tensor:
-    """The same of skin that faces everywhere, for each normal."""
-    if light.world is None:
-        return torch.zeros_like(normal)
-    even = light.world.terms.irradiance(response.softness.detach().double().cpu().numpy())[0]
-    return normal.new_tensor(even).expand_as(normal)
-
-
 @dataclass(frozen=True)
 class Shadows:
     """What is seen past the flesh of one pose: nothing of it is learned.
@@ -199,27 +194,49 @@ def reached(
     cosine = (anchors.normal @ directions.T).clamp_min(0)
     ambient = (response.ambient * given.new_tensor(terms.mean_irradiance)).clamp_min(AMBIENT_MIN)
     part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
-    hidden = cosine * (1 - visible)
-    much = hidden.sum(1, keepdim=True)
-    way, length = facing_back(anchors.normal, hidden @ directions / (much + HIDDEN_MIN))
-    weight = (1 + length * way @ anchors.normal.T).square()
-    of_lamps = weight @ given / weight.sum(1, keepdim=True).clamp_min(WEIGHT_MIN)
-    of_world = torch.lerp(mean_irradiance(light, response, way), world_irradiance(light, response, way), length)
-    bounced = much * (of_world + of_lamps) * response.bounce * (4 / CELLS)
-    sky = (cosine * visible).sum(1, keepdim=True) / (cosine.sum(1, keepdim=True) + DISTANCE2_MIN)
-    at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, sky], 1)))
+    all_around, open_sky = cosine.sum(1, keepdim=True), (cosine * visible).sum(1, keepdim=True)
+    hidden = 1 - (open_sky + FACING_SUM_MIN) / (all_around + FACING_SUM_MIN)
+    # what it sees of skin is as bright as itself, and sees as much of it in turn
+    again = (1 - response.bounce * hidden).clamp_min(CAUGHT_MIN)
+    thrown = response.bounce * (world_irradiance(light, response, anchors.normal) * part + given) / again
+    patches = Patches.of(cast.anchors)
+    bounced = hidden * (patches.faced(anchors) @ patches.mean(thrown))
+    at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, 1 - hidden], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
     return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
 
 
-def facing_back(normal: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean normal of the skin that anchors see in place of the world, (A, 3) unit, and its length (A, 1), 0 to 1: what
-    stands right before them faces them, what stands beside them is turned half as far, what stands all around has
-    none. hidden: (A, 3) mean direction of what is hidden"""
-    facing = (1 - (normal * hidden).sum(-1, keepdim=True)) * normal - hidden
-    way = unit(facing)
-    return way, (facing * way).sum(-1, keepdim=True).clamp_max(1)
+@dataclass(frozen=True)
+class Patches:
+    """Neighboring anchors that throw light onto others as one. of_anchor: (A,) in which of so many each is"""
+
+    of_anchor: Tensor
+    count: int
+
+    @classmethod
+    def of(cls, anchors: Anchors[Tensor]) -> Patches:
+        order = compact_order(anchors.position_m.detach().cpu().numpy())
+        of_anchor = np.empty(len(order), np.int64)
+        of_anchor[order] = np.arange(len(order)) // PATCH
+        return cls(torch.from_numpy(of_anchor).to(anchors.position_m.device), -(-len(order) // PATCH))
+
+    def mean(self, values: Tensor) -> Tensor:
+        """(count, C) of values (A, C) at the anchors."""
+        sums = values.new_zeros(self.count, values.shape[1] + 1)
+        sums = sums.index_add(0, self.of_anchor, torch.cat([values, torch.ones_like(values[:, :1])], 1))
+        return sums[:, :-1] / sums[:, -1:]
+
+    def faced(self, anchors: Skin) -> Tensor:
+        """(A, count) how much of what an anchor sees of skin each patch is: cosines at both over the squared distance,
+        as if nothing stood between. Rows sum to 1, or are 0. anchors: posed"""
+        place_m, normal = self.mean(anchors.position_m), self.mean(anchors.normal)
+        # nearer than it is large, a patch is no point
+        within2 = self.mean((anchors.position_m - place_m[self.of_anchor]).square().sum(1, keepdim=True))[:, 0]
+        way = place_m - anchors.position_m[:, None]
+        cosines = (way * anchors.normal[:, None]).sum(-1).clamp_min(0) * -(way * normal).sum(-1).clamp_max(0)
+        faces = cosines / (way.square().sum(-1) + within2 + DISTANCE2_MIN).square()
+        return faces / faces.sum(1, keepdim=True).clamp_min(FACED_MIN)
 
 
 def matt(

@@ -118,8 +118,8 @@ JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
   };
   if (t.scene) {
     by_blocks(0, anchor_blocks, jg::LANES, [&](int32_t begin, int32_t end) { jg::anchor_lamps(t, begin, end); });
-    jg::share(*team, 1, 1, [&](int32_t) { jg::sum_given(t); });
-    at_anchors(2, [&](int32_t b) { jg::anchor_world(t, b); });
+    at_anchors(1, [&](int32_t b) { jg::anchor_world(t, b); });
+    at_anchors(2, [&](int32_t b) { jg::anchor_bounced(t, b); });
   } else {
     at_anchors(0, [&](int32_t b) { jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b); });
   }

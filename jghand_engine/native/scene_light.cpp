@@ -10,7 +10,7 @@ namespace jg {
 namespace {
 
 constexpr float PI = 3.14159265358979f;
-constexpr float DISTANCE2_MIN = 1e-12f;                   // m2, of a point at a lamp
+constexpr float DISTANCE2_MIN = 1e-12f;                   // m2, of a point at a lamp or at skin
 constexpr float CORNER_MIN = 0.02f, CORNER_MAX = 0.95f;   // of a cosine's rounded corner
 constexpr float FACING_MIN = 1e-3f;                       // cosine to the eye, as a divisor
 constexpr float GRAZING_GAIN = 0.5f;                      // of Fresnel's rise, on skin
@@ -18,8 +18,9 @@ constexpr float GRAZING_FROM = 50.f;                      // what reflects less 
 constexpr float FAR_COSINE_MIN = 1e-4f;                   // of an area's axis, as a divisor
 constexpr float MASKED_MIN = 1e-6f;                       // of rows without skin, whose roughness is 0
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
-constexpr float HIDDEN_MIN = 1e-9f;                       // sum of cosines, as a divisor
-constexpr float WEIGHT_MIN = 1e-6f;                       // of skin that faces as hidden skin does
+constexpr float FACING_SUM_MIN = 1e-9f;                   // of cosines to all directions, as a divisor
+constexpr float CAUGHT_MIN = 0.01f;                       // of light among skin that throws back all, as a divisor
+constexpr float FACED_MIN = 1e-6f;                        // of all skin that a point faces, per m2, as a divisor
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
 constexpr float LUMINANCE[3] = {0.2126f, 0.7152f, 0.0722f};  // Rec. 709
 constexpr float LIT_MIN = 1e-9f;                          // W/m2, as a divisor
@@ -154,11 +155,6 @@ JG_INLINE void spread(const int32_t* nearest, const float* share, const float* r
       out[lane] += share[at] * load(rows + stride * (int64_t)nearest[at]);
   }
   transpose(out);
-}
-
-// The parts of a normal, its mixed products and its squares; of rows without skin 0.
-JG_INLINE void moments(const vf n[3], vf out[MOMENTS]) {
-  for (int i = 0; i < 3; i++) out[i] = n[i], out[3 + i] = n[i] * n[(i + 1) % 3], out[6 + i] = n[i] * n[i];
 }
 
 JG_INLINE void store_column(float* rows, int stride, vf values) {
@@ -349,23 +345,24 @@ void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end) {
   }
 }
 
-void sum_given(const LearnedTask& t) {
-  const SceneLightTask& s = *t.scene;
-  if (!(s.shade > 0)) return;
-  vf sums[4][MOMENTS] = {}, moment[MOMENTS];
-  for (int32_t block = 0; block < t.cast.blocks; block++) {
-    const float* posed = s.posed + POSED * LANES * (int64_t)block;
-    vf normal[3];
-    for (int i = 0; i < 3; i++) normal[i] = load(posed + LANES * (3 + i));
-    moments(normal, moment);
-    for (int k = 0; k < MOMENTS; k++) {
-      for (int i = 0; i < 3; i++) sums[i][k] += moment[k] * load(posed + LANES * (6 + i));
-      sums[3][k] += moment[k];
+// Of the anchors of a block, what each patch of them throws back.
+JG_INLINE void store_patches(const SceneLightTask& s, int32_t block, const vf p[3], const vf normal[3], const vf thrown[3]) {
+  const vf there = select(dot(normal, normal) > 0, all(1.f), vf{});
+  for (int first = 0; first < LANES; first += PATCH) {
+    float* to = s.thrown + THROWN * (LANES / PATCH * (int64_t)block + first / PATCH);
+    const auto mean = [&](vf values) {
+      float sum = 0, count = 0;
+      for (int lane = first; lane < first + PATCH; lane++) sum += there[lane] * values[lane], count += there[lane];
+      return sum / fmaxf(count, 1.f);
+    };
+    vf apart2 = {};
+    for (int i = 0; i < 3; i++) {
+      to[i] = mean(p[i]), to[3 + i] = mean(normal[i]), to[6 + i] = mean(thrown[i]);
+      const vf apart = p[i] - to[i];
+      apart2 += apart * apart;
     }
+    to[9] = mean(apart2);
   }
-  const auto sum = [](vf a, vf b) { return a + b; };
-  for (int i = 0; i < 4; i++)
-    for (int k = 0; k < MOMENTS; k++) s.given[MOMENTS * i + k] = folded(sums[i][k], sum)[0];
 }
 
 void anchor_world(const LearnedTask& t, int32_t block) {
@@ -378,7 +375,7 @@ void anchor_world(const LearnedTask& t, int32_t block) {
     for (int i = 0; i < OF_WORLD; i++) store_column(rows + i, columns, all(i < 3 || i == 6 ? 1.f : 0.f));
     return;
   }
-  vf p[3], normal[3], open[3] = {}, seen[3] = {}, towards_hidden[3] = {}, sky = {}, open_sky = {};
+  vf p[3], normal[3], open[3] = {}, seen[3] = {}, sky = {}, open_sky = {}, thrown[3];
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
   const Ball ball = ball_around(p);
   Distant lamps;
@@ -388,35 +385,48 @@ void anchor_world(const LearnedTask& t, int32_t block) {
     for (; faced; faced &= faced - 1) {
       const int lamp = __builtin_ctzll(faced);
       const float* cell = c.lamp + 6 * LANES * (g + lamp / LANES) + lamp % LANES;
-      const vf cosine = lamps.cosines[lamp], part = load(visible + LANES * lamp), hidden = cosine * (1.f - part);
+      const vf cosine = lamps.cosines[lamp], part = load(visible + LANES * lamp);
       for (int i = 0; i < 3; i++) {
         const vf light = cosine * cell[LANES * (3 + i)];
-        open[i] += light, seen[i] += light * part, towards_hidden[i] += hidden * cell[LANES * i];
+        open[i] += light, seen[i] += light * part;
       }
       sky += cosine, open_sky += cosine * part;
     }
   }
-  vf facing[3], way[3], moment[MOMENTS], back[3], given[4] = {};
-  const vf hidden = sky - open_sky, inverse = 1.f / (hidden + HIDDEN_MIN);
-  const vf beside = 1.f - dot(normal, towards_hidden) * inverse;
-  for (int i = 0; i < 3; i++) way[i] = facing[i] = beside * normal[i] - inverse * towards_hidden[i];
-  make_unit(way, t.length2_min);
-  // short where skin stands all around: it gets the mean of all directions then, and nothing jumps where it turns over
-  const vf length = min(dot(facing, way), all(1.f));
-  for (int i = 0; i < 3; i++) facing[i] = length * way[i];
-  world_irradiance(s, way, back);
-  for (int i = 0; i < 3; i++) back[i] = s.irradiance[i] + length * (back[i] - s.irradiance[i]);
-  moments(facing, moment);
-  // (1 + m.n)^2 = n.n + 2 m.n + (m.n)^2
-  for (int i = 0; i < 4; i++)
-    for (int k = 0; k < MOMENTS; k++) given[i] += s.given[MOMENTS * i + k] * (k < 6 ? 2.f * moment[k] : 1.f + moment[k]);
+  const vf hidden = 1.f - (open_sky + FACING_SUM_MIN) / (sky + FACING_SUM_MIN);
+  world_irradiance(s, normal, thrown);
   for (int i = 0; i < 3; i++) {
     const vf part = (seen[i] + s.ambient[i]) / (open[i] + s.ambient[i]);
-    const vf bounced = hidden * s.bounce[i] * (back[i] + given[i] / max(given[3], all(WEIGHT_MIN)));
     store_column(rows + i, columns, 1.f - s.shade * (1.f - part));
-    store_column(rows + 3 + i, columns, s.shade * bounced);
+    // what it sees of skin is as bright as itself, and sees as much of it in turn
+    const vf again = max(1.f - s.bounce[i] * hidden, all(CAUGHT_MIN));
+    thrown[i] = s.bounce[i] * (thrown[i] * part + load(posed + LANES * (6 + i))) / again;
   }
-  store_column(rows + 6, columns, 1.f - s.shade * (1.f - open_sky / (sky + DISTANCE2_MIN)));
+  store_column(rows + 6, columns, 1.f - s.shade * hidden);
+  store_patches(s, block, p, normal, thrown);
+}
+
+void anchor_bounced(const LearnedTask& t, int32_t block) {
+  const SceneLightTask& s = *t.scene;
+  if (!(s.shade > 0)) return;
+  const float* posed = s.posed + POSED * LANES * (int64_t)block;
+  const int columns = columns_of(s);
+  float* rows = s.reached + columns * LANES * (int64_t)block;
+  vf p[3], normal[3], sum[3] = {}, faced = {}, hidden;
+  for (int lane = 0; lane < LANES; lane++) hidden[lane] = 1.f - rows[columns * lane + 6];
+  for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
+  const float* end = s.thrown + THROWN * (LANES / PATCH) * (int64_t)(bit_mask(hidden > 0) ? t.cast.blocks : 0);
+  for (const float* patch = s.thrown; patch < end; patch += THROWN) {
+    vf way[3];
+    for (int i = 0; i < 3; i++) way[i] = patch[i] - p[i];
+    const vf from = -(patch[3] * way[0] + patch[4] * way[1] + patch[5] * way[2]);
+    const vf over = inverse(dot(way, way) + (patch[9] + DISTANCE2_MIN));
+    const vf faces = max(dot(normal, way), vf{}) * max(from, vf{}) * (over * over);
+    for (int i = 0; i < 3; i++) sum[i] += faces * patch[6 + i];
+    faced += faces;
+  }
+  const vf gain = hidden / max(faced, all(FACED_MIN));
+  for (int i = 0; i < 3; i++) store_column(rows + 3 + i, columns, gain * sum[i]);
 }
 
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]) {

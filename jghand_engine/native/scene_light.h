@@ -25,7 +25,8 @@ enum LampNumber {
   LAMP = 21
 };
 constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
-constexpr int MOMENTS = 9;     // of a normal, up to its squares
+constexpr int PATCH = 8;       // neighboring anchors that throw light as one; see PATCH of learn/scene_light.py
+constexpr int THROWN = 10;     // numbers of a patch
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
 // Mirrored field by field in native/scene_light_task.py.
@@ -44,13 +45,14 @@ struct SceneLightTask {
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
-  float* given;              // (4, MOMENTS): sums over anchors of W/m2 that lamps give them, and of 1, times `moments`
+  float* thrown;             // (16 / PATCH anchor blocks, THROWN): of patches mean place, normal, W/m2 that they throw
+                             // back, and squared radius of what they stand for; without anchors zeros
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* sky;                // (16 blocks): part of it that a Gaussian sees
   float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced
                              // W/m2 rgb, part of the sky, and of each slot two or three; whole vectors
   float softness[3];         // half width of the rounded corner of a cosine
-  float bounce[3];           // W/m2 that hidden skin throws back, per W/m2 that it gets, pi and solid angle included
+  float bounce[3];           // albedo of skin that throws light back
   float ambient[3];          // W/m2 that no shadow takes
   float least[3];            // W/m2 of the world, at least
   float shade_gain;          // of the pose's shade, in logarithms of linear color
@@ -63,10 +65,10 @@ struct SceneLightTask {
   int32_t keeps_visible;     // and the world is not
 };
 
-// First for all anchors, at most sixteen blocks at a time, then once, then for all anchors again, then `light_blocks`.
+// Each for all anchors, the first at most sixteen blocks at a time, then `light_blocks`.
 void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end);
-void sum_given(const LearnedTask& t);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
+void anchor_bounced(const LearnedTask& t, int32_t anchor_block);
 // Keeps what lights the skin of a block in this pose, whatever the light is.
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);
 // The matt color of blocks.

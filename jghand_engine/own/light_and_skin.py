@@ -24,6 +24,7 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS, LAMP_HALF_WIDTH
 from jghand_engine.avatar.learned import lamp_directions
+from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.scene_light import CELLS, SceneLight, World
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -31,10 +32,10 @@ from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.scene_light import (
     Flesh,
     LampRows,
+    Patches,
     ResponseTensors,
     Shadows,
     Skin,
-    facing_back,
     matt,
     past_flesh,
     reached,
@@ -152,10 +153,9 @@ class LitFilm:
         own, thrown = [], []
         for one, anchors, visible in zip(self.observed.shown, self._anchors, self._visible, strict=True):
             cosine = (anchors.normal @ ways).clamp_min(0)
-            hidden = cosine * (1 - visible)
-            much = hidden.sum(1, keepdim=True)
-            back, length = facing_back(anchors.normal, hidden @ self._directions / much.clamp_min(1e-9))
-            bounced = much * torch.lerp(torch.tensor(0.25), (back @ ways).clamp_min(0), length) * (4 / CELLS)
+            hidden = (cosine * (1 - visible)).sum(1, keepdim=True) / cosine.sum(1, keepdim=True)
+            patches = Patches.of(cast.anchors)
+            bounced = hidden * (patches.faced(anchors) @ patches.mean(cosine * visible))
             own.append((one.normal[:count] @ ways).clamp_min(0) * cast.anchors.spread(visible))
             thrown.append(cast.anchors.spread(bounced))
         return torch.stack(own), torch.stack(thrown)
@@ -277,16 +277,17 @@ def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin) -> Own
     assert learned.response is not None
     seen, albedo = found.seen.double().numpy(), found.albedo.double().numpy()
     rgb = np.clip(whole_skin(avatar, albedo, seen), LEAST, MOST)
-    # what skin throws onto skin is what it does not take
-    paler = rgb.mean(0) / np.maximum(avatar.rgb.mean(0), LEAST)
-    bounce = np.minimum(learned.response.bounce * paler, MOST).astype(np.float32)
     cells = found.world.terms.light
     if origin.handedness is Handedness.LEFT:
         # pictures were mirrored; so are the directions of the second half of the cells, of those of the first
         cells = np.roll(cells, CELLS // 2, 0)
     reflectance = found.reflectance.numpy().astype(np.float32)
     response = replace(
-        learned.response, bounce=bounce, reflectance=reflectance, trained_on={}, film_light=cells.astype(np.float32)
+        learned.response,
+        bounce=thrown_back(rgb),
+        reflectance=reflectance,
+        trained_on={},
+        film_light=cells.astype(np.float32),
     )
     info = replace(
         avatar.info,

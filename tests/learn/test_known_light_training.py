@@ -130,7 +130,7 @@ def test_gradients_of_light_are_those_of_finite_differences():
     skin = torch_light.Skin(at, normal)
     fallen = torch_light.shadows(cast, around, skin, flesh, light, lamps)
     given = hand.learned.response
-    names = ("spread", "reflectance", "bounce", "ambient")
+    names = ("spread", "reflectance", "bounce")
     weights = torch.rand(len(at), 3, generator=g, dtype=torch.float64)
 
     def brightness(albedo, normals, *values):

@@ -57,7 +57,7 @@ _ROUNDED = {
 # those that the kernels or the page write
 _WRITTEN = {
     *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other"),
-    *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.given"),
+    *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.thrown"),
     *("scene.sky", "scene.reflecting", "scene.reached", "front", "detail.vertex", "detail.slope", "detail.bend"),
     "detail.numbers",
 }
