@@ -4,14 +4,15 @@
     python scripts/benchmark_viewport.py [--out FOLDER]
 
 Runs in a real Blender window (scripts/test_in_blender.py says what that needs) with the real engine. For each pose, in
-ms: `ask` reading the evaluated hand and sending the request; `engine` from then until the answer is there, with the way
-to the engine and back; `show` making textures and drawing them (on a machine without a graphics card the software
+ms: `ask` reading the evaluated hands and sending the request; `engine` from then until the answer is there, with the
+way to the engine and back; `show` making textures and drawing them (on a machine without a graphics card the software
 driver does part of that later, in Blender's own drawing). `picture` is their sum. Evaluating the pose and drawing the
 rest of the view are Blender's own and left out; the timer that looks for the answer is too, it adds up to 5 ms.
 Besides: what a redraw costs in which nothing changed, and a tick of the timer.
 
-A median of warm poses; the pictures are those of something that moves, of 512 x 334 pixels. The file is also the story
-that Blender runs.
+Medians of warm poses; the pictures are those of something that moves: of one hand in a small view, of two in one of
+1920 x 1080, which has a ninth of its pixels while they move, and of the same with all of them. The file is also the
+story that Blender runs.
 """
 
 from __future__ import annotations
@@ -23,52 +24,68 @@ import sys
 import time
 from pathlib import Path
 
-SIZE = (512, 334)
 WARM_UP, POSES = 10, 100
-RESULT = "viewport.json"
+# a screen with room for the largest view beside Blender's panels
+SCREEN = "2560x1440"
 
 
-def step_measure(window):
-    """The story: one step, which writes OUT/viewport.json."""
+def step_one(window):
+    yield from _case(window, hands=1, size=(512, 334))
+
+
+def step_two(window):
+    yield from _case(window, hands=2, size=(1920, 1080))
+
+
+def step_two_sharp(window):
+    yield from _case(window, hands=2, size=(1920, 1080), is_sharp=True)
+
+
+def _case(window, hands, size, is_sharp=False):
+    """Writes OUT/viewport-CASE.json."""
     import bpy
 
     part = {name: importlib.import_module(f".{name}", window.addon.__name__) for name in _MODULES}
     views = part["viewport.views"]
-    for thing in [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]:
+    for thing in [thing for thing in bpy.context.scene.objects if thing.type == "MESH" or "jghand_handedness" in thing]:
         bpy.data.objects.remove(thing)
-    bpy.ops.jghand.add_hand()
-    hand = next(thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing)
+    for side in ("right", "left")[:hands]:
+        bpy.ops.jghand.add_hand(handedness=side)
+    things = [thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing]
+    for index, thing in enumerate(things):
+        thing.location.x += 0.16 * (index - (hands - 1) / 2)
     yield from window.look_at((0.0, 0.09, 0.0), 0.4, (0.6, 0.0, 0.3))
     yield lambda: views.all_views() and views.all_views()[0].pace.shown
-    _fix_the_size(part)
+    _fix_the_size(part, size)
+    if is_sharp:
+        part["core.pacing"].MOVING_PIXELS_MAX = size[0] * size[1]
     window.redraw()
     yield 2.0
-    figures = _measure(bpy, part, window, hand)
+    figures = _measure(bpy, part, window, things)
     window.picture("measured")
-    (window.out / RESULT).write_text(json.dumps(figures), encoding="utf-8")
+    file = window.out / f"viewport-{hands}{'-sharp' if is_sharp else ''}.json"
+    file.write_text(json.dumps(figures), encoding="utf-8")
 
 
 _MODULES = ("viewport.views", "viewport.handlers", "core.view", "core.pacing", "renderer.runtime")
 
 
-def _fix_the_size(part) -> None:
-    """Every picture is of the same part of the view, the one around the hand's middle."""
-    crop, pacing = part["core.view"], part["core.pacing"]
-    original = crop.part_with
+def _fix_the_size(part, size) -> None:
+    """Every picture is of the same part of the view, the one around the hands' middle."""
+    seen_part = part["core.view"]
 
     def fixed(view, hands):
-        seen = original(view, hands)
+        seen = seen_part.part_with(view, hands)
         if seen is None:
             return None
-        left = max(0, min(view.width - SIZE[0], (seen.left + seen.right - SIZE[0]) // 2))
-        top = max(0, min(view.height - SIZE[1], (seen.top + seen.bottom - SIZE[1]) // 2))
-        return crop.Part(left, top, left + SIZE[0], top + SIZE[1])
+        left = max(0, min(view.width - size[0], (seen.left + seen.right - size[0]) // 2))
+        top = max(0, min(view.height - size[1], (seen.top + seen.bottom - size[1]) // 2))
+        return seen_part.Part(left, top, left + size[0], top + size[1])
 
     part["viewport.views"].part_with = fixed
-    assert SIZE[0] * SIZE[1] <= pacing.MOVING_PIXELS_MAX
 
 
-def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
+def _measure(bpy, part, window, hands) -> dict:
     views, runtime = part["viewport.views"], part["renderer.runtime"]
     times = {name: [] for name in ("evaluate", "ask", "engine", "show", "picture", "redraw", "still", "tick")}
     show, inside = views.show, []
@@ -80,17 +97,18 @@ def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
 
     views.show = timed
     (view,) = views.all_views()
-    bone = hand.pose.bones["index1"]
+    bones = [hand.pose.bones["index1"] for hand in hands]
     scene, layer, space = bpy.context.scene, bpy.context.view_layer, window.space()
     things = part["viewport.views"].seen_hands.hands_in(scene, layer, space, switched_on_only=True)
     with window.override():
         for index in range(WARM_UP + POSES):
             started = time.perf_counter()
             angle = 0.3 + 0.01 * (index % 40)
-            bone.rotation_quaternion = (1.0, angle, 0.0, 0.0)
+            for bone in bones:
+                bone.rotation_quaternion = (1.0, angle, 0.0, 0.0)
             layer.update()
             posed = time.perf_counter()
-            views.read_again(view, things, bpy.context.evaluated_depsgraph_get())
+            views.read_again(view, things, bpy.context.evaluated_depsgraph_get(), space)
             views.look(view, views.moment_of(scene), drawing=False)
             asked = time.perf_counter()
             answer = runtime.link().wait(view.slot, view.pace.asks[-1].tag, 10.0)
@@ -117,8 +135,7 @@ def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
         times["tick"].append(1e3 * (time.perf_counter() - started))
     views.show = show
     assert view.came is None
-    assert (view.picture.width, view.picture.height) == SIZE
-    return times
+    return {"size": (view.picture.width, view.picture.height), "times": times}
 
 
 def main() -> int:
@@ -130,13 +147,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=test_in_blender.ROOT / "build" / "benchmark_viewport")
     options = parser.parse_args()
-    sys.argv = [sys.argv[0], str(Path(__file__).resolve()), "--out", str(options.out)]
+    sys.argv = [sys.argv[0], str(Path(__file__).resolve()), "--out", str(options.out), "--screen", SCREEN]
     code = test_in_blender.main()
-    result = options.out / Path(__file__).stem / RESULT
-    if code == 0 and result.is_file():
-        figures = json.loads(result.read_text(encoding="utf-8"))
-        print(f"\n{SIZE[0]} x {SIZE[1]}, ms       median      p95")
-        for name, values in figures.items():
+    for file in sorted((options.out / Path(__file__).stem).glob("viewport-*.json")):
+        figures = json.loads(file.read_text(encoding="utf-8"))
+        width, height = figures["size"]
+        print(f"\n{file.stem}: pictures of {width} x {height}, ms\n{'median':>27}{'p95':>9}")
+        for name, values in figures["times"].items():
             print(f"  {name:12} {statistics.median(values):12.2f} {sorted(values)[int(0.95 * len(values))]:8.2f}")
     return code
 

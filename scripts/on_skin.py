@@ -135,7 +135,7 @@ class _Home:
         rows = {name: getattr(learned.response, name) for name in SkinResponse.ROWS}
         usual = {name: row + self.on_arm * (np.median(row[on_hand]) - row) for name, row in rows.items()}
         rgb = ((1 - arm) * avatar.rgb + arm * albedo).astype(np.float32)
-        response = replace(learned.response, bounce=thrown_back(rgb), ambient=np.zeros(3, np.float32), **usual)
+        response = replace(learned.response, bounce=thrown_back(avatar, rgb), **usual)
         return replace(avatar, rgb=rgb, learned=replace(learned, normal=normal, response=response))
 
 

@@ -22,6 +22,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail, ratio_bytes
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.relief import HEIGHT_STEP_M, Relief
+from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.captures.making.person_skin import scatter_m
 from jghand_engine.captures.making.rig import Identity, load_identity
 from jghand_engine.captures.skin.canvas import MM
@@ -95,7 +96,8 @@ def as_person(avatar: HandAvatar, own: Somebody, other: Somebody) -> HandAvatar:
     before, after = (sample_bilinear(one.blurred(one.maps.rgb), uv) for one in (own, other))
     rgb = (avatar.rgb * (after / before)).clip(*RGB_LIMITS).astype(np.float32)
     rgb = np.where(after == before, avatar.rgb, rgb)
-    learned = replace(learned, response=_response(learned.response, own, other, uv))
+    response = replace(_response(learned.response, own, other, uv), bounce=thrown_back(avatar, rgb))
+    learned = replace(learned, response=response)
     shaped = other_shape(replace(avatar, rgb=rgb, learned=learned), own, other)
     return replace(shaped, own_joints_m=other.identity.joints_m)
 
@@ -125,15 +127,13 @@ def _skin_m(one: Somebody) -> np.ndarray:
 
 
 def _response(response: SkinResponse, own: Somebody, other: Somebody, uv: np.ndarray) -> SkinResponse:
-    """Gloss by the maps; light goes as much farther below paler skin, and as much more of it is thrown back."""
+    """Gloss by the maps; light goes as much farther below paler skin."""
     before, after = (sample_bilinear(one.blurred(one.maps.roughness[..., None]), uv)[:, 0] for one in (own, other))
     roughness = (response.roughness + (after - before)).clip(*ROUGHNESS_LIMITS)
-    own_rgb, other_rgb = (sample_bilinear(one.maps.rgb, uv).mean(0) for one in (own, other))
     return replace(
         response,
         roughness=np.where(after == before, response.roughness, roughness).astype(np.float32),
         softness=(response.softness * (scatter_m(other.person) / scatter_m(own.person))).astype(np.float32),
-        bounce=(response.bounce * (other_rgb / own_rgb)).clip(0, 1).astype(np.float32),
     )
 
 

@@ -81,8 +81,8 @@ def registered(avatar: HandAvatar, one: Somebody) -> HandAvatar:
 
 def _closest(faces: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """From a finer surface's vertices (V, 3), those of a coarser mesh first and then the middles of its edges, to those
-    of the mesh whose faces are nearest to it. Between vertices that lie on round skin they would cut it short by a
-    tenth of a millimeter, and outlines with it."""
+    of the mesh that is nearest to it by least squares, at vertices and middles of edges. Between vertices that lie on
+    round skin the mesh would cut it short by a tenth of a millimeter, and outlines with it."""
     count, edges = int(faces.max()) + 1, np.unique(np.sort(directed_edges(faces), axis=1), axis=0)
     rows = np.repeat(np.arange(len(edges)), 2)
     middles = sparse.coo_array((np.full(edges.size, 0.5), (rows, edges.reshape(-1))), (len(edges), count))

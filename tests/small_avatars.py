@@ -99,7 +99,7 @@ def known_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
         spread=g.uniform(0.5, 2, count).astype(np.float32),
         roughness=g.uniform(0.25, 0.65, count).astype(np.float32),
         reflectance=g.uniform(0.01, 0.08, count).astype(np.float32),
-        **{name: np.float32(getattr(guess, name)) for name in ("softness", "bounce", "ambient")},
+        **{name: np.float32(getattr(guess, name)) for name in ("softness", "bounce")},
         shade_gain=float(np.float32(guess.shade_gain)),
         trained_on={"worlds": 3, "sun": 5},
     )

@@ -7,7 +7,7 @@ import pytest
 import registration
 from detail_reference import posed_surface
 from other_person import Somebody, somebody
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree
 from test_other_person import painted
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
@@ -21,6 +21,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.detail import FADE_TO_M, DetailedHand
+from jghand_engine.template.subdivision import Subdivision
 
 AVATAR = load_builtin(handedness=Handedness.RIGHT).prefix(10)
 
@@ -62,8 +63,23 @@ def registered_child(child) -> tuple[HandAvatar, HandAvatar]:
     plain = replace(AVATAR, detail=replace(surface_of(AVATAR), correctives=None, ends_hand=False))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(registration, "POSES", 40)
-        patch.setattr(registration, "LEVELS", 1)
+        patch.setattr(registration, "LEVELS", 2)
         return plain, registration.registered(plain, child)
+
+
+def test_a_coarse_mesh_cuts_as_much_off_a_finer_surface_as_it_adds():
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
+    ball = ConvexHull(corners)
+    faces = np.array([f if np.linalg.det(corners[f]) > 0 else f[::-1] for f in ball.simplices])
+    coarse, fine = (Subdivision.of(faces, np.zeros((len(faces), 3, 2)), levels) for levels in (2, 3))
+    round_ = (fine.matrix @ corners) / np.linalg.norm(fine.matrix @ corners, axis=1, keepdims=True)
+    on_vertices = round_[: coarse.faces.max() + 1]
+    fitted = registration._closest(coarse.faces)(round_)
+    # the middles of a triangle's edges stand for it: their mean is that of all that a parabola cuts off
+    ends = coarse.faces, np.roll(coarse.faces, -1, 1)
+    before, after = (1 - np.linalg.norm((v[ends[0]] + v[ends[1]]) / 2, axis=-1) for v in (on_vertices, fitted))
+    assert before.mean() > 0.01
+    assert abs(after.mean()) < 0.3 * before.mean()
 
 
 @pytest.mark.parametrize("name", ["pinch", "point"])

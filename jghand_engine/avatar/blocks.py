@@ -57,7 +57,7 @@ def padded_rows(count: int) -> int:
 
 
 def compact_order(position_m: np.ndarray) -> np.ndarray:
-    """(N,) indices of points (N, 3) by halves of halves: sixteens are nearer to each other than along a space-filling
+    """(N,) indices of points (N, D) by halves of halves: sixteens are nearer to each other than along a space-filling
     curve, which jumps."""
     parts, order = [np.arange(len(position_m))], []
     while parts:

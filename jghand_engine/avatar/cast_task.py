@@ -28,6 +28,10 @@ CAPSULE_LENGTH2_MIN = 1e-12
 CAPSULE_SINE2_MIN = 1e-3
 CAPSULE_WIDTH_MIN_M = 1e-6
 BOUNCED_MIN = 1e-12
+# neighboring anchors, in the order of their blocks, that throw light onto others as one: half a centimeter of skin
+PATCH = 4
+# how far apart skin counts as that faces another way, so that fingers' sides do not share a patch, m per unit normal
+NORMAL_M = 0.02
 # display-referred colors go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 
@@ -47,6 +51,12 @@ class Capsules:
     part: np.ndarray
 
 
+def anchor_blocks(position_m: np.ndarray, normal: np.ndarray) -> Blocks:
+    """Anchors, by place and normal (A, 3), in the order in which the kernels have them: neighbors that face about the
+    same way together."""
+    return Blocks(np.concatenate([position_m, NORMAL_M * normal], 1))
+
+
 class CastStep:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
@@ -57,7 +67,7 @@ class CastStep:
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
         anchors, root_m = cast.anchors, avatar.canonical_joints_m[0]
-        own = Blocks(anchors.position_m)
+        own = anchor_blocks(anchors.position_m, anchors.normal)
         rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
         self.joints_m = avatar.canonical_joints_m - root_m
         self.rows = own.rows

@@ -28,6 +28,7 @@ import safetensors.numpy
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearnedFrom
 from jghand_engine.avatar.detail_storage import DetailAbout, expected_detail_arrays, pack_detail, unpack_detail
 from jghand_engine.avatar.learned_storage import LearnedAbout, expected_learned_arrays, pack_learned, unpack_learned
+from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.storage import (
     ARRAY_NAMES,
     Arrays,
@@ -296,4 +297,5 @@ def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: np.ndarray, arra
 
 
 def _with_learned(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearnedAbout) -> HandAvatar:
-    return replace(avatar, learned=unpack_learned(packed, about, avatar.canonical_joints_m))
+    bounce = thrown_back(avatar, avatar.rgb)
+    return replace(avatar, learned=unpack_learned(packed, about, avatar.canonical_joints_m, bounce))

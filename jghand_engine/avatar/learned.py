@@ -162,8 +162,7 @@ class SkinResponse(PerGaussian, Generic[Array]):
     roughness:   (N,) of GGX, whose alpha is its square
     reflectance: (N,) at right angles
     softness:    (3,) half width of the rounded corner of a cosine, per channel
-    bounce:      (3,) albedo of the skin that throws light back
-    ambient:     (3,) part of the world's mean irradiance that no shadow takes
+    bounce:      (3,) albedo with which skin throws light onto skin
     shade_gain:  of the pose's shade
     trained_on:  how many worlds, and lamps of each kind, it was learned from, by name; empty for a guess
     film_light:  (64, 3) radiance times solid angle of the cells of the world that a film was taken in, found with the
@@ -177,7 +176,6 @@ class SkinResponse(PerGaussian, Generic[Array]):
     reflectance: Array
     softness: Array
     bounce: Array
-    ambient: Array
     shade_gain: float
     trained_on: Mapping[str, int] = field(default_factory=dict)
     film_light: Array | None = None

@@ -57,8 +57,10 @@ from jghand_engine.native.learned_tasks import HIDDEN_MAX
 NORMAL, SHINE = "normal", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
 RESPONSE, RANGE, FILM_LIGHT = "response.", "response.range", "response.film_light"
+# in older files light that no shadow takes, beside a bounce that was learned with it; zeros since
+AMBIENT = "response.ambient"
 # of a response: values per Gaussian, then per channel
-MATERIAL, PER_CHANNEL = ("spread", "roughness", "reflectance"), ("softness", "bounce", "ambient")
+MATERIAL, PER_CHANNEL = ("spread", "roughness", "reflectance"), ("softness", "bounce")
 
 # no figure of a tier is larger
 PRICE_MAX = 1e9
@@ -259,6 +261,7 @@ def _layout(about: LearnedAbout, gaussians: int) -> dict[str, _Stored]:
     if about.light.is_known:
         arrays |= {RESPONSE + name: _Stored(each, compact=_RANGED) for name in MATERIAL}
         arrays |= {RESPONSE + name: _Stored((3,)) for name in PER_CHANNEL} | {RESPONSE + "shade_gain": _Stored((1,))}
+        arrays |= {AMBIENT: _Stored((3,))}
         arrays |= {FILM_LIGHT: _Stored((CELLS, 3))} if about.light.is_estimated else {}
     else:
         arrays |= {SHINE: _Stored(each, compact="F16"), LIGHT + "irradiance": _Stored((SH_COUNT, 3))}
@@ -297,7 +300,7 @@ def _values(learned: Learned) -> dict[str, np.ndarray]:
     parts = {LIGHT: learned.light, ELLIPSOID: learned.ellipsoid, CAST: learned.cast, RESPONSE: learned.response}
     if isinstance(learned.correctives, PoseNetwork) and learned.distilled is not None:
         parts[LINEAR] = learned.distilled.linear
-    values = {NORMAL: learned.normal, SHINE: learned.shine}
+    values = {NORMAL: learned.normal, SHINE: learned.shine, AMBIENT: np.zeros(3)}
     for prefix, part in parts.items():
         values |= {} if part is None else {prefix + name: value for name, value in vars(part).items()}
     if isinstance(learned.correctives, PoseNetwork):
@@ -339,8 +342,11 @@ def pack_learned(learned: Learned, storage: Storage) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(array) for name, array in packed.items()}
 
 
-def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical_joints_m: np.ndarray) -> Learned:
-    """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar."""
+def unpack_learned(
+    packed: dict[str, np.ndarray], about: LearnedAbout, canonical_joints_m: np.ndarray, bounce: np.ndarray
+) -> Learned:
+    """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar · bounce: (3,)
+    that its skin has by its albedo, for files that have another model's"""
 
     def unit(prefix: str = "") -> np.ndarray:
         exact = packed.get(prefix + NORMAL)
@@ -352,7 +358,7 @@ def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical
     normal = unit()
     response, light, shine = None, no_light(), np.zeros(len(normal), np.float32)
     if about.light.is_known:
-        response = _unpacked_response(packed, about.light)
+        response = _unpacked_response(packed, about.light, bounce)
     else:
         arrays, shine = part(LIGHT, [f.name for f in fields(Light)]), _single(packed[SHINE])
         light = Light(**arrays | {"rim": arrays["rim"].reshape(())})
@@ -386,12 +392,14 @@ def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical
     )
 
 
-def _unpacked_response(packed: dict[str, np.ndarray], about: LightAbout) -> SkinResponse:
+def _unpacked_response(packed: dict[str, np.ndarray], about: LightAbout, bounce: np.ndarray) -> SkinResponse:
     values = {name: packed[RESPONSE + name] for name in (*MATERIAL, *PER_CHANNEL)}
     if RANGE in packed:
         for name, (low, high) in zip(MATERIAL, packed[RANGE].astype(np.float64), strict=True):
             with np.errstate(invalid="ignore"):  # a range that is not finite gives values that are refused
                 values[name] = low + values[name] * ((high - low) / UINT8_MAX)
+    if packed[AMBIENT].any():
+        values["bounce"] = bounce
     return SkinResponse(
         **{name: _single(array) for name, array in values.items()},
         shade_gain=float(packed[RESPONSE + "shade_gain"][0]),

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
-from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, CastStep
+from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, PATCH, CastStep
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, lamp_rows, shares_on, world_shade
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.scene_light import (
@@ -23,7 +23,7 @@ from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
-from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, SceneLightTask
+from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, THROWN, SceneLightTask
 from jghand_engine.native.tasks import LANES
 
 # edge of a lamp's shadow on skin, as a part of the capsule's radius
@@ -35,10 +35,6 @@ WIDE_SOFTNESS = 0.6
 MIRROR_SHARPNESS = 0.5
 # what a bone may lack of standing before skin wholly: rounding
 WHOLLY = 1e-6
-# W/m2 that no shadow takes, at least: a black channel is not divided by
-AMBIENT_MIN = 1e-12
-# neighboring anchors, in the order of their blocks, that throw light onto others as one: centimeters of skin
-PATCH = 8
 # without a world its cells are black
 BLACK = World(np.zeros((2, 4, 3)))
 
@@ -63,7 +59,7 @@ class SceneLightStep:
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             **_standing_before(cast),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
-            "thrown": aligned_zeros((rows // PATCH, 10)),
+            "thrown": aligned_zeros((rows // PATCH, THROWN)),
             "sky": aligned_zeros((blocks.rows,)),
             # 7 numbers of the world and 3 of each lamp, in whole vectors
             "reached": aligned_zeros((rows, padded_rows(7 + 3 * LAMPS_MAX))),
@@ -131,7 +127,6 @@ class SceneLightStep:
         if world is not None and task.lobes:
             self.arrays["lobe"][...] = mirrored(world, response.roughness)
             self.arrays["lobe"][:, 3] /= np.log(2)
-        task.ambient = tuple(np.maximum(response.ambient * mean, AMBIENT_MIN).tolist())
         task.least = tuple((WORLD_FLOOR * mean).tolist())
         task.bounce = tuple(response.bounce.tolist())
         task.softness = tuple(response.softness.tolist())

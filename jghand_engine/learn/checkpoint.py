@@ -26,7 +26,7 @@ from jghand_engine.learn.trainable import Trainable
 # checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
 CHECKPOINTS_KEPT = 2
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 METADATA_KEY = "jghand_training"
 RESTART = "Restart with --fresh."
 

@@ -265,8 +265,7 @@ class LearnedHand(nn.Module):
             roughness=ROUGHNESS_LEAST + ROUGHNESS_SPAN * torch.sigmoid(out[:, 12]),
             reflectance=torch.exp(self.log_reflectance + REFLECTANCE_SPREAD * torch.tanh(out[:, 10])),
             softness=self.log_softness.exp(),
-            bounce=THROWN_BACK * torch.sigmoid(out[:, 3:6].detach()).mean(0),
-            ambient=out.new_zeros(3),
+            bounce=self._thrown_back(out.detach()),
             shade_gain=SHADE_GAIN,
         )
         match self.options.left_out:
@@ -277,6 +276,11 @@ class LearnedHand(nn.Module):
             case LightPart.GLOSS:
                 return replace(response, reflectance=torch.zeros_like(response.reflectance))
         return response
+
+    def _thrown_back(self, out: Tensor) -> Tensor:
+        """(3,) as `relighting.thrown_back` has it. out: (N, 13) of the decoder"""
+        weight = torch.sigmoid(out[:, 6]) * self.log_sigma[: len(out)].detach().exp().square()
+        return THROWN_BACK * (weight @ torch.sigmoid(out[:, 3:6]) / weight.sum())
 
     def light(self) -> LightTensors:
         """The light as it is now, with gradients."""

@@ -20,13 +20,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.blocks import compact_order
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
-from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH
+from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH, PATCH, anchor_blocks
 from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, Anchors, SkinResponse
 from jghand_engine.avatar.scene_light import WORLD_FLOOR, SceneLight
-from jghand_engine.avatar.scene_light_step import AMBIENT_MIN, BLACK, FLESH_SOFTNESS, PATCH, WIDE_SOFTNESS, mirrored
+from jghand_engine.avatar.scene_light_step import BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
 from jghand_engine.learn.cast_shadow import CastTensors, Flesh, Skin, past_flesh
 from jghand_engine.learn.light import harmonics, seen_from_outside, smooth, unit
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
@@ -39,7 +38,8 @@ GRAZING_GAIN, GRAZING_FROM = 0.5, 50.0
 EDGE_GAIN = 100.0
 FACING_SUM_MIN = 1e-9
 CAUGHT_MIN = 0.01
-FACED_MIN = 1e-6
+FACED_MIN, FACED_PART_MIN = 1e-6, 0.25
+OPEN_MIN = 1e-12
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ResponseTensors(SkinResponse[Tensor]):
     @classmethod
     def of(cls, response: SkinResponse, dtype: torch.dtype = torch.float64) -> ResponseTensors:
         """A copy, without gradients."""
-        names = ("spread", "roughness", "reflectance", "softness", "bounce", "ambient")
+        names = ("spread", "roughness", "reflectance", "softness", "bounce")
         arrays = {name: torch.tensor(getattr(response, name), dtype=dtype) for name in names}
         return cls(**arrays, shade_gain=response.shade_gain, trained_on=response.trained_on)
 
@@ -192,15 +192,14 @@ def reached(
     terms = (BLACK if light.world is None else light.world).terms
     cells, directions = given.new_tensor(terms.light), given.new_tensor(terms.direction)
     cosine = (anchors.normal @ directions.T).clamp_min(0)
-    ambient = (response.ambient * given.new_tensor(terms.mean_irradiance)).clamp_min(AMBIENT_MIN)
-    part = ((cosine * visible) @ cells + ambient) / (cosine @ cells + ambient)
+    part = ((cosine * visible) @ cells + OPEN_MIN) / (cosine @ cells + OPEN_MIN)
     all_around, open_sky = cosine.sum(1, keepdim=True), (cosine * visible).sum(1, keepdim=True)
     hidden = 1 - (open_sky + FACING_SUM_MIN) / (all_around + FACING_SUM_MIN)
     # what it sees of skin is as bright as itself, and sees as much of it in turn
     again = (1 - response.bounce * hidden).clamp_min(CAUGHT_MIN)
     thrown = response.bounce * (world_irradiance(light, response, anchors.normal) * part + given) / again
     patches = Patches.of(cast.anchors)
-    bounced = hidden * (patches.faced(anchors) @ patches.mean(thrown))
+    bounced = patches.faced(anchors, hidden) @ patches.mean(thrown)
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, 1 - hidden], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
@@ -216,7 +215,8 @@ class Patches:
 
     @classmethod
     def of(cls, anchors: Anchors[Tensor]) -> Patches:
-        order = compact_order(anchors.position_m.detach().cpu().numpy())
+        places = (values.detach().cpu().numpy() for values in (anchors.position_m, anchors.normal))
+        order = anchor_blocks(*places).order
         of_anchor = np.empty(len(order), np.int64)
         of_anchor[order] = np.arange(len(order)) // PATCH
         return cls(torch.from_numpy(of_anchor).to(anchors.position_m.device), -(-len(order) // PATCH))
@@ -227,16 +227,20 @@ class Patches:
         sums = sums.index_add(0, self.of_anchor, torch.cat([values, torch.ones_like(values[:, :1])], 1))
         return sums[:, :-1] / sums[:, -1:]
 
-    def faced(self, anchors: Skin) -> Tensor:
-        """(A, count) how much of what an anchor sees of skin each patch is: cosines at both over the squared distance,
-        as if nothing stood between. Rows sum to 1, or are 0. anchors: posed"""
+    def faced(self, anchors: Skin, hidden: Tensor) -> Tensor:
+        """(A, count) part of all that an anchor faces, by cosines, that each patch is: what flesh stands before, as
+        much of it as skin of this hand is there. Below a quarter of it, another hand's is missing.
+
+        anchors: posed · hidden: (A, 1) part of all directions, by cosines, that flesh stands before
+        """
         place_m, normal = self.mean(anchors.position_m), self.mean(anchors.normal)
-        # nearer than it is large, a patch is no point
         within2 = self.mean((anchors.position_m - place_m[self.of_anchor]).square().sum(1, keepdim=True))[:, 0]
         way = place_m - anchors.position_m[:, None]
         cosines = (way * anchors.normal[:, None]).sum(-1).clamp_min(0) * -(way * normal).sum(-1).clamp_max(0)
-        faces = cosines / (way.square().sum(-1) + within2 + DISTANCE2_MIN).square()
-        return faces / faces.sum(1, keepdim=True).clamp_min(FACED_MIN)
+        # a disc of twice the mean squared distance; nearer than it is large, it is no point
+        faces = cosines * 2 * within2 / (way.square().sum(-1) + within2 + DISTANCE2_MIN).square()
+        whole = torch.maximum(faces.sum(1, keepdim=True), FACED_PART_MIN * hidden).clamp_min(FACED_MIN)
+        return hidden * faces / whole
 
 
 def matt(

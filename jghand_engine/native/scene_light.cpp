@@ -20,7 +20,9 @@ constexpr float MASKED_MIN = 1e-6f;                       // of rows without ski
 constexpr float EDGE_GAIN = 100.f;                        // how fast anchors stop counting where an edge is near
 constexpr float FACING_SUM_MIN = 1e-9f;                   // of cosines to all directions, as a divisor
 constexpr float CAUGHT_MIN = 0.01f;                       // of light among skin that throws back all, as a divisor
-constexpr float FACED_MIN = 1e-6f;                        // of all skin that a point faces, per m2, as a divisor
+constexpr float FACED_MIN = 1e-6f;                        // part of all that a point faces, as a divisor
+constexpr float FACED_PART_MIN = 0.25f;                   // of what is hidden, patches are taken to be: no more is made of few
+constexpr float OPEN_MIN = 1e-12f;                        // W/m2 of the world, as a divisor
 constexpr float CORNER_MIN2 = CORNER_MIN * CORNER_MIN, CORNER_MAX2 = CORNER_MAX * CORNER_MAX;
 constexpr float LUMINANCE[3] = {0.2126f, 0.7152f, 0.0722f};  // Rec. 709
 constexpr float LIT_MIN = 1e-9f;                          // W/m2, as a divisor
@@ -396,19 +398,19 @@ void anchor_world(const LearnedTask& t, int32_t block) {
   const vf hidden = 1.f - (open_sky + FACING_SUM_MIN) / (sky + FACING_SUM_MIN);
   world_irradiance(s, normal, thrown);
   for (int i = 0; i < 3; i++) {
-    const vf part = (seen[i] + s.ambient[i]) / (open[i] + s.ambient[i]);
+    const vf part = (seen[i] + OPEN_MIN) / (open[i] + OPEN_MIN);
     store_column(rows + i, columns, 1.f - s.shade * (1.f - part));
     // what it sees of skin is as bright as itself, and sees as much of it in turn
     const vf again = max(1.f - s.bounce[i] * hidden, all(CAUGHT_MIN));
     thrown[i] = s.bounce[i] * (thrown[i] * part + load(posed + LANES * (6 + i))) / again;
   }
   store_column(rows + 6, columns, 1.f - s.shade * hidden);
-  store_patches(s, block, p, normal, thrown);
+  if (!s.baked) store_patches(s, block, p, normal, thrown);
 }
 
 void anchor_bounced(const LearnedTask& t, int32_t block) {
   const SceneLightTask& s = *t.scene;
-  if (!(s.shade > 0)) return;
+  if (!(s.shade > 0) || s.baked) return;
   const float* posed = s.posed + POSED * LANES * (int64_t)block;
   const int columns = columns_of(s);
   float* rows = s.reached + columns * LANES * (int64_t)block;
@@ -421,11 +423,12 @@ void anchor_bounced(const LearnedTask& t, int32_t block) {
     for (int i = 0; i < 3; i++) way[i] = patch[i] - p[i];
     const vf from = -(patch[3] * way[0] + patch[4] * way[1] + patch[5] * way[2]);
     const vf over = inverse(dot(way, way) + (patch[9] + DISTANCE2_MIN));
-    const vf faces = max(dot(normal, way), vf{}) * max(from, vf{}) * (over * over);
+    // a disc of twice the mean squared distance
+    const vf faces = max(dot(normal, way), vf{}) * max(from, vf{}) * (over * over) * (2.f * patch[9]);
     for (int i = 0; i < 3; i++) sum[i] += faces * patch[6 + i];
     faced += faces;
   }
-  const vf gain = hidden / max(faced, all(FACED_MIN));
+  const vf gain = hidden / max(max(faced, FACED_PART_MIN * hidden), all(FACED_MIN));
   for (int i = 0; i < 3; i++) store_column(rows + 3 + i, columns, gain * sum[i]);
 }
 

@@ -25,7 +25,7 @@ enum LampNumber {
   LAMP = 21
 };
 constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
-constexpr int PATCH = 8;       // neighboring anchors that throw light as one; see PATCH of learn/scene_light.py
+constexpr int PATCH = 4;       // neighboring anchors that throw light as one: PATCH of avatar/cast_task.py
 constexpr int THROWN = 10;     // numbers of a patch
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
@@ -46,14 +46,13 @@ struct SceneLightTask {
   float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
   float* thrown;             // (16 / PATCH anchor blocks, THROWN): of patches mean place, normal, W/m2 that they throw
-                             // back, and squared radius of what they stand for; without anchors zeros
+                             // back, and mean squared distance of their anchors from their middle; of padding zeros
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* sky;                // (16 blocks): part of it that a Gaussian sees
   float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced
                              // W/m2 rgb, part of the sky, and of each slot two or three; whole vectors
   float softness[3];         // half width of the rounded corner of a cosine
   float bounce[3];           // albedo of skin that throws light back
-  float ambient[3];          // W/m2 that no shadow takes
   float least[3];            // W/m2 of the world, at least
   float shade_gain;          // of the pose's shade, in logarithms of linear color
   float flesh_softness;      // edge of a lamp's shadow, as a part of a capsule's radius

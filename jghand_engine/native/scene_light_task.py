@@ -23,6 +23,8 @@ LAMP_NUMBERS = (
     *("sun_sine", "cone", "cone_scale", "spread", "spread_gain", "kind", "slot", "on_matt", "on_gloss"),
     "shade",
 )
+# of a patch of anchors, see there
+THROWN = 10
 NUMBER = {name: place for place, name in enumerate(LAMP_NUMBERS)}
 
 
@@ -33,7 +35,7 @@ class SceneLightTask(ctypes.Structure):
         *((name, _P) for name in ("material", "own", "partly", "hides_start", "hides", "lamp", "casting")),
         *((name, _P) for name in ("irradiance", "left", "baked", "lobe")),
         *((name, _P) for name in ("posed", "visible", "skin_seen", "thrown", "reflecting", "sky", "reached")),
-        *((name, _F32 * 3) for name in ("softness", "bounce", "ambient", "least")),
+        *((name, _F32 * 3) for name in ("softness", "bounce", "least")),
         *((name, _F32) for name in ("shade_gain", "flesh_softness", "wide_softness", "sine2_min", "shade")),
         *((name, _I32) for name in ("lamps", "slots", "lobes", "keeps_pose", "keeps_visible")),
     )

@@ -149,13 +149,14 @@ class LitFilm:
 
     def reach(self, count: int) -> tuple[Tensor, Tensor]:
         """(F, count, CELLS) how the first Gaussians take each cell's light themselves, and from skin that is white."""
-        cast, ways = self._cast.prefix(count), self._directions.T
+        cast, ways, patches = self._cast.prefix(count), self._directions.T, Patches.of(self._cast.anchors)
+        again = float(self.response.bounce.mean())
         own, thrown = [], []
         for one, anchors, visible in zip(self.observed.shown, self._anchors, self._visible, strict=True):
             cosine = (anchors.normal @ ways).clamp_min(0)
             hidden = (cosine * (1 - visible)).sum(1, keepdim=True) / cosine.sum(1, keepdim=True)
-            patches = Patches.of(cast.anchors)
-            bounced = hidden * (patches.faced(anchors) @ patches.mean(cosine * visible))
+            # thrown to and fro as by skin of a mean color; `beyond` has the rest
+            bounced = patches.faced(anchors, hidden) @ patches.mean(cosine * visible / (1 - again * hidden))
             own.append((one.normal[:count] @ ways).clamp_min(0) * cast.anchors.spread(visible))
             thrown.append(cast.anchors.spread(bounced))
         return torch.stack(own), torch.stack(thrown)
@@ -284,7 +285,7 @@ def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin) -> Own
     reflectance = found.reflectance.numpy().astype(np.float32)
     response = replace(
         learned.response,
-        bounce=thrown_back(rgb),
+        bounce=thrown_back(avatar, rgb),
         reflectance=reflectance,
         trained_on={},
         film_light=cells.astype(np.float32),

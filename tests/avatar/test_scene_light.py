@@ -221,7 +221,7 @@ def white(avatar: HandAvatar, bounce: float) -> HandAvatar:
     """A hand that throws all light back, matt."""
     none = np.zeros(len(avatar), np.float32)
     hand = replace(avatar, rgb=np.ones_like(avatar.rgb))
-    return with_response(hand, reflectance=none, shade_gain=0.0, bounce=np.full(3, bounce), ambient=np.zeros(3))
+    return with_response(hand, reflectance=none, shade_gain=0.0, bounce=np.full(3, bounce))
 
 
 def furnace(pose: str, limits: Limits) -> np.ndarray:
@@ -248,7 +248,7 @@ def test_a_white_hand_in_an_even_world_is_as_bright_as_the_world(pose):
 def test_what_fingers_take_of_an_even_world_they_throw_back():
     """The furnace, with shadows: 64 directions hold half of a sphere to some percent."""
     ratio = furnace("open", LIMITS)
-    assert np.abs(ratio - 1).max() < 0.05
+    assert np.abs(ratio - 1).max() < 0.08
     assert ratio.mean() == pytest.approx(1, abs=0.005)
 
 
@@ -256,7 +256,7 @@ def test_a_fist_keeps_most_of_the_light_of_an_even_world_and_makes_none():
     """Skin that sees nothing but skin throws back nothing: that of a white fist would go to and fro without end."""
     ratio = furnace("fist", LIMITS)
     assert ratio.max() < 1.1
-    assert ratio.mean() > 0.96
+    assert ratio.mean() > 0.93
 
 
 def two_plates(apart_m: float) -> tuple[torch_light.Patches, torch_light.Skin]:
@@ -269,32 +269,58 @@ def two_plates(apart_m: float) -> tuple[torch_light.Patches, torch_light.Skin]:
     return torch_light.Patches(torch.arange(32) // 8, 4), torch_light.Skin(place_m, normal)
 
 
+ALL_HIDDEN = torch.ones(32, 1).double()
+
+
 def test_skin_gets_light_of_the_skin_that_it_faces_and_more_of_what_is_near():
     patches, plates = two_plates(0.02)
-    faced = patches.faced(plates)
+    faced = patches.faced(plates, ALL_HIDDEN)
     assert faced[:16, :2].abs().max() == 0
     assert faced[16:, 2:].abs().max() == 0
-    assert faced.sum(1).allclose(torch.ones(32).double())
     # cosines of 0.37 at both ends and 7.3 times the squared distance
     assert faced[:8, 3].mean() / faced[:8, 2].mean() == pytest.approx((0.02**2 / (0.02**2 + 0.05**2)) ** 2, rel=0.3)
 
 
-def test_skin_that_faces_away_or_lies_beside_throws_nothing():
+def test_no_more_is_made_of_skin_than_four_times_what_is_seen_of_it_and_no_more_than_is_hidden():
+    near, far = (patches.faced(plates, ALL_HIDDEN).sum(1) for patches, plates in (two_plates(0.004), two_plates(0.2)))
+    assert near.mean() > 0.8
+    assert near.max() < 1 + 1e-9
+    # patches of 5 mm, 20 cm away: some millionths of all directions, counted four times
+    assert far.min() > 0
+    assert far.max() < 2e-3
+
+
+def test_skin_that_faces_away_throws_nothing_and_gets_nothing():
     patches, plates = two_plates(0.02)
-    turned = replace(plates, normal=-plates.normal)
-    assert patches.faced(turned).abs().max() == 0
-    assert patches.faced(replace(plates, normal=plates.normal.abs()))[16:].abs().max() == 0
+    # the upper plate shows the lower one its back
+    same_way = replace(plates, normal=plates.normal.abs())
+    for turned in (same_way, replace(plates, normal=-plates.normal)):
+        assert patches.faced(turned, ALL_HIDDEN).abs().max() == 0
+
+
+def palm_in_the_dark(pose: str, towards: tuple[float, float, float]) -> np.ndarray:
+    """(N, 3) how bright the skin of the palm's side is that a sun does not reach, over what faces it (about 0.16)."""
+    hand = estimated(load_builtin(handedness=Handedness.RIGHT))
+    assert hand.learned is not None
+    palm, bones = hand.learned.normal[:, 2] > 0.7, bones_of(hand, pose)
+    light = SceneLight(None, (replace(LAMPS["sun"], rgb=(1, 1, 1), place_m=towards),))
+    alone = natively(with_response(hand, bounce=np.zeros(3)), bones, light)
+    return natively(hand, bones, light)[palm & (alone.max(1) < 1e-3)]
 
 
 def test_a_lamp_behind_an_open_hand_leaves_its_palm_dark():
-    hand, sun = estimated(load_builtin(handedness=Handedness.RIGHT)), replace(LAMPS["sun"], place_m=(0, 0, -1))
-    bones = bones_of(hand, "open")
-    palm = np.array([0.0, 0.0, 1.0])
-    facing = hand.learned.normal @ palm > 0.7
-    before, behind = (
-        natively(hand, bones, SceneLight(None, (replace(sun, place_m=tuple(side * palm)),))) for side in (1, -1)
-    )
-    assert behind[facing].mean() < 0.01 * before[facing].mean()
+    dark = palm_in_the_dark("open", (0, 0, -1))
+    assert len(dark) > 5000
+    assert dark.mean() < 0.002
+
+
+def test_skin_in_the_shadow_of_fingers_glows_red():
+    dark = palm_in_the_dark("fist", (0, 0, 1))
+    assert len(dark) > 500
+    # observed: 0.006 and 0.001
+    red, green, _ = np.quantile(dark, 0.9, axis=0)
+    assert red > 0.003
+    assert red > 2 * green
 
 
 def test_a_hand_in_two_lights_is_the_sum_of_both_hands():

@@ -46,7 +46,7 @@ def main(path: Path, albedo: float, radius_m: float, middle_m: np.ndarray) -> No
     dark = np.zeros((CELLS, 3), np.float32)
     cast = CastShadow(dark, np.zeros(3, np.float32), anchors, np.ones((ANCHORS, 20), np.float32))
     each, none = np.ones(COUNT, np.float32), np.zeros(3, np.float32)
-    response = SkinResponse(each, 0.5 * each, 0 * each, softness=none, bounce=none, ambient=none, shade_gain=1.0)
+    response = SkinResponse(each, 0.5 * each, 0 * each, softness=none, bounce=none, shade_gain=1.0)
     save_avatar(
         path,
         HandAvatar(

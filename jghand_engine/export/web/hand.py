@@ -11,7 +11,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
-from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep
+from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep, anchor_blocks
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, products
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
@@ -238,7 +238,8 @@ def _light_around(learned: Learned, position_m: np.ndarray, blocks: Blocks) -> d
     if learned.cast is None:
         return {}
     nearest, share = anchors_around(learned.cast.anchors, position_m)
-    rows = np.argsort(Blocks(learned.cast.anchors.position_m).order)
+    anchors = learned.cast.anchors
+    rows = np.argsort(anchor_blocks(anchors.position_m, anchors.normal).order)
     return {"nearest": blocks.blocked(rows[nearest], np.int32), "share": blocks.blocked(share)}
 
 
