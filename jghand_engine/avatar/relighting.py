@@ -156,7 +156,8 @@ def in_studio(avatar: HandAvatar) -> HandAvatar:
     lobe, reflected = mirrored(world, response.roughness), float(response.reflectance.mean())
     light = Light(exponent, lobe[:, :3], lobe[:, 3], reflected * lobe[:, 4:], np.zeros(()))
     light = Light(**{name: np.asarray(values, np.float32) for name, values in vars(light).items()})
-    # skin that sees nothing of the light gets what skin around it throws back
+    # skin that sees nothing of the light gets what skin around it throws back: once, for a fist lit by the studio as a
+    # scene is darker than with a series of throws
     bounced = response.bounce * mean
     cast = replace(learned.cast, lamp_rgb=terms.light.astype(np.float32), bounced_rgb=bounced.astype(np.float32))
     shine = (response.reflectance / max(reflected, 1e-6)).astype(np.float32)

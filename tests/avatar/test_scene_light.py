@@ -298,20 +298,26 @@ def test_skin_that_faces_away_throws_nothing_and_gets_nothing():
         assert patches.faced(turned, ALL_HIDDEN).abs().max() == 0
 
 
-def palm_in_the_dark(pose: str, towards: tuple[float, float, float]) -> np.ndarray:
+def palm_in_the_dark(pose: str, towards: tuple[float, float, float], others: Capsules | None = None) -> np.ndarray:
     """(N, 3) how bright the skin of the palm's side is that a sun does not reach, over what faces it (about 0.16)."""
     hand = estimated(load_builtin(handedness=Handedness.RIGHT))
     assert hand.learned is not None
     palm, bones = hand.learned.normal[:, 2] > 0.7, bones_of(hand, pose)
     light = SceneLight(None, (replace(LAMPS["sun"], rgb=(1, 1, 1), place_m=towards),))
-    alone = natively(with_response(hand, bounce=np.zeros(3)), bones, light)
-    return natively(hand, bones, light)[palm & (alone.max(1) < 1e-3)]
+    alone = natively(with_response(hand, bounce=np.zeros(3)), bones, light, others=others)
+    return natively(hand, bones, light, others=others)[palm & (alone.max(1) < 1e-3)]
 
 
 def test_a_lamp_behind_an_open_hand_leaves_its_palm_dark():
     dark = palm_in_the_dark("open", (0, 0, -1))
     assert len(dark) > 5000
     assert dark.mean() < 0.002
+
+
+def test_a_second_hand_before_a_dark_palm_does_not_make_it_glow_with_its_own_light():
+    before = Capsules(np.array([[-0.1, 0.05, 0.08]]), np.array([[0.1, 0.05, 0.08]]), np.array([0.04]), np.ones(1))
+    for towards in ((0, 0, -1), (1, 0, 0)):
+        assert palm_in_the_dark("open", towards, before).mean() < 0.006
 
 
 def test_skin_in_the_shadow_of_fingers_glows_red():
