@@ -38,10 +38,14 @@ def heights(kind: str) -> np.ndarray:
 
 @cache
 def hand(kind: str = "", handedness: Handedness = Handedness.RIGHT, log_ratio: float = 0.0) -> HandAvatar:
-    """The built-in hand with other detail: a relief, or one ratio everywhere."""
-    detail = replace(detail_of(flat(TEXELS, log_ratio)), depth_m=load_builtin(handedness=handedness).detail.depth_m)
+    """The built-in hand with other detail: a relief, or one ratio everywhere. Its skin throws no light onto skin: the
+    specification below knows lamps alone."""
+    avatar = load_builtin(handedness=handedness)
+    detail = replace(detail_of(flat(TEXELS, log_ratio)), depth_m=avatar.detail.depth_m)
+    response = replace(avatar.learned.response, bounce=np.zeros(3, np.float32))
     relief = Relief(heights(kind)) if kind else None
-    return replace(load_builtin(handedness=handedness), detail=replace(detail, relief=relief))
+    learned = replace(avatar.learned, response=response)
+    return replace(avatar, learned=learned, detail=replace(detail, relief=relief))
 
 
 def pose(name: str, handedness: Handedness = Handedness.RIGHT) -> np.ndarray:
