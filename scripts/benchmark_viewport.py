@@ -58,7 +58,7 @@ def _case(window, hands, size, is_sharp=False):
     yield lambda: views.all_views() and views.all_views()[0].pace.shown
     _fix_the_size(part, size)
     if is_sharp:
-        part["core.pacing"].MOVING_PIXELS_MAX = size[0] * size[1]
+        vars(part["core.pacing"])["MOVING_PIXELS_MAX"] = size[0] * size[1]
     window.redraw()
     yield 2.0
     figures = _measure(bpy, part, window, things)

@@ -73,8 +73,8 @@ def written(tmp_path, metadata):
         ({METADATA_KEY: "[1, 2"}, "wanted a checkpoint"),
         ({METADATA_KEY: "[1]"}, "wanted a checkpoint"),
         ({METADATA_KEY: '{"format_version": 1, "jghand_version": "0.1.0"}'}, "JGHand 0.1.0"),
-        ({METADATA_KEY: '{"format_version": 3, "jghand_version": "0.1.0", "stamp": {}}'}, "Resume with JGHand 0.1.0"),
-        ({METADATA_KEY: '{"format_version": 4, "stamp": {}, "scalars": {}, "state": {"steps": 1}}'}, "steps"),
+        ({METADATA_KEY: '{"format_version": 4, "jghand_version": "0.1.0", "stamp": {}}'}, "Resume with JGHand 0.1.0"),
+        ({METADATA_KEY: '{"format_version": 5, "stamp": {}, "scalars": {}, "state": {"steps": 1}}'}, "steps"),
     ],
 )
 def test_a_file_that_is_no_checkpoint_is_named(metadata, said, tmp_path):
