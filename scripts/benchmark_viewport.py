@@ -11,7 +11,7 @@ rest of the view are Blender's own and left out; the timer that looks for the an
 Besides: what a redraw costs in which nothing changed, and a tick of the timer.
 
 Medians of warm poses; the pictures are those of something that moves: of one hand in a small view, of two in one of
-1920 x 1080, which has a ninth of its pixels while they move, and of the same with all of them. The file is also the
+1920 x 1080, which has a tenth of its pixels while they move, and of the same with all of them. The file is also the
 story that Blender runs.
 """
 
@@ -23,6 +23,7 @@ import statistics
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 WARM_UP, POSES = 10, 100
 # a screen with room for the largest view beside Blender's panels
@@ -45,7 +46,7 @@ def _case(window, hands, size, is_sharp=False):
     """Writes OUT/viewport-CASE.json."""
     import bpy
 
-    part = {name: importlib.import_module(f".{name}", window.addon.__name__) for name in _MODULES}
+    part: dict[str, Any] = {name: importlib.import_module(f".{name}", window.addon.__name__) for name in _MODULES}
     views = part["viewport.views"]
     for thing in [thing for thing in bpy.context.scene.objects if thing.type == "MESH" or "jghand_handedness" in thing]:
         bpy.data.objects.remove(thing)
@@ -58,13 +59,13 @@ def _case(window, hands, size, is_sharp=False):
     yield lambda: views.all_views() and views.all_views()[0].pace.shown
     _fix_the_size(part, size)
     if is_sharp:
-        vars(part["core.pacing"])["MOVING_PIXELS_MAX"] = size[0] * size[1]
+        part["core.pacing"].MOVING_PIXELS_MAX = size[0] * size[1]
     window.redraw()
     yield 2.0
-    figures = _measure(bpy, part, window, things)
+    times = _measure(bpy, part, window, things, size)
     window.picture("measured")
     file = window.out / f"viewport-{hands}{'-sharp' if is_sharp else ''}.json"
-    file.write_text(json.dumps(figures), encoding="utf-8")
+    file.write_text(json.dumps({"size": size, "times": times}), encoding="utf-8")
 
 
 _MODULES = ("viewport.views", "viewport.handlers", "core.view", "core.pacing", "renderer.runtime")
@@ -85,7 +86,7 @@ def _fix_the_size(part, size) -> None:
     part["viewport.views"].part_with = fixed
 
 
-def _measure(bpy, part, window, hands) -> dict:
+def _measure(bpy, part, window, hands, size) -> dict[str, list[float]]:
     views, runtime = part["viewport.views"], part["renderer.runtime"]
     times = {name: [] for name in ("evaluate", "ask", "engine", "show", "picture", "redraw", "still", "tick")}
     show, inside = views.show, []
@@ -135,7 +136,8 @@ def _measure(bpy, part, window, hands) -> dict:
         times["tick"].append(1e3 * (time.perf_counter() - started))
     views.show = show
     assert view.came is None
-    return {"size": (view.picture.width, view.picture.height), "times": times}
+    assert (view.picture.width, view.picture.height) == size
+    return times
 
 
 def main() -> int:
@@ -152,7 +154,7 @@ def main() -> int:
     for file in sorted((options.out / Path(__file__).stem).glob("viewport-*.json")):
         figures = json.loads(file.read_text(encoding="utf-8"))
         width, height = figures["size"]
-        print(f"\n{file.stem}: pictures of {width} x {height}, ms\n{'median':>27}{'p95':>9}")
+        print(f"\n{file.stem}: part of the view {width} x {height}, ms\n{'median':>27}{'p95':>9}")
         for name, values in figures["times"].items():
             print(f"  {name:12} {statistics.median(values):12.2f} {sorted(values)[int(0.95 * len(values))]:8.2f}")
     return code

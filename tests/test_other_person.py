@@ -71,6 +71,7 @@ def test_a_person_as_itself_stays_as_it_was(avatar, own):
     assert np.array_equal(before.normal, after.normal)
     for name in ("roughness", "softness"):
         assert np.array_equal(getattr(before.response, name), getattr(after.response, name)), name
+    assert np.array_equal(after.response.bounce, thrown_back(avatar, avatar.rgb))
 
 
 def test_palm_and_back_have_the_colors_of_the_other_persons_maps(avatar, child, other):

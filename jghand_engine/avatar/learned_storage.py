@@ -345,8 +345,8 @@ def pack_learned(learned: Learned, storage: Storage) -> dict[str, np.ndarray]:
 def unpack_learned(
     packed: dict[str, np.ndarray], about: LearnedAbout, canonical_joints_m: np.ndarray, bounce: np.ndarray
 ) -> Learned:
-    """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar · bounce: (3,)
-    that its skin has by its albedo, for files that have another model's"""
+    """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar · bounce: (3,) by the albedo of its
+    skin, in place of what older files have, which was learned beside an ambient light"""
 
     def unit(prefix: str = "") -> np.ndarray:
         exact = packed.get(prefix + NORMAL)

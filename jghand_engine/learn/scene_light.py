@@ -136,14 +136,53 @@ def world_irradiance(light: SceneLight, response: ResponseTensors, normal: Tenso
 
 
 @dataclass(frozen=True)
+class Patches:
+    """Neighboring anchors that throw light onto others as one. of_anchor: (A,) in which of so many each is"""
+
+    of_anchor: np.ndarray
+    count: int
+
+    @classmethod
+    def of(cls, anchors: Anchors[Tensor]) -> Patches:
+        places = (values.detach().cpu().numpy() for values in (anchors.position_m, anchors.normal))
+        order = anchor_blocks(*places).order
+        of_anchor = np.empty(len(order), np.int64)
+        of_anchor[order] = np.arange(len(order)) // PATCH
+        return cls(of_anchor, -(-len(order) // PATCH))
+
+    def mean(self, values: Tensor) -> Tensor:
+        """(count, C) of values (A, C) at the anchors."""
+        sums, rows = values.new_zeros(self.count, values.shape[1] + 1), torch.from_numpy(self.of_anchor)
+        sums = sums.index_add(0, rows.to(values.device), torch.cat([values, torch.ones_like(values[:, :1])], 1))
+        return sums[:, :-1] / sums[:, -1:]
+
+    def faced(self, anchors: Skin, hidden: Tensor) -> Tensor:
+        """(A, count) part of all that an anchor faces, by cosines, that each patch is: what flesh stands before, as
+        much of it as skin of this hand is there. Below a quarter of it, another hand's is missing.
+
+        anchors: posed · hidden: (A, 1) part of all directions, by cosines, that flesh stands before
+        """
+        place_m, normal = self.mean(anchors.position_m), self.mean(anchors.normal)
+        within2 = self.mean((anchors.position_m - place_m[self.of_anchor]).square().sum(1, keepdim=True))[:, 0]
+        way = place_m - anchors.position_m[:, None]
+        cosines = (way * anchors.normal[:, None]).sum(-1).clamp_min(0) * -(way * normal).sum(-1).clamp_max(0)
+        # a disc of twice the mean squared distance; nearer than it is large, it is no point
+        faces = cosines * 2 * within2 / (way.square().sum(-1) + within2 + DISTANCE2_MIN).square()
+        whole = torch.maximum(faces.sum(1, keepdim=True), FACED_PART_MIN * hidden).clamp_min(FACED_MIN)
+        return hidden * faces / whole
+
+
+@dataclass(frozen=True)
 class Shadows:
     """What is seen past the flesh of one pose: nothing of it is learned.
 
+    patches:    of the anchors, which throw light onto others
     visible:    (A, CELLS) part of the world's cells at the anchors
     at_anchors: (slots, A) part of each lamp
     at_skin:    (slots, N) the same at the Gaussians
     """
 
+    patches: Patches
     visible: Tensor
     at_anchors: Tensor
     at_skin: Tensor
@@ -176,7 +215,7 @@ def shadows(cast: CastTensors, anchors: Skin, skin: Skin, flesh: Flesh, light: S
         of_lamps = torch.cat([of_lamps[:slot], torch.lerp(of_lamps[slot], own, edge)[None], of_lamps[slot + 1 :]])
     directions = seen.new_tensor((BLACK if light.world is None else light.world).terms.direction)
     visible = past_flesh(anchors, flesh, directions, DISTANT_FLESH_SOFTNESS, LAMP_HALF_WIDTH)
-    return Shadows(visible, seen, of_lamps)
+    return Shadows(Patches.of(cast.anchors), visible, seen, of_lamps)
 
 
 def reached(
@@ -198,49 +237,11 @@ def reached(
     # what it sees of skin is as bright as itself, and sees as much of it in turn
     again = (1 - response.bounce * hidden).clamp_min(CAUGHT_MIN)
     thrown = response.bounce * (world_irradiance(light, response, anchors.normal) * part + given) / again
-    patches = Patches.of(cast.anchors)
-    bounced = patches.faced(anchors, hidden) @ patches.mean(thrown)
+    bounced = fallen.patches.faced(anchors, hidden) @ fallen.patches.mean(thrown)
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, 1 - hidden], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])
     return Reached(part, shade * at_skin[:, 3:6], sky, fallen.at_skin)
-
-
-@dataclass(frozen=True)
-class Patches:
-    """Neighboring anchors that throw light onto others as one. of_anchor: (A,) in which of so many each is"""
-
-    of_anchor: Tensor
-    count: int
-
-    @classmethod
-    def of(cls, anchors: Anchors[Tensor]) -> Patches:
-        places = (values.detach().cpu().numpy() for values in (anchors.position_m, anchors.normal))
-        order = anchor_blocks(*places).order
-        of_anchor = np.empty(len(order), np.int64)
-        of_anchor[order] = np.arange(len(order)) // PATCH
-        return cls(torch.from_numpy(of_anchor).to(anchors.position_m.device), -(-len(order) // PATCH))
-
-    def mean(self, values: Tensor) -> Tensor:
-        """(count, C) of values (A, C) at the anchors."""
-        sums = values.new_zeros(self.count, values.shape[1] + 1)
-        sums = sums.index_add(0, self.of_anchor, torch.cat([values, torch.ones_like(values[:, :1])], 1))
-        return sums[:, :-1] / sums[:, -1:]
-
-    def faced(self, anchors: Skin, hidden: Tensor) -> Tensor:
-        """(A, count) part of all that an anchor faces, by cosines, that each patch is: what flesh stands before, as
-        much of it as skin of this hand is there. Below a quarter of it, another hand's is missing.
-
-        anchors: posed · hidden: (A, 1) part of all directions, by cosines, that flesh stands before
-        """
-        place_m, normal = self.mean(anchors.position_m), self.mean(anchors.normal)
-        within2 = self.mean((anchors.position_m - place_m[self.of_anchor]).square().sum(1, keepdim=True))[:, 0]
-        way = place_m - anchors.position_m[:, None]
-        cosines = (way * anchors.normal[:, None]).sum(-1).clamp_min(0) * -(way * normal).sum(-1).clamp_max(0)
-        # a disc of twice the mean squared distance; nearer than it is large, it is no point
-        faces = cosines * 2 * within2 / (way.square().sum(-1) + within2 + DISTANCE2_MIN).square()
-        whole = torch.maximum(faces.sum(1, keepdim=True), FACED_PART_MIN * hidden).clamp_min(FACED_MIN)
-        return hidden * faces / whole
 
 
 def matt(

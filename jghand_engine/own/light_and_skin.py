@@ -132,6 +132,7 @@ class LitFilm:
         assert hand.learned.cast is not None
         self._cast: CastTensors = hand.learned.cast
         self.response = ResponseTensors.of(learned.response, torch.float32)
+        self._patches = Patches.of(self._cast.anchors)
         self._directions = torch.from_numpy(lamp_directions(CELLS)).float()
         self.observed = observed
         _, around = KDTree(avatar.position_m).query(avatar.position_m, k=min(AROUND, len(avatar)))
@@ -149,7 +150,7 @@ class LitFilm:
 
     def reach(self, count: int) -> tuple[Tensor, Tensor]:
         """(F, count, CELLS) how the first Gaussians take each cell's light themselves, and from skin that is white."""
-        cast, ways, patches = self._cast.prefix(count), self._directions.T, Patches.of(self._cast.anchors)
+        cast, ways, patches = self._cast.prefix(count), self._directions.T, self._patches
         again = float(self.response.bounce.mean())
         own, thrown = [], []
         for one, anchors, visible in zip(self.observed.shown, self._anchors, self._visible, strict=True):
@@ -170,7 +171,8 @@ class LitFilm:
     def _answer(self, number: int, light: SceneLight, response: ResponseTensors) -> Answer:
         one, anchors = self.observed.shown[number], self._anchors[number]
         count, white = len(one.position_m), torch.ones_like(one.position_m)
-        fallen = Shadows(self._visible[number], torch.zeros(0, len(self._cast.anchors)), torch.zeros(0, count))
+        at_anchors, at_skin = torch.zeros(0, len(self._cast.anchors)), torch.zeros(0, count)
+        fallen = Shadows(self._patches, self._visible[number], at_anchors, at_skin)
         skin, eye_m = Skin(one.position_m - one.bones.root_m, one.normal), -one.bones.root_m
         got = reached(self._cast, anchors, fallen, light, _NO_LAMPS, response)
         lit = matt(white, skin, got, light, _NO_LAMPS, response, one.shade)

@@ -15,6 +15,7 @@ from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.learned import Learned, Light, ShadowLook, SkinResponse
+from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
@@ -98,6 +99,18 @@ def test_a_file_that_does_not_say_how_the_bones_follow_the_joints_means_the_usua
     assert about.pop("transform") == "joints"
     path.write_bytes(safetensors.numpy.save(arrays, {"jghand": json.dumps(about)}))
     assert same(load_avatar(path), small_avatar())
+
+
+def test_an_older_file_that_has_light_that_no_shadow_takes_throws_light_by_its_albedo(tmp_path):
+    avatar, path = known_avatar(), tmp_path / "known.jghand"
+    learned = replace(avatar.learned, response=replace(avatar.learned.response, bounce=np.float32([0.1, 0.2, 0.3])))
+    save_avatar(path, replace(avatar, learned=learned))
+    assert np.array_equal(load_avatar(path).learned.response.bounce, np.float32([0.1, 0.2, 0.3]))
+    with safetensors.safe_open(path, framework="numpy") as content:
+        arrays, metadata = safetensors.numpy.load_file(path), content.metadata()
+    arrays["response.ambient"] += 0.02
+    path.write_bytes(safetensors.numpy.save(arrays, metadata))
+    assert np.array_equal(load_avatar(path).learned.response.bounce, thrown_back(avatar, avatar.rgb))
 
 
 def test_saving_a_compact_avatar_again_changes_nothing():
