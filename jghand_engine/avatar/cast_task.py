@@ -32,6 +32,8 @@ BOUNCED_MIN = 1e-12
 PATCH = 4
 # how far apart skin counts as that faces another way, so that fingers' sides do not share a patch, m per unit normal
 NORMAL_M = 0.02
+# anchors whose mean is taken of the skin that they see, a centimeter of their own
+EVENED = 12
 # display-referred colors go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 
@@ -54,7 +56,22 @@ class Capsules:
 def anchor_blocks(position_m: np.ndarray, normal: np.ndarray) -> Blocks:
     """Anchors, by place and normal (A, 3), in the order in which the kernels have them: neighbors that face about the
     same way together."""
-    return Blocks(np.concatenate([position_m, NORMAL_M * normal], 1))
+    return Blocks(_by_place_and_normal(position_m, normal))
+
+
+def anchors_beside(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(A, EVENED) anchors whose mean is taken of the skin that they see, each itself among them: what is found of few
+    patches differs more from anchor to anchor than light does."""
+    at = _by_place_and_normal(position_m, normal).astype(np.float32)
+    apart2 = np.square(at).sum(1)[:, None] + np.square(at).sum(1) - 2 * at @ at.T
+    # itself, whatever rounding says
+    np.fill_diagonal(apart2, -1)
+    count = min(EVENED, len(at))
+    return np.argpartition(apart2, count - 1, axis=1)[:, np.arange(EVENED) % count]
+
+
+def _by_place_and_normal(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    return np.concatenate([position_m, NORMAL_M * normal], 1)
 
 
 class CastStep:
@@ -62,7 +79,7 @@ class CastStep:
 
     blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
     joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
-    rows: of the anchors, whole blocks · row_of_anchor: in which each stands
+    rows: of the anchors, whole blocks · row_of_anchor: in which each stands · beside: see `anchors_beside`
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
@@ -81,6 +98,7 @@ class CastStep:
             "fallen": aligned_zeros((own.rows, 4)),
         }
         self.row_of_anchor = np.argsort(own.order)
+        self.beside = anchors_beside(anchors.position_m, anchors.normal)
         self.around = {
             "nearest": blocks.blocked(self.row_of_anchor[anchors.nearest], np.int32),
             "share": blocks.blocked(anchors.share),

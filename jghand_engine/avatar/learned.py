@@ -37,8 +37,8 @@ LOG_STRETCH_MAX = 3.0
 SH_COUNT = 16
 # anchors of the cast shadow that a Gaussian is interpolated from, and the whole numbers that their shares are of
 ANCHOR_NEIGHBORS = 3
-# distances to anchors count as longer by this, meters: no anchor takes all
-ANCHOR_SOFTENING_M = 1e-4
+# anchors are nearer than the next one by this at least, meters, so that some count where all are equally far
+ANCHOR_NEARER_MIN_M = 1e-6
 SHARE_UNITS = 255
 
 # NumPy's arrays; tensors while a hand is learned
@@ -129,11 +129,19 @@ def anchors_around(anchors: Anchors, position_m: np.ndarray) -> tuple[np.ndarray
     """(V, 3) those around canonical places (V, 3), and their shares, as of Gaussians."""
     apart2_m2 = np.square(position_m).sum(1)[:, None] + np.square(anchors.position_m).sum(1)
     apart2_m2 -= 2 * position_m @ anchors.position_m.T
-    count = min(ANCHOR_NEIGHBORS, len(anchors))
+    count = min(ANCHOR_NEIGHBORS + 1, len(anchors))
     nearest = np.argpartition(apart2_m2, count - 1, axis=1)[:, :count]
-    distance_m = np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0))
-    share, spare = 1 / (distance_m + ANCHOR_SOFTENING_M), ((0, 0), (0, ANCHOR_NEIGHBORS - count))
-    return np.pad(nearest, spare), np.pad(share / share.sum(1, keepdims=True), spare).astype(np.float32)
+    nearest = np.take_along_axis(nearest, np.take_along_axis(apart2_m2, nearest, 1).argsort(1), 1)
+    share = anchor_shares(np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0)))
+    spare = ((0, 0), (0, ANCHOR_NEIGHBORS - share.shape[1]))
+    return np.pad(nearest[:, :ANCHOR_NEIGHBORS], spare), np.pad(share, spare).astype(np.float32)
+
+
+def anchor_shares(distance_m: np.ndarray) -> np.ndarray:
+    """(V, 3) of the nearest anchors, by how far these and the next one are, (V, 4), in this order: as much as each is
+    nearer than that one, so that none comes or goes with a step."""
+    nearer = np.maximum(distance_m[:, -1:] - distance_m, ANCHOR_NEARER_MIN_M)[:, :ANCHOR_NEIGHBORS]
+    return nearer / nearer.sum(1, keepdims=True)
 
 
 @dataclass(frozen=True)

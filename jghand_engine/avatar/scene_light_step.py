@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
-from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, PATCH, CastStep
+from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, EVENED, PATCH, CastStep
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, lamp_rows, shares_on, world_shade
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.scene_light import (
@@ -60,6 +60,8 @@ class SceneLightStep:
             **_standing_before(cast),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
             "thrown": aligned_zeros((rows // PATCH, THROWN)),
+            "beside": _evened(cast),
+            "bounced": aligned_zeros((rows, 4)),
             "sky": aligned_zeros((blocks.rows,)),
             # 7 numbers of the world and 3 of each lamp, in whole vectors
             "reached": aligned_zeros((rows, padded_rows(7 + 3 * LAMPS_MAX))),
@@ -151,6 +153,13 @@ def _standing_before(cast: CastStep) -> dict[str, np.ndarray]:
         "hides_start": (1 + np.cumsum(count) - count).astype(np.int32),
         "hides": hides,
     }
+
+
+def _evened(cast: CastStep) -> np.ndarray:
+    """Over which anchors light that skin throws is evened: beside of SceneLightTask."""
+    rows = aligned_zeros((cast.rows, EVENED), np.int32)
+    rows[cast.row_of_anchor] = cast.row_of_anchor[cast.beside]
+    return rows
 
 
 def mirrored(world: World, roughness: np.ndarray) -> np.ndarray:

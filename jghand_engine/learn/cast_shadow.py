@@ -34,11 +34,11 @@ from jghand_engine.avatar.cast_task import (
 )
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
-    ANCHOR_SOFTENING_M,
     CAPSULE_RADII_MM,
     SHARE_UNITS,
     Anchors,
     CastShadow,
+    anchor_shares,
     lamp_directions,
 )
 from jghand_engine.hand.joints import PARENTS
@@ -60,18 +60,18 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
     """
     count = min(count, len(position_m))
     tree = KDTree(position_m[:count].double().numpy())
-    neighbors = min(ANCHOR_NEIGHBORS, count)
-    distance_m, nearest = tree.query(position_m.double().numpy(), k=list(range(1, neighbors + 1)))  # type: ignore[arg-type]
-    spare = ANCHOR_NEIGHBORS - neighbors
-    share = np.pad(1 / (distance_m + ANCHOR_SOFTENING_M), ((0, 0), (0, spare)))
+    around = list(range(1, min(ANCHOR_NEIGHBORS + 1, count) + 1))
+    distance_m, nearest = tree.query(position_m.double().numpy(), k=around)  # type: ignore[arg-type]
+    share = anchor_shares(distance_m)
+    spare = ((0, 0), (0, ANCHOR_NEIGHBORS - share.shape[1]))
     # eight bits, as a file holds them: what is drawn from the file is what was learned
-    share = np.rint(SHARE_UNITS * share / share.sum(1, keepdims=True))
+    share = np.rint(SHARE_UNITS * np.pad(share, spare))
     share[:, 0] += SHARE_UNITS - share.sum(1)
     return AnchorTensors(
         position_m[:count].float(),
         normal[:count].float(),
         bone_weights[:count].float(),
-        torch.from_numpy(np.pad(nearest, ((0, 0), (0, spare)))),
+        torch.from_numpy(np.pad(nearest[:, :ANCHOR_NEIGHBORS], spare)),
         torch.from_numpy(share / SHARE_UNITS).float(),
     )
 

@@ -21,13 +21,14 @@ import torch
 from torch import Tensor
 
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS as DISTANT_FLESH_SOFTNESS
-from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH, PATCH, anchor_blocks
+from jghand_engine.avatar.cast_task import LAMP_HALF_WIDTH, PATCH, anchor_blocks, anchors_beside
 from jghand_engine.avatar.lamp_rows import LIMITS, compared_at, lamp_rows, light_shares, world_shade
 from jghand_engine.avatar.learned import LIGHT_EXPONENT_MAX, Anchors, SkinResponse
 from jghand_engine.avatar.scene_light import WORLD_FLOOR, SceneLight
 from jghand_engine.avatar.scene_light_step import BLACK, FLESH_SOFTNESS, WIDE_SOFTNESS, mirrored
 from jghand_engine.learn.cast_shadow import CastTensors, Flesh, Skin, past_flesh
 from jghand_engine.learn.light import harmonics, seen_from_outside, smooth, unit
+from jghand_engine.learn.planes import weighted_rows
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
 
 # see native/scene_light.cpp
@@ -137,24 +138,38 @@ def world_irradiance(light: SceneLight, response: ResponseTensors, normal: Tenso
 
 @dataclass(frozen=True)
 class Patches:
-    """Neighboring anchors that throw light onto others as one. of_anchor: (A,) in which of so many each is"""
+    """Neighboring anchors that throw light onto others as one.
+
+    of_anchor: (A,) in which of so many each is
+    beside:    (A, EVENED) anchors whose mean is taken of the skin that they see, see `anchors_beside`
+    """
 
     of_anchor: np.ndarray
     count: int
+    beside: np.ndarray
 
     @classmethod
     def of(cls, anchors: Anchors[Tensor]) -> Patches:
-        places = (values.detach().cpu().numpy() for values in (anchors.position_m, anchors.normal))
+        places = [values.detach().cpu().numpy() for values in (anchors.position_m, anchors.normal)]
         order = anchor_blocks(*places).order
         of_anchor = np.empty(len(order), np.int64)
         of_anchor[order] = np.arange(len(order)) // PATCH
-        return cls(of_anchor, -(-len(order) // PATCH))
+        return cls(of_anchor, -(-len(order) // PATCH), anchors_beside(*places))
 
     def mean(self, values: Tensor) -> Tensor:
         """(count, C) of values (A, C) at the anchors."""
         sums, rows = values.new_zeros(self.count, values.shape[1] + 1), torch.from_numpy(self.of_anchor)
         sums = sums.index_add(0, rows.to(values.device), torch.cat([values, torch.ones_like(values[:, :1])], 1))
         return sums[:, :-1] / sums[:, -1:]
+
+    def evened(self, bounced: Tensor, hidden: Tensor) -> Tensor:
+        """(A, C) light bounced onto anchors, from skin whose brightness is the mean of what those around see.
+
+        bounced: (A, C) · hidden: (A, 1) as of `faced`
+        """
+        rows = torch.from_numpy(np.ascontiguousarray(self.beside.T)).to(bounced.device)
+        sums = weighted_rows(torch.cat([bounced, hidden], 1), rows, bounced.new_ones(rows.shape))
+        return hidden * sums[:, :-1] / sums[:, -1:].clamp_min(FACED_MIN)
 
     def faced(self, anchors: Skin, hidden: Tensor) -> Tensor:
         """(A, count) part of all that an anchor faces, by cosines, that each patch is: what flesh stands before, as
@@ -237,7 +252,8 @@ def reached(
     # what it sees of skin is as bright as itself, and sees as much of it in turn
     again = (1 - response.bounce * hidden).clamp_min(CAUGHT_MIN)
     thrown = response.bounce * (world_irradiance(light, response, anchors.normal) * part + given) / again
-    bounced = fallen.patches.faced(anchors, hidden) @ fallen.patches.mean(thrown)
+    patches = fallen.patches
+    bounced = patches.evened(patches.faced(anchors, hidden) @ patches.mean(thrown), hidden)
     at_skin = by_column(cast.anchors.spread(torch.cat([part, bounced, 1 - hidden], 1)))
     shade, _ = world_shade(lamps.shares, response.bounce.detach().double().cpu().numpy(), LIMITS)
     part, sky = 1 - shade * (1 - at_skin[:, :3]), 1 - shade * (1 - at_skin[:, 6])

@@ -120,10 +120,11 @@ JG_API void jg_learned_pose(jg::Team* team, const jg::LearnedTask* task) {
     by_blocks(0, anchor_blocks, jg::LANES, [&](int32_t begin, int32_t end) { jg::anchor_lamps(t, begin, end); });
     at_anchors(1, [&](int32_t b) { jg::anchor_world(t, b); });
     at_anchors(2, [&](int32_t b) { jg::anchor_bounced(t, b); });
+    at_anchors(3, [&](int32_t b) { jg::anchor_evened(t, b); });
   } else {
     at_anchors(0, [&](int32_t b) { jg::cast_block(t.cast, t.skin, t.volume_min, t.length2_min, b); });
   }
-  by_blocks(3, t.skin.blocks, jg::BLOCKS_PER_ITEM, [&](int32_t begin, int32_t end) {
+  by_blocks(4, t.skin.blocks, jg::BLOCKS_PER_ITEM, [&](int32_t begin, int32_t end) {
     if (!t.scene || !t.scene->keeps_pose) jg::pose_blocks(t, begin, end);
     if (t.scene) jg::light_blocks(t, begin, end);
   });

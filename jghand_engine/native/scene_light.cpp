@@ -413,7 +413,7 @@ void anchor_bounced(const LearnedTask& t, int32_t block) {
   if (!(s.shade > 0) || s.baked) return;
   const float* posed = s.posed + POSED * LANES * (int64_t)block;
   const int columns = columns_of(s);
-  float* rows = s.reached + columns * LANES * (int64_t)block;
+  const float* rows = s.reached + columns * LANES * (int64_t)block;
   vf p[3], normal[3], sum[3] = {}, faced = {}, hidden;
   for (int lane = 0; lane < LANES; lane++) hidden[lane] = 1.f - rows[columns * lane + 6];
   for (int i = 0; i < 3; i++) p[i] = load(posed + LANES * i), normal[i] = load(posed + LANES * (3 + i));
@@ -429,7 +429,22 @@ void anchor_bounced(const LearnedTask& t, int32_t block) {
     faced += faces;
   }
   const vf gain = hidden / max(max(faced, FACED_PART_MIN * hidden), all(FACED_MIN));
-  for (int i = 0; i < 3; i++) store_column(rows + 3 + i, columns, gain * sum[i]);
+  float* bounced = s.bounced + 4 * LANES * (int64_t)block;
+  for (int i = 0; i < 3; i++) store_column(bounced + i, 4, gain * sum[i]);
+  store_column(bounced + 3, 4, hidden);
+}
+
+void anchor_evened(const LearnedTask& t, int32_t block) {
+  const SceneLightTask& s = *t.scene;
+  if (!(s.shade > 0) || s.baked) return;
+  const int columns = columns_of(s);
+  for (int64_t row = LANES * (int64_t)block; row < LANES * (int64_t)(block + 1); row++) {
+    float sum[4] = {};
+    for (int64_t k = EVENED * row; k < EVENED * (row + 1); k++)
+      for (int i = 0; i < 4; i++) sum[i] += s.bounced[4 * (int64_t)s.beside[k] + i];
+    const float share = s.bounced[4 * row + 3] / fmaxf(sum[3], FACED_MIN);
+    for (int i = 0; i < 3; i++) s.reached[columns * row + 3 + i] = share * sum[i];
+  }
 }
 
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]) {

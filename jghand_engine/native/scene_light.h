@@ -27,6 +27,7 @@ enum LampNumber {
 constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
 constexpr int PATCH = 4;       // neighboring anchors that throw light as one: PATCH of avatar/cast_task.py
 constexpr int THROWN = 10;     // numbers of a patch
+constexpr int EVENED = 12;     // anchors whose mean is taken of the skin that they see: EVENED of avatar/cast_task.py
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
 // Mirrored field by field in native/scene_light_task.py.
@@ -47,6 +48,8 @@ struct SceneLightTask {
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
   float* thrown;             // (16 / PATCH anchor blocks, THROWN): of patches mean place, normal, W/m2 that they throw
                              // back, and mean squared distance of their anchors from their middle; of padding zeros
+  const int32_t* beside;     // (16 anchor blocks, EVENED): rows of anchors whose mean is taken of the skin that they see
+  float* bounced;            // (16 anchor blocks, 4): W/m2 rgb before that, and part of all directions that skin hides
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* sky;                // (16 blocks): part of it that a Gaussian sees
   float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced
@@ -68,6 +71,7 @@ struct SceneLightTask {
 void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end);
 void anchor_world(const LearnedTask& t, int32_t anchor_block);
 void anchor_bounced(const LearnedTask& t, int32_t anchor_block);
+void anchor_evened(const LearnedTask& t, int32_t anchor_block);
 // Keeps what lights the skin of a block in this pose, whatever the light is.
 void reflecting_block(const LearnedTask& t, int32_t block, const vf normal[3], const vf correction[CORRECTION]);
 // The matt color of blocks.

@@ -34,7 +34,8 @@ class SceneLightTask(ctypes.Structure):
     _fields_ = (
         *((name, _P) for name in ("material", "own", "partly", "hides_start", "hides", "lamp", "casting")),
         *((name, _P) for name in ("irradiance", "left", "baked", "lobe")),
-        *((name, _P) for name in ("posed", "visible", "skin_seen", "thrown", "reflecting", "sky", "reached")),
+        *((name, _P) for name in ("posed", "visible", "skin_seen", "thrown", "beside", "bounced")),
+        *((name, _P) for name in ("reflecting", "sky", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "least")),
         *((name, _F32) for name in ("shade_gain", "flesh_softness", "wide_softness", "sine2_min", "shade")),
         *((name, _I32) for name in ("lamps", "slots", "lobes", "keeps_pose", "keeps_visible")),

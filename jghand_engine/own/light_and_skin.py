@@ -157,7 +157,8 @@ class LitFilm:
             cosine = (anchors.normal @ ways).clamp_min(0)
             hidden = (cosine * (1 - visible)).sum(1, keepdim=True) / cosine.sum(1, keepdim=True)
             # thrown to and fro as by skin of a mean color; `beyond` has the rest
-            bounced = patches.faced(anchors, hidden) @ patches.mean(cosine * visible / (1 - again * hidden))
+            thrown_back = patches.mean(cosine * visible / (1 - again * hidden))
+            bounced = patches.evened(patches.faced(anchors, hidden) @ thrown_back, hidden)
             own.append((one.normal[:count] @ ways).clamp_min(0) * cast.anchors.spread(visible))
             thrown.append(cast.anchors.spread(bounced))
         return torch.stack(own), torch.stack(thrown)

@@ -266,7 +266,8 @@ def two_plates(apart_m: float) -> tuple[torch_light.Patches, torch_light.Skin]:
     flat = np.concatenate([corner + g.uniform(0, 0.005, (16, 2)), np.zeros((16, 1))], 1)
     place_m = torch.from_numpy(np.concatenate([flat, flat + np.array([0, 0, apart_m])]))
     normal = torch.tensor([[0.0, 0.0, 1.0]] * 16 + [[0.0, 0.0, -1.0]] * 16).double()
-    return torch_light.Patches(np.arange(32) // 8, 4), torch_light.Skin(place_m, normal)
+    alone = np.arange(32)[:, None]
+    return torch_light.Patches(np.arange(32) // 8, 4, alone), torch_light.Skin(place_m, normal)
 
 
 ALL_HIDDEN = torch.ones(32, 1).double()

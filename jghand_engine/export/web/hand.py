@@ -58,6 +58,7 @@ _ROUNDED = {
 _WRITTEN = {
     *("matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.other"),
     *("cast.fallen", "scene.capsule_lamp", "scene.posed", "scene.visible", "scene.skin_seen", "scene.thrown"),
+    "scene.bounced",
     *("scene.sky", "scene.reflecting", "scene.reached", "front", "detail.vertex", "detail.slope", "detail.bend"),
     "detail.numbers",
 }
