@@ -16,7 +16,7 @@ from other_person import Somebody
 from torch.nn import functional
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
-from jghand_engine.avatar.learned import SkinResponse
+from jghand_engine.avatar.learned import Anchors, SkinResponse, fitted_flesh, own_flesh
 from jghand_engine.avatar.posing import Posing
 from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
@@ -26,6 +26,7 @@ from jghand_engine.captures.skin.color import RGB_LIMITS
 from jghand_engine.captures.skin.surface import SkinSurface
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.cast_shadow import place_anchors
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.pose_net import PoseNet
 from jghand_engine.learn.tier_prices import pose_net_of
@@ -93,7 +94,21 @@ def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
         if step % (STEPS // 4) == STEPS // 4 - 1:
             constant_m = _constant(net, poses)
     learned = replace(learned, correctives=net.plain(), distilled=None)
-    return home.painted(replace(avatar, position_m=avatar.position_m + constant_m.numpy(), learned=learned), one)
+    moved = replace(avatar, position_m=avatar.position_m + constant_m.numpy(), learned=learned)
+    return home.painted(with_anchors(moved), one)
+
+
+def with_anchors(avatar: HandAvatar) -> HandAvatar:
+    """A hand of known light whose shadows are found where its Gaussians are now."""
+    learned = avatar.learned
+    if learned is None or learned.cast is None:
+        return avatar
+    position_m, normal, weights = map(torch.from_numpy, (avatar.position_m, learned.normal, avatar.bone_weights))
+    placed = place_anchors(position_m, normal, weights, len(learned.cast.anchors))
+    anchors = Anchors(**{name: tensor.numpy() for name, tensor in vars(placed).items()})
+    flesh = fitted_flesh(anchors.position_m, avatar.canonical_joints_m)
+    cast = replace(learned.cast, anchors=anchors, flesh=flesh, own=own_flesh(anchors.position_m, flesh))
+    return replace(avatar, learned=replace(learned, cast=cast))
 
 
 @dataclass(frozen=True)

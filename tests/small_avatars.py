@@ -8,7 +8,7 @@ import torch
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, own_flesh
+from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, bone_flesh, own_flesh
 from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
@@ -83,8 +83,9 @@ def trained_tensors(count: int = 200, seed: int = 0, shape: PoseNetShape | None 
     look = ShadowLook(gain=5.0, tint=(0.4, 0.6, 0.7))
     anchors = place_anchors(avatar.position_m, normal, avatar.bone_weights, 60)
     lamp_rgb = torch.rand(20, 3, generator=g) ** 3
-    own = torch.from_numpy(own_flesh(anchors.position_m.numpy(), avatar.canonical_joints_m.numpy()))
-    cast = CastTensors(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, own)
+    flesh = bone_flesh(avatar.canonical_joints_m.numpy())
+    own = torch.from_numpy(own_flesh(anchors.position_m.numpy(), flesh))
+    cast = CastTensors(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, torch.from_numpy(flesh), own)
     return replace(avatar, learned=LearnedTensors(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
-from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
+from jghand_engine.avatar.learned import CastShadow, lamp_directions
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
@@ -33,7 +33,7 @@ PATCH = 4
 # how far apart skin counts as that faces another way, so that fingers' sides do not share a patch, m per unit normal
 NORMAL_M = 0.02
 # anchors whose mean is taken of the skin that they see, a centimeter of their own
-EVENED = 12
+EVENED = 8
 # display-referred colors go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 
@@ -78,7 +78,9 @@ class CastStep:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
     blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
-    joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
+    joints_m: (21, 3) of the canonical hand, root-relative · flesh_ends_m: start and end (20, 3) of its capsules
+    flesh_radius_m: (20,)
+    direction: (16 groups, 3) towards the lamps
     rows: of the anchors, whole blocks · row_of_anchor: in which each stands · beside: see `anchors_beside`
     """
 
@@ -88,6 +90,8 @@ class CastStep:
         rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
         self.joints_m = avatar.canonical_joints_m - root_m
         self.rows = own.rows
+        flesh = cast.flesh.astype(np.float64)
+        self.flesh_ends_m, self.flesh_radius_m = (flesh[:, :3] - root_m, flesh[:, 3:6] - root_m), flesh[:, 6]
         self.direction, lamp = _lamps(lamp_directions(len(cast.lamp_rgb)), cast.lamp_rgb)
         groups = len(lamp)
         self.arrays = {
@@ -128,7 +132,8 @@ class CastStep:
 
     def prepare(self, bones: Bones, others: Capsules | None = None) -> None:
         """Sets the capsules of the next pose. others: of hands beside this one."""
-        start, end, radius_m = capsules(posed_joints_m(bones.linear_offset, self.joints_m), bones.scale)
+        start, end = (posed_ends_m(bones.linear_offset, ends_m) for ends_m in self.flesh_ends_m)
+        radius_m = bones.scale * self.flesh_radius_m
         if others is not None:
             start, end = np.concatenate([start, others.start_m]), np.concatenate([end, others.end_m])
             radius_m = np.concatenate([radius_m, others.radius_m])
@@ -149,9 +154,17 @@ class CastStep:
 
 def posed_joints_m(linear_offset: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
     """(21, 3) where the bones' maps (21, 3, 4) carry the joints (21, 3) of the canonical hand, root-relative."""
-    matrices = linear_offset[:JOINT_COUNT].astype(np.float64)
     # bone i ends at joint i
-    return np.einsum("ijk,ik->ij", matrices[:, :, :3], joints_m) + matrices[:, :, 3]
+    return _moved(linear_offset[:JOINT_COUNT], joints_m)
+
+
+def posed_ends_m(linear_offset: np.ndarray, ends_m: np.ndarray) -> np.ndarray:
+    """(20, 3) where the maps of bones 1 to 20 carry points of their flesh (20, 3), root-relative."""
+    return _moved(linear_offset[1:JOINT_COUNT], ends_m)
+
+
+def _moved(matrices: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    return np.einsum("ijk,ik->ij", matrices[:, :, :3].astype(np.float64), points_m) + matrices[:, :, 3]
 
 
 def _lamps(direction: np.ndarray, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,11 @@ from jghand_engine.native.contract import SHADOW_GAIN, SHADOW_TINT
 CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
+# capsules are fitted to skin in so many rounds, after which they move by less than a tenth of a millimeter; what holds
+# each axis to its bone, per point of skin: shadows are as good with half or twice of it; what is left of a radius
+FIT_ROUNDS, FIT_STAY, CAPSULE_RADIUS_MIN_M = 20, 0.02, 1e-4
+# bones that begin at the wrist
+METACARPALS = 5
 # flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on: skin behind a
 # knuckle lies 1.5 radii from the bone before it, which in a fist would stand in its light
 OWN_FLESH_RADII = (1.4, 2.0)
@@ -151,6 +156,8 @@ class CastShadow(PerGaussian, Generic[Array]):
     lamp_rgb:    (K, 3) what each lamp around the hand sends, 0 and up
     bounced_rgb: (3,) what reaches skin that sees no lamp, 0 and up; only their ratios count
     anchors:     where it is computed
+    flesh:       (20, 7) start, end and radius, meters, of a capsule for each bone in the canonical pose, which moves
+                 with it: `fitted_flesh` of a hand that answers any light, `bone_flesh` of others
     own:         (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it
     """
 
@@ -159,6 +166,7 @@ class CastShadow(PerGaussian, Generic[Array]):
     lamp_rgb: Array
     bounced_rgb: Array
     anchors: Anchors[Array]
+    flesh: Array
     own: Array
 
 
@@ -253,17 +261,52 @@ def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.nd
     return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
 
 
-def own_flesh(position_m: np.ndarray, canonical_joints_m: np.ndarray) -> np.ndarray:
-    """(A, 20) float32 how much each bone's flesh is an anchor's own: 1 on it, 0 well away from it, in the canonical
-    pose. position_m: (A, 3) canonical."""
-    start, end, radius_m = capsules(canonical_joints_m, 1.0)
-    to_point = position_m.astype(np.float64)[:, None] - start
-    along = end - start
-    part = np.clip((to_point * along).sum(-1) / (along * along).sum(-1), 0, 1)
-    distance_m = np.linalg.norm(to_point - part[..., None] * along, axis=-1)
-    near, far = OWN_FLESH_RADII
-    t = np.clip((distance_m / radius_m - near) / (far - near), 0, 1)
+def bone_flesh(canonical_joints_m: np.ndarray) -> np.ndarray:
+    """(20, 7) float32 start, end and radius, meters, of capsules along the bones of a canonical hand (21, 3)."""
+    return np.column_stack(capsules(canonical_joints_m, 1.0)).astype(np.float32)
+
+
+def fitted_flesh(position_m: np.ndarray, canonical_joints_m: np.ndarray) -> np.ndarray:
+    """The same of capsules that fit points of a canonical hand's skin (A, 3): flesh lies around the palm's side of
+    bones, and people's fingers differ. Least squares of the distances to the nearest, by Gauss and Newton."""
+    flesh, bones = bone_flesh(canonical_joints_m).astype(np.float64), canonical_joints_m[list(PARENTS[1:])]
+    rest, points = flesh.copy(), position_m.astype(np.float64)
+    # skin behind the wrist is no finger's
+    behind = ((points[:, None] - bones[:METACARPALS]) * (flesh[:METACARPALS, 3:6] - bones[:METACARPALS])).sum(-1)
+    points = points[(behind > 0).any(1)]
+    for _ in range(FIT_ROUNDS):
+        part, out, distance_m = _from_axes(points, flesh)
+        nearest = (distance_m - flesh[:, 6]).argmin(1)
+        for bone in range(len(flesh)):
+            of_bone = nearest == bone
+            s, away = part[of_bone, bone, None], out[of_bone, bone]
+            slope = np.concatenate([(s - 1) * away, -s * away, -np.ones_like(s)], 1)
+            error = distance_m[of_bone, bone] - flesh[bone, 6]
+            # where a bone has little skin of its own, its axis stays
+            stay = np.append(np.full(6, FIT_STAY * len(s)), 0) + FIT_STAY
+            normal = slope.T @ slope + np.diag(stay)
+            flesh[bone] -= np.linalg.solve(normal, slope.T @ error + stay * (flesh[bone] - rest[bone]))
+    flesh[:, 6] = np.maximum(flesh[:, 6], CAPSULE_RADIUS_MIN_M)
+    return flesh.astype(np.float32)
+
+
+def own_flesh(position_m: np.ndarray, flesh: np.ndarray) -> np.ndarray:
+    """(A, 20) float32 how much each bone's flesh (20, 7) is an anchor's own: 1 on it, 0 well away from it, in the
+    canonical pose. position_m: (A, 3) canonical."""
+    distance_m, (near, far) = _from_axes(position_m.astype(np.float64), flesh)[2], OWN_FLESH_RADII
+    t = np.clip((distance_m / flesh[:, 6] - near) / (far - near), 0, 1)
     return 1 - (t * t * (3 - 2 * t)).astype(np.float32)
+
+
+def _from_axes(points_m: np.ndarray, flesh: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points (A, 3) and the axes of capsules (20, 7): where on each the nearest place is, 0..1 (A, 20), the unit
+    direction from there (A, 20, 3), and how far, meters (A, 20)."""
+    start, along = flesh[:, :3].astype(np.float64), flesh[:, 3:6].astype(np.float64) - flesh[:, :3]
+    to_point = points_m[:, None] - start
+    part = np.clip((to_point * along).sum(-1) / (along * along).sum(-1), 0, 1)
+    away = to_point - part[..., None] * along
+    distance_m = np.linalg.norm(away, axis=-1)
+    return part, away / np.maximum(distance_m, CAPSULE_RADIUS_MIN_M)[..., None], distance_m
 
 
 def lamp_directions(count: int) -> np.ndarray:

@@ -34,14 +34,12 @@ from jghand_engine.avatar.cast_task import (
 )
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
-    CAPSULE_RADII_MM,
     SHARE_UNITS,
     Anchors,
     CastShadow,
     anchor_shares,
     lamp_directions,
 )
-from jghand_engine.hand.joints import PARENTS
 from jghand_engine.learn.light import smooth
 from jghand_engine.learn.planes import weighted_rows
 
@@ -71,7 +69,7 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
         position_m[:count].float(),
         normal[:count].float(),
         bone_weights[:count].float(),
-        torch.from_numpy(np.pad(nearest[:, :ANCHOR_NEIGHBORS], spare)),
+        torch.from_numpy(np.pad(np.asarray(nearest)[:, :ANCHOR_NEIGHBORS], spare)),
         torch.from_numpy(share / SHARE_UNITS).float(),
     )
 
@@ -79,12 +77,6 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
 @dataclass(frozen=True)
 class CastTensors(CastShadow[Tensor]):
     anchors: AnchorTensors
-
-
-def capsules(joints_m: Tensor, hand_scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Start (20, 3), end (20, 3) and radius (20,) of the bones' flesh. joints_m: (21, 3), level order."""
-    radius_m = 1e-3 * torch.tensor(CAPSULE_RADII_MM, dtype=joints_m.dtype, device=joints_m.device)
-    return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
 
 
 @dataclass(frozen=True)
@@ -100,15 +92,15 @@ def lamps_seen(
     shadow: CastTensors,
     position_m: Tensor,
     normal: Tensor,
-    joints_m: Tensor,
+    ends_m: Tensor,
     hand_scale: Tensor,
     others: Capsules | None = None,
 ) -> LampsSeen:
-    """position_m, normal: (A, 3) of the posed anchors · joints_m: (21, 3) posed · hand_scale: () · others: the flesh of
-    hands beside this one, all in one frame."""
+    """position_m, normal: (A, 3) of the posed anchors · ends_m: (2, 20, 3) of the posed flesh · hand_scale: () ·
+    others: the flesh of hands beside this one, all in one frame."""
     direction = torch.from_numpy(lamp_directions(len(shadow.lamp_rgb))).to(normal)
     cosine = (normal @ direction.T).clamp_min(0)
-    flesh = Flesh.of(shadow, joints_m, hand_scale, others)
+    flesh = Flesh.of(shadow, ends_m, hand_scale, others)
     return LampsSeen(
         cosine, cosine * past_flesh(Skin(position_m, normal), flesh, direction, FLESH_SOFTNESS, LAMP_HALF_WIDTH)
     )
@@ -139,12 +131,12 @@ class Flesh:
     far: Tensor
 
     @classmethod
-    def of(cls, cast: CastTensors, joints_m: Tensor, scale: Tensor, others: Capsules | None = None) -> Flesh:
-        """joints_m: (21, 3) posed · others: of hands beside this one"""
-        start_m, end_m, radius_m = capsules(joints_m, scale)
-        hides, far = 1 - cast.own.to(joints_m), torch.zeros(len(start_m), dtype=torch.bool)
+    def of(cls, cast: CastTensors, ends_m: Tensor, scale: Tensor, others: Capsules | None = None) -> Flesh:
+        """ends_m: (2, 20, 3) of its capsules' axes, posed · others: of hands beside this one"""
+        start_m, end_m, radius_m = *ends_m, cast.flesh[:, 6].to(ends_m) * scale
+        hides, far = 1 - cast.own.to(ends_m), torch.zeros(len(start_m), dtype=torch.bool)
         if others is not None:
-            start, end, radius, part = (torch.from_numpy(values).to(joints_m) for values in vars(others).values())
+            start, end, radius, part = (torch.from_numpy(values).to(ends_m) for values in vars(others).values())
             start_m, end_m, radius_m = (torch.cat(p) for p in ((start_m, start), (end_m, end), (radius_m, radius)))
             hides = torch.cat([hides, part.expand(len(hides), -1)], 1)
             far = torch.arange(len(start_m)) >= len(far)

@@ -121,16 +121,16 @@ class LitHand:
         return replace(skin.matt, rgb=rgb)
 
     def _with_lamps_in_world(self, mixed: MixedLight, pose: Pose) -> MixedLight:
-        _, joints_m = posed_anchors(self._cast, self._joints_m, pose.bones)
-        middle_m = (joints_m.mean(0) + pose.bones.root_m).double().cpu().numpy()
+        _, ends_m = posed_anchors(self._cast, pose.bones)
+        middle_m = (ends_m.mean((0, 1)) + pose.bones.root_m).double().cpu().numpy()
         light = lamps_in_world(mixed.light.weighted(mixed.weight), middle_m)
         return replace(mixed, light=KnownLight(light.world, (), ()), weight=np.ones((1, 3)))
 
     @torch.no_grad()
     def _all_lit(self, pose: Pose, known: KnownLight, light: SceneLight) -> _Lit:
         bones, maps = pose.bones, pose.maps
-        anchors, joints_m = posed_anchors(self._cast, self._joints_m, bones)
-        flesh = Flesh.of(self._cast, joints_m, bones.scale)
+        anchors, ends_m = posed_anchors(self._cast, bones)
+        flesh = Flesh.of(self._cast, ends_m, bones.scale)
         linear_offset = torch.cat([bones.linear, bones.offset_m[..., None]], -1).numpy()
         root_m, canonical = bones.root_m.double().numpy(), (self._joints_m - self._joints_m[:1]).numpy()
         rows, casting, lamp = [], [], []

@@ -24,7 +24,15 @@ from jghand_engine.avatar.avatar import (
     sigma_scale_for_prefix,
 )
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, Ellipsoid, ShadowLook, own_flesh
+from jghand_engine.avatar.learned import (
+    LOG_STRETCH_MAX,
+    SH_COUNT,
+    Ellipsoid,
+    ShadowLook,
+    bone_flesh,
+    fitted_flesh,
+    own_flesh,
+)
 from jghand_engine.avatar.relighting import REFLECTANCE, SHADE_GAIN, SOFTNESS, THROWN_BACK
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.canonical_points import CanonicalPoints
@@ -150,7 +158,9 @@ class LearnedHand(nn.Module):
         self.options, self.points = options, points
         if options.cast_shadow:
             self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, ANCHORS)
-            self._own = torch.from_numpy(own_flesh(self._anchors.position_m.numpy(), points.joints_m.numpy()))
+            skin_m, joints_m = self._anchors.position_m.numpy(), points.joints_m.numpy()
+            flesh = fitted_flesh(skin_m, joints_m) if options.known_light else bone_flesh(joints_m)
+            self._flesh, self._own = torch.from_numpy(flesh), torch.from_numpy(own_flesh(skin_m, flesh))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self._make_parameters()
@@ -234,7 +244,7 @@ class LearnedHand(nn.Module):
         self.points = replace(self.points, **{name: getattr(self.points, name).to(device) for name in names})
         if self.options.cast_shadow:
             self._anchors = mapped(self._anchors, lambda tensor: tensor.to(device))
-            self._own = self._own.to(device)
+            self._flesh, self._own = self._flesh.to(device), self._own.to(device)
         return self
 
     def ellipsoid(self, count: int) -> Ellipsoid[Tensor] | None:
@@ -256,7 +266,8 @@ class LearnedHand(nn.Module):
         if not self.options.cast_shadow:
             return None
         lamp_rgb = torch.softmax(LAMP_RATE * self.raw_lamps, 0)
-        return CastTensors(lamp_rgb, torch.sigmoid(self.raw_bounced), self._anchors.prefix(count), self._own)
+        bounced = torch.sigmoid(self.raw_bounced)
+        return CastTensors(lamp_rgb, bounced, self._anchors.prefix(count), self._flesh, self._own)
 
     def response(self, out: Tensor) -> ResponseTensors:
         """How the skin answers light, with gradients. out: (N, 13) of the decoder"""

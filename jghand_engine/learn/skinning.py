@@ -132,29 +132,23 @@ class PosedSkin:
     shade: torch.Tensor | None = None
 
 
-def see_lamps(
-    shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: PoseTransforms, others: Capsules | None = None
-) -> LampsSeen:
+def see_lamps(shadow: CastTensors, bones: PoseTransforms, others: Capsules | None = None) -> LampsSeen:
     """What the skin of one pose sees of the lamps, without the pose's correction: it moves skin by less than an edge
-    of a shadow is wide. canonical_joints_m: (21, 3) of the avatar · others: the flesh of hands beside this
-    one, relative to its root."""
+    of a shadow is wide. others: the flesh of hands beside this one, relative to its root."""
     with torch.autocast(bones.linear.device.type, enabled=False):
-        (position_m, normal), joints_m = posed_anchors(shadow, canonical_joints_m, bones)
-        return lamps_seen(shadow, position_m, normal, joints_m, bones.scale, others)
+        (position_m, normal), ends_m = posed_anchors(shadow, bones)
+        return lamps_seen(shadow, position_m, normal, ends_m, bones.scale, others)
 
 
-def posed_anchors(
-    shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: PoseTransforms
-) -> tuple[tuple[torch.Tensor, torch.Tensor], torch.Tensor]:
-    """Places and normals (A, 3) of the anchors, and the joints (21, 3), of one pose, root-relative."""
+def posed_anchors(shadow: CastTensors, bones: PoseTransforms) -> tuple[tuple[torch.Tensor, torch.Tensor], torch.Tensor]:
+    """Places and normals (A, 3) of the anchors, and the ends (2, 20, 3) of the flesh, of one pose, root-relative."""
     anchors, dtype = shadow.anchors, bones.linear.dtype
     maps = skin_maps(map_weights(anchors.position_m, anchors.bone_weights, bones), bones)
     root_m = bones.canonical_root_m.to(dtype)
     position_m = apply(maps.linear, anchors.position_m.to(dtype) - root_m) + maps.offset_m
     normal = unit(apply(maps.turning, anchors.normal.to(dtype)))
-    # bone i ends at joint i
-    joints_m = apply(bones.linear[:JOINT_COUNT], canonical_joints_m.to(dtype) - root_m) + bones.offset_m[:JOINT_COUNT]
-    return (position_m, normal), joints_m
+    ends_m = torch.stack([shadow.flesh[:, :3], shadow.flesh[:, 3:6]]).to(dtype) - root_m
+    return (position_m, normal), apply(bones.linear[1:JOINT_COUNT], ends_m) + bones.offset_m[1:JOINT_COUNT]
 
 
 def pose_skin(
@@ -191,7 +185,7 @@ def pose_skin(
             shade = None if correction is None else correction.shade.to(dtype)
         if learned is not None and normal is not None and learned.response is None:
             if learned.cast is not None:
-                fallen = exponent(learned.cast, seen or see_lamps(learned.cast, avatar.canonical_joints_m, bones))
+                fallen = exponent(learned.cast, seen or see_lamps(learned.cast, bones))
                 shade = fallen if shade is None else shade + fallen
             rgb, shine = lit(rgb, normal, learned.light.to(dtype), shade), learned.shine.to(dtype)
         gaussians = Gaussians(
@@ -230,7 +224,7 @@ def posed_skin(
     """
     learned, seen = avatar.learned, None
     if learned is not None and learned.cast is not None and others is not None:
-        seen = see_lamps(learned.cast, avatar.canonical_joints_m, bones, others)
+        seen = see_lamps(learned.cast, bones, others)
     correctives = None if learned is None else learned.correctives
     if correctives is None:
         return pose_skin(avatar, bones, seen=seen)

@@ -431,7 +431,7 @@ class HandTraining:
         maps = skin_maps(map_weights(self._points.position_m, self._points.bone_weights, bones), bones)
         with torch.no_grad():
             cast = None if self._relit is not None else self._cast
-            seen = None if cast is None else see_lamps(cast, self._points.joints_m, bones)
+            seen = None if cast is None else see_lamps(cast, bones)
         gate = 1.0 if self.options.printed_shadow else fade(self._gate.score(hand.joints_m, float(bones.scale)))
         posed = _PosedBones(bones, maps, gate, seen)
         return mapped(posed, lambda tensor: tensor.to(self._device))

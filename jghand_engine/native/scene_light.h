@@ -27,7 +27,7 @@ enum LampNumber {
 constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
 constexpr int PATCH = 4;       // neighboring anchors that throw light as one: PATCH of avatar/cast_task.py
 constexpr int THROWN = 10;     // numbers of a patch
-constexpr int EVENED = 12;     // anchors whose mean is taken of the skin that they see: EVENED of avatar/cast_task.py
+constexpr int EVENED = 8;      // anchors whose mean is taken of the skin that they see: EVENED of avatar/cast_task.py
 enum LampKind { SUN = 0, POINT = 1, SPOT = 2, AREA = 3 };
 
 // Mirrored field by field in native/scene_light_task.py.

@@ -137,14 +137,13 @@ class LitFilm:
         self.observed = observed
         _, around = KDTree(avatar.position_m).query(avatar.position_m, k=min(AROUND, len(avatar)))
         self.around = torch.from_numpy(np.asarray(around))
-        joints_m = hand.canonical_joints_m
-        self._anchors, self._visible = zip(*(self._seen_of_world(one, joints_m) for one in observed.shown), strict=True)
+        self._anchors, self._visible = zip(*(self._seen_of_world(one) for one in observed.shown), strict=True)
 
     @torch.no_grad()
-    def _seen_of_world(self, one: Shown, joints_m: Tensor) -> tuple[Skin, Tensor]:
+    def _seen_of_world(self, one: Shown) -> tuple[Skin, Tensor]:
         """Anchors of a pose, root-relative, and what they see of the cells (A, CELLS)."""
-        around, posed_m = posed_anchors(self._cast, joints_m, one.bones)
-        anchors, flesh = Skin(*around), Flesh.of(self._cast, posed_m, one.bones.scale)
+        around, ends_m = posed_anchors(self._cast, one.bones)
+        anchors, flesh = Skin(*around), Flesh.of(self._cast, ends_m, one.bones.scale)
         half_width = torch.full((1, 1), LAMP_HALF_WIDTH)
         return anchors, past_flesh(anchors, flesh, self._directions[None], FLESH_SOFTNESS, half_width)
 

@@ -281,7 +281,7 @@ def _with_fewer_anchors(avatar: HandTensors) -> HandTensors:
     if learned is None or learned.cast is None:
         return avatar
     anchors = place_anchors(avatar.position_m, learned.normal, avatar.bone_weights, ANCHORS)
-    own = own_flesh(anchors.position_m.numpy(), avatar.canonical_joints_m.numpy())
+    own = own_flesh(anchors.position_m.numpy(), learned.cast.flesh.numpy())
     cast = replace(learned.cast, anchors=anchors, own=torch.from_numpy(own))
     return replace(avatar, learned=replace(learned, cast=cast))
 

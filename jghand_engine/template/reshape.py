@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
-from jghand_engine.avatar.learned import CastShadow, own_flesh
+from jghand_engine.avatar.learned import CastShadow, Learned, bone_flesh, fitted_flesh, own_flesh
 from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.template.closest import ClosestPoints, Surface
@@ -45,7 +45,7 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
     learned, detail = avatar.learned, avatar.detail
     if learned is not None:
         normal = _turned(learned.normal, stretch)
-        cast = None if learned.cast is None else _moved_shadow(learned.cast, change, avatar.canonical_joints_m)
+        cast = _moved_shadow(learned, change, avatar.canonical_joints_m)
         learned = replace(learned, normal=normal, cast=cast)
     if detail is not None:
         detail = replace(detail, position_m=change.places(detail.position_m)[0])
@@ -125,8 +125,11 @@ def _turned(normal: np.ndarray, stretch: np.ndarray) -> np.ndarray:
     return np.where(is_stretched, turned, normal)
 
 
-def _moved_shadow(cast: CastShadow, change: _Change, joints_m: np.ndarray) -> CastShadow:
-    anchors = cast.anchors
+def _moved_shadow(learned: Learned, change: _Change, joints_m: np.ndarray) -> CastShadow | None:
+    if learned.cast is None:
+        return None
+    anchors = learned.cast.anchors
     position_m, stretch = change.places(anchors.position_m)
     anchors = replace(anchors, position_m=position_m, normal=_turned(anchors.normal, stretch))
-    return replace(cast, anchors=anchors, own=own_flesh(position_m, joints_m))
+    flesh = bone_flesh(joints_m) if learned.response is None else fitted_flesh(position_m, joints_m)
+    return replace(learned.cast, anchors=anchors, flesh=flesh, own=own_flesh(position_m, flesh))

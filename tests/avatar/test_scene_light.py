@@ -111,11 +111,11 @@ def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsule
     skin = torch_light.Skin(
         apply(maps.linear, relative) + maps.offset_m + offset, unit(apply(maps.turning, hand.learned.normal.double()))
     )
-    anchors, joints_m = posed_anchors(hand.learned.cast, hand.canonical_joints_m, wide)
+    anchors, ends_m = posed_anchors(hand.learned.cast, wide)
     response = torch_light.ResponseTensors.of(response_of(avatar))
     root = avatar.canonical_joints_m - avatar.canonical_joints_m[0]
     lamps = torch_light.LampRows.of(light, bones.root_m, bones.linear_offset, root)
-    flesh = torch_light.Flesh.of(hand.learned.cast, joints_m, wide.scale, others)
+    flesh = torch_light.Flesh.of(hand.learned.cast, ends_m, wide.scale, others)
     cast, anchored = hand.learned.cast, torch_light.Skin(*anchors)
     fallen = torch_light.shadows(cast, anchored, skin, flesh, light, lamps)
     got = torch_light.reached(cast, anchored, fallen, light, lamps, response)

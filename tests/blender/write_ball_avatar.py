@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.avatar.learned import Anchors, CastShadow, Learned, SkinResponse, no_light
+from jghand_engine.avatar.learned import Anchors, CastShadow, Learned, SkinResponse, bone_flesh, no_light
 from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.template.builtin import load_template
@@ -44,7 +44,8 @@ def main(path: Path, albedo: float, radius_m: float, middle_m: np.ndarray) -> No
     )
     # all flesh is its own, and throws no shadow on it
     dark = np.zeros((CELLS, 3), np.float32)
-    cast = CastShadow(dark, np.zeros(3, np.float32), anchors, np.ones((ANCHORS, 20), np.float32))
+    own, joints_m = np.ones((ANCHORS, 20), np.float32), np.array(load_template().joints_m, np.float64)
+    cast = CastShadow(dark, np.zeros(3, np.float32), anchors, bone_flesh(joints_m), own)
     each, none = np.ones(COUNT, np.float32), np.zeros(3, np.float32)
     response = SkinResponse(each, 0.5 * each, 0 * each, softness=none, bounce=none, shade_gain=1.0)
     save_avatar(
@@ -52,7 +53,7 @@ def main(path: Path, albedo: float, radius_m: float, middle_m: np.ndarray) -> No
         HandAvatar(
             info=AvatarInfo(name="ball", template="built-in", license="CC0-1.0"),
             handedness=Handedness.RIGHT,
-            canonical_joints_m=np.array(load_template().joints_m, np.float64),
+            canonical_joints_m=joints_m,
             position_m=position_m,
             sigma_m=SIGMA_RADII * radius_m * each,
             opacity=OPACITY * each,

@@ -58,7 +58,7 @@ def test_nothing_of_a_step_mixes_devices_before_the_gaussians_come_to_the_cpu(mo
     maps = skin_maps(hand.points.bone_weights, bones)
     cast = hand.cast_shadow(1)
     with torch.no_grad():
-        seen = None if cast is None else see_lamps(cast, hand.points.joints_m, bones)
+        seen = None if cast is None else see_lamps(cast, bones)
     waves = octave_of_wave(SMALL_MODEL.pose.octaves).float().to(META)
     eye_m = torch.tensor([0.1, 0.2, 0.6], dtype=torch.float64)
     hand = hand.on(META)

@@ -119,11 +119,11 @@ def test_gradients_of_light_are_those_of_finite_differences():
     bones = bones_of(joints_of("fist"))
     maps = skin_maps(hand.bone_weights, bones)
     cast, g = hand.learned.cast, torch.Generator().manual_seed(0)
-    anchors, joints_m = posed_anchors(cast, hand.canonical_joints_m, bones)
+    anchors, ends_m = posed_anchors(cast, bones)
     around = torch_light.Skin(*anchors)
     at = apply(maps.linear, hand.position_m.double() - bones.canonical_root_m) + maps.offset_m
     normal = torch_light.unit(apply(maps.turning, hand.learned.normal.double()))
-    flesh = torch_light.Flesh.of(cast, joints_m, bones.scale)
+    flesh = torch_light.Flesh.of(cast, ends_m, bones.scale)
     linear_offset = torch.cat([bones.linear, bones.offset_m[..., None]], -1).numpy()
     root = (hand.canonical_joints_m - hand.canonical_joints_m[0]).numpy()
     lamps = torch_light.LampRows.of(light, bones.root_m.numpy(), linear_offset, root)

@@ -76,7 +76,7 @@ def fallen(avatar: HandTensors, bones: BoneTransforms) -> torch.Tensor:
     """What the shadows that its fingers cast add to the exponent, in the world's light."""
     cast = learned_of(avatar).cast
     assert cast is not None
-    return exponent(cast, see_lamps(cast, avatar.canonical_joints_m, bones))
+    return exponent(cast, see_lamps(cast, bones))
 
 
 # ---- the light stays where it is -------------------------------------------------------------------------------------

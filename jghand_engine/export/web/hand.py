@@ -19,7 +19,7 @@ from jghand_engine.avatar.detail_correctives import NUMBERS, SIMPLE, angle_numbe
 from jghand_engine.avatar.detail_mips import filled, with_rings
 from jghand_engine.avatar.detail_storage import differences, height_differences
 from jghand_engine.avatar.lamp_rows import LIMITS
-from jghand_engine.avatar.learned import CAPSULE_RADII_MM, Learned, anchors_around
+from jghand_engine.avatar.learned import Learned, anchors_around
 from jghand_engine.avatar.relief import BEND_DEG, HEIGHT_STEP_M, Bend, Relief, finger_shares
 from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, detail_power, in_studio, relightable
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
@@ -174,8 +174,8 @@ def _cast(
     cast = CastStep(learned.cast, avatar, blocks, task)
     arrays |= {f"cast.{name}": array for name, array in cast.arrays.items()} | cast.around
     return {
-        "joints_m": cast.joints_m.tolist(), "direction": cast.direction.tolist(),
-        "radius_m": [1e-3 * radius for radius in CAPSULE_RADII_MM],
+        "flesh_m": [ends_m.tolist() for ends_m in cast.flesh_ends_m], "radius_m": cast.flesh_radius_m.tolist(),
+        "direction": cast.direction.tolist(),
         "length2_min": CAPSULE_LENGTH2_MIN, "sine2_min": CAPSULE_SINE2_MIN,
     }  # fmt: skip
 

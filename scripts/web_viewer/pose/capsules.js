@@ -11,9 +11,10 @@ export class Capsules {
 
   // matrices: (21, 3, 4) of the pose · scale: of the whole hand
   prepare(matrices, scale) {
-    const joints = posedJoints(matrices, this.joints_m), lamps = this.direction.length, groups = lamps / LANES;
+    const [starts, ends] = this.flesh_m.map((points) => moved(matrices, points, 1));
+    const lamps = this.direction.length, groups = lamps / LANES;
     for (let bone = 0; bone < BONES; bone++) {
-      const start = joints[bone < 5 ? 0 : bone - 4], axis = joints[bone + 1].map((x, k) => x - start[k]);
+      const start = starts[bone], axis = ends[bone].map((x, k) => x - start[k]);
       const length2 = Math.max(dot(axis, axis), this.length2_min);
       this.capsule.set([...start, ...axis, 1 / length2, this.radius_m[bone] * scale], CAPSULE * bone);
       for (let k = 0; k < lamps; k++) {
@@ -27,11 +28,11 @@ export class Capsules {
   }
 }
 
-// Where the bones' maps carry the joints of the canonical hand, root-relative
-export function posedJoints(matrices, joints) {
-  return joints.map((joint, i) => [0, 1, 2].map((row) => {
-    const m = 12 * i + 4 * row;
-    return matrices[m] * joint[0] + matrices[m + 1] * joint[1] + matrices[m + 2] * joint[2] + matrices[m + 3];
+// Where the maps of bones, `first` and those after it, carry a point of each, root-relative
+export function moved(matrices, points, first = 0) {
+  return points.map((point, i) => [0, 1, 2].map((row) => {
+    const m = 12 * (first + i) + 4 * row;
+    return matrices[m] * point[0] + matrices[m + 1] * point[1] + matrices[m + 2] * point[2] + matrices[m + 3];
   }));
 }
 

@@ -1,6 +1,6 @@
 // The surface of the skin's texture, and how the light on it turns with its normal: the first step of native/detail.cpp,
 // which jghand_engine/render/detail.py prepares.
-import { posedJoints } from './capsules.js';
+import { moved } from './capsules.js';
 
 export class Detail {
   constructor({ size, relief, tasks, products, rest }, { memory, kernels }) {
@@ -30,7 +30,7 @@ export class Detail {
   // How bent the skin is: Bend of jghand_engine/avatar/relief.py
   bend() {
     const { views, relief } = this, near = views['detail.near'], bend = views['detail.bend'];
-    const joints = posedJoints(views.matrices, relief.joints_m), [low, high] = relief.bend_deg;
+    const joints = moved(views.matrices, relief.joints_m), [low, high] = relief.bend_deg;
     const bent = relief.rest_deg.map((rest, k) => {
       const joint = k + 1, before = minus(joints[joint], joints[Math.max(joint - 5, 0)]), after = minus(joints[joint + 5], joints[joint]);
       const cosine = dot(before, after) / (Math.sqrt(dot(before, before) * dot(after, after)) || 1);
