@@ -384,6 +384,8 @@ def test_a_learned_shadow_that_may_not_be_drawn_is_no_loss_of_nothing():
     assert not decision.runs
     assert decision.worst is not None
     assert decision.worst >= 0.5  # the tint of the small avatar's shadow is 0.7
+    # what the receipt says is that figure
+    assert decision.bound == f"darker by up to {100 * decision.worst:.0f} %"
 
 
 def test_a_hand_that_learned_the_papers_shadow_was_not_learned_under_the_gate():
