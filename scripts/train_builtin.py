@@ -2,9 +2,9 @@
 
     python scripts/train_builtin.py            # jghand_engine/assets/builtin_right.jghand
 
-Two hours of Cycles on two quiet cores, an hour of training on all pictures, and some minutes of `jghand distill`; what is
-there already is kept, so it goes on where it was stopped. Its detail is that of the person's maps, not the learned one
-(scripts/other_person.py). It is judged on another capture (docs/FIGURES.md).
+Two hours of Cycles on two quiet cores, an hour of training on all pictures, and some minutes of `jghand distill`; what
+is there already is kept, so it goes on where it was stopped. Its detail is that of the person's maps, not the learned
+one (scripts/other_person.py). It is judged on another capture (docs/FIGURES.md).
 """
 
 from __future__ import annotations

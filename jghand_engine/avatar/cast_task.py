@@ -34,6 +34,8 @@ PATCH = 4
 NORMAL_M = 0.02
 # anchors whose mean is taken of the skin that they see, a centimeter of their own
 EVENED = 8
+# so many anchors at once are compared with all, so that memory does not grow with their square
+ROWS_AT_ONCE = 1024
 # display-referred colors go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 
@@ -61,13 +63,16 @@ def anchor_blocks(position_m: np.ndarray, normal: np.ndarray) -> Blocks:
 
 def anchors_beside(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(A, EVENED) anchors whose mean is taken of the skin that they see, each itself among them: what is found of few
-    patches differs more from anchor to anchor than light does."""
+    patches differs more from anchor to anchor than light does. Of a hand of fewer, some count twice."""
     at = _by_place_and_normal(position_m, normal).astype(np.float32)
-    apart2 = np.square(at).sum(1)[:, None] + np.square(at).sum(1) - 2 * at @ at.T
-    # itself, whatever rounding says
-    np.fill_diagonal(apart2, -1)
-    count = min(EVENED, len(at))
-    return np.argpartition(apart2, count - 1, axis=1)[:, np.arange(EVENED) % count]
+    count, length2, found = min(EVENED, len(at)), np.square(at).sum(1), []
+    for first in range(0, len(at), ROWS_AT_ONCE):
+        rows = np.arange(first, min(first + ROWS_AT_ONCE, len(at)))
+        apart2 = length2[rows, None] + length2 - 2 * at[rows] @ at.T
+        # itself, whatever rounding says
+        apart2[rows - first, rows] = -1
+        found.append(np.argpartition(apart2, count - 1, axis=1)[:, np.arange(EVENED) % count])
+    return np.concatenate(found).astype(np.int32)
 
 
 def _by_place_and_normal(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -81,7 +86,7 @@ class CastStep:
     joints_m: (21, 3) of the canonical hand, root-relative · flesh_ends_m: start and end (20, 3) of its capsules
     flesh_radius_m: (20,)
     direction: (16 groups, 3) towards the lamps
-    rows: of the anchors, whole blocks · row_of_anchor: in which each stands · beside: see `anchors_beside`
+    rows: of the anchors, whole blocks · row_of_anchor: in which each stands
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
@@ -102,7 +107,7 @@ class CastStep:
             "fallen": aligned_zeros((own.rows, 4)),
         }
         self.row_of_anchor = np.argsort(own.order)
-        self.beside = anchors_beside(anchors.position_m, anchors.normal)
+        self.anchors = anchors
         self.around = {
             "nearest": blocks.blocked(self.row_of_anchor[anchors.nearest], np.int32),
             "share": blocks.blocked(anchors.share),

@@ -23,11 +23,16 @@ from jghand_engine.native.contract import SHADOW_GAIN, SHADOW_TINT
 CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
-# capsules are fitted to skin in so many rounds, after which they move by less than a tenth of a millimeter; what holds
-# each axis to its bone, per point of skin: shadows are as good with half or twice of it; what is left of a radius
-FIT_ROUNDS, FIT_STAY, CAPSULE_RADIUS_MIN_M = 20, 0.02, 1e-4
-# bones that begin at the wrist
-METACARPALS = 5
+# capsules are fitted to so many anchors, evenly taken, in so many steps of half the way: whole ones
+# give and take the same points for ever. After them they move by some tenths of a millimeter a step
+FIT_POINTS, FIT_ROUNDS, FIT_STEP = 1024, 40, 0.5
+# what holds each axis to its bone, per point of skin: shadows are as good with half or twice of it
+FIT_STAY = 0.02
+# no hand is larger, and no skin farther from the capsules along its bones, meters
+HAND_REACH_M, FIT_REACH_M = 0.5, 0.03
+MIDDLE_METACARPAL = 2
+# least radius, meters; floors against division by zero: distance from an axis, and its squared length
+CAPSULE_RADIUS_MIN_M, AXIS_DISTANCE_MIN_M, AXIS2_MIN_M2 = 1e-4, 1e-9, 1e-12
 # flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on: skin behind a
 # knuckle lies 1.5 radii from the bone before it, which in a fist would stand in its light
 OWN_FLESH_RADII = (1.4, 2.0)
@@ -144,7 +149,7 @@ def anchors_around(anchors: Anchors, position_m: np.ndarray) -> tuple[np.ndarray
 
 def anchor_shares(distance_m: np.ndarray) -> np.ndarray:
     """(V, 3) of the nearest anchors, by how far these and the next one are, (V, 4), in this order: as much as each is
-    nearer than that one, so that none comes or goes with a step."""
+    nearer than that one, so that none comes or goes with a step. Of a hand of three or less the last has none."""
     nearer = np.maximum(distance_m[:, -1:] - distance_m, ANCHOR_NEARER_MIN_M)[:, :ANCHOR_NEIGHBORS]
     return nearer / nearer.sum(1, keepdims=True)
 
@@ -157,7 +162,7 @@ class CastShadow(PerGaussian, Generic[Array]):
     bounced_rgb: (3,) what reaches skin that sees no lamp, 0 and up; only their ratios count
     anchors:     where it is computed
     flesh:       (20, 7) start, end and radius, meters, of a capsule for each bone in the canonical pose, which moves
-                 with it: `fitted_flesh` of a hand that answers any light, `bone_flesh` of others
+                 with it, see `flesh_of`
     own:         (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it
     """
 
@@ -261,31 +266,41 @@ def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.nd
     return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
 
 
+def flesh_of(
+    position_m: np.ndarray, canonical_joints_m: np.ndarray, *, answers_light: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """`CastShadow.flesh` and `own` of anchors at canonical places (A, 3): capsules that fit the skin of a hand that
+    scenes light; along the bones where light, and what fingers take of it, was learned with these. A hand that is put
+    into a studio keeps what it has."""
+    flesh = fitted_flesh(position_m, canonical_joints_m) if answers_light else bone_flesh(canonical_joints_m)
+    return flesh, own_flesh(position_m, flesh)
+
+
 def bone_flesh(canonical_joints_m: np.ndarray) -> np.ndarray:
     """(20, 7) float32 start, end and radius, meters, of capsules along the bones of a canonical hand (21, 3)."""
     return np.column_stack(capsules(canonical_joints_m, 1.0)).astype(np.float32)
 
 
 def fitted_flesh(position_m: np.ndarray, canonical_joints_m: np.ndarray) -> np.ndarray:
-    """The same of capsules that fit points of a canonical hand's skin (A, 3): flesh lies around the palm's side of
-    bones, and people's fingers differ. Least squares of the distances to the nearest, by Gauss and Newton."""
-    flesh, bones = bone_flesh(canonical_joints_m).astype(np.float64), canonical_joints_m[list(PARENTS[1:])]
-    rest, points = flesh.copy(), position_m.astype(np.float64)
-    # skin behind the wrist is no finger's
-    behind = ((points[:, None] - bones[:METACARPALS]) * (flesh[:METACARPALS, 3:6] - bones[:METACARPALS])).sum(-1)
-    points = points[(behind > 0).any(1)]
+    """The same of capsules that fit points of its skin (A, 3), each by those that are nearest to it: flesh lies at the
+    palm's side of bones, and people's fingers differ. Least squares of distances, by damped Gauss-Newton steps."""
+    flesh = bone_flesh(canonical_joints_m).astype(np.float64)
+    rest, wrist_m, points = flesh.copy(), canonical_joints_m[0], position_m.astype(np.float64)
+    # skin behind the wrist is no finger's, and what is far from all bones is no skin
+    points = points[:: -(-len(points) // FIT_POINTS)]
+    points = points[np.abs(points - wrist_m).max(1) < HAND_REACH_M]
+    points = points[(points - wrist_m) @ (flesh[MIDDLE_METACARPAL, 3:6] - wrist_m) > 0]
+    points = points[(_from_axes(points, flesh)[2] - flesh[:, 6]).min(1) < FIT_REACH_M]
     for _ in range(FIT_ROUNDS):
-        part, out, distance_m = _from_axes(points, flesh)
+        part, away, distance_m = _from_axes(points, flesh)
         nearest = (distance_m - flesh[:, 6]).argmin(1)
         for bone in range(len(flesh)):
-            of_bone = nearest == bone
-            s, away = part[of_bone, bone, None], out[of_bone, bone]
-            slope = np.concatenate([(s - 1) * away, -s * away, -np.ones_like(s)], 1)
-            error = distance_m[of_bone, bone] - flesh[bone, 6]
-            # where a bone has little skin of its own, its axis stays
+            rows = nearest == bone
+            s, out, error = part[rows, bone, None], away[rows, bone], distance_m[rows, bone] - flesh[bone, 6]
+            slope = np.concatenate([(s - 1) * out, -s * out, -np.ones_like(s)], 1)
             stay = np.append(np.full(6, FIT_STAY * len(s)), 0) + FIT_STAY
-            normal = slope.T @ slope + np.diag(stay)
-            flesh[bone] -= np.linalg.solve(normal, slope.T @ error + stay * (flesh[bone] - rest[bone]))
+            step = np.linalg.solve(slope.T @ slope + np.diag(stay), slope.T @ error + stay * (flesh[bone] - rest[bone]))
+            flesh[bone] -= FIT_STEP * step
     flesh[:, 6] = np.maximum(flesh[:, 6], CAPSULE_RADIUS_MIN_M)
     return flesh.astype(np.float32)
 
@@ -300,13 +315,13 @@ def own_flesh(position_m: np.ndarray, flesh: np.ndarray) -> np.ndarray:
 
 def _from_axes(points_m: np.ndarray, flesh: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of points (A, 3) and the axes of capsules (20, 7): where on each the nearest place is, 0..1 (A, 20), the unit
-    direction from there (A, 20, 3), and how far, meters (A, 20)."""
+    direction from there (A, 20, 3), 0 on the axis, and how far, meters (A, 20)."""
     start, along = flesh[:, :3].astype(np.float64), flesh[:, 3:6].astype(np.float64) - flesh[:, :3]
     to_point = points_m[:, None] - start
-    part = np.clip((to_point * along).sum(-1) / (along * along).sum(-1), 0, 1)
+    part = np.clip((to_point * along).sum(-1) / np.maximum((along * along).sum(-1), AXIS2_MIN_M2), 0, 1)
     away = to_point - part[..., None] * along
     distance_m = np.linalg.norm(away, axis=-1)
-    return part, away / np.maximum(distance_m, CAPSULE_RADIUS_MIN_M)[..., None], distance_m
+    return part, away / np.maximum(distance_m, AXIS_DISTANCE_MIN_M)[..., None], distance_m
 
 
 def lamp_directions(count: int) -> np.ndarray:

@@ -42,10 +42,8 @@ from jghand_engine.avatar.learned import (
     Light,
     ShadowLook,
     SkinResponse,
-    bone_flesh,
-    fitted_flesh,
+    flesh_of,
     no_light,
-    own_flesh,
 )
 from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.avatar.storage import UINT8_MAX, UINT16_MAX, Storage
@@ -378,10 +376,8 @@ def unpack_learned(
         around = part(CAST, ("position_m", "bone_weights", "share"))
         around["share"] /= np.float32(SHARE_UNITS)
         anchors = Anchors(normal=unit(CAST), nearest=packed[CAST + "nearest"].astype(np.int64), **around)
-        at_m, joints_m = anchors.position_m, canonical_joints_m
-        flesh = fitted_flesh(at_m, joints_m) if about.light.is_known else bone_flesh(joints_m)
-        lamps = part(CAST, ("lamp_rgb", "bounced_rgb"))
-        cast = CastShadow(**lamps, anchors=anchors, flesh=flesh, own=own_flesh(at_m, flesh))
+        flesh, own = flesh_of(anchors.position_m, canonical_joints_m, answers_light=about.light.is_known)
+        cast = CastShadow(**part(CAST, ("lamp_rgb", "bounced_rgb")), anchors=anchors, flesh=flesh, own=own)
     return Learned(
         normal=normal,
         shine=shine,

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
-from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, EVENED, PATCH, CastStep
+from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, EVENED, PATCH, CastStep, anchors_beside
 from jghand_engine.avatar.lamp_rows import LAMPS_MAX, Limits, lamp_rows, shares_on, world_shade
 from jghand_engine.avatar.learned import SkinResponse
 from jghand_engine.avatar.scene_light import (
@@ -158,7 +158,8 @@ def _standing_before(cast: CastStep) -> dict[str, np.ndarray]:
 def _evened(cast: CastStep) -> np.ndarray:
     """Over which anchors light that skin throws is evened: beside of SceneLightTask."""
     rows = aligned_zeros((cast.rows, EVENED), np.int32)
-    rows[cast.row_of_anchor] = cast.row_of_anchor[cast.beside]
+    beside = anchors_beside(cast.anchors.position_m, cast.anchors.normal)
+    rows[cast.row_of_anchor] = cast.row_of_anchor[beside]
     return rows
 
 

@@ -60,7 +60,7 @@ def check_avatar(avatar: HandAvatar, thing: str) -> None:
     off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total)
     if avatar.learned is not None:
-        _check_learned(avatar.learned, len(avatar), thing)
+        _check_learned(avatar.learned, len(avatar), avatar.canonical_joints_m[0], thing)
     if avatar.detail is not None:
         _check_detail(avatar.detail, avatar.canonical_joints_m[0], thing)
 
@@ -106,7 +106,7 @@ def _check_detail(detail: Detail, wrist_m: np.ndarray, thing: str) -> None:
     _refuse(thing, "detail bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total, "vertex")
 
 
-def _check_learned(learned: Learned, count: int, thing: str) -> None:
+def _check_learned(learned: Learned, count: int, wrist_m: np.ndarray, thing: str) -> None:
     """What kernels rely on. Whether a light or a skin is a likely one is not asked; files hold finite numbers alone, of
     the shapes that they say."""
     if learned.response is not None and learned.response.film_light is not None:
@@ -115,7 +115,11 @@ def _check_learned(learned: Learned, count: int, thing: str) -> None:
     if learned.cast is None:
         return
     anchors = learned.cast.anchors
-    _check_ranges(thing, {"cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBORS), 0, len(anchors) - 1)})
+    ranges = {
+        "cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBORS), 0, len(anchors) - 1),
+        "cast position_m": (anchors.position_m - wrist_m, (len(anchors), 3), -AVATAR_REACH_M, AVATAR_REACH_M),
+    }
+    _check_ranges(thing, ranges)
     for name, rows in (("bone_weights", anchors.bone_weights), ("share", anchors.share)):
         total = rows.sum(1, dtype=np.float64)
         wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"

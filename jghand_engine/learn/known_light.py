@@ -18,6 +18,7 @@ from jghand_engine.avatar.scene_light import LOBE_ROWS, SceneLight, World
 from jghand_engine.captures.known_light import KnownLight
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.light import unit
@@ -121,8 +122,9 @@ class LitHand:
         return replace(skin.matt, rgb=rgb)
 
     def _with_lamps_in_world(self, mixed: MixedLight, pose: Pose) -> MixedLight:
-        _, ends_m = posed_anchors(self._cast, pose.bones)
-        middle_m = (ends_m.mean((0, 1)) + pose.bones.root_m).double().cpu().numpy()
+        bones = pose.bones
+        joints_m = apply(bones.linear[:JOINT_COUNT], (self._joints_m - self._joints_m[:1]).to(bones.linear))
+        middle_m = (joints_m + bones.offset_m[:JOINT_COUNT] + bones.root_m).mean(0).double().cpu().numpy()
         light = lamps_in_world(mixed.light.weighted(mixed.weight), middle_m)
         return replace(mixed, light=KnownLight(light.world, (), ()), weight=np.ones((1, 3)))
 

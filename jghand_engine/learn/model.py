@@ -29,9 +29,7 @@ from jghand_engine.avatar.learned import (
     SH_COUNT,
     Ellipsoid,
     ShadowLook,
-    bone_flesh,
-    fitted_flesh,
-    own_flesh,
+    flesh_of,
 )
 from jghand_engine.avatar.relighting import REFLECTANCE, SHADE_GAIN, SOFTNESS, THROWN_BACK
 from jghand_engine.hand.joints import Handedness
@@ -159,8 +157,8 @@ class LearnedHand(nn.Module):
         if options.cast_shadow:
             self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, ANCHORS)
             skin_m, joints_m = self._anchors.position_m.numpy(), points.joints_m.numpy()
-            flesh = fitted_flesh(skin_m, joints_m) if options.known_light else bone_flesh(joints_m)
-            self._flesh, self._own = torch.from_numpy(flesh), torch.from_numpy(own_flesh(skin_m, flesh))
+            flesh, own = flesh_of(skin_m, joints_m, answers_light=options.known_light)
+            self._flesh, self._own = torch.from_numpy(flesh), torch.from_numpy(own)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self._make_parameters()

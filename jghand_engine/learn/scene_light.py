@@ -167,7 +167,7 @@ class Patches:
 
         bounced: (A, C) · hidden: (A, 1) as of `faced`
         """
-        rows = torch.from_numpy(np.ascontiguousarray(self.beside.T)).to(bounced.device)
+        rows = torch.from_numpy(self.beside.T.astype(np.int64)).to(bounced.device)
         sums = weighted_rows(torch.cat([bounced, hidden], 1), rows, bounced.new_ones(rows.shape))
         return hidden * sums[:, :-1] / sums[:, -1:].clamp_min(FACED_MIN)
 
@@ -204,7 +204,8 @@ class Shadows:
 
     def nbytes(self) -> int:
         """Memory, bytes."""
-        return self.visible.nbytes + self.at_anchors.nbytes + self.at_skin.nbytes
+        shared = self.patches.of_anchor.nbytes + self.patches.beside.nbytes
+        return shared + self.visible.nbytes + self.at_anchors.nbytes + self.at_skin.nbytes
 
     def prefix(self, count: int) -> Shadows:
         """The same for the first `count` Gaussians."""

@@ -49,7 +49,8 @@ struct SceneLightTask {
   float* thrown;             // (16 / PATCH anchor blocks, THROWN): of patches mean place, normal, W/m2 that they throw
                              // back, and mean squared distance of their anchors from their middle; of padding zeros
   const int32_t* beside;     // (16 anchor blocks, EVENED): rows of anchors whose mean is taken of the skin that they see
-  float* bounced;            // (16 anchor blocks, 4): W/m2 rgb before that, and part of all directions that skin hides
+  float* bounced;            // (16 anchor blocks, 4): W/m2 rgb before that, and the part of directions that is hidden
+                             // and drawn so
   float* reflecting;         // (blocks, 3, 16): albedo / pi, in the pose's shade
   float* sky;                // (16 blocks): part of it that a Gaussian sees
   float* reached;            // (16 anchor blocks, columns): what the anchors say, in rows: part of the world rgb, bounced

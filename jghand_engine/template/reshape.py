@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
-from jghand_engine.avatar.learned import CastShadow, Learned, bone_flesh, fitted_flesh, own_flesh
+from jghand_engine.avatar.learned import CastShadow, Learned, flesh_of
 from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.template.closest import ClosestPoints, Surface
@@ -131,5 +131,5 @@ def _moved_shadow(learned: Learned, change: _Change, joints_m: np.ndarray) -> Ca
     anchors = learned.cast.anchors
     position_m, stretch = change.places(anchors.position_m)
     anchors = replace(anchors, position_m=position_m, normal=_turned(anchors.normal, stretch))
-    flesh = bone_flesh(joints_m) if learned.response is None else fitted_flesh(position_m, joints_m)
-    return replace(learned.cast, anchors=anchors, flesh=flesh, own=own_flesh(position_m, flesh))
+    flesh, own = flesh_of(position_m, joints_m, answers_light=learned.response is not None)
+    return replace(learned.cast, anchors=anchors, flesh=flesh, own=own)

@@ -14,7 +14,7 @@ from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_
 from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
-from jghand_engine.avatar.learned import Learned, Light, ShadowLook, SkinResponse
+from jghand_engine.avatar.learned import Anchors, CastShadow, Learned, Light, ShadowLook, SkinResponse
 from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError, RetryError
@@ -42,11 +42,17 @@ def same_learned(one: Learned | None, other: Learned | None) -> bool:
             *weights_of(learned),
             *(() if learned.response is None else (getattr(learned.response, f.name) for f in fields(SkinResponse))),
             *(() if learned.ellipsoid is None else (learned.ellipsoid.log_stretch, learned.ellipsoid.quaternion)),
+            *([] if learned.cast is None else arrays_of(learned.cast)),
         ]
         for learned in (one, other)
     ]
     equal = all(np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
     return equal and one.shadow == other.shadow and one.world_offsets == other.world_offsets
+
+
+def arrays_of(cast: CastShadow) -> list[np.ndarray]:
+    own = [cast.lamp_rgb, cast.bounced_rgb, cast.flesh, cast.own]
+    return [*own, *(getattr(cast.anchors, f.name) for f in fields(Anchors))]
 
 
 def weights_of(learned: Learned) -> list[np.ndarray]:
@@ -246,6 +252,17 @@ def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage, make):
     assert same(again, stored_form(avatar, storage))
     if storage is Storage.EXACT:
         assert same(again, avatar)
+
+
+def test_an_anchor_far_from_the_hand_is_refused(tmp_path):
+    avatar = known_avatar()
+    cast = avatar.learned.cast
+    position_m = cast.anchors.position_m.copy()
+    position_m[3] = 0.9
+    cast = replace(cast, anchors=replace(cast.anchors, position_m=position_m))
+    with pytest.raises(InputError, match="cast position_m"):
+        save_avatar(tmp_path / "far.jghand", replace(avatar, learned=replace(avatar.learned, cast=cast)))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_trained_avatar_without_correctives_or_shadow_comes_back(tmp_path):

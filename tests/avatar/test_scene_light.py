@@ -9,6 +9,7 @@ from small_avatars import known_avatar
 from small_hands import joints_of
 from test_trained_posing import RootRelative
 
+from jghand_engine.avatar import cast_task
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.cast_task import Capsules
@@ -291,13 +292,32 @@ def test_no_more_is_made_of_skin_than_four_times_what_is_seen_of_it_and_no_more_
     assert far.max() < 2e-3
 
 
+def test_light_is_evened_over_the_nearest_anchors_that_face_the_same_way(monkeypatch):
+    learned = load_builtin(handedness=Handedness.RIGHT).learned
+    assert learned is not None
+    assert learned.cast is not None
+    anchors = learned.cast.anchors
+    # more at once than there are, and fewer
+    beside = [torch_light.anchors_beside(anchors.position_m, anchors.normal)]
+    monkeypatch.setattr(cast_task, "ROWS_AT_ONCE", 300)
+    beside.append(torch_light.anchors_beside(anchors.position_m, anchors.normal))
+    np.testing.assert_array_equal(*(np.sort(each, 1) for each in beside))
+    at = np.concatenate([anchors.position_m, cast_task.NORMAL_M * anchors.normal], 1).astype(np.float64)
+    for anchor in range(0, len(at), 37):
+        apart = np.linalg.norm(at - at[anchor], axis=1)
+        assert anchor in beside[0][anchor]
+        assert apart[beside[0][anchor]].max() <= np.sort(apart)[cast_task.EVENED - 1] + 1e-5
+    # the two sides of a finger, 15 mm apart, do not mix
+    facing = (anchors.normal[beside[0]] * anchors.normal[:, None]).sum(-1)
+    assert (facing > 0).mean() > 0.99
+
+
 def test_skin_of_one_brightness_stays_so_when_it_is_evened_and_other_skin_becomes_more_alike():
     learned = AVATAR.learned
     assert learned is not None
     assert learned.cast is not None
     anchors, g = learned.cast.anchors, torch.Generator().manual_seed(0)
     beside = torch_light.anchors_beside(anchors.position_m, anchors.normal)
-    assert (beside == np.arange(len(beside))[:, None]).any(1).all()
     patches = torch_light.Patches(np.zeros(len(beside), np.int64), 1, beside)
     hidden = torch.rand(len(beside), 1, generator=g).double()
     hidden[:5] = 0

@@ -8,11 +8,13 @@ import pytest
 import torch
 from small_avatars import trained_tensors
 
+from jghand_engine.avatar import learned
+from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.cast_task import FLESH_SOFTNESS, LAMP_HALF_WIDTH, LIGHT_TO_DISPLAY
 from jghand_engine.avatar.learned import OWN_FLESH_RADII, bone_flesh, fitted_flesh, own_flesh
 from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.cast_shadow import (
     CastTensors,
@@ -24,7 +26,6 @@ from jghand_engine.learn.cast_shadow import (
 )
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import see_lamps
-from jghand_engine.template.builtin import load_template
 
 AVATAR = trained_tensors(300)
 CAST: CastTensors = AVATAR.learned.cast  # type: ignore[union-attr,assignment]
@@ -135,21 +136,46 @@ def test_flesh_is_ones_own_on_its_bone_and_not_elsewhere():
         assert bool((own[a][distance > far + 1e-4] == 0).all())
 
 
-def test_fitted_flesh_is_where_the_skin_is():
-    template = load_template()
-    joints_m, skin_m = template.joints_m, template.vertices_m[np.unique(template.faces[~template.is_forearm])]
-    fitted, along_bones = fitted_flesh(skin_m, joints_m), bone_flesh(joints_m)
+BUILTIN = load_builtin(handedness=Handedness.RIGHT)
+SKIN_M = BUILTIN.learned.cast.anchors.position_m  # type: ignore[union-attr]
+REST_M = BUILTIN.canonical_joints_m
+
+
+def test_fitted_flesh_is_where_the_skin_is_and_none_of_it_in_the_forearm():
+    fitted, along_bones, way = fitted_flesh(SKIN_M, REST_M), bone_flesh(REST_M), REST_M[3] - REST_M[0]
+    skin_m = SKIN_M[(SKIN_M - REST_M[0]) @ way > 0].astype(np.float64)
 
     def off_m(flesh: np.ndarray) -> float:
         start, end, radius_m = np.split(flesh.astype(np.float64), [3, 6], 1)
-        along = np.linspace(0, 1, 101)[:, None, None]
+        along = np.linspace(0, 1, 51)[:, None, None]
         distance_m = np.linalg.norm((start + along * (end - start))[:, None] - skin_m[:, None], axis=-1).min(0)
         return float(np.sqrt(np.square((distance_m - radius_m[:, 0]).min(1)).mean()))
 
-    # observed 1.5 and 3.3 mm
-    assert off_m(fitted) < 0.6 * off_m(along_bones)
-    # no axis leaves its finger
-    assert np.abs(fitted[:, :6] - along_bones[:, :6]).max() < 0.02
+    # observed 1.4 and 3.3 mm
+    assert off_m(fitted) < 0.5 * off_m(along_bones)
+    # no axis leaves its finger, nor the hand (observed 12 mm off, and 0.8 behind the wrist)
+    ends_m = fitted[:, :6].reshape(-1, 3)
+    assert np.linalg.norm(ends_m - along_bones[:, :6].reshape(-1, 3), axis=1).max() < 0.015
+    assert ((ends_m - REST_M[0]) @ way / np.linalg.norm(way)).min() > -0.003
+
+
+def test_flesh_has_found_its_place_when_it_is_taken(monkeypatch):
+    fitted = fitted_flesh(SKIN_M, REST_M)
+    monkeypatch.setattr(learned, "FIT_ROUNDS", learned.FIT_ROUNDS + 1)
+    # observed 0.2 mm
+    assert np.abs(fitted_flesh(SKIN_M, REST_M) - fitted).max() < 5e-4
+
+
+def test_one_anchor_that_is_nowhere_moves_no_flesh():
+    """And neither do bones without a length, or without skin, make numbers that are none."""
+    lost = SKIN_M.copy()
+    lost[::400] = [[0.4, 0.4, 0.4], [3e38, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [0, -0.4, 0], [0, 0.4, 0]]
+    assert np.abs(fitted_flesh(lost, REST_M) - fitted_flesh(SKIN_M, REST_M)).max() < 1e-3
+    for skin_m, joints_m in ((SKIN_M, np.zeros_like(REST_M)), (SKIN_M[:1], REST_M), (REST_M[:5], REST_M)):
+        flesh = fitted_flesh(skin_m, joints_m)
+        assert np.isfinite(flesh).all()
+        assert (flesh[:, 6] > 0).all()
+        assert np.isfinite(own_flesh(skin_m, flesh)).all()
 
 
 # ---- the loss of light -----------------------------------------------------------------------------------------------
