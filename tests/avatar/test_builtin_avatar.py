@@ -120,12 +120,12 @@ def test_the_trained_avatar_answers_any_light_and_has_its_angles_and_its_license
     avatar = load_builtin(handedness=Handedness.RIGHT)
     assert avatar.learned is not None
     assert avatar.learned.response is not None
-    assert avatar.learned.response.trained_on["worlds"] == 10
+    assert avatar.learned.response.trained_on["worlds"] == 14
     assert avatar.learned.correctives is not None
     assert avatar.learned.cast is not None
     assert len(avatar.info.pose_statistics) == 30
     assert avatar.info.learned_from is not None
-    assert avatar.info.learned_from.pictures == 268
+    assert avatar.info.learned_from.pictures == 348
     assert "CC0-1.0" in avatar.info.license
     assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
 

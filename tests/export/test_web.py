@@ -97,7 +97,7 @@ def test_the_page_names_hand_license_and_pictures(tmp_path):
     exported(tmp_path, avatar, gaussians=500)
     found = description_of(tmp_path)
     assert (found["name"], found["license"]) == (avatar.info.name, avatar.info.license)
-    assert found["learned_from"].startswith("268 pictures of")
+    assert found["learned_from"].startswith("348 pictures of")
     assert found["gaussians"] == 500
 
 

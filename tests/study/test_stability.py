@@ -39,8 +39,8 @@ from jghand_engine.study.stability_scenes import SCENES, scene_row
 RIGHT = Handedness.RIGHT
 # of the study's seven, as each takes 4 s: the worst that are flagged, in precision, and that are not, in steadiness,
 FAR_TESTED = ("random points that are no hand", "middle finger sideways, +90 degrees")
-# and those that miss the bound by what was learned: the shown tier moves the little finger by 2.23 and 2.06 mm of 2
-MISSED = ("ordinary: fist", "bones +50 % and -50 % in turn")
+# and those that come nearest to the bound by what was learned: the shown tier moves skin by 1.65 and 1.81 mm of 2
+NEAREST = ("ordinary: fist", "bones +50 % and -50 % in turn")
 row_of = cache(lambda name: correctives_row(hand_cases()[name]))
 
 
@@ -62,7 +62,7 @@ def test_a_hard_picture_is_finite_and_like_the_reference(name):
     assert row.missed == []
 
 
-@pytest.mark.parametrize("name", [*FAR_TESTED, *MISSED])
+@pytest.mark.parametrize("name", [*FAR_TESTED, *NEAREST])
 def test_the_trained_hand_far_outside_training_is_finite_and_drawn_right(name):
     row = row_of(name)
     assert row.ours.finite
@@ -72,13 +72,7 @@ def test_the_trained_hand_far_outside_training_is_finite_and_drawn_right(name):
     assert row.flags or row.ours.nudged_mm <= 1e3 * SKIN_MAX_M
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        FAR_TESTED[1],
-        *(pytest.param(one, marks=pytest.mark.xfail(raises=AssertionError, strict=True)) for one in MISSED),
-    ],
-)
+@pytest.mark.parametrize("name", [FAR_TESTED[1], *NEAREST])
 def test_the_trained_hand_is_steady_where_every_coordinate_is_off(name):
     axes_mm = row_of(name).ours.axes_mm
     assert row_of(name).flags == []
