@@ -106,7 +106,7 @@ def with_anchors(avatar: HandAvatar) -> HandAvatar:
     position_m, normal, weights = map(torch.from_numpy, (avatar.position_m, learned.normal, avatar.bone_weights))
     placed = place_anchors(position_m, normal, weights, len(learned.cast.anchors))
     anchors = Anchors(**{name: tensor.numpy() for name, tensor in vars(placed).items()})
-    flesh, own = flesh_of(anchors.position_m, avatar.canonical_joints_m, answers_light=True)
+    flesh, own = flesh_of(anchors.position_m, avatar.canonical_joints_m, fitted=learned.response.is_learned)
     cast = replace(learned.cast, anchors=anchors, flesh=flesh, own=own)
     return replace(avatar, learned=replace(learned, cast=cast))
 

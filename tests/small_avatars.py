@@ -8,7 +8,7 @@ import torch
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, bone_flesh, own_flesh
+from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, bone_flesh, flesh_of, own_flesh
 from jghand_engine.avatar.relief import Relief
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
@@ -104,7 +104,11 @@ def known_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
         shade_gain=float(np.float32(guess.shade_gain)),
         trained_on={"worlds": 3, "sun": 5},
     )
-    return replace(avatar, learned=replace(avatar.learned, response=response))
+    cast = avatar.learned.cast
+    assert cast is not None
+    flesh, own = flesh_of(cast.anchors.position_m, avatar.canonical_joints_m, fitted=True)
+    cast = replace(cast, flesh=flesh, own=own)
+    return replace(avatar, learned=replace(avatar.learned, response=response, cast=cast))
 
 
 def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:

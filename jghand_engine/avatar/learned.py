@@ -201,6 +201,11 @@ class SkinResponse(PerGaussian, Generic[Array]):
     trained_on: Mapping[str, int] = field(default_factory=dict)
     film_light: Array | None = None
 
+    @property
+    def is_learned(self) -> bool:
+        """From pictures in known light, or with the light of a film: not guessed."""
+        return bool(self.trained_on) or self.film_light is not None
+
     @cached_property
     def mirrors(self) -> bool:
         """Whether anything has gloss."""
@@ -266,13 +271,11 @@ def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.nd
     return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
 
 
-def flesh_of(
-    position_m: np.ndarray, canonical_joints_m: np.ndarray, *, answers_light: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """`CastShadow.flesh` and `own` of anchors at canonical places (A, 3): capsules that fit the skin of a hand that
-    scenes light; along the bones where light, and what fingers take of it, was learned with these. A hand that is put
-    into a studio keeps what it has."""
-    flesh = fitted_flesh(position_m, canonical_joints_m) if answers_light else bone_flesh(canonical_joints_m)
+def flesh_of(position_m: np.ndarray, canonical_joints_m: np.ndarray, *, fitted: bool) -> tuple[np.ndarray, np.ndarray]:
+    """`CastShadow.flesh` and `own` of anchors at canonical places (A, 3): capsules that fit the skin of a hand
+    whose response to light was learned; along the bones where a light, and what fingers take of it, was. A hand that is
+    put into a studio, and one whose response is guessed, keeps what it has."""
+    flesh = fitted_flesh(position_m, canonical_joints_m) if fitted else bone_flesh(canonical_joints_m)
     return flesh, own_flesh(position_m, flesh)
 
 

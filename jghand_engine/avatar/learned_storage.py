@@ -376,7 +376,8 @@ def unpack_learned(
         around = part(CAST, ("position_m", "bone_weights", "share"))
         around["share"] /= np.float32(SHARE_UNITS)
         anchors = Anchors(normal=unit(CAST), nearest=packed[CAST + "nearest"].astype(np.int64), **around)
-        flesh, own = flesh_of(anchors.position_m, canonical_joints_m, answers_light=about.light.is_known)
+        fitted = response is not None and response.is_learned
+        flesh, own = flesh_of(anchors.position_m, canonical_joints_m, fitted=fitted)
         cast = CastShadow(**part(CAST, ("lamp_rgb", "bounced_rgb")), anchors=anchors, flesh=flesh, own=own)
     return Learned(
         normal=normal,

@@ -10,7 +10,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.cast_task import LIGHT_TO_DISPLAY
-from jghand_engine.avatar.learned import Light, SkinResponse, flesh_of, no_light
+from jghand_engine.avatar.learned import Light, SkinResponse, no_light
 from jghand_engine.avatar.scene_light import CELLS, LOBE_ROWS, WORLD_FLOOR, World, harmonics
 from jghand_engine.avatar.scene_light_step import mirrored
 from jghand_engine.color import linear_to_srgb, srgb_to_linear
@@ -122,8 +122,7 @@ def estimated(avatar: HandAvatar) -> HandAvatar:
         bounce=thrown_back(avatar, material.albedo),
         shade_gain=SHADE_GAIN,
     )
-    flesh, own = flesh_of(learned.cast.anchors.position_m, avatar.canonical_joints_m, answers_light=True)
-    cast = replace(learned.cast, lamp_rgb=np.zeros((CELLS, 3), np.float32), flesh=flesh, own=own)
+    cast = replace(learned.cast, lamp_rgb=np.zeros((CELLS, 3), np.float32))
     # what it casts on itself on the screen is of its own light
     shine = np.zeros_like(learned.shine)
     relit = replace(learned, light=no_light(), shine=shine, cast=cast, response=response, shadow=None)

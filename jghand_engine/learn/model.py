@@ -157,7 +157,7 @@ class LearnedHand(nn.Module):
         if options.cast_shadow:
             self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, ANCHORS)
             skin_m, joints_m = self._anchors.position_m.numpy(), points.joints_m.numpy()
-            flesh, own = flesh_of(skin_m, joints_m, answers_light=options.known_light)
+            flesh, own = flesh_of(skin_m, joints_m, fitted=options.known_light)
             self._flesh, self._own = torch.from_numpy(flesh), torch.from_numpy(own)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)

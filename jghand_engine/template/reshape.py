@@ -131,5 +131,6 @@ def _moved_shadow(learned: Learned, change: _Change, joints_m: np.ndarray) -> Ca
     anchors = learned.cast.anchors
     position_m, stretch = change.places(anchors.position_m)
     anchors = replace(anchors, position_m=position_m, normal=_turned(anchors.normal, stretch))
-    flesh, own = flesh_of(position_m, joints_m, answers_light=learned.response is not None)
+    fitted = learned.response is not None and learned.response.is_learned
+    flesh, own = flesh_of(position_m, joints_m, fitted=fitted)
     return replace(learned.cast, anchors=anchors, flesh=flesh, own=own)
