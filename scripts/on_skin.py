@@ -16,7 +16,7 @@ from other_person import Somebody
 from torch.nn import functional
 
 from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
-from jghand_engine.avatar.learned import Anchors, SkinResponse, flesh_of
+from jghand_engine.avatar.learned import Anchors, SkinResponse
 from jghand_engine.avatar.posing import Posing
 from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN
@@ -99,16 +99,14 @@ def on_skin(avatar: HandAvatar, one: Somebody) -> HandAvatar:
 
 
 def with_anchors(avatar: HandAvatar) -> HandAvatar:
-    """A hand of known light whose shadows are found where its Gaussians are now."""
+    """The avatar with its shadows found where its Gaussians are now."""
     learned = avatar.learned
-    if learned is None or learned.cast is None or learned.response is None:
+    if learned is None or learned.cast is None:
         return avatar
     position_m, normal, weights = map(torch.from_numpy, (avatar.position_m, learned.normal, avatar.bone_weights))
     placed = place_anchors(position_m, normal, weights, len(learned.cast.anchors))
     anchors = Anchors(**{name: tensor.numpy() for name, tensor in vars(placed).items()})
-    flesh, own = flesh_of(anchors.position_m, avatar.canonical_joints_m, fitted=learned.response.is_learned)
-    cast = replace(learned.cast, anchors=anchors, flesh=flesh, own=own)
-    return replace(avatar, learned=replace(learned, cast=cast))
+    return replace(avatar, learned=learned.with_anchors(anchors, avatar.canonical_joints_m))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks, set_pointers
-from jghand_engine.avatar.learned import CastShadow, lamp_directions
+from jghand_engine.avatar.learned import CAPSULE_LENGTH2_MIN, CastShadow, lamp_directions
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
@@ -22,9 +22,7 @@ from jghand_engine.native.tasks import LANES
 # (64 lamps on a sphere are 0.25 in radius; sharper edges learned poses a little better, with less than half of it)
 FLESH_SOFTNESS = 0.2
 LAMP_HALF_WIDTH = 0.15
-# floors against division by zero: squared length of a capsule's axis (m^2), squared sine between ray and axis, width of
-# an edge (m), bounced light
-CAPSULE_LENGTH2_MIN = 1e-12
+# floors against division by zero: squared sine between ray and axis, width of an edge (m), bounced light
 CAPSULE_SINE2_MIN = 1e-3
 CAPSULE_WIDTH_MIN_M = 1e-6
 BOUNCED_MIN = 1e-12
@@ -83,10 +81,9 @@ class CastStep:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
     blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
-    joints_m: (21, 3) of the canonical hand, root-relative · flesh_ends_m: start and end (20, 3) of its capsules
-    flesh_radius_m: (20,)
-    direction: (16 groups, 3) towards the lamps
-    rows: of the anchors, whole blocks · row_of_anchor: in which each stands
+    joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
+    flesh_ends_m: start and end (20, 3) of its capsules, root-relative · flesh_radius_m: (20,)
+    anchors: of the avatar · rows: of them, whole blocks · row_of_anchor: in which each stands
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:

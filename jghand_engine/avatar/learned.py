@@ -23,16 +23,18 @@ from jghand_engine.native.contract import SHADOW_GAIN, SHADOW_TINT
 CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
-# capsules are fitted to so many anchors, evenly taken, in so many steps of half the way: whole ones
-# give and take the same points for ever. After them they move by some tenths of a millimeter a step
+# capsules are fitted to so many anchors, evenly taken, in so many steps of half the way: whole ones give and take the
+# same points for ever. After them they move by some tenths of a millimeter a step
 FIT_POINTS, FIT_ROUNDS, FIT_STEP = 1024, 40, 0.5
 # what holds each axis to its bone, per point of skin: shadows are as good with half or twice of it
 FIT_STAY = 0.02
-# no hand is larger, and no skin farther from the capsules along its bones, meters
-HAND_REACH_M, FIT_REACH_M = 0.5, 0.03
+# no skin is farther from the capsules along its bones, meters
+FIT_REACH_M = 0.03
 MIDDLE_METACARPAL = 2
-# least radius, meters; floors against division by zero: distance from an axis, and its squared length
-CAPSULE_RADIUS_MIN_M, AXIS_DISTANCE_MIN_M, AXIS2_MIN_M2 = 1e-4, 1e-9, 1e-12
+# least radius, meters; floors against division by zero: distance from an axis, m, and its squared length, m^2
+CAPSULE_RADIUS_MIN_M, AXIS_DISTANCE_MIN_M, CAPSULE_LENGTH2_MIN = 1e-4, 1e-9, 1e-12
+# canonical Gaussians further than this from the wrist along an axis, meters, belong to no hand
+AVATAR_REACH_M = 0.5
 # flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on: skin behind a
 # knuckle lies 1.5 radii from the bone before it, which in a fist would stand in its light
 OWN_FLESH_RADII = (1.4, 2.0)
@@ -142,16 +144,17 @@ def anchors_around(anchors: Anchors, position_m: np.ndarray) -> tuple[np.ndarray
     count = min(ANCHOR_NEIGHBORS + 1, len(anchors))
     nearest = np.argpartition(apart2_m2, count - 1, axis=1)[:, :count]
     nearest = np.take_along_axis(nearest, np.take_along_axis(apart2_m2, nearest, 1).argsort(1), 1)
-    share = anchor_shares(np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0)))
-    spare = ((0, 0), (0, ANCHOR_NEIGHBORS - share.shape[1]))
-    return np.pad(nearest[:, :ANCHOR_NEIGHBORS], spare), np.pad(share, spare).astype(np.float32)
+    nearest, share = mixed_of(nearest, np.sqrt(np.maximum(np.take_along_axis(apart2_m2, nearest, 1), 0)))
+    return nearest, share.astype(np.float32)
 
 
-def anchor_shares(distance_m: np.ndarray) -> np.ndarray:
-    """(V, 3) of the nearest anchors, by how far these and the next one are, (V, 4), in this order: as much as each is
-    nearer than that one, so that none comes or goes with a step. Of a hand of three or less the last has none."""
+def mixed_of(nearest: np.ndarray, distance_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) anchors that places mix, and their shares, of the four nearest (V, 4) and how far they are, in this order:
+    as much as each is nearer than the fourth, so that none comes or goes with a step. Hands of fewer anchors have fewer
+    columns, the last one counts for nothing then, and shares of 0 make up three."""
     nearer = np.maximum(distance_m[:, -1:] - distance_m, ANCHOR_NEARER_MIN_M)[:, :ANCHOR_NEIGHBORS]
-    return nearer / nearer.sum(1, keepdims=True)
+    spare = ((0, 0), (0, ANCHOR_NEIGHBORS - nearer.shape[1]))
+    return np.pad(nearest[:, :ANCHOR_NEIGHBORS], spare), np.pad(nearer / nearer.sum(1, keepdims=True), spare)
 
 
 @dataclass(frozen=True)
@@ -200,11 +203,6 @@ class SkinResponse(PerGaussian, Generic[Array]):
     shade_gain: float
     trained_on: Mapping[str, int] = field(default_factory=dict)
     film_light: Array | None = None
-
-    @property
-    def is_learned(self) -> bool:
-        """From pictures in known light, or with the light of a film: not guessed."""
-        return bool(self.trained_on) or self.film_light is not None
 
     @cached_property
     def mirrors(self) -> bool:
@@ -255,6 +253,13 @@ class Learned(PerGaussian):
         """Whether what faces away from the camera fades out: a hand of known light learned with that."""
         return self.response is not None or self.in_studio
 
+    def with_anchors(self, anchors: Anchors, canonical_joints_m: np.ndarray) -> Learned:
+        """The same with the shadows that it casts found at others; as it is without any."""
+        if self.cast is None:
+            return self
+        flesh, own = flesh_of(anchors.position_m, canonical_joints_m, fitted=is_learned(self.response))
+        return replace(self, cast=replace(self.cast, anchors=anchors, flesh=flesh, own=own))
+
     def with_tier(self, wanted: Tier) -> tuple[Learned, Price | None]:
         """The same with the correctives of a tier, and its price where it has one. InputError for a tier without."""
         if not isinstance(self.correctives, PoseNetwork):
@@ -269,6 +274,11 @@ def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.nd
     """Start (20, 3), end (20, 3) and radius (20,) of the bones' flesh. joints_m: (21, 3), level order."""
     radius_m = 1e-3 * np.array(CAPSULE_RADII_MM)
     return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
+
+
+def is_learned(response: SkinResponse | None) -> bool:
+    """Whether there is one, from pictures in known light or with the light of a film: not guessed."""
+    return response is not None and (bool(response.trained_on) or response.film_light is not None)
 
 
 def flesh_of(position_m: np.ndarray, canonical_joints_m: np.ndarray, *, fitted: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -291,7 +301,7 @@ def fitted_flesh(position_m: np.ndarray, canonical_joints_m: np.ndarray) -> np.n
     rest, wrist_m, points = flesh.copy(), canonical_joints_m[0], position_m.astype(np.float64)
     # skin behind the wrist is no finger's, and what is far from all bones is no skin
     points = points[:: -(-len(points) // FIT_POINTS)]
-    points = points[np.abs(points - wrist_m).max(1) < HAND_REACH_M]
+    points = points[np.abs(points - wrist_m).max(1) < AVATAR_REACH_M]
     points = points[(points - wrist_m) @ (flesh[MIDDLE_METACARPAL, 3:6] - wrist_m) > 0]
     points = points[(_from_axes(points, flesh)[2] - flesh[:, 6]).min(1) < FIT_REACH_M]
     for _ in range(FIT_ROUNDS):
@@ -321,7 +331,7 @@ def _from_axes(points_m: np.ndarray, flesh: np.ndarray) -> tuple[np.ndarray, np.
     direction from there (A, 20, 3), 0 on the axis, and how far, meters (A, 20)."""
     start, along = flesh[:, :3].astype(np.float64), flesh[:, 3:6].astype(np.float64) - flesh[:, :3]
     to_point = points_m[:, None] - start
-    part = np.clip((to_point * along).sum(-1) / np.maximum((along * along).sum(-1), AXIS2_MIN_M2), 0, 1)
+    part = np.clip((to_point * along).sum(-1) / np.maximum((along * along).sum(-1), CAPSULE_LENGTH2_MIN), 0, 1)
     away = to_point - part[..., None] * along
     distance_m = np.linalg.norm(away, axis=-1)
     return part, away / np.maximum(distance_m, AXIS_DISTANCE_MIN_M)[..., None], distance_m

@@ -33,6 +33,7 @@ import numpy as np
 from jghand_engine.avatar.correctives import BASIS_MAX, LinearCorrectives, PoseNetShape, PoseNetwork, largest_basis
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
+    AVATAR_REACH_M,
     SH_COUNT,
     SHARE_UNITS,
     Anchors,
@@ -43,12 +44,13 @@ from jghand_engine.avatar.learned import (
     ShadowLook,
     SkinResponse,
     flesh_of,
+    is_learned,
     no_light,
 )
 from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.avatar.storage import UINT8_MAX, UINT16_MAX, Storage
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
-from jghand_engine.avatar.validation import AVATAR_REACH_M, LIGHT_LOBES_MAX, SHADOW_GAIN_MAX, is_text
+from jghand_engine.avatar.validation import LIGHT_LOBES_MAX, SHADOW_GAIN_MAX, is_text
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.json_files import JsonObject
@@ -376,8 +378,7 @@ def unpack_learned(
         around = part(CAST, ("position_m", "bone_weights", "share"))
         around["share"] /= np.float32(SHARE_UNITS)
         anchors = Anchors(normal=unit(CAST), nearest=packed[CAST + "nearest"].astype(np.int64), **around)
-        fitted = response is not None and response.is_learned
-        flesh, own = flesh_of(anchors.position_m, canonical_joints_m, fitted=fitted)
+        flesh, own = flesh_of(anchors.position_m, canonical_joints_m, fitted=is_learned(response))
         cast = CastShadow(**part(CAST, ("lamp_rgb", "bounced_rgb")), anchors=anchors, flesh=flesh, own=own)
     return Learned(
         normal=normal,

@@ -10,7 +10,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.detail_correctives import NUMBERS
-from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned
+from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, AVATAR_REACH_M, Learned
 from jghand_engine.avatar.scene_light import CELLS
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
@@ -21,8 +21,6 @@ from jghand_engine.hand.skeleton import CanonicalHand, Swing, scale_exponent
 AVATAR_MAX_GAUSSIANS = 1_000_000
 # characters of one text in an avatar's description (name, template, license, an angle's name): they are shown in a line
 AVATAR_TEXT_MAX = 500
-# canonical Gaussians further than this from the wrist along an axis, meters, belong to no hand
-AVATAR_REACH_M = 0.5
 # lobes of the gloss, and gain of the shadow: beyond these nothing was learned from pictures
 LIGHT_LOBES_MAX = 64
 SHADOW_GAIN_MAX = 100.0

@@ -24,7 +24,6 @@ from torch.utils.checkpoint import checkpoint
 
 from jghand_engine.avatar.cast_task import (
     BOUNCED_MIN,
-    CAPSULE_LENGTH2_MIN,
     CAPSULE_SINE2_MIN,
     CAPSULE_WIDTH_MIN_M,
     FLESH_SOFTNESS,
@@ -34,11 +33,12 @@ from jghand_engine.avatar.cast_task import (
 )
 from jghand_engine.avatar.learned import (
     ANCHOR_NEIGHBORS,
+    CAPSULE_LENGTH2_MIN,
     SHARE_UNITS,
     Anchors,
     CastShadow,
-    anchor_shares,
     lamp_directions,
+    mixed_of,
 )
 from jghand_engine.learn.light import smooth
 from jghand_engine.learn.planes import weighted_rows
@@ -60,16 +60,15 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
     tree = KDTree(position_m[:count].double().numpy())
     around = list(range(1, min(ANCHOR_NEIGHBORS + 1, count) + 1))
     distance_m, nearest = tree.query(position_m.double().numpy(), k=around)  # type: ignore[arg-type]
-    share = anchor_shares(distance_m)
-    spare = ((0, 0), (0, ANCHOR_NEIGHBORS - share.shape[1]))
+    nearest, share = mixed_of(np.asarray(nearest), distance_m)
     # eight bits, as a file holds them: what is drawn from the file is what was learned
-    share = np.rint(SHARE_UNITS * np.pad(share, spare))
+    share = np.rint(SHARE_UNITS * share)
     share[:, 0] += SHARE_UNITS - share.sum(1)
     return AnchorTensors(
         position_m[:count].float(),
         normal[:count].float(),
         bone_weights[:count].float(),
-        torch.from_numpy(np.pad(np.asarray(nearest)[:, :ANCHOR_NEIGHBORS], spare)),
+        torch.from_numpy(nearest),
         torch.from_numpy(share / SHARE_UNITS).float(),
     )
 

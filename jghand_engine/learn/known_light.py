@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.lamp_rows import irradiance_at
 from jghand_engine.avatar.scene_light import LOBE_ROWS, SceneLight, World
 from jghand_engine.captures.known_light import KnownLight
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.light import unit
@@ -27,6 +27,7 @@ from jghand_engine.learn.pictures import LruCache, MixedLight
 from jghand_engine.learn.scene_light import (
     Flesh,
     LampRows,
+    Patches,
     Shadows,
     Skin,
     by_column,
@@ -77,7 +78,8 @@ class LitHand:
         if left_out in (LightPart.SHADOWS, LightPart.SHADOWS_AND_LAMPS):
             # all flesh is a point's own, which hides nothing from it
             cast = replace(cast, own=torch.ones_like(cast.own))
-        self._cast, self._joints_m, self._left_out = cast, joints_m, left_out
+        self._cast, self._canonical_m, self._left_out = cast, (joints_m - joints_m[:1]).numpy(), left_out
+        self._patches = Patches.of(cast.anchors)
         self._lit: LruCache[_Lit] = LruCache(SHADOW_CACHE_BYTES, lambda lit: lit.fallen.nbytes())
 
     def gaussians(
@@ -122,9 +124,8 @@ class LitHand:
         return replace(skin.matt, rgb=rgb)
 
     def _with_lamps_in_world(self, mixed: MixedLight, pose: Pose) -> MixedLight:
-        bones = pose.bones
-        joints_m = apply(bones.linear[:JOINT_COUNT], (self._joints_m - self._joints_m[:1]).to(bones.linear))
-        middle_m = (joints_m + bones.offset_m[:JOINT_COUNT] + bones.root_m).mean(0).double().cpu().numpy()
+        bones = mapped(pose.bones, Tensor.cpu)
+        middle_m = posed_joints_m(_linear_offset(bones), self._canonical_m).mean(0) + bones.root_m.double().numpy()
         light = lamps_in_world(mixed.light.weighted(mixed.weight), middle_m)
         return replace(mixed, light=KnownLight(light.world, (), ()), weight=np.ones((1, 3)))
 
@@ -133,11 +134,10 @@ class LitHand:
         bones, maps = pose.bones, pose.maps
         anchors, ends_m = posed_anchors(self._cast, bones)
         flesh = Flesh.of(self._cast, ends_m, bones.scale)
-        linear_offset = torch.cat([bones.linear, bones.offset_m[..., None]], -1).numpy()
-        root_m, canonical = bones.root_m.double().numpy(), (self._joints_m - self._joints_m[:1]).numpy()
+        root_m, linear_offset = bones.root_m.double().numpy(), _linear_offset(bones)
         rows, casting, lamp = [], [], []
         for number, one in enumerate((*known.lamps, *known.suns)):
-            alone = LampRows.of(SceneLight(None, (one,)), root_m, linear_offset, canonical)
+            alone = LampRows.of(SceneLight(None, (one,)), root_m, linear_offset, self._canonical_m)
             alone.rows[:, NUMBER["slot"]] = len(casting) if len(alone.casting) else -1
             rows += [*alone.rows]
             casting += [*alone.casting]
@@ -145,8 +145,13 @@ class LitHand:
         every = LampRows(np.ones(1), *(np.array(each).reshape(-1, len(NUMBER)) for each in (rows, casting)))
         at = apply(maps.linear, pose.position_m - bones.canonical_root_m.to(pose.position_m)) + maps.offset_m
         skin, around = Skin(at, unit(apply(maps.turning, pose.normal))), Skin(*anchors)
-        fallen = shadows(self._cast, around, skin, flesh, light, every)
+        fallen = shadows(self._cast, self._patches, around, skin, flesh, light, every)
         return _Lit(around, fallen, every.rows, np.array(lamp, int))
+
+
+def _linear_offset(bones: BoneTransforms) -> np.ndarray:
+    """(maps, 3, 4) of bones on the CPU, as the renderer has them."""
+    return torch.cat([bones.linear, bones.offset_m[..., None]], -1).numpy()
 
 
 def lamps_in_world(light: SceneLight, middle_m: np.ndarray) -> SceneLight:

@@ -24,13 +24,7 @@ from jghand_engine.avatar.avatar import (
     sigma_scale_for_prefix,
 )
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.learned import (
-    LOG_STRETCH_MAX,
-    SH_COUNT,
-    Ellipsoid,
-    ShadowLook,
-    flesh_of,
-)
+from jghand_engine.avatar.learned import LOG_STRETCH_MAX, SH_COUNT, Ellipsoid, ShadowLook, flesh_of
 from jghand_engine.avatar.relighting import REFLECTANCE, SHADE_GAIN, SOFTNESS, THROWN_BACK
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.canonical_points import CanonicalPoints

@@ -203,17 +203,18 @@ class Shadows:
     at_skin: Tensor
 
     def nbytes(self) -> int:
-        """Memory, bytes."""
-        shared = self.patches.of_anchor.nbytes + self.patches.beside.nbytes
-        return shared + self.visible.nbytes + self.at_anchors.nbytes + self.at_skin.nbytes
+        """Memory of its own, bytes: all poses of a hand share their patches."""
+        return self.visible.nbytes + self.at_anchors.nbytes + self.at_skin.nbytes
 
     def prefix(self, count: int) -> Shadows:
         """The same for the first `count` Gaussians."""
         return replace(self, at_skin=self.at_skin[:, :count])
 
 
-def shadows(cast: CastTensors, anchors: Skin, skin: Skin, flesh: Flesh, light: SceneLight, lamps: LampRows) -> Shadows:
-    """anchors, skin: posed, root-relative"""
+def shadows(
+    cast: CastTensors, patches: Patches, anchors: Skin, skin: Skin, flesh: Flesh, light: SceneLight, lamps: LampRows
+) -> Shadows:
+    """patches: of the hand's anchors · anchors, skin: posed, root-relative"""
     seen = wide = anchors.position_m.new_zeros(0, len(anchors.position_m))
     for row in lamps.casting:
         direction, _, sine = lamp_at(row, anchors.position_m)
@@ -231,7 +232,7 @@ def shadows(cast: CastTensors, anchors: Skin, skin: Skin, flesh: Flesh, light: S
         of_lamps = torch.cat([of_lamps[:slot], torch.lerp(of_lamps[slot], own, edge)[None], of_lamps[slot + 1 :]])
     directions = seen.new_tensor((BLACK if light.world is None else light.world).terms.direction)
     visible = past_flesh(anchors, flesh, directions, DISTANT_FLESH_SOFTNESS, LAMP_HALF_WIDTH)
-    return Shadows(Patches.of(cast.anchors), visible, seen, of_lamps)
+    return Shadows(patches, visible, seen, of_lamps)
 
 
 def reached(

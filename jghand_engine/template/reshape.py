@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import SIGMA_MAX_M, SIGMA_MIN_M, HandAvatar
-from jghand_engine.avatar.learned import CastShadow, Learned, flesh_of
+from jghand_engine.avatar.learned import Anchors
 from jghand_engine.hand.rotations import unit
 from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.template.closest import ClosestPoints, Surface
@@ -44,9 +44,9 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
     sigma_m = (avatar.sigma_m * change.sizes(stretch)).clip(SIGMA_MIN_M, SIGMA_MAX_M).astype(np.float32)
     learned, detail = avatar.learned, avatar.detail
     if learned is not None:
-        normal = _turned(learned.normal, stretch)
-        cast = _moved_shadow(learned, change, avatar.canonical_joints_m)
-        learned = replace(learned, normal=normal, cast=cast)
+        learned = replace(learned, normal=_turned(learned.normal, stretch))
+        if learned.cast is not None:
+            learned = learned.with_anchors(_moved(learned.cast.anchors, change), avatar.canonical_joints_m)
     if detail is not None:
         detail = replace(detail, position_m=change.places(detail.position_m)[0])
     return replace(avatar, position_m=position_m, sigma_m=sigma_m, learned=learned, detail=detail)
@@ -125,12 +125,6 @@ def _turned(normal: np.ndarray, stretch: np.ndarray) -> np.ndarray:
     return np.where(is_stretched, turned, normal)
 
 
-def _moved_shadow(learned: Learned, change: _Change, joints_m: np.ndarray) -> CastShadow | None:
-    if learned.cast is None:
-        return None
-    anchors = learned.cast.anchors
+def _moved(anchors: Anchors, change: _Change) -> Anchors:
     position_m, stretch = change.places(anchors.position_m)
-    anchors = replace(anchors, position_m=position_m, normal=_turned(anchors.normal, stretch))
-    fitted = learned.response is not None and learned.response.is_learned
-    flesh, own = flesh_of(position_m, joints_m, fitted=fitted)
-    return replace(learned.cast, anchors=anchors, flesh=flesh, own=own)
+    return replace(anchors, position_m=position_m, normal=_turned(anchors.normal, stretch))

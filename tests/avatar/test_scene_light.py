@@ -118,7 +118,7 @@ def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsule
     lamps = torch_light.LampRows.of(light, bones.root_m, bones.linear_offset, root)
     flesh = torch_light.Flesh.of(hand.learned.cast, ends_m, wide.scale, others)
     cast, anchored = hand.learned.cast, torch_light.Skin(*anchors)
-    fallen = torch_light.shadows(cast, anchored, skin, flesh, light, lamps)
+    fallen = torch_light.shadows(cast, torch_light.Patches.of(cast.anchors), anchored, skin, flesh, light, lamps)
     got = torch_light.reached(cast, anchored, fallen, light, lamps, response)
     matt = torch_light.matt(hand.rgb.double(), skin, got, light, lamps, response, correction.shade.double())
     return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - shift_m), got, light, lamps, response)

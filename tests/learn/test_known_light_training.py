@@ -128,7 +128,7 @@ def test_gradients_of_light_are_those_of_finite_differences():
     root = (hand.canonical_joints_m - hand.canonical_joints_m[0]).numpy()
     lamps = torch_light.LampRows.of(light, bones.root_m.numpy(), linear_offset, root)
     skin = torch_light.Skin(at, normal)
-    fallen = torch_light.shadows(cast, around, skin, flesh, light, lamps)
+    fallen = torch_light.shadows(cast, torch_light.Patches.of(cast.anchors), around, skin, flesh, light, lamps)
     given = hand.learned.response
     names = ("spread", "reflectance", "bounce")
     weights = torch.rand(len(at), 3, generator=g, dtype=torch.float64)

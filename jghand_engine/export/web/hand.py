@@ -11,7 +11,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
-from jghand_engine.avatar.cast_task import CAPSULE_LENGTH2_MIN, CAPSULE_SINE2_MIN, CastStep, anchor_blocks
+from jghand_engine.avatar.cast_task import CAPSULE_SINE2_MIN, CastStep, anchor_blocks
 from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, products
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, Detail
@@ -19,7 +19,7 @@ from jghand_engine.avatar.detail_correctives import NUMBERS, SIMPLE, angle_numbe
 from jghand_engine.avatar.detail_mips import filled, with_rings
 from jghand_engine.avatar.detail_storage import differences, height_differences
 from jghand_engine.avatar.lamp_rows import LIMITS
-from jghand_engine.avatar.learned import Learned, anchors_around
+from jghand_engine.avatar.learned import CAPSULE_LENGTH2_MIN, Learned, anchors_around
 from jghand_engine.avatar.relief import BEND_DEG, HEIGHT_STEP_M, Bend, Relief, finger_shares
 from jghand_engine.avatar.relighting import ALBEDO_MAX, GAP_FILL, albedo_gain, detail_power, in_studio, relightable
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
