@@ -6,7 +6,6 @@ exports, pages and views alike. What is measured against pictures (`jghand evalu
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +15,10 @@ from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 # identifiers of the built-in hand's templates begin so
 BUILTIN_TEMPLATE = "makehuman-soma-right-1"
 MANO_TEMPLATES = "mano-"
-# along the forearm of the built-in hand, from the wrist: the ends of its fade, meters. Its skin rounds off behind them
-FOREARM_FADE_M = (0.125, 0.105)
+# before the last Gaussian of a forearm: the ends of its fade, meters. Skin rounds off behind them
+FOREARM_FADE_M = (0.014, 0.034)
+# Gaussians go on so far behind a surface that ends the hand: they are its color, in which faint ones would leave holes
+BEYOND_M = 0.012
 # across the cut at the wrist of the built-in hand, and where it lies. What closed it is up to 3 mm before the cut, as
 # deep as Gaussians are under the skin, and is not seen at all
 WRIST_WAY, WRIST_CUT_M = np.array([-0.0788, 0.9616, 0.2629]), -0.0031
@@ -29,35 +30,39 @@ LAYERS = 6
 def ended(avatar: HandAvatar, *, forearm: bool = True) -> HandAvatar:
     """The avatar as it is shown: faded out at the end of its forearm, or, without one or where it is not wanted, at the
     wrist. An avatar on an unknown template stays as it is."""
-    shown_at = _shown_at(avatar, forearm=forearm)
-    if shown_at is None:
+    end = _end_of(avatar, forearm=forearm)
+    if end is None:
         return avatar
     if not forearm:
         # its mesh is the hand's alone
         avatar = avatar.with_stiff_wrist()
-    detail, opacity = avatar.detail, avatar.opacity * shown_at(avatar.position_m).astype(np.float32)
+    way, end_m, fade_m = end
+    detail = avatar.detail
+    beyond_m = BEYOND_M if detail is not None and detail.ends_hand else 0.0
+    parts = _rising(avatar.position_m @ way - end_m + beyond_m, *fade_m)
+    opacity = avatar.opacity * (1 - (1 - parts) ** (1 / LAYERS)).astype(np.float32)
     if detail is not None:
         # what is not there hides nothing behind it
-        whole = (1 - (1 - shown_at(detail.position_m)) ** LAYERS).astype(np.float32)
+        whole = _rising(detail.position_m @ way - end_m, *fade_m).astype(np.float32)
         stays = (whole > 0)[detail.faces].any(1)
         detail = replace(detail, faces=detail.faces[stays], face_uv=detail.face_uv[stays], whole=whole)
     return replace(avatar, opacity=opacity, detail=detail)
 
 
-def _shown_at(avatar: HandAvatar, *, forearm: bool) -> Callable[[np.ndarray], np.ndarray] | None:
-    """How much is shown, 0..1, at canonical places (N, 3); None: all of it, wherever it is."""
+def _end_of(avatar: HandAvatar, *, forearm: bool) -> tuple[np.ndarray, float, tuple[float, float]] | None:
+    """The way from where it ends into it (3,), where its end is along that, meters, and how far before it nothing and
+    all is shown; None: it is shown wherever it is."""
     if forearm and avatar.has_forearm:
-        return lambda place: _rising(place @ FOREARM_WAY, *FOREARM_FADE_M)
+        return -FOREARM_WAY, (avatar.position_m @ -FOREARM_WAY).min(), FOREARM_FADE_M
     if avatar.info.template.startswith(BUILTIN_TEMPLATE):
-        return lambda place: _rising(place @ WRIST_WAY - WRIST_CUT_M, *WRIST_FADE_M)
+        return WRIST_WAY, WRIST_CUT_M, WRIST_FADE_M
     if avatar.info.template.startswith(MANO_TEMPLATES):
         # its hand ends square to the bones, and somewhere else in each file
-        end_m = avatar.position_m[:, 1].min()
-        return lambda place: _rising(place[:, 1] - end_m, *WRIST_FADE_M)
+        return np.array([0.0, 1.0, 0.0]), avatar.position_m[:, 1].min(), WRIST_FADE_M
     return None
 
 
 def _rising(along: np.ndarray, none: float, whole: float) -> np.ndarray:
-    """(N,) 0 at `none` and beyond it, 1 at `whole`; LAYERS of them cover smoothly more and more between."""
+    """(N,) 0 at `none` and before it, 1 at `whole`, smoothly between."""
     part = ((along - none) / (whole - none)).clip(0, 1)
-    return 1 - (1 - part * part * (3 - 2 * part)) ** (1 / LAYERS)
+    return part * part * (3 - 2 * part)

@@ -425,9 +425,10 @@ def test_light_that_was_baked_lights_each_hand_as_it_says_whatever_the_lamps_are
 def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
     from jghand_engine.template.builtin import WITH_FOREARM
 
-    # some skin far behind the wrist
+    # some skin along twelve centimeters behind the wrist
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(300)
-    place = avatar.position_m + np.where(np.arange(300) < 100, -0.08, 0.0)[:, None] * np.array([-0.18, 1, -0.12])
+    behind_m = np.maximum(0, 0.12 - 0.001 * np.arange(300))[:, None]
+    place = avatar.position_m - behind_m * np.array([-0.18, 1, -0.12])
     info = replace(avatar.info, template=WITH_FOREARM)
     save_avatar(tmp_path / "arm.jghand", replace(avatar, info=info, position_m=place.astype(np.float32)))
     hand = Hand(avatar.canonical_joints_m, str(tmp_path / "arm.jghand"))
