@@ -45,6 +45,8 @@ TOOLS = ROOT / "scripts" / "splat_clients"
 # JGHAND_SPLAT_CLIENTS names another folder that holds node_modules and an environment `python`
 CLIENTS = Path(os.environ.get("JGHAND_SPLAT_CLIENTS") or ROOT / ".envs" / "splat_clients")
 NODE, PYTHON = CLIENTS / "node_modules", CLIENTS / "python"
+# so many meters is white from black where a Gaussian is found again by all that it has: some lie nearer than SOG steps
+COLOR_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -76,9 +78,16 @@ class Found:
         return cls.of_ellipsoids(np.concatenate(parts, 1).astype(np.float64))
 
     def in_order_of(self, other: Found) -> Found:
-        """The same Gaussians, each beside the nearest of `other`: SOG sorts them. As they are where that is not one to
-        one: some are lacking, or there twice."""
-        nearest = np.atleast_1d(KDTree(self.positions_m).query(other.positions_m)[1])
+        """The same Gaussians, each beside the one of `other` that it is likest: SOG sorts them. As they are where that
+        is not one to one: some are lacking, or there twice."""
+        own, others = (
+            np.column_stack([
+                each.positions_m, np.sqrt(np.einsum("nii->ni", each.covariance_m2)), COLOR_M * each.rgb,
+                COLOR_M * each.opacity,
+            ])
+            for each in (self, other)
+        )  # fmt: skip
+        nearest = np.atleast_1d(KDTree(own).query(others)[1])
         if len(np.unique(nearest)) != len(self.positions_m) or len(nearest) != len(self.positions_m):
             return self
         return Found(*(getattr(self, name)[nearest] for name in self.__dataclass_fields__))
