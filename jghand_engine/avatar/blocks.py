@@ -24,6 +24,13 @@ class Blocks:
         self.order = compact_order(position_m)
         self.rows = padded_rows(len(position_m))
 
+    @classmethod
+    def in_order(cls, order: np.ndarray) -> Blocks:
+        """Blocks of what stands in a given order (N,)."""
+        blocks = cls.__new__(cls)
+        blocks.order, blocks.rows = order, padded_rows(len(order))
+        return blocks
+
     @property
     def count(self) -> int:
         return self.rows // LANES

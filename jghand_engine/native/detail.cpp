@@ -1,6 +1,7 @@
 // Detail: a textured surface that follows the bones, found at each pixel, multiplies the colors of drawn Gaussians.
 //
 //   skin     vertices of all hands to pixels
+//   round    of large hands vertices in the middles of sides, so that outlines have no corners
 //   set up   per face the planes of what is interpolated, and what it may touch; groups of sixteen neighbors
 //   shade    per tile: the nearest face of each pixel, then the texture there; or the faces are told, for learning
 //
@@ -61,7 +62,7 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   const vf iz = t.orthographic ? all(1.f) : 1.f / z;
   const vf x = to_camera(t.camera_from_position, p[0], p[1], p[2]) * iz * t.fx + t.cx;
   const vf y = to_camera(t.camera_from_position + 4, p[0], p[1], p[2]) * iz * t.fy + t.cy;
-  const int64_t rows = LANES * (int64_t)s.blocks, row = LANES * (int64_t)block;
+  const int64_t rows = rows_of(hand), row = LANES * (int64_t)block;
   // a face with a corner that is no number is not drawn
   store(hand.vertex + row, select(z > t.z_near, x, all(__builtin_nanf(""))));
   store(hand.vertex + rows + row, y);
@@ -80,6 +81,31 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
     store(hand.slope + i * rows + row, slope[0] * (float)axis[0] + slope[1] * (float)axis[1] + slope[2] * (float)axis[2]);
   }
   store(hand.slope + 3 * rows + row, dot(slope, normal));
+}
+
+// Puts vertices into the middles of sides, on a smooth surface through those around: two ends, two corners across, four
+// across the sides beside. Source: Dyn, Levin, Gregory, A butterfly subdivision scheme for surface interpolation with
+// tension control, 1990, with their tension of 1/16.
+void round_sides(const DetailTask& t, const DetailHand& hand, int32_t block) {
+  constexpr float SHARE[AROUND_SIDE] = {.5f, .5f, .125f, .125f, -.0625f, -.0625f, -.0625f, -.0625f};
+  const int64_t rows = rows_of(hand), row = LANES * (int64_t)(hand.surface->skin.blocks + block);
+  vi from[AROUND_SIDE];
+  memcpy(from, hand.around + AROUND_SIDE * LANES * (int64_t)block, sizeof from);
+  vf x{}, y{}, z{};
+  for (int k = 0; k < AROUND_SIDE; k++) {
+    const vf near = gather(hand.vertex + 2 * rows, from[k]), away = t.orthographic ? -near : 1.f / near;
+    const vf share = SHARE[k] * (t.orthographic ? all(1.f) : away);
+    x += share * (gather(hand.vertex, from[k]) - t.cx), y += share * (gather(hand.vertex + rows, from[k]) - t.cy);
+    z += SHARE[k] * away;
+  }
+  const vf iz = t.orthographic ? all(1.f) : 1.f / z;
+  store(hand.vertex + row, select(z > t.z_near, x * iz + t.cx, all(__builtin_nanf(""))));
+  store(hand.vertex + rows + row, y * iz + t.cy);
+  store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
+  if (!(hand.rise > 0)) return;
+  const auto mean = [&](float* p) { store(p + row, 0.5f * (gather(p, from[0]) + gather(p, from[1]))); };
+  for (int i = 0; i < 4; i++) mean(hand.slope + i * rows);
+  mean(hand.bend);
 }
 
 // Pixels whose centers lie from `low` to `high`, as far as the image reaches.
@@ -107,7 +133,7 @@ JG_INLINE void set_plane(Faces& faces, int plane, const vf corner[3]) {
 // What a rise of the relief does to light. Affine on the image: faces are small.
 void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group, const vf x[3], const vf y[3],
                      const vf near[3], Faces& faces) {
-  const int64_t rows = LANES * (int64_t)hand.surface->skin.blocks;
+  const int64_t rows = rows_of(hand);
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
   vf p[3][3], side[2][3], du[2], dv[2], by_u[3], by_v[3], along[3], bend[3];
   for (int k = 0; k < 3; k++) {
@@ -140,7 +166,7 @@ void relief_of_group(const DetailTask& t, const DetailHand& hand, int32_t group,
 }
 
 void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
-  const int64_t rows = LANES * (int64_t)hand.surface->skin.blocks;
+  const int64_t rows = rows_of(hand);
   const float* uv = hand.corner_uv + 6 * LANES * (int64_t)group;
   vf x[3], y[3], near[3];
   vi row_of_corner[3];
@@ -153,13 +179,22 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   vi first_x, last_x, first_y, last_y;
   centers(min(min(x[0], x[1]), x[2]), max(max(x[0], x[1]), x[2]), t.width, first_x, last_x);
   centers(min(min(y[0], y[1]), y[2]), max(max(y[0], y[1]), y[2]), t.height, first_y, last_y);
-  vf whole[3];
-  for (int k = 0; k < 3; k++) whole[k] = gather(hand.whole, row_of_corner[k]);
   vi seen = area * hand.facing > AREA_MIN_PX2, kind = all(0);
   if (t.outline > 0) {
     // a pixel whose center it does not reach may be covered in part
     seen &= (max(max(x[0], x[1]), x[2]) >= 0) & (min(min(x[0], x[1]), x[2]) <= (float)t.width);
     seen &= (max(max(y[0], y[1]), y[2]) >= 0) & (min(min(y[0], y[1]), y[2]) <= (float)t.height);
+  } else {
+    seen &= (first_x <= last_x) & (first_y <= last_y);
+  }
+  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
+  if (!bit_mask(seen)) {
+    hand.box[group] = INT32_MAX, hand.box[stride + group] = -1;
+    return;
+  }
+  vf whole[3];
+  for (int k = 0; k < 3; k++) whole[k] = gather(hand.whole, row_of_corner[k]);
+  if (t.outline > 0) {
     kind = min(min(whole[0], whole[1]), whole[2]) < 1 ? all(FADES) : all(0);
     for (int k = 0; k < 3; k++) {
       vi across;
@@ -169,8 +204,6 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
       const vf beyond = dx * (y[next] - y[k]) - (x[next] - x[k]) * dy;
       kind |= ~((beyond > 0) & (area > 0)) & ~((beyond < 0) & (area < 0)) & (1 << k);
     }
-  } else {
-    seen &= (first_x <= last_x) & (first_y <= last_y);
   }
   const vi nowhere = all((int32_t)INT32_MAX);
   first_x = seen ? first_x : nowhere, last_x = seen ? last_x : all(-1);
@@ -185,9 +218,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
     if (bounds[2 * LANES + i] < box[2]) box[2] = bounds[2 * LANES + i];
     if (bounds[3 * LANES + i] > box[3]) box[3] = bounds[3 * LANES + i];
   }
-  const int64_t stride = (hand.groups + LANES - 1) / LANES * LANES;
   for (int k = 0; k < 4; k++) hand.box[k * stride + group] = box[k];
-  if (!bit_mask(seen)) return;
   Faces faces = {};
   const vf inverse = 1.f / select(seen, area, all(1.f));
   faces.share_x[0] = y2 * inverse, faces.share_y[0] = -x2 * inverse;
@@ -486,9 +517,10 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
     });
   };
   parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.surface->skin.blocks; }, jg::skin_vertices);
-  parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.groups; }, jg::set_up_group);
+  parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.side_blocks; }, jg::round_sides);
+  parts(2, [](const jg::DetailHand& hand) { return (int64_t)hand.groups; }, jg::set_up_group);
   const int32_t tiles_x = (t.width + jg::TILE_X - 1) / jg::TILE_X, tiles_y = (t.height + jg::TILE_Y - 1) / jg::TILE_Y;
-  jg::share(*team, 2, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
+  jg::share(*team, 3, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
 }
 
 // Its first step alone, of hands whose surface somebody else draws: the web page.

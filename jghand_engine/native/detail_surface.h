@@ -9,12 +9,12 @@ namespace jg {
 // Of one hand. Mirrored field by field in native/detail_task.py.
 struct DetailHand {
   const LearnedTask* surface;  // of the vertices: their skin, and linear correctives of their places or none
-  float* vertex;             // (3, 16 blocks): x, y px, near
+  float* vertex;             // (3, rows): x, y px, near; of the surface's blocks, then of those in the middles of sides
   const int32_t* corner;     // (groups, 3, 16): rows of vertices
   const int32_t* opposite;   // (groups, 3, 16): rows of the vertices across the sides from a corner to the next; where
                              // no face is across, that corner
   const float* corner_uv;    // (groups, 6, 16): column and row of the texture, 0..1, of each corner
-  const float* whole;        // (16 blocks): 0..1, how much of the hand is shown there
+  const float* whole;        // (rows): 0..1, how much of the hand is shown there
   float* planes;             // (16 groups, 3, 16): see `Plane`
   int32_t* bounds;           // (groups, BOUNDS, 16): pixels x0, x1, y0, y1 of each face whose centers it may cover, both
                              // ends included, and its kind: bits of its sides, each from a corner to the next, that are
@@ -34,10 +34,16 @@ struct DetailHand {
   const int32_t* nearest;    // (blocks, ANCHORS_AROUND, 16): anchors of the light around them
   const int32_t* beside;     // (blocks, ANCHORS_AROUND, 16): rows of Gaussians there
   const float* share;        // (blocks, ANCHORS_AROUND, 16)
-  const float* bend;         // (16 blocks): 0 straight to 1 bent
-  float* slope;              // (4, 16 blocks): how their light turns with the normal, in the camera's axes; along it
+  float* bend;               // (rows): 0 straight to 1 bent, given for the surface's blocks
+  float* slope;              // (4, rows): how their light turns with the normal, in the camera's axes; along it
   float rise;                // m per side of the square, over the range of a byte, times the hand's scale; 0: not drawn
+  // vertices in the middles of sides
+  const int32_t* around;     // (side_blocks, AROUND_SIDE, 16): rows of the vertices around each: see `round_sides`
+  int32_t side_blocks;
 };
+constexpr int AROUND_SIDE = 8;
+
+inline int64_t rows_of(const DetailHand& hand) { return LANES * (int64_t)(hand.surface->skin.blocks + hand.side_blocks); }
 
 // Mirrored field by field in native/detail_task.py.
 struct DetailTask {

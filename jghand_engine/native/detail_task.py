@@ -24,6 +24,8 @@ class DetailHand(ctypes.Structure):
         *((name, _F32) for name in ("facing", "depth", "fade_from", "fade_to", "strength", "exponent")),
         *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope")),
         ("rise", _F32),
+        ("around", _P),
+        ("side_blocks", _I32),
     )
 
 

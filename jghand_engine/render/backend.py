@@ -134,6 +134,7 @@ class Backend:
             self._detail = NativeDetail(
                 library,
                 [DetailedHand.of(avatars[place], detail_powers[place], self._hands[place]) for place in self._detailed],
+                outline_px=settings.outline_px,
             )
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
         self.light: SceneLight | None = None

@@ -10,13 +10,14 @@ the surface is the skin's: then the hand ends with it, and alpha becomes the par
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.blocks import Blocks, set_pointers
+from jghand_engine.avatar.blocks import Blocks, padded_rows, set_pointers
 from jghand_engine.avatar.cast_task import posed_joints_m
 from jghand_engine.avatar.detail import LOG_RATIO_MAX, RATIO_STEPS, Detail
 from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
@@ -34,6 +35,7 @@ from jghand_engine.native.learned_tasks import CorrectiveKind
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.fine_faces import FineFaces, opposite_vertices
 
 # Gaussians that lie apart from the depth that the surface gives them belong to something else: how far apart, meters on
 # the canonical hand, detail begins to fade, and is gone
@@ -43,6 +45,8 @@ FADE_FROM_M, FADE_TO_M = 0.002, 0.004
 GRAZE_MAX = 4.0
 # alpha between which it fades in: the last pixel of an outline that the surface does not end is that of the Gaussians
 ALPHA_FROM, ALPHA_TO = 0.5, 0.9
+# of a finger: a side of a face cuts off its square over eight of these
+FINGER_RADIUS_M = 0.008
 # values of a byte
 BYTES = 256
 # log2 of a ratio over the range of a channel of a packed texel
@@ -91,7 +95,9 @@ class DetailedHand:
 class NativeDetail:
     """Draws the detail of hands. Buffers are allocated once; one image at a time."""
 
-    def __init__(self, library: Library, hands: Sequence[DetailedHand]) -> None:
+    def __init__(self, library: Library, hands: Sequence[DetailedHand], *, outline_px: float = math.inf) -> None:
+        """outline_px: how far corners of outlines may be from round ones before faces are made finer"""
+        self._outline_px = outline_px
         self._call, self._hands = library.call, [_Hand(hand) for hand in hands]
         self._tasks = (DetailHand * len(hands))(*(hand.task for hand in self._hands))
         self._task = DetailTask(
@@ -128,6 +134,7 @@ class NativeDetail:
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
             # one that only hides others needs no light
             own.rise = hand.rise_m if strength > 0 else 0.0
+            hand.set_faces(own, fine=ends_hands and hand.corner_px(camera) > self._outline_px)
         task.outline = min(strengths) if ends_hands else 0.0
         self.team.fill(0)
 
@@ -164,19 +171,30 @@ class SurfaceHits:
         return self._drawn.hits(replace(camera, camera_from_world=camera.camera_from_world @ root))
 
 
-def opposite_vertices(faces: np.ndarray) -> np.ndarray:
-    """(F, 3) of faces (F, 3): the vertex across the side from each corner to the next; that corner where none is."""
-    start, end = faces.astype(np.int64), np.roll(faces, -1, 1)
-    base = int(faces.max(initial=0)) + 1
-    side, back = (start * base + end).ravel(), (end * base + start).ravel()
-    order = np.argsort(side)
-    found = order[np.searchsorted(side, back, sorter=order).clip(max=len(side) - 1)]
-    return np.where(side[found] == back, np.roll(faces, -2, 1).ravel()[found], faces.ravel()).reshape(-1, 3)
+class _Faces:
+    """What the task of a hand has of its faces. blocks: in which neighbors stand together; a group is filled up with
+    faces without area · rows: (V,) of the vertices"""
 
+    def __init__(
+        self, blocks: Blocks, faces: np.ndarray, face_uv: np.ndarray, rows: np.ndarray, *, ends_hand: bool
+    ) -> None:
+        self.of_row, self.groups = blocks.in_rows(np.arange(len(faces)), np.int32), blocks.count
+        texture_xy = np.stack([face_uv[..., 0], 1 - face_uv[..., 1]], -1)
 
-def _in_groups(faces: Blocks, rows: np.ndarray) -> np.ndarray:
-    """(groups, 3, 16) int32 of rows (F, 3) of vertices."""
-    return np.ascontiguousarray(faces.in_rows(rows, np.int32).reshape(faces.count, LANES, 3).swapaxes(1, 2))
+        def in_groups(vertex: np.ndarray) -> np.ndarray:
+            of_faces = blocks.in_rows(rows[vertex], np.int32).reshape(blocks.count, LANES, 3)
+            return np.ascontiguousarray(of_faces.swapaxes(1, 2))
+
+        self.arrays = {
+            "corner": in_groups(faces),
+            "opposite": in_groups(opposite_vertices(faces) if ends_hand else faces),
+            "corner_uv": blocks.blocked(texture_xy.reshape(-1, 6)),
+            "planes": aligned_zeros((self.groups * LANES, FACE_VECTORS, LANES)),
+            "bounds": aligned_zeros((self.groups, FACE_BOUNDS, LANES), np.int32),
+            "box": aligned_zeros((4, padded_rows(self.groups)), np.int32),
+        }
+        # what is beyond the last group touches nothing
+        self.arrays["box"][::2], self.arrays["box"][1::2] = np.iinfo(np.int32).max, -1
 
 
 class _Hand:
@@ -197,33 +215,23 @@ class _Hand:
             self._correctives = detail.correctives.arrays(blocks) | {"numbers": self._numbers}
             self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
             set_pointers(self._surface, self._correctives)
-        texture_xy = np.stack([detail.face_uv[..., 0], 1 - detail.face_uv[..., 1]], -1)
-        # neighbors stand together; a group is filled up with faces without area
-        faces, row_of = Blocks(detail.position_m[detail.faces].mean(1)), np.argsort(blocks.order)
-        self.face_of_row = faces.in_rows(np.arange(len(detail.faces)), np.int32)
-        groups, boxes = faces.count, -(-faces.count // LANES) * LANES
+        self._detail, self._row_of = detail, np.argsort(blocks.order)
+        self._face_blocks = Blocks(detail.position_m[detail.faces].mean(1))
+        self._coarse = _Faces(self._face_blocks, detail.faces, detail.face_uv, self._row_of, ends_hand=detail.ends_hand)
+        self._fine: _Faces | None = None
+        side_m = np.linalg.norm(np.diff(detail.position_m[detail.faces[:, :2]], axis=1), axis=-1)
+        self._side_m = float(np.median(side_m)) if side_m.size else 0.0
         slopes = None if hand.light is None else detail.slopes
         self._arrays = {
             "vertex": aligned_zeros((3, blocks.rows)),
-            "corner": _in_groups(faces, row_of[detail.faces]),
-            "opposite": _in_groups(
-                faces, row_of[opposite_vertices(detail.faces) if detail.ends_hand else detail.faces]
-            ),
-            "corner_uv": faces.blocked(texture_xy.reshape(-1, 6)),
-            "whole": blocks.blocked(detail.shown[:, None]),
-            "planes": aligned_zeros((groups * LANES, FACE_VECTORS, LANES)),
-            "bounds": aligned_zeros((groups, FACE_BOUNDS, LANES), np.int32),
-            "box": aligned_zeros((4, boxes), np.int32),
+            "whole": blocks.in_rows(detail.shown),
             "texels": np.ascontiguousarray(detail.mips.texels) if slopes is None else detail.texels,
         }
-        # what is beyond the last group touches nothing
-        self._arrays["box"][::2], self._arrays["box"][1::2] = np.iinfo(np.int32).max, -1
         # a face seen from outside turns left; on the image, whose rows go down, its area is negative
         facing = -1.0 if hand.handedness is Handedness.RIGHT else 1.0
         self.task = DetailHand(
             surface=ctypes.addressof(self._surface),
             size_log2=detail.size.bit_length() - 1,
-            groups=groups,
             facing=facing,
         )
         self.range_m, self.rise_m, self._bend = 0.0, 0.0, None
@@ -244,8 +252,47 @@ class _Hand:
             }
             self.task.learned = ctypes.addressof(hand.light.task)
         set_pointers(self.task, self._arrays)
+        self.set_faces(self.task, fine=False)
         self._linear_offset: np.ndarray | None = None
         self._maps = hand.weights.shape[1]
+
+    @property
+    def face_of_row(self) -> np.ndarray:
+        """(rows,) numbers of its own faces, as hits tell them."""
+        return self._coarse.of_row
+
+    def corner_px(self, camera: Camera) -> float:
+        """How far the sides of faces are from a round outline, at the depth of its wrist; infinite where that is behind
+        the camera."""
+        depth_m = 1.0 if camera.orthographic else camera.camera_from_world[2] @ (*self._skin.shift, 1.0)
+        corner_m = self._skin.scale * self._side_m**2 / (8 * FINGER_RADIUS_M)
+        return corner_m * camera.fx / depth_m if depth_m > 0 else math.inf
+
+    def set_faces(self, task: DetailHand, *, fine: bool) -> None:
+        """Which faces are drawn next. task: the hand's, or a copy of it"""
+        if fine and self._fine is None:
+            self._fine = self._parted()
+            set_pointers(task, self._arrays)
+        faces = self._fine if fine and self._fine is not None else self._coarse
+        task.groups, task.side_blocks = faces.groups, len(self._arrays["around"]) if fine else 0
+        set_pointers(task, faces.arrays)
+
+    def _parted(self) -> _Faces:
+        """Makes room for the vertices in the middles of sides; returns the faces between them."""
+        detail, parted = self._detail, FineFaces.of(self._detail.faces, self._detail.face_uv, len(self._row_of))
+        rows = padded_rows(len(self._row_of))
+        # beside those of their first ends
+        sides = Blocks.in_order(np.argsort(self._row_of[parted.around[:, 0]]))
+        around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(sides.count, LANES, -1)
+        for name in self._arrays.keys() & {"vertex", "whole", "bend", "slope"}:
+            before = self._arrays[name]
+            self._arrays[name] = aligned_zeros((*before.shape[:-1], rows + sides.rows))
+            self._arrays[name][..., :rows] = before
+        self._arrays["whole"][rows:] = sides.in_rows(detail.shown[parted.around[:, :2]].mean(1))
+        self._arrays["around"] = np.ascontiguousarray(around.swapaxes(1, 2))
+        row_of = np.concatenate([self._row_of, rows + np.argsort(sides.order)])
+        parts = Blocks.in_order((4 * self._face_blocks.order[:, None] + np.arange(4)).ravel())
+        return _Faces(parts, parted.faces, parted.face_uv, row_of, ends_hand=True)
 
     def pose(self, bones: Bones, shift_m: np.ndarray) -> None:
         self._linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
@@ -258,4 +305,4 @@ class _Hand:
         if self._bend is not None:
             joints_m = posed_joints_m(bones.linear_offset, self._joints_m)
             bent = self._bend.of_joints(joints_m[None])[0].astype(np.float32)
-            np.matmul(bent, self._near, out=self._arrays["bend"])
+            np.matmul(bent, self._near, out=self._arrays["bend"][: self._near.shape[1]])

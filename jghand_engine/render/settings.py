@@ -30,6 +30,8 @@ class RenderSettings:
     gaussians:         how many of the avatar's Gaussians: a prefix; 0 = all
     alpha_min, t_stop: cut-offs of the blend
     shadow, shadow_samples: the self-shadow pass
+    outline_px:        how far the corners of a surface that ends a hand may be from a round outline before its faces
+                       are made finer
     correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
     threads:           0 = as many as is sensible
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
@@ -48,6 +50,7 @@ class RenderSettings:
     t_stop: float = contract.T_STOP
     shadow: ShadowMode = ShadowMode.GATED
     shadow_samples: int = 16
+    outline_px: float = 1.0
     correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
@@ -69,6 +72,7 @@ class RenderSettings:
                 1 <= self.shadow_samples <= contract.SHADOW_SAMPLES_MAX,
                 f"1 to {contract.SHADOW_SAMPLES_MAX}",
             ),
+            ("outline_px", self.outline_px > 0, "a positive number of pixels"),
             ("correctives", self.correctives in tuple(Tier), " | ".join(Tier)),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
         )
@@ -85,12 +89,13 @@ class RenderSettings:
 PRESETS: dict[str, RenderSettings] = {
     "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
     "viewport": RenderSettings(),
-    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64, correctives=Tier.EXACT),
+    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64, outline_px=0.25, correctives=Tier.EXACT),
     "reference": RenderSettings(
         alpha_min=1 / 16384,
         t_stop=1e-6,
         shadow=ShadowMode.ALWAYS,
         shadow_samples=64,
+        outline_px=0.25,
         correctives=Tier.EXACT,
         reuse=False,
     ),

@@ -18,7 +18,7 @@ from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.detail import DetailedHand, NativeDetail, SurfaceHits, opposite_vertices
+from jghand_engine.render.detail import DetailedHand, NativeDetail, SurfaceHits
 from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
@@ -210,8 +210,3 @@ def test_in_the_light_of_a_scene_it_is_the_same():
     assert (rgba[outside, 3] > 0).sum() < 10
     without = HandRenderer(changed(lit, ends_hand=False), DRAWN, light).render(pose("open"), seen).rgba
     assert (without[outside, 3] > 0.01).sum() > 200
-
-
-def test_across_each_side_of_a_face_is_the_vertex_of_its_neighbor():
-    faces = np.array([[0, 1, 2], [2, 1, 3]])
-    assert opposite_vertices(faces).tolist() == [[0, 3, 2], [0, 1, 3]]

@@ -1,0 +1,58 @@
+"""The faces of a surface parted into four each, for hands that are so large in a picture that outlines show corners."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class FineFaces:
+    """faces:  (4 F, 3) vertices; those in the middles of sides are numbered behind the surface's own
+    face_uv:   (4 F, 3, 2), linear within each coarse face
+    around:    (S, 8) the surface's vertices around each of those in the middle: the two ends of the side, the two
+    corners across it, and the four across the sides beside it; where the surface ends, only the two ends count
+    """
+
+    faces: np.ndarray
+    face_uv: np.ndarray
+    around: np.ndarray
+
+    @classmethod
+    def of(cls, faces: np.ndarray, face_uv: np.ndarray, vertex_count: int) -> FineFaces:
+        """faces (F, 3), face_uv (F, 3, 2)."""
+        own, back = np.arange(faces.size), sides_behind(faces)
+        # a side between two faces is numbered by the first of them
+        first, number = np.unique(np.where(back < 0, own, np.minimum(back, own)), return_inverse=True)
+        ends = np.stack([faces, np.roll(faces, -1, 1)], -1).reshape(-1, 2)
+        across, corner = opposite_vertices(faces), np.roll(faces, -2, 1).ravel()
+        beside = np.stack([np.roll(across, -1, 1), np.roll(across, -2, 1)], -1).reshape(-1, 2)
+        second = back[first]
+        around = np.column_stack([ends[first], corner[first], corner[second], beside[first], beside[second]])
+        around[second < 0, 2:] = np.tile(ends[first[second < 0]], 3)
+        middle_uv = (face_uv + np.roll(face_uv, -1, 1)) / 2
+        return cls(_parted(faces, vertex_count + number.reshape(faces.shape)), _parted(face_uv, middle_uv), around)
+
+
+def opposite_vertices(faces: np.ndarray) -> np.ndarray:
+    """(F, 3) of faces (F, 3): the vertex across the side from each corner to the next; that corner where none is."""
+    back = sides_behind(faces)
+    return np.where(back < 0, faces.ravel(), np.roll(faces, -2, 1).ravel()[back]).reshape(-1, 3)
+
+
+def sides_behind(faces: np.ndarray) -> np.ndarray:
+    """(3 F,) of faces (F, 3): the side of another face that is the one from each corner to the next, the other way
+    round; -1 where there is none. Sides are numbered as the corners that they start from."""
+    start, end = faces.astype(np.int64), np.roll(faces, -1, 1)
+    base = int(faces.max(initial=0)) + 1
+    side, back = (start * base + end).ravel(), (end * base + start).ravel()
+    order = np.argsort(side)
+    found = order[np.searchsorted(side, back, sorter=order).clip(max=len(side) - 1)]
+    return np.where(side[found] == back, found, -1)
+
+
+def _parted(corner: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """(4 F, 3, …) of values (F, 3, …) at the corners, and in the middles of the sides from each to the next."""
+    parts = [np.stack([corner[:, k], middle[:, k], middle[:, k - 1]], 1) for k in range(3)]
+    return np.stack([*parts, middle], 1).reshape(-1, *corner.shape[1:])
