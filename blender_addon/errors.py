@@ -118,7 +118,9 @@ ADVICE = {
     ),
     "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map", BAD_INPUT),
     "no_hand": Advice(
-        "There is no hand in this scene that is rendered", "Add a hand, or enable one in renders", BAD_INPUT
+        "There is no hand in this scene that is rendered",
+        "Add a hand, enable one in renders, or choose another Render Engine in Render Properties",
+        BAD_INPUT,
     ),
     "hidden": Advice(
         "This object is disabled in viewports, so Blender does not evaluate it",

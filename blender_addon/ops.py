@@ -56,7 +56,7 @@ class Reporting:
         try:
             self.run(context)
         except JGHandFailure as failure:
-            self.report(ERROR, sentence_of(failure))
+            self.report(ERROR, ui.popup_text(sentence_of(failure)))
             return CANCELLED
         ui.redraw()
         return DONE
@@ -141,7 +141,7 @@ class InTurns(Reporting):
                 self.finished(context)
         except JGHandFailure as failure:
             self.cancel(context)
-            self.report(INFO if failure.kind == "canceled" else ERROR, sentence_of(failure))
+            self.report(INFO if failure.kind == "canceled" else ERROR, ui.popup_text(sentence_of(failure)))
             return CANCELLED
         except BaseException:
             self.cancel(context)

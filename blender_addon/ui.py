@@ -90,6 +90,12 @@ def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str,
         icon = "BLANK1" if icon != "NONE" else icon
 
 
+def popup_text(text: str) -> str:
+    """What a report is to say, in lines that a pop-up does not cut where its window ends; the status bar puts them one
+    after another. Without a window as it is."""
+    return text if bpy.app.background else " \n".join(panel_text.wrapped(text, POPUP_LETTERS))
+
+
 def explained(layout: bpy.types.UILayout, line: Line, *, icon: str = "NONE") -> None:
     row = layout.row()
     row.alignment = "LEFT"

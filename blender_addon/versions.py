@@ -90,6 +90,14 @@ def visible_bones(thing: bpy.types.Object) -> list[bpy.types.PoseBone]:
     ]
 
 
+def use_eevee(scene: bpy.types.Scene) -> None:
+    """Its name changed in 5.0."""
+    try:
+        scene.render.engine = "BLENDER_EEVEE"
+    except TypeError:
+        scene.render.engine = "BLENDER_EEVEE_NEXT"
+
+
 def has_usd() -> bool:
     """Whether this Blender was built with USD; some Linux distributions leave it out."""
     return bool(getattr(bpy.app.build_options, "usd", False))

@@ -19,7 +19,8 @@ import numpy as np
 from .joints import LEFT
 
 TABLE = Path(__file__).resolve().parents[1] / "assets" / "poses.json"
-LETTER = "letter"
+# kinds
+POSE, LETTER = "pose", "letter"
 _TURN_MIRROR, _WAY_MIRROR = np.array([1.0, 1.0, -1.0, -1.0]), np.array([-1.0, 1.0, 1.0])
 
 
@@ -27,7 +28,7 @@ _TURN_MIRROR, _WAY_MIRROR = np.array([1.0, 1.0, -1.0, -1.0]), np.array([-1.0, 1.
 class NamedPose:
     """A pose of the bones, each in its own axes, relative to the rest pose.
 
-    kind:     pose or letter
+    kind:     POSE or LETTER
     turns:    bone -> (w, x, y, z); 15 bones
     knuckles: first bone of index to pinky -> (x, y, z) that it moves, as parts of its distance from the wrist at rest
     """
@@ -40,10 +41,14 @@ class NamedPose:
     knuckles: dict[str, tuple[float, ...]]
 
     @property
+    def label(self) -> str:
+        """What menus call it."""
+        return self.name if self.kind == LETTER else self.name.replace("_", " ").capitalize()
+
+    @property
     def title(self) -> str:
         """What the library calls it; both hands lie in one file, so the hand is part of the name."""
-        name = self.name if self.kind == LETTER else self.name.replace("_", " ").capitalize()
-        return f"{name} ({self.handedness})"
+        return f"{self.label} ({self.handedness})"
 
 
 def all_poses(handedness: str) -> tuple[NamedPose, ...]:

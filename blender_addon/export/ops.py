@@ -19,7 +19,7 @@ from ..render import scene_light
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import bakes, ops_common
-from .ops_common import StartsJob, place, poll_hands_to_write
+from .ops_common import StartsJob, place, poll_hands_to_write, poll_usd
 from .recording import Recording, file_names, usd_options
 
 # what an export of a format and name is known by
@@ -32,7 +32,10 @@ class Export(StartsJob, bpy.types.Operator):
     bl_description = "Write what the hands do over the range of frames into the folder. Esc cancels"
     bl_options = REGISTERED
 
-    poll = classmethod(poll_hands_to_write)
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        writes_usd = context.scene.jghand.output.format == "usd"
+        return poll_hands_to_write(cls, context) and (not writes_usd or poll_usd(cls))
 
     @classmethod
     def description(cls, context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:
@@ -119,7 +122,9 @@ class Bake(StartsJob, bpy.types.Operator):
     # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
     bl_options = REGISTERED
 
-    poll = classmethod(poll_hands_to_write)
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_hands_to_write(cls, context) and poll_usd(cls)
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.bake_folder)

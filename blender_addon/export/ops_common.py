@@ -197,6 +197,15 @@ def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
     return poll_job(operator, runtime.OUTPUT)
 
 
+def poll_usd(operator: type) -> bool:
+    """Whether stages can be written; what else may be missing is said when the button is pressed."""
+    try:
+        runtime.program(usd=True)
+    except JGHandFailure as failure:
+        return failure.kind != "no_usd" or missing(operator, failure.advice.sentence)
+    return True
+
+
 def poll_job(operator: type, key: str) -> bool:
     text = "This is running already: wait until it has ended, or cancel it"
     return not runtime.jobs().runs(key) or missing(operator, text)

@@ -103,7 +103,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     frame_start: bpy.props.IntProperty(name="Start", description="First frame that is written", default=1)
     frame_end: bpy.props.IntProperty(name="End", description="Last frame that is written", default=250)
     program: bpy.props.EnumProperty(
-        name="Target Application",
+        name="Program",
         description="The program that will read the stage: sets what is shown first and the size of points",
         items=PROGRAMS,
         default="generic",

@@ -64,8 +64,8 @@ class Card:
     def in_scene_light(self) -> str:
         """How it answers the light of a scene, in a sentence."""
         if not self.learned:
-            return "Painted: shines with its own colors"
-        return "Learned in known light" if self.known_light else "Estimated: learned in an unknown light"
+            return "Shines with its own colors: lamps do not light it"
+        return "Lit by lamps and world" if self.known_light else "Lit by lamps and world, by estimate"
 
     def lines(self) -> list[tuple[str, str]]:
         rows = [

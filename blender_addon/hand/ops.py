@@ -28,6 +28,8 @@ from .seen_hands import named
 
 # det of an object's axes below which it is flat and can hide nothing that is inside of it
 FLAT_DETERMINANT = 1e-12
+# where a hand stands already, another one is added so far to the right: two hands wide, meters
+BESIDE_M = 0.25
 # how large the empty that stands for a hand of objects is drawn, meters
 HOLDER_SHAPE_M = 0.02
 
@@ -42,7 +44,10 @@ def _sides(handedness: str) -> tuple[str, ...]:
 class AddHand(Reporting, bpy.types.Operator):
     bl_idname = "jghand.add_hand"
     bl_label = "Add Hand"
-    bl_description = "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor"
+    bl_description = (
+        "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor or beside a hand that "
+        "stands there"
+    )
     bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)
@@ -57,6 +62,7 @@ class AddHand(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         common.object_mode(context)
+        others = [thing for thing in context.view_layer.objects if armature.is_any_hand(thing)]
         name = f"{self.handedness.capitalize()} Hand"
         avatar = named(self.avatar)
         own = avatar_files.card_of(avatar).joints_m
@@ -67,6 +73,9 @@ class AddHand(Reporting, bpy.types.Operator):
             armature.add_forearm(context, hand)
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
+        apart = BESIDE_M / context.scene.unit_settings.scale_length
+        while any((other.location - hand.location).length < apart / 2 for other in others):
+            hand.location.x += apart
         # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learned from
         hand.rotation_euler = (math.pi / 2, 0.0, 0.0)
         if self.use_controls:

@@ -7,8 +7,9 @@ import bpy
 
 from .. import ui
 from ..core import panel_text
-from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
-from ..core.joints import FINGERS, NAMES
+from ..core.controls import CURL_BACK_DEG, CURL_FULL_DEG, FINGER_CONTROLS, HAND_CONTROL, SPREAD_FULL_DEG
+from ..core.joints import FINGERS, NAMES, RIGHT
+from ..core.poses import LETTER, POSE, all_poses
 from ..errors import JGHandFailure
 from ..render import ENGINE, scene_light
 from ..renderer import runtime
@@ -24,6 +25,14 @@ CONTROLLED = (HAND_CONTROL, *FINGER_CONTROLS)
 _WARNINGS = 2
 
 
+# what the fields of the finger controls do
+_TURNS = {
+    "Curl": f"{CURL_FULL_DEG:.0f}° closes the finger, down to -{CURL_BACK_DEG:.0f}° bends it back; of the hand: a fist",
+    "Spread": f"{SPREAD_FULL_DEG:.0f}° spreads the finger away from the middle one (this one: to the thumb), "
+    f"-{SPREAD_FULL_DEG:.0f}° to it; of the hand: all fingers",
+}
+
+
 class HandPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_hand"
     bl_label = "Hand"
@@ -33,7 +42,7 @@ class HandPanel(Sidebar, bpy.types.Panel):
         layout = self.layout
         there = ui.any_hand(context)
         status = runtime.link().status
-        if status.state == "failed" or (there and status.state != "ready"):
+        if status.state == "failed" or (there and (status.state != "ready" or status.doing)):
             draw_status(layout, context)
         if not there:
             _draw_empty(layout, context)
@@ -76,6 +85,7 @@ def _draw_add(layout: bpy.types.UILayout, context: bpy.types.Context, *, icon: s
     choice = context.window_manager.jghand
     if len(family.items()) > 1:
         layout.template_icon_view(choice, "hand", show_labels=True, scale=4.0, scale_popup=6.0)
+        layout.label(text=bpy.types.UILayout.enum_item_name(choice, "hand", choice.hand), translate=False)
     row = layout.row()
     row.scale_y = scale_y
     row.operator_menu_enum("jghand.add_hand", "handedness", text="Add Hand", icon=icon).avatar = choice.hand
@@ -243,6 +253,29 @@ def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, holder
     layout.operator("jghand.forget", icon="X")
 
 
+class PoseMenu(bpy.types.Menu):
+    """The common poses, the letters behind them. A key that is pressed searches all of them."""
+
+    bl_idname = "VIEW3D_MT_jghand_pose"
+    bl_label = "Apply Pose"
+    bl_options = {"SEARCH_ON_KEY_PRESS"}  # noqa: RUF012 - so does Blender declare them
+    kind = POSE
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        for pose in all_poses(RIGHT):
+            if pose.kind == self.kind:
+                self.layout.operator("jghand.apply_pose", text=pose.label, translate=False).pose = pose.name
+        if self.kind == POSE:
+            self.layout.separator()
+            self.layout.menu(LetterMenu.bl_idname)
+
+
+class LetterMenu(PoseMenu, bpy.types.Menu):
+    bl_idname = "VIEW3D_MT_jghand_letter"
+    bl_label = "Letters of Sign Language (ASL)"
+    kind = LETTER
+
+
 class PosePanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_pose"
     bl_label = "Pose"
@@ -257,7 +290,7 @@ class PosePanel(Sidebar, bpy.types.Panel):
         library = "jghand.show_pose_shelf" if poses.is_used() else "jghand.make_pose_assets"
         layout.operator(library, icon="ASSET_MANAGER")
         row = layout.row(align=True)
-        row.operator_menu_enum("jghand.apply_pose", "pose", icon="ARMATURE_DATA")
+        row.menu(PoseMenu.bl_idname, icon="ARMATURE_DATA")
         row.operator("jghand.flip_pose", text="Mirror", icon="MOD_MIRROR")
         row.operator("jghand.reset_pose", text="", icon="LOOP_BACK")
 
@@ -289,7 +322,7 @@ class ControlsPanel(Sidebar, bpy.types.Panel):
                 if name:
                     row.prop(hand.pose.bones[name], "rotation_euler", index=index, text="")
                 else:
-                    row.label(text=head)
+                    ui.explained(row, panel_text.Line(head, tip=_TURNS[head]))
 
 
 class PinsPanel(Sidebar, bpy.types.Panel):
@@ -343,4 +376,7 @@ class MotionPanel(ui.HandSidebar, bpy.types.Panel):
             ui.paragraph(layout, context, text, icon="ACTION")
 
 
-CLASSES = (HandPanel, CardPanel, JointList, BonesPanel, PosePanel, ControlsPanel, PinsPanel, MotionPanel)
+CLASSES = (
+    *(HandPanel, CardPanel, JointList, BonesPanel, PoseMenu, LetterMenu, PosePanel, ControlsPanel),
+    *(PinsPanel, MotionPanel),
+)

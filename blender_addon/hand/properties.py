@@ -31,7 +31,7 @@ FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at)
 POSES = tuple(
     (
         pose.name,
-        pose.title.partition(" (")[0],
+        pose.label,
         pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
         "NONE",
         place,

@@ -27,7 +27,7 @@ from ..preferences import preferences
 from ..renderer import runtime
 from ..renderer.runtime import RenderNote
 from ..renderer.state import REQUEST_S
-from ..ui import POPUP_LETTERS
+from ..ui import popup_text
 from ..viewport.views import ViewportEngine
 from . import ENGINE, camera, composite, exact_light, rendering, samples, scene_light
 
@@ -91,9 +91,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         """Above the image, where it stays, at the pointer, and in the status bar."""
         self.error_set(text)
         self.update_stats("", "")  # shows it
-        if not bpy.app.background:  # a pop-up is cut where its window ends; the status bar puts lines one after another
-            text = " \n".join(panel_text.wrapped(text, POPUP_LETTERS))
-        self.report({"ERROR"}, text)
+        self.report({"ERROR"}, popup_text(text))
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         clock = time.perf_counter()

@@ -9,7 +9,7 @@ but not a room with windows around both a hand and what sees or lights it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import bpy
 import numpy as np
@@ -61,6 +61,7 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
         from_lamps = _ways_of_light(lamps.in_view(depsgraph, None, things), joints, unit_m)
     key = (
         found,
+        is_mixed,
         frozenset(kinds.items()),
         scene_shadows.edits(),
         *(each.tobytes() for each in (joints, from_eye, from_lamps)),
@@ -68,10 +69,22 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
     if last[0] != key:
         if hands:
             found += tuple(_between(depsgraph, kinds, joints, from_eye, from_lamps))
+        if not is_mixed and (text := left_out(layer)):
+            found += (f'{text}. "Set Up Compositing" renders both',)
         if len(_kept) >= _SCENES:
             _kept.clear()
         last = _kept[place] = key, found
     return last[1]
+
+
+def left_out(layer: bpy.types.ViewLayer) -> str:
+    """What images of hands alone do not have of a view layer, in a sentence; "" where that is nothing."""
+    things = [thing.name for thing in layer.objects if worlds.is_surface(thing) and not thing.hide_render]
+    return f"JGHand renders hands alone, without {_listed(things)}" if things else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:_NAMED]) + ", …" * (len(names) > _NAMED)
 
 
 def _between(
@@ -98,7 +111,7 @@ def _between(
         (parts, "{name}: its panes shade hands; separate them, then turn off Shadow in their Ray Visibility"),
     ):
         if names:
-            yield text.format(name=", ".join([*names][:_NAMED]) + ", …" * (len(names) > _NAMED))
+            yield text.format(name=_listed([*names]))
 
 
 def _of_view(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Iterator[str]:

@@ -8,19 +8,21 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
+from .. import versions
 from ..errors import JGHandFailure
 from ..hand import armature, seen_hands
 from ..hand.ops import add_camera
 from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
-from . import ENGINE, composite, scene_light
+from . import ENGINE, composite, limits, scene_light
 
 
 class UseEngine(Reporting, bpy.types.Operator):
     bl_idname = "jghand.use_engine"
     bl_label = "Use JGHand Engine"
     bl_description = (
-        "Render this scene's hands with JGHand: F12, animations and the viewport's Rendered shading. Locks the "
-        "interface while rendering, because Blender can crash when a scene is edited meanwhile"
+        "Render the hands of this scene, and nothing else, with JGHand: F12, animations and Rendered shading. For "
+        "images of all else, too, use Set Up Compositing. Locks the interface while rendering, since Blender can crash "
+        "when a scene is edited meanwhile"
     )
     bl_options = UNDOABLE
 
@@ -32,9 +34,13 @@ class UseEngine(Reporting, bpy.types.Operator):
         context.scene.render.engine = ENGINE
         context.scene.render.use_lock_interface = True
         hands = armature.hands_at_any_frame(context.view_layer)
+        others = limits.left_out(context.view_layer)
+        doubts = [f'{others}. "Set Up Compositing" renders both.'] if others else []
         if context.scene.camera is None and hands:
             camera = add_camera(context, hands[0])
-            self.tell(f"The scene had no camera: {camera.name} shows the hand.")
+            self.tell(f"The scene had no camera: {camera.name} shows the hand.", doubts=doubts)
+        else:
+            self.warn(*doubts)
 
 
 def has_standard(view: bpy.types.ColorManagedViewSettings) -> bool:
@@ -103,9 +109,9 @@ class CombineWithScene(Reporting, bpy.types.Operator):
     bl_idname = "jghand.combine_with_scene"
     bl_label = "Set Up Compositing"
     bl_description = (
-        "Give the hands a scene of their own that JGHand renders, and combine it with this one by depth in the "
-        "compositor. Once more brings it up to date with this scene's hands, camera, size and frames. "
-        "Locks the interface while rendering, because Blender can crash when a scene is edited meanwhile"
+        "Give the hands a scene of their own that JGHand renders, and combine it by depth in the compositor with this "
+        "one, which Cycles or EEVEE renders. Once more brings it up to date with this scene's hands, camera, size and "
+        "frames. Locks the interface while rendering, because Blender can crash when a scene is edited meanwhile"
     )
     bl_options = UNDOABLE
 
@@ -114,8 +120,6 @@ class CombineWithScene(Reporting, bpy.types.Operator):
         scene = context.scene
         if composite.is_hands_scene(scene):
             return missing(cls, "This scene is there for the hands of another")
-        if scene.render.engine == ENGINE:
-            return missing(cls, "Choose Cycles or EEVEE first: this scene is rendered by JGHand alone")
         if scene.camera is None:
             return missing(cls, "The scene has no camera")
         if not seen_hands.sources_at_any_frame(context.view_layer):
@@ -123,6 +127,8 @@ class CombineWithScene(Reporting, bpy.types.Operator):
         return True
 
     def run(self, context: bpy.types.Context) -> None:
+        if context.scene.render.engine == ENGINE:
+            versions.use_eevee(context.scene)
         ours = composite.combine(context.scene, context.view_layer)
         self.tell(f"The hands are rendered in the scene {ours.name} and combined by depth.")
 

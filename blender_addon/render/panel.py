@@ -32,9 +32,9 @@ class RenderPanel(ui.HandSidebar, bpy.types.Panel):
             _draw_colors(layout, context)
         if scene.render.engine != ENGINE:
             layout.operator("jghand.use_engine", icon="RESTRICT_RENDER_OFF")
-            layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
-            if combined:
-                layout.operator("jghand.remove_combination", icon="X")
+        layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
+        if combined:
+            layout.operator("jghand.remove_combination", icon="X")
         layout.operator("jghand.add_camera", icon="CAMERA_DATA")
 
 

@@ -54,8 +54,8 @@ class PreviewMovie(Reporting, bpy.types.Operator):
     bl_idname = "jghand.preview_movie"
     bl_label = "Preview Movie"
     bl_description = (
-        "Render the frame range into the scene's output as a playblast with hands, which Blender's own Viewport Render "
-        "leaves out: from this view, or its camera, in its size, hands at viewport quality and all else in Solid "
+        "Render the frame range into the scene's output as a playblast with hands, which Blender's own one leaves out: "
+        "from this view, or its camera, in its size, hands at viewport quality and all else in Solid "
         "shading whatever the scene's engine. No setting of the scene is changed. Esc cancels"
     )
     bl_options = REGISTERED
@@ -114,7 +114,7 @@ def _look() -> float | None:
     ended = _now.ended if _now is not None else ""
     path, failed = _end(), rendering.said_of_failed_hands()
     if ended == "complete":
-        text = f"The preview was written to {path}."
+        text = f"Wrote the preview: {path}."
         ways = (("render.play_rendered_anim", "PLAY"),)
         ui.show_later(f"{text} {failed}".strip(), icon="ERROR" if failed else "INFO", operators=ways)
     return None
@@ -247,6 +247,6 @@ def _draw_in_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
 
 
 CLASSES = (PreviewMovie,)
-# below Blender's own Viewport Render
+# at its end: into the middle of a menu nothing can be put
 MENUS = ((bpy.types.VIEW3D_MT_view, _draw_in_menu),)
 APP_HANDLERS = (("render_complete", on_complete),)

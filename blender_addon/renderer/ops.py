@@ -15,7 +15,7 @@ import bpy
 
 from ..errors import JGHandFailure
 from ..ops import CANCELLED, DONE, ERROR, PLUMBING, REGISTERED, Reporting, missing, sentence_of
-from ..ui import PANELS, areas, redraw
+from ..ui import PANELS, areas, popup_text, redraw
 from . import runtime
 from .jobs import JobSpec
 
@@ -37,7 +37,7 @@ class RestartEngine(bpy.types.Operator):
         try:  # without a window to show how it goes, when it is ready or failed
             runtime.link().wait_until_ready()
         except JGHandFailure as failure:
-            self.report(ERROR, sentence_of(failure))
+            self.report(ERROR, popup_text(sentence_of(failure)))
             return CANCELLED
         return DONE
 

@@ -385,13 +385,18 @@ def test_undo_takes_it_back(scene):
     assert versions.compositor_tree(bpy.context.scene) is None
 
 
-def test_what_is_missing_is_said(scene):
+def test_a_scene_of_jghands_is_given_back_to_eevee(scene):
     scene.render.engine = "JGHAND"
-    with pytest.raises(RuntimeError, match="Choose Cycles or EEVEE first"):
-        bpy.ops.jghand.combine_with_scene()
+    bpy.ops.jghand.combine_with_scene()
+    assert scene.render.engine.startswith("BLENDER_EEVEE")
+    ours = composite.hands_scene_of(scene)
+    assert ours is not None
+    assert ours.render.engine == "JGHAND"
+
+
+def test_what_is_missing_is_said(scene):
     with pytest.raises(RuntimeError, match="not combined"):
         bpy.ops.jghand.remove_combination()
-    scene.render.engine = "CYCLES"
     scene.camera = None
     with pytest.raises(RuntimeError, match="no camera"):
         bpy.ops.jghand.combine_with_scene()

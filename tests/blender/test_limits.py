@@ -170,3 +170,17 @@ def test_a_volume_that_is_moved_is_looked_at_anew(scene):
     assert "cloud: a volume" in told()
     cloud.location.x = 5
     assert "cloud" not in told()
+
+
+def test_what_jghand_alone_leaves_out_of_images_is_named_with_the_way_to_have_both(scene, capfd):
+    for count in range(5):
+        bpy.ops.mesh.primitive_cube_add(location=(count, 5, 0))
+    bpy.context.object.hide_render = True
+    assert "alone" not in told()
+    bpy.ops.jghand.use_engine()
+    assert "hands alone, without Cube, Cube.001, Cube.002, …" in capfd.readouterr().out
+    assert 'hands alone, without Cube, Cube.001, Cube.002, …. "Set Up Compositing" renders both' in told()
+    assert "jghand.combine_with_scene" in draw(RenderPanel, bpy.context).operators
+    for thing in scene.objects:
+        thing.hide_render = thing.type == "MESH"
+    assert "alone" not in told()

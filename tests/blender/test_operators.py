@@ -96,6 +96,13 @@ def test_add_hand_adds_as_many_hands_as_wanted(extension):
     assert len(armature.hands_at_any_frame(extension.view_layer)) == 2
 
 
+def test_hands_that_are_added_at_one_place_stand_side_by_side(extension):
+    extension.scene.unit_settings.scale_length = 0.5
+    extension.scene.cursor.location = (1, 2, 3)
+    places = [tuple(add(side).location) for side in ("right", "left", "left")]
+    assert places == [(1, 2, 3), (1.5, 2, 3), (2, 2, 3)]
+
+
 def test_add_hand_goes_into_the_active_collection_and_out_of_any_mode(extension):
     thing = add()
     inner = bpy.data.collections.new("Inner")

@@ -10,6 +10,7 @@ from recording_layout import RecordingLayout, draw, draw_rows
 from test_avatar_cards import write_avatar
 
 from blender_addon import registration
+from blender_addon.core.poses import all_poses
 from blender_addon.errors import JGHandFailure
 from blender_addon.hand import armature, avatar_files, controls, seen_hands
 from blender_addon.hand import panel as hand_panel
@@ -264,18 +265,47 @@ def test_render_says_what_the_view_transform_does_and_offers_standard(extension,
     assert "exposure" in text_of(draw(picture.RenderPanel, extension))
 
 
+def test_common_poses_are_offered_first_and_letters_in_a_menu_of_their_own(extension, engine):
+    add()
+    panel, common, letters = (
+        draw(each, extension) for each in (hand_panel.PosePanel, hand_panel.PoseMenu, hand_panel.LetterMenu)
+    )
+    menus = [
+        [one.arguments["menu"] for one in seen.drawn if one.function == "menu"] for seen in (panel, common, letters)
+    ]
+    assert menus == [[hand_panel.PoseMenu.bl_idname], [hand_panel.LetterMenu.bl_idname], []]
+    assert common.texts[:5] == ["Open", "Flat", "Spread", "Relaxed", "Fist"]
+    assert letters.texts[0] == "ASL A"
+    named = [one.settings["pose"] for one in (*common.drawn, *letters.drawn) if one.settings]
+    assert named == [pose.name for pose in all_poses("right")]
+
+
+def test_curl_and_spread_say_what_their_numbers_mean(extension, engine):
+    add()
+    tips = [one.settings["text"] for one in draw(hand_panel.ControlsPanel, extension).drawn if "text" in one.settings]
+    assert [tip.partition("°")[0] for tip in tips] == ["90", "25"]
+
+
+def test_an_avatar_that_is_loaded_is_told_of(extension, engine):
+    add()
+    engine.status = Status("ready", 1.0)
+    assert "Loading" not in text_of(draw(hand_panel.HandPanel, extension))
+    engine.status = Status("ready", 1.0, busy=True, doing="Loading the avatar")
+    assert "Loading the avatar…" in text_of(draw(hand_panel.HandPanel, extension))
+
+
 def test_the_light_panel_says_how_each_hand_answers_the_light_of_the_scene(extension, engine, monkeypatch, tmp_path):
     light = picture.LightPanel
     add()
     monkeypatch.setitem(
         avatar_files.SHIPPED_CARDS, "builtin", replace(avatar_files.SHIPPED_CARDS["builtin"], known_light=True)
     )
-    assert "Learned in known light" in text_of(draw(light, extension))
+    assert "Lit by lamps and world" in text_of(draw(light, extension))
     add("left").jghand.avatar = str(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7, learnt={"lobes": 8}))
     seen_hands.forget()
     seen = text_of(draw(light, extension))
-    assert "Right Hand: Learned in known light" in seen
-    assert "Left Hand: Estimated: learned in an unknown light" in seen
+    assert "Right Hand: Lit by lamps and world" in seen
+    assert "Left Hand: Lit by lamps and world, by estimate" in seen
 
 
 def test_a_camera_that_cannot_be_used_is_told(extension, engine):
@@ -344,7 +374,7 @@ def test_one_hand_shows_at_most_25_controls(extension, engine):
         (name, one.text or one.arguments.get("property"))
         for name, layout in seen.items()
         for one in layout.drawn
-        if one.function in CONTROLS
+        if one.function in CONTROLS and one.arguments.get("operator") != "jghand.explain"  # a text with a tooltip
     ]
     assert 10 < len(controls_seen) <= 25, controls_seen
 

@@ -12,6 +12,7 @@ import hands
 import numpy as np
 import pytest
 
+from blender_addon import ui
 from blender_addon.core import film, posing
 from blender_addon.core.view import Moment, picture_request
 from blender_addon.hand import armature, sources
@@ -394,7 +395,7 @@ def test_a_failed_render_says_why_above_its_image_too_and_in_lines_that_fit_a_po
     engine._say(fake, text)
     assert said == [("image", text), ("shown", ""), ({"ERROR"}, text)]  # a log has its sentence in one line
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(render_engine, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+        patch.setattr(ui, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
         engine._say(fake, text)
     lines = said[-1][1].split(" \n")
     assert " ".join(lines) == text
