@@ -4,7 +4,7 @@
     .envs/engine/bin/python scripts/benchmark_trainings.py CAPTURE --out FOLDER --minutes 1,4 --gaussians 10000
 
 Every cell is a training of its own, whose schedule was planned for its minutes; the log of one long training says
-nothing of a shorter one. All cells take four hours of a core. What is finished is kept and what was stopped goes on,
+nothing of a shorter one. All cells take an hour of a core. What is finished is kept and what was stopped goes on,
 so the table can be made in parts: cells without a finished training are shown as not run. Minutes are those of the
 processors, all threads together, and so are the milliseconds of drawing: other programs beside it take nothing from a
 cell. With OMP_NUM_THREADS=1 they are those of one core. The steps that they made are told.
@@ -50,7 +50,7 @@ from jghand_engine.study.report import INK, PAGE, STYLE, Report, check_folder, t
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MINUTES, GAUSSIANS = (1.0, 4.0, 15.0, 60.0), (10_000, 40_000, 160_000)
+MINUTES, GAUSSIANS = (1.0, 4.0, 15.0), (10_000, 40_000, 160_000)
 # pictures are judged and timed as `jghand evaluate` draws them
 PRESET = "final"
 NOT_RUN = "not run"
