@@ -38,7 +38,11 @@ from jghand_engine.study.stability_scenes import SCENES, scene_row
 
 RIGHT = Handedness.RIGHT
 # of the study's seven, as each takes 4 s: the worst that are flagged, in precision, and that are not, in steadiness,
-FAR_TESTED = ("random points that are no hand", "middle finger sideways, +90 degrees")
+FAR_TESTED = (
+    "random points that are no hand",
+    "middle finger sideways, +90 degrees",
+    "index folded back at its knuckle",
+)
 # and those that come nearest to the bound by what was learned: the shown tier moves skin by 1.65 and 1.81 mm of 2
 NEAREST = ("ordinary: fist", "bones +50 % and -50 % in turn")
 row_of = cache(lambda name: correctives_row(hand_cases()[name]))
