@@ -136,9 +136,11 @@ class Detail:
         power: of the texture's ratios, see `detail_power` · is_lit: whether light falls on the relief
         """
         ratio, change = self._most
-        level = float(mixed_level(min(math.log2(max(texels_per_px, 1.0)), len(ratio) - 1.0)))
+        level = min(math.log2(max(texels_per_px, 1.0)), len(ratio) - 1.0)
         finer = int(level)
-        coarser, part = min(finer + 1, len(ratio) - 1), level - finer
+        coarser = min(finer + 1, len(ratio) - 1)
+        # whole where one level serves
+        part = min(max((level - finer - MIX_FROM) / (MIX_TO - MIX_FROM), 0.0), 1.0)
         left = power * (ratio[finer] + part * (ratio[coarser] - ratio[finer]))
         return left + (change[finer] + part * (change[coarser] - change[finer]) if is_lit else 0.0)
 
@@ -151,12 +153,6 @@ class Detail:
         # along column and row at once
         steepest = math.sqrt(2) * self.slopes.most * (self.slopes.step_m * self.density_per_m[2] / self.size)
         return ratio.tolist(), np.log1p(np.minimum(steepest, LIGHT_CHANGE_MAX)).tolist()
-
-
-def mixed_level(level: float | np.ndarray) -> np.ndarray:
-    """The level of the mips that is drawn for one whose texels are as large as a pixel: whole where one serves."""
-    part = (level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM)
-    return np.floor(level) + np.minimum(np.maximum(part, 0.0), 1.0)
 
 
 def log_ratios(texels: np.ndarray) -> np.ndarray:

@@ -130,7 +130,8 @@ class LiveHand:
             gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(camera.eye_m))
             picture = rasterize(gaussians, camera, settings)
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
-            large = fade_with_size(extent_px(*camera.project(joints_m), camera))
+            pixels, depth_m = camera.project(joints_m)
+            large = fade_with_size(extent_px(float(np.ptp(pixels, 0).max()), float(depth_m.min()), camera))
             strength = large * fade(self._gate.score(joints_m, float(bones.scale)))
             if self._look is not None and self._look.printed:
                 seen = printed_visibility(picture.depth_sum, picture.alpha, settings.shadow_samples)

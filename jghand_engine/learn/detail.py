@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from jghand_engine.avatar.avatar import HandAvatar, forearm_way, with_slices
-from jghand_engine.avatar.detail import LOG_RATIO_MAX, NO_RATIO, Detail, mixed_level, ratio_bytes
+from jghand_engine.avatar.detail import LOG_RATIO_MAX, MIX_FROM, MIX_TO, NO_RATIO, Detail, ratio_bytes
 from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import HandPose
@@ -216,6 +216,11 @@ def _add_heights(
     weight += np.bincount(corners[kept].ravel(), weights.ravel(), minlength=len(weight))
 
 
+def _mixed_level(level: np.ndarray) -> np.ndarray:
+    """The level of the mips that is drawn for one whose texels are as large as a pixel: whole where one serves."""
+    return np.floor(level) + np.clip((level % 1 - MIX_FROM) / (MIX_TO - MIX_FROM), 0.0, 1.0)
+
+
 def _shares(corners_m: np.ndarray, camera: Camera, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(N, 3) shares of the corners (N, 3, 3) of the faces that pixels show, where their middles meet them: the volumes
     that the ray cuts off the tetrahedron of the eye and the face."""
@@ -316,7 +321,7 @@ class DetailLearner(nn.Module):
         uv = np.einsum("nk,nki->ni", _shares(corners_m, camera, y, x), surface.face_uv[face])
         # texels that a pixel spans, the mean square of its two sides, as the renderer takes them
         spans2 = TEXELS**2 * _squared_slopes(surface.face_uv[face], camera.project(corners_m)[0]) / 2
-        level = mixed_level(0.5 * np.log2(np.clip(spans2, 1, 4.0 ** (MIP_LEVELS - 1))))
+        level = _mixed_level(0.5 * np.log2(np.clip(spans2, 1, 4.0 ** (MIP_LEVELS - 1))))
         return _Places(
             torch.from_numpy((y * camera.width + x).astype(np.int32)),
             torch.from_numpy(np.rint(np.clip(uv, 0, 1) * UV_STEPS).astype(np.uint16)),

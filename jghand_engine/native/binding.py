@@ -47,6 +47,7 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_raster_backward": (None, (_P,)),
     "jg_skeleton_bytes": (_I32, ()),
     "jg_bone_transforms": (_I32, (_P, _P, _P, _P, _P)),
+    "jg_view": (None, (_I32, _P, _P, _P, _P, _P, _P, _I32, _P)),
 }
 
 

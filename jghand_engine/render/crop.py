@@ -10,6 +10,7 @@ import numpy as np
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import contract
 from jghand_engine.render.camera import Camera
+from jghand_engine.render.gate import extent_px
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
 
@@ -21,18 +22,21 @@ NOWHERE = Box(0, 0, 0, 0)
 class View:
     """A hand in a pose before a camera. joints_m: (21, 3) world meters; the first is where its root is
 
-    points_m:    (3, K) in the axes of the camera, whose hull holds every skinned place; lows_m, highs_m: per axis
-    splat_m:     how far a Gaussian reaches from its center in an image with this cut-off
-    offset_by_m: how far its center may be from its skinned place
+    lows_m, highs_m: along the axes of the camera, of points whose hull holds every skinned place; infinite without any
+    lows, highs:     the same of x / z and y / z, of parallel rays of x and y
+    splat_m:         how far a Gaussian reaches from its center in an image with this cut-off
+    offset_by_m:     how far its center may be from its skinned place
+    nearest_m:       depth of the nearest joint
+    extent_px:       the longer side of the box around the hand
     """
 
     def __init__(self, joints_m: np.ndarray, bones: Bones, hand: HandFacts, camera: Camera, alpha_min: float) -> None:
         self.bones, self.hand, self.camera = bones, hand, camera
-        rotation, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-        self.points_m = rotation @ hand.corners_m(bones.maps) + (rotation @ joints_m[0] + offset_m)[:, None]
-        self.lows_m: list[float] = np.minimum.reduce(self.points_m, 1, initial=math.inf).tolist()
-        self.highs_m: list[float] = np.maximum.reduce(self.points_m, 1, initial=-math.inf).tolist()
-        self.splat_m, self.offset_by_m = hand.reach_m(bones, alpha_min)
+        found = hand.before(camera, joints_m, bones)
+        self.lows_m, self.highs_m, self.lows, self.highs = found[:3], found[3:6], found[6:8], found[8:10]
+        stretch, self.nearest_m, wide, high = found[10:]
+        self.splat_m, self.offset_by_m = hand.reach_m(bones.scale, stretch, alpha_min)
+        self.extent_px = extent_px(max(camera.fx * wide, camera.fy * high), self.nearest_m, camera)
 
 
 def views_box(views: Iterable[View], alpha_min: float) -> Box:
@@ -45,9 +49,9 @@ def views_box(views: Iterable[View], alpha_min: float) -> Box:
     # hands share a low pass, `Backend.draw`: whichever of theirs it is
     low_pass_m = cut * max((view.hand.avatar.pixel_m * view.bones.scale for view in views), default=0.0)
     for view in views:
-        camera, points, flags = view.camera, view.points_m, view.bones.flags
+        camera, flags = view.camera, view.bones.flags
         width, height = camera.width, camera.height
-        if not points.shape[1]:
+        if view.lows_m[2] > view.highs_m[2]:
             continue
         splat_m, offset_by_m = math.hypot(view.splat_m, low_pass_m), view.offset_by_m
         reach_m = splat_m + offset_by_m
@@ -69,11 +73,7 @@ def views_box(views: Iterable[View], alpha_min: float) -> Box:
                 found[axis] = min(found[axis], focal * start + center - low_pass_px)
                 found[axis + 1] = max(found[axis + 1], center - focal * end + low_pass_px)
             continue
-        lows, highs = view.lows_m[:2], view.highs_m[:2]
-        if not camera.orthographic:
-            slope = points[:2] / points[2]
-            lows, highs = np.minimum.reduce(slope, 1).tolist(), np.maximum.reduce(slope, 1).tolist()
-        for axis, low, high in zip((0, 2), lows, highs, strict=True):
+        for axis, low, high in zip((0, 2), view.lows, view.highs, strict=True):
             focal, center = (camera.fy, camera.cy) if axis else (camera.fx, camera.cx)
             # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes
             # on top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)

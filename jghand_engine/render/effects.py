@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from jghand_engine.render.blur import (
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.crop import View, views_box
 from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
-from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, extent_px, fade, fade_with_size, gap_between
+from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, fade, fade_with_size, gap_between
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
 from jghand_engine.render.light_effects import Lit, light_decisions
@@ -149,16 +148,6 @@ class Scene:
     reshaped: bool = True
     lit: Lit | None = None
 
-    @cached_property
-    def seen_joints(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Per hand pixels (21, 2) and depths (21,), meters, of its joints: found once for all effects."""
-        return [self.camera.project(joints) for joints in self.joints_m]
-
-    @cached_property
-    def extents_px(self) -> list[float]:
-        """Per hand the longer side of the box around it."""
-        return [extent_px(pixels, depth, self.camera) for pixels, depth in self.seen_joints]
-
     def views(self, hands: Sequence[HandFacts], alpha_min: float) -> list[View]:
         """Per hand where its skin may be."""
         triples = zip(self.joints_m, self.bones, hands, strict=True)
@@ -174,11 +163,11 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         nothing = tuple(Decision(effect, False, "no hand is in the image") for effect in Effect if effect not in other)
         return EffectPlan(nothing, box)
     if scene.lit is None:
-        strength, shadow = plan_shadow(scene, hands, settings)
+        strength, shadow = plan_shadow(scene, views, settings)
         light = [shadow]
     else:
         strength, light = 0.0, light_decisions(scene.lit, scene.moved_m, scene.bones, hands, settings.effects)
-    enlarged, plain, smooth = _filter(scene, hands, settings, box)
+    enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
@@ -223,17 +212,16 @@ def _reuse(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -
     return decisions
 
 
-def _filter(
-    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, box: Box
-) -> tuple[int, float, Decision]:
+def _filter(views: Sequence[View], settings: RenderSettings, box: Box) -> tuple[int, float, Decision]:
     """How many times larger the hand is drawn, the share of the image that is not, and why."""
-    nearest = [float(depth.min()) for _, depth in scene.seen_joints]
     sigma_px = min(
         # infinite when the camera is inside the hand
-        hand.sigma_m * bones.scale * scene.camera.px_per_meter(depth_m) if depth_m > contract.Z_NEAR_M else math.inf
-        for hand, depth_m, bones in zip(hands, nearest, scene.bones, strict=True)
+        view.hand.sigma_m * view.bones.scale * view.camera.px_per_meter(view.nearest_m)
+        if view.nearest_m > contract.Z_NEAR_M
+        else math.inf
+        for view in views
     )
-    cost, figures = _count(hands) * RASTER_MS, (sigma_px,)
+    cost, figures = _count([view.hand for view in views]) * RASTER_MS, (sigma_px,)
     if sigma_px >= FILTER_SIGMA_PX:
         return 1, 1.0, Decision(Effect.FILTER, False, "Gaussians of {0:.2g} px", "0", 0.0, cost, figures)
     most = math.isqrt(max(FILTER_PIXELS_MAX // max(box.width * box.height, 1), 1))
@@ -256,7 +244,7 @@ def plan_detail(scene: Scene, views: Sequence[View], settings: RenderSettings) -
     if all(view.hand.avatar.detail is None for view in views):
         return (), Decision(Effect.DETAIL, False, "no hand has a texture of it")
     seen, spans, cost = [], [], 0.0
-    for view, extent in zip(views, scene.extents_px, strict=True):
+    for view in views:
         detail = view.hand.avatar.detail
         if detail is None:
             seen.append(0.0)
@@ -269,7 +257,7 @@ def plan_detail(scene: Scene, views: Sequence[View], settings: RenderSettings) -
         color = math.expm1(detail.strongest(spans[-1], hand.detail_power, is_lit=hand.learned is not None))
         # outlines are seen at any size
         seen.append(1.0 if detail.ends_hand else color)
-        side = min(extent, scene.camera.width, scene.camera.height)
+        side = min(view.extent_px, scene.camera.width, scene.camera.height)
         cost += len(detail.faces) * FACE_MS + 0.5 * side**2 * (TEXEL_MS if detail.relief is None else RELIEF_TEXEL_MS)
     strengths = tuple(1.0 if effects.forces(Effect.DETAIL) else min(max(s / DETAIL_UNSEEN - 1, 0.0), 1.0) for s in seen)
     worst, figures = max(seen), (min(spans), 100 * max(seen))
@@ -295,18 +283,19 @@ def _crop(scene: Scene, settings: RenderSettings, box: Box, shaded: bool) -> Dec
     return Decision(Effect.WHOLE, False, why, lost, worst, (1 - part) * cost, figures)
 
 
-def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[float, Decision]:
+def plan_shadow(scene: Scene, views: Sequence[View], settings: RenderSettings) -> tuple[float, Decision]:
     """Strength 0..1 of the pass that shades all hands, and why.
 
     It fades in with the gate, parts of a hand or hands near each other, and with the size of the hands, so that nothing
     pops. A shadow that nobody would see, as it was measured, is left out.
     """
+    hands, extents_px = [view.hand for view in views], [view.extent_px for view in views]
     looks = [hand.look for hand in hands if hand.look is not None]
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     darkest = max((max(look.tint) for look in looks), default=0.0)
     near = len(hands) > 1 and gap_between(scene.joints_m) < GATE_RADIUS_M
     seen = max((_seen(hand, near=near) for hand in hands), default=0.0)
-    large = 1.0 if always else fade_with_size(max(scene.extents_px))
+    large = 1.0 if always else fade_with_size(max(extents_px))
     gated = [hand.gated for hand in hands]
     strength, worst, figure = 0.0, darkest, 0.0
     if settings.shadow is ShadowMode.OFF:
@@ -318,7 +307,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
     elif seen <= SHADOW_UNSEEN and not always:
         why, figure, worst = "seen by {0:.1f} of 255 steps", 255 * seen, seen
     elif large == 0:
-        why, figure, worst = "hand {0:.0f} px", max(scene.extents_px), min(darkest, SHADOW_MISSED)
+        why, figure, worst = "hand {0:.0f} px", max(extents_px), min(darkest, SHADOW_MISSED)
     elif always and not any(gated):
         why, strength = "on every frame", 1.0
     else:
@@ -329,7 +318,7 @@ def plan_shadow(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettin
         if strength == 0:
             # colors that were learned under a shadow that fades with the pose have in them what it leaves out
             worst = 0.0 if all(gated) else min(darkest, SHADOW_MISSED)
-    sides = [min(extent, max(scene.camera.width, scene.camera.height)) for extent in scene.extents_px]
+    sides = [min(extent, max(scene.camera.width, scene.camera.height)) for extent in extents_px]
     # the boxes of the joints, half filled
     cost = 0.5 * sum(side * min(side, scene.camera.height) for side in sides) * settings.shadow_samples * SHADOW_MS
     lost = "darker by up to {1:.0f} %"

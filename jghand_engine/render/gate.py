@@ -127,14 +127,12 @@ def fade_with_size(size_px: float) -> float:
     return smoothstep(size_px, SHADOW_HAND_MIN_PX, SHADOW_HAND_FULL_PX)
 
 
-def extent_px(pixels: np.ndarray, depth_m: np.ndarray, camera: Camera) -> float:
-    """The longer side of the box around a hand on the image, of joints that `camera.project` put there; infinite when
-    the camera is inside the hand."""
-    nearest_m = float(depth_m.min())
+def extent_px(joints_px: float, nearest_m: float, camera: Camera) -> float:
+    """The longer side of the box around a hand on the image, of that around its joints and the depth of the nearest;
+    infinite when the camera is inside the hand."""
     if not nearest_m > Z_NEAR_M:
         return math.inf
-    flesh_px = 2e-3 * max(CAPSULE_RADII_MM) * camera.px_per_meter(nearest_m)
-    return float((pixels.max(0) - pixels.min(0)).max()) + flesh_px
+    return joints_px + 2e-3 * max(CAPSULE_RADII_MM) * camera.px_per_meter(nearest_m)
 
 
 def smoothstep(value: float, low: float, high: float) -> float:

@@ -13,13 +13,16 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import CorrectiveChange, LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX
-from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.skeleton import Bones
+from jghand_engine.native import library
+from jghand_engine.render.camera import Camera
 from jghand_engine.render.gate import ShadowGate
 
 # offsets of the correctives are stretched by at most this beyond their bones' maps: where bones that are folded share
 # the skin, their mean map keeps its length along the axis of the fold, and is divided by the third root of its volume
 OFFSET_STRETCH = BLEND_DET_MIN ** (-1 / 3)
+# numbers that native/view.cpp finds
+FOUND = 14
 PRINTED_NOTE = "the avatar was trained with the shadow of the paper, which is not drawn: JGHand's own is another one"
 
 
@@ -53,9 +56,14 @@ class HandFacts:
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         # the longest offset of the correctives
         self._offset_m = 0.0 if net is None else OFFSET_STRETCH * math.sqrt(3) * net.longest_offset_m()
-        # along these a bone is stretched
-        self._frames = avatar.skeleton().canonical.frames
         self._moving, self._corners_m = _corners(avatar)
+        # along these a bone is stretched
+        self._frames = np.ascontiguousarray(avatar.skeleton().canonical.frames)
+        self._call = library.load().call.jg_view
+        constant = (self._moving, self._corners_m, self._frames)
+        self._constant = len(self._moving), *(array.ctypes.data for array in constant)
+        # of the last pose that was asked for
+        self._found = np.empty(FOUND)
         # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
         # like the corners; twice is more than it does to the skin of a hand
         self._sigma_max_m = float(avatar.sigma_m.max(initial=0.0)) * SIGMA_STRETCH_MAX
@@ -63,26 +71,25 @@ class HandFacts:
             longest_m = avatar.sigma_m * np.exp(self.learned.ellipsoid.log_stretch.max(1, initial=-np.inf))
             self._sigma_max_m = 2 * float(longest_m.max(initial=0.0))
 
-    def reach_m(self, bones: Bones, alpha_min: float) -> tuple[float, float]:
-        """How far a Gaussian of that pose reaches from its center in an image with this cut-off, and how far its center
-        may be from its skinned place."""
-        seen, longest = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m, 1.0
-        if self._offset_m:
-            # a bone that is longer than the hand's scale says stretches the offsets along it
-            stretched = bones.linear_offset[:JOINT_COUNT, :, :3] @ self._frames
-            longest = max(math.sqrt(np.einsum("ijk,ijk->ik", stretched, stretched).max()), 1.0)
-        return seen * max(bones.scale, 1.0), self._offset_m * longest
+    def before(self, camera: Camera, joints_m: np.ndarray, bones: Bones) -> list[float]:
+        """Where a pose is before a camera, as native/view.cpp has it: 14 numbers. joints_m: (21, 3) float64, world"""
+        maps, joints = np.ascontiguousarray(bones.linear_offset, np.float32), np.ascontiguousarray(joints_m, np.float64)
+        given = (array.ctypes.data for array in (maps, joints, camera.camera_from_world))
+        self._call(*self._constant, *given, camera.orthographic, self._found.ctypes.data)
+        return self._found.tolist()
 
-    def corners_m(self, maps: np.ndarray) -> np.ndarray:
-        """(3, K) points relative to the hand's root whose hull holds every skinned place. maps: of `Bones`"""
-        return (maps[self._moving] @ self._corners_m).swapaxes(0, 1).reshape(3, -1)
+    def reach_m(self, scale: float, stretch: float, alpha_min: float) -> tuple[float, float]:
+        """How far a Gaussian reaches from its center in an image with this cut-off, and how far its center may be from
+        its skinned place. scale: of the hand · stretch: of its bones along their frames, at most: one that is longer
+        than the scale says stretches the offsets along it."""
+        seen_m = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
+        return seen_m * max(scale, 1.0), self._offset_m * max(stretch, 1.0)
 
     def skin_change_m(self, new: Bones, old: Bones) -> float:
         """How far a point of the skin is from where another pose has it, at most, correctives that change apart: a
         skinned point is a mean of what its bones make of it, so that it moves less than some corner of a bone's box."""
         change = new.maps.astype(np.float64) - old.maps
-        corners_m = self.corners_m(change)
-        moved_m = math.sqrt(np.square(corners_m).sum(0).max(initial=0.0))
+        moved_m = math.sqrt(np.square(change[self._moving] @ self._corners_m).sum(1).max(initial=0.0))
         # offsets turn with the hand, by no more than twice what their bones' maps change
         turned = 2 * math.sqrt(np.square(change[:, :, :3]).sum((1, 2)).max())
         return moved_m + turned * self._offset_m + float(np.linalg.norm(new.root_m - old.root_m))
@@ -100,4 +107,4 @@ def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     moving = np.asarray(moves.any(1))
     ends = [np.stack([relative[rows].min(0), relative[rows].max(0)], 1) for rows in moves[moving]]
     corners = [np.stack(np.meshgrid(*pair, [1.0], indexing="ij")).reshape(4, 8) for pair in ends]
-    return np.flatnonzero(moving), np.array(corners).reshape(-1, 4, 8)
+    return np.flatnonzero(moving).astype(np.int32), np.array(corners).reshape(-1, 4, 8)

@@ -31,7 +31,7 @@ from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.crop import views_box
+from jghand_engine.render.crop import View, views_box
 from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
 from jghand_engine.render.hand_facts import HandFacts
@@ -477,7 +477,8 @@ def test_no_offset_is_stretched_farther_than_the_box_knows(degrees: float, longe
     stretched_m = bones.scale * float(torch.linalg.matrix_norm(maps.turning, 2).max()) * longest_m
     assert not bones.flags
     assert stretched_m > 1.5 * longest_m  # otherwise this would say nothing
-    assert stretched_m <= facts.reach_m(bones, contract.ALPHA_MIN)[1] * (1 + 1e-6)  # maps are in 32 bits
+    view = View(joints, bones, facts, camera(), contract.ALPHA_MIN)
+    assert stretched_m <= view.offset_by_m * (1 + 1e-6)  # maps are in 32 bits
 
 
 @pytest.mark.parametrize("joints_of", POSED.values(), ids=POSED)
