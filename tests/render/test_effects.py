@@ -114,6 +114,15 @@ def test_the_estimate_of_a_shadow_grows_with_its_samples_and_the_hand():
     assert estimate(16, 150.0) > 0
 
 
+def test_the_estimate_of_blur_is_that_of_all_gaussians_in_every_further_picture():
+    for gaussians, shift_m in ((500, 0.005), (1000, 0.005), (500, 0.02)):
+        renderer = HandRenderer(RIGHT, replace(SMALL, gaussians=gaussians))
+        plan = plan_of(renderer.render_moments(moving(shift_m, camera()), EVEN))
+        each_ms = gaussians * (effects.RASTER_MS + effects.SKIN_MS)
+        assert plan.runs(Effect.MOTION)
+        assert plan[Effect.MOTION].estimated_ms == pytest.approx((plan.exposures - 1) * each_ms)
+
+
 def test_every_effect_is_decided_about_once_and_has_a_line():
     frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera())
     decided = [decision.effect for decision in plan_of(frame).decisions]
@@ -429,13 +438,15 @@ def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     whole = HandRenderer(RIGHT, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE])))).render(
         pose("open"), view
     )
-    assert sizes[0][0] * sizes[0][1] < 0.25 * 1024 * 768
-    assert sizes[1] == (1024, 768)
+    assert sizes == [(plan_of(frame).box.width, plan_of(frame).box.height), (1024, 768)]
     assert frame.rgba.shape == whole.rgba.shape
     assert difference(frame, whole) <= 1 / 255
     assert np.abs(frame.depth_m - whole.depth_m).max() < 1e-4
     # the receipt says what that may change, where there is a shadow and where there is none, and what it saves
     left_out, box = plan_of(frame)[Effect.WHOLE], plan_of(frame).box
+    rows, columns = (np.flatnonzero(whole.rgba[..., 3].any(axis)) for axis in (1, 0))
+    ends = (box.left + box.width - columns[-1], box.top + box.height - rows[-1])
+    assert max(columns[0] - box.left, rows[0] - box.top, *ends) < 40  # observed 38 px
     part = box.width * box.height / (1024 * 768)
     assert left_out.estimated_ms == pytest.approx((1 - part) * plan_of(whole)[Effect.WHOLE].estimated_ms)
     shaded = plan_of(HandRenderer(RIGHT, SMALL).render(pose("fist"), camera(1024, 768, focal_px=600.0)))
@@ -693,6 +704,20 @@ def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
     )
     assert both == alone
     assert alone.width > 0
+
+
+def test_the_box_of_two_hands_is_that_around_the_boxes_of_each():
+    here, view, facts = pose("open"), camera(640, 480), HandFacts(RIGHT)
+
+    def edges(*hands_m: np.ndarray) -> tuple[int, int, int, int]:
+        bones = [RIGHT.skeleton().bones(hand_m) for hand_m in hands_m]
+        box = box_of(effects.Scene(hands_m, bones, view), [facts] * len(hands_m))
+        return box.left, box.top, box.left + box.width, box.top + box.height
+
+    for place_m in ([0.3, 0.15, 0.0], [-0.3, 0.15, 0.0]):
+        there = here + np.array(place_m)
+        each = np.array([edges(here), edges(there)])
+        assert edges(here, there) == edges(there, here) == (*each[:, :2].min(0), *each[:, 2:].max(0))
 
 
 def test_parallel_rays_that_begin_within_a_hand_may_meet_it_anywhere():
