@@ -87,6 +87,8 @@ def test_the_kernel_draws_what_the_specification_says(name, handedness, view, mo
         assert 5e-4 < np.abs(posed_surface(avatar, pose(name, handedness))[0] - still_m).max() < 3e-3
     with_detail, without = both(avatar, name, seen)
     joints_m = pose(name, handedness)
+    posed_m = DetailedHand.of(avatar, 1.0).posed_m(avatar.skeleton().bones(joints_m, np.float64))
+    np.testing.assert_allclose(posed_m, posed_surface(avatar, joints_m)[0], rtol=0, atol=1e-12)
     wanted, surface_m, certain = ratios(avatar, joints_m, seen, without.rgba[..., 3], without.depth_m)
     assert np.isfinite(surface_m).sum() > 2000
     covered = without.rgba[..., 3] > 0.2
