@@ -54,10 +54,8 @@ def pose(name: str, avatar=RIGHT) -> np.ndarray:
 
 
 def camera(width: int = 200, height: int = 160, *, away_m: float = 0.5, focal_px: float = 300.0, side_m: float = 0.15):
-    target = torch.tensor([0.0, 0.08, 0.0], dtype=torch.float64)
-    eye = target + torch.tensor([side_m, 0.1, away_m], dtype=torch.float64)
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    return Camera.looking_at(eye, target, up, width=width, height=height, focal_px=focal_px)
+    eye, target = (side_m, 0.18, away_m), (0, 0.08, 0)
+    return Camera.looking_at(eye, target, (0, 1, 0), width=width, height=height, focal_px=focal_px)
 
 
 def difference(first: Frame, second: Frame) -> float:
