@@ -18,6 +18,7 @@ from jghand_engine.render.blur import (
     focus_count,
     focus_error,
     middle,
+    motion_count,
     shutter_at,
     way_px,
 )
@@ -79,6 +80,10 @@ def test_moments_that_are_far_apart_get_others_between_them_in_even_steps():
 def test_moments_that_are_near_each_other_stay_as_they_are():
     moments = [Moment([HAND_M], CAMERA), Moment([HAND_M + 1e-3], CAMERA)]
     assert filled(moments, [1.0, 3.0], [0]) == (moments, [0.25, 0.75])
+    # more than are needed
+    many = [Moment([HAND_M + 2e-4 * k], CAMERA) for k in range(8)]
+    assert 1 < motion_count(way_px(many, [0])) < 8
+    assert filled(many, [1.0] * 8, [0]) == (many, [0.125] * 8)
 
 
 def test_moments_of_a_hand_at_rest_are_one_image():

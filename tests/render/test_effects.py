@@ -31,7 +31,7 @@ from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.crop import views_box
-from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Choice, Effect, EffectPlan
+from jghand_engine.render.effect_plan import CHOOSABLE, NOT_CHOSEN, OF_SCENE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
@@ -661,6 +661,16 @@ def test_a_hand_that_only_the_rim_of_the_lens_sees_is_blurred_there():
     from_middle_m = farthest_m(pinhole, lambda plan: plan.box.width > 0)
     from_rim_m = farthest_m(replace(pinhole, lens=Lens(0.04, 0.2)), lambda plan: plan.runs(Effect.FOCUS))
     assert 0.030 < from_rim_m - from_middle_m < 0.040  # the box is a little deeper
+
+
+def test_blur_that_was_not_chosen_is_a_picture_of_the_middle_through_a_pinhole():
+    settings, view = replace(SMALL, effects=Choice.parse("self-shadow")), replace(camera(), lens=Lens(0.01, 0.45))
+    frame = HandRenderer(RIGHT, settings).render_moments(moving(0.04, view), EVEN)
+    plan = plan_of(frame)
+    assert plan.exposures == 1
+    for effect, lost in ((Effect.MOTION, "moving edges are sharp"), (Effect.FOCUS, "everything is sharp")):
+        assert (plan[effect].runs, plan[effect].reason, plan[effect].bound) == (False, NOT_CHOSEN, lost)
+    assert np.array_equal(frame.rgba, HandRenderer(RIGHT, settings).render(pose("relaxed"), camera()).rgba)
 
 
 def test_a_shutter_over_a_hand_at_rest_and_a_pinhole_cost_one_picture():
