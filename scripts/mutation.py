@@ -107,6 +107,15 @@ class Mutant:
         lines[self.line - 1] = line[: self.place] + re.sub(pattern, other, line[self.place :], count=1)
         return "\n".join(lines)
 
+    @property
+    def is_program(self) -> bool:
+        """Whether it is another one than the original, and one that Python reads: cosmic-ray takes the bare star of a
+        signature for a product."""
+        try:
+            return self.text() != self.original and (is_cpp(self.path) or bool(compile(self.text(), self.path, "exec")))
+        except SyntaxError:
+            return False
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -131,7 +140,7 @@ def main() -> int:
         for area in options.areas or AREAS:
             killed = tried = 0
             for mutant in sampled(area, options.sample, random.Random(options.seed)):
-                if mutant.text() == mutant.original:
+                if not mutant.is_program:
                     continue
                 survived = outlives(mutant, copy, tests_of(mutant.path, AREAS[area][1]))
                 if survived is None:

@@ -54,6 +54,12 @@ def joints_of(pose: str, handedness: Handedness = Handedness.RIGHT) -> np.ndarra
     return named_pose(pose, load_template().joints_m, handedness=handedness)
 
 
+def rotation(seed: int = 1) -> torch.Tensor:
+    """(3, 3) float64, any."""
+    q, _ = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)))
+    return q * torch.linalg.det(q).sign()
+
+
 def bones_of(joints_m: np.ndarray | torch.Tensor, handedness: Handedness = Handedness.RIGHT) -> BoneTransforms:
     """The transforms of a pose, from the built-in hand."""
     transform = JointTransform(load_template().joints_m, handedness=handedness)

@@ -221,7 +221,7 @@ class LearnedHand(nn.Module):
                 shine=torch.exp(SHINE_SPREAD * torch.tanh(out[:, 10])) if options.glossy else out.new_zeros(count),
                 response=self.response(out) if options.known_light else None,
                 light=self.light(),
-                correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
+                correctives=self.pose_net.prefix(count),
                 shadow=self.shadow_look(),
                 world_offsets=options.offset_frame is OffsetFrame.WORLD,
                 ellipsoid=self.ellipsoid(count),

@@ -124,8 +124,6 @@ class Backend:
             self._hands.append(Poser(library, avatar, mine, limits_of(settings.effects)))
             first += len(mine)
         self._padding = rows - sum(len(avatar) for avatar in avatars)
-        self._rasterizer = self._new_rasterizer()
-        self._shade: NativeShade | None = None
         # numbers of the hands that have one
         self._detailed = [place for place, avatar in enumerate(avatars) if avatar.detail is not None]
         self._detail: NativeDetail | None = None
@@ -136,8 +134,8 @@ class Backend:
                 [DetailedHand.of(avatars[place], detail_powers[place], self._hands[place]) for place in self._detailed],
                 outline_px=settings.outline_px,
             )
-        self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
         self.light: SceneLight | None = None
+        self.rest()
 
     def draw(
         self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keep_image: bool = False
@@ -195,8 +193,9 @@ class Backend:
 
     def rest(self) -> None:
         """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""
-        self._rasterizer, self._shade = self._new_rasterizer(), None
-        self._planes = aligned_zeros((PLANES, 0, 0))
+        self._rasterizer = self._new_rasterizer()
+        self._shade: NativeShade | None = None
+        self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
 
     def mean(self, width: int, height: int, *, linear: bool) -> LinearMean:
         """A mean of images of that size, empty. linear: whether they are scene-linear"""

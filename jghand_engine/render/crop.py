@@ -90,7 +90,7 @@ def _beyond(aside_m: float, splat_m: float, farthest_m: float) -> float:
     """From where on the plane at depth 1 splats can be seen whose centers are at least `aside_m` beside the axis, from
     the near plane to the farthest depth: one at x, z begins at (x - r (1 + x / z)) / z or farther out."""
     clear_m = aside_m * (1 - splat_m / contract.Z_NEAR_M) - splat_m
-    return clear_m / farthest_m if aside_m > 0 and splat_m < contract.Z_NEAR_M and clear_m > 0 else -math.inf
+    return clear_m / farthest_m if splat_m < contract.Z_NEAR_M and clear_m > 0 else -math.inf
 
 
 def _on_grid(low: float, high: float, size: int) -> tuple[int, int]:

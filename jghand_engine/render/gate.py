@@ -41,13 +41,11 @@ _RADII_M = np.array(CAPSULE_RADII_MM) * 1e-3
 
 
 def _far_pairs() -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of bones (0-based) that are not parent and child, not siblings beyond the wrist, not both metacarpals."""
+    """Pairs of bones (0-based) that are not parent and child, and not both metacarpals: no others begin at one joint,
+    and in the order of levels no bone begins where a later one ends."""
     first, second = np.triu_indices(BONE_COUNT, 1)
-    start_a, start_b, end_a, end_b = _PARENTS[first], _PARENTS[second], first + 1, second + 1
-    chained = (start_a == end_b) | (start_b == end_a)
-    siblings = (start_a == start_b) & (start_a != 0)
-    metacarpals = (start_a == 0) & (start_b == 0)
-    keep = ~(chained | siblings | metacarpals)
+    chained, metacarpals = _PARENTS[second] == first + 1, (_PARENTS[first] == 0) & (_PARENTS[second] == 0)
+    keep = ~(chained | metacarpals)
     return first[keep], second[keep]
 
 

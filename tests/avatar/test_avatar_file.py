@@ -59,16 +59,20 @@ def weights_of(learned: Learned) -> list[np.ndarray]:
     return [] if learned.correctives is None else list(learned.correctives.weights.values())
 
 
+def back(folder: Path, avatar: HandAvatar, storage: Storage = Storage.EXACT) -> HandAvatar:
+    """What a file returns of it."""
+    save_avatar(folder / "hand.jghand", avatar, storage=storage)
+    return load_avatar(folder / "hand.jghand")
+
+
 def test_an_exact_file_returns_every_bit(tmp_path):
     avatar = small_avatar().for_hand(Handedness.LEFT)
-    save_avatar(tmp_path / "hand.jghand", avatar)
-    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+    assert same(back(tmp_path, avatar), avatar)
 
 
 def test_a_compact_file_returns_exactly_the_stored_form(tmp_path):
     avatar = small_avatar()
-    save_avatar(tmp_path / "hand.jghand", avatar, storage=Storage.COMPACT)
-    assert same(load_avatar(tmp_path / "hand.jghand"), stored_form(avatar, Storage.COMPACT))
+    assert same(back(tmp_path, avatar, Storage.COMPACT), stored_form(avatar, Storage.COMPACT))
 
 
 @pytest.mark.parametrize("swing", list(Swing))
@@ -76,8 +80,7 @@ def test_a_compact_file_returns_exactly_the_stored_form(tmp_path):
 def test_the_conventions_come_back_as_the_transform_takes_them(tmp_path, swing, scale_mode):
     avatar = small_avatar()
     avatar = replace(avatar, info=replace(avatar.info, swing=swing, scale_mode=scale_mode))
-    save_avatar(tmp_path / "hand.jghand", avatar)
-    again = load_avatar(tmp_path / "hand.jghand")
+    again = back(tmp_path, avatar)
     assert same(again, avatar)
     assert isinstance(again.info.scale_mode, str) == isinstance(scale_mode, str)
     transform = JointTransform(
@@ -89,8 +92,7 @@ def test_the_conventions_come_back_as_the_transform_takes_them(tmp_path, swing, 
 def test_a_file_says_how_the_bones_follow_the_joints(tmp_path):
     avatar = small_avatar()
     avatar = replace(avatar, info=replace(avatar.info, transform=Transform.HALO_LIKE))
-    save_avatar(tmp_path / "halo.jghand", avatar)
-    again = load_avatar(tmp_path / "halo.jghand")
+    again = back(tmp_path, avatar)
     assert same(again, avatar)
     assert isinstance(transform_of(again), HaloLikeTransform)
 
@@ -194,8 +196,7 @@ def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_pat
     avatar = small_avatar()
     info = replace(avatar.info, name="手 · la main d'Ève", license="x" * 500)
     avatar = replace(avatar, info=info, canonical_joints_m=avatar.canonical_joints_m.astype(np.float32))
-    save_avatar(tmp_path / "hand.jghand", avatar)
-    again = load_avatar(tmp_path / "hand.jghand")
+    again = back(tmp_path, avatar)
     assert again.info == info
     assert np.array_equal(again.canonical_joints_m, avatar.canonical_joints_m)
     assert again.canonical_joints_m.dtype == np.float64
@@ -204,17 +205,15 @@ def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_pat
 def test_the_pictures_that_an_avatar_was_learned_from_are_kept(tmp_path):
     learned_from = LearnedFrom("id3 train/Capture0", "splits.json of the capture", 360, "0123456789abcdef", 4.8e-4)
     avatar = small_avatar()
-    save_avatar(tmp_path / "hand.jghand", replace(avatar, info=replace(avatar.info, learned_from=learned_from)))
-    assert load_avatar(tmp_path / "hand.jghand").info.learned_from == learned_from
+    again = back(tmp_path, replace(avatar, info=replace(avatar.info, learned_from=learned_from)))
+    assert again.info.learned_from == learned_from
 
 
 def test_the_joints_of_a_hand_that_is_not_the_canonical_one_are_kept(tmp_path):
     avatar = small_avatar()
-    save_avatar(tmp_path / "plain.jghand", avatar)
-    assert load_avatar(tmp_path / "plain.jghand").own_joints_m is None
+    assert back(tmp_path, avatar).own_joints_m is None
     child = replace(avatar, own_joints_m=0.7 * avatar.canonical_joints_m)
-    save_avatar(tmp_path / "child.jghand", child)
-    loaded = load_avatar(tmp_path / "child.jghand")
+    loaded = back(tmp_path, child)
     assert np.array_equal(loaded.own_joints_m, child.own_joints_m)
     assert np.array_equal(loaded.rest_joints_m, child.own_joints_m)
     assert np.array_equal(loaded.canonical_joints_m, avatar.canonical_joints_m)
@@ -247,8 +246,7 @@ def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
 @pytest.mark.parametrize("make", [trained_avatar, ellipsoid_avatar, known_avatar])
 def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage, make):
     avatar = make()
-    save_avatar(tmp_path / "hand.jghand", avatar, storage=storage)
-    again = load_avatar(tmp_path / "hand.jghand")
+    again = back(tmp_path, avatar, storage)
     assert same(again, stored_form(avatar, storage))
     if storage is Storage.EXACT:
         assert same(again, avatar)
@@ -268,23 +266,20 @@ def test_an_anchor_far_from_the_hand_is_refused(tmp_path):
 def test_a_trained_avatar_without_correctives_or_shadow_comes_back(tmp_path):
     avatar = trained_avatar()
     avatar = replace(avatar, learned=replace(avatar.learned, correctives=None, shadow=None, world_offsets=True))
-    save_avatar(tmp_path / "hand.jghand", avatar)
-    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+    assert same(back(tmp_path, avatar), avatar)
 
 
 def test_a_shadow_of_the_papers_own_form_comes_back(tmp_path):
     avatar = trained_avatar()
     avatar = replace(avatar, learned=replace(avatar.learned, shadow=ShadowLook(tint=(0.1, 0.2, 0.3), printed=True)))
-    save_avatar(tmp_path / "hand.jghand", avatar)
-    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+    assert same(back(tmp_path, avatar), avatar)
 
 
 @pytest.mark.parametrize("shaded", [False, True])
 def test_a_network_of_any_shape_comes_back(tmp_path, shaded):
     shape = PoseNetShape((1, 0, 3), 3, 2, 5, level1=False, reach_m=0.004, shaded=shaded)
     avatar = trained_avatar(shape=shape)
-    save_avatar(tmp_path / "hand.jghand", avatar)
-    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+    assert same(back(tmp_path, avatar), avatar)
 
 
 def test_compact_storage_of_what_was_learned_costs_what_its_table_says():

@@ -42,12 +42,12 @@ def in_relief(hand) -> HandAvatar:
     return replace(hand, detail=replace(hand.detail, relief=Relief(height)))
 
 
-@pytest.mark.parametrize("storage", list(Storage))
-def test_a_file_returns_a_relief_as_it_is(tmp_path, in_relief, storage):
-    save_avatar(tmp_path / "hand.jghand", in_relief, storage=storage)
-    again = load_avatar(tmp_path / "hand.jghand").detail.relief
-    assert again.height.dtype == np.int8
-    assert np.array_equal(again.height, in_relief.detail.relief.height)
+def back(folder: Path, hand: HandAvatar, storage: Storage = Storage.EXACT) -> Detail:
+    """What a file returns of its detail."""
+    save_avatar(folder / "hand.jghand", hand, storage=storage)
+    detail = load_avatar(folder / "hand.jghand").detail
+    assert detail is not None
+    return detail
 
 
 def test_a_hand_that_was_made_to_fade_away_is_not_written(tmp_path, hand):
@@ -58,20 +58,19 @@ def test_a_hand_that_was_made_to_fade_away_is_not_written(tmp_path, hand):
 
 def test_a_file_says_whether_its_detail_ends_the_hand_and_older_programs_refuse_it(tmp_path, hand):
     for ends, version in ((True, 5), (False, 4)):
-        save_avatar(tmp_path / "hand.jghand", replace(hand, detail=replace(hand.detail, ends_hand=ends)))
-        assert load_avatar(tmp_path / "hand.jghand").detail.ends_hand is ends
+        assert back(tmp_path, replace(hand, detail=replace(hand.detail, ends_hand=ends))).ends_hand is ends
         with safetensors.safe_open(tmp_path / "hand.jghand", "numpy") as stored:
             assert json.loads(stored.metadata()[METADATA_KEY])["format_version"] == version
 
 
 @pytest.mark.parametrize("storage", list(Storage))
-def test_a_file_returns_correctives_as_they_are(tmp_path, hand, storage):
-    own = moving(hand)
-    save_avatar(tmp_path / "hand.jghand", own, storage=storage)
-    again = load_avatar(tmp_path / "hand.jghand").detail.correctives
-    assert again.direction.dtype == np.int8
-    assert np.array_equal(again.direction, own.detail.correctives.direction)
-    assert np.array_equal(again.scale_m, own.detail.correctives.scale_m)
+def test_a_file_returns_relief_and_correctives_as_they_are(tmp_path, in_relief, storage):
+    own = moving(in_relief)
+    again, wanted = back(tmp_path, own, storage), own.detail
+    assert again.relief.height.dtype == again.correctives.direction.dtype == np.int8
+    assert np.array_equal(again.relief.height, wanted.relief.height)
+    assert np.array_equal(again.correctives.direction, wanted.correctives.direction)
+    assert np.array_equal(again.correctives.scale_m, wanted.correctives.scale_m)
 
 
 @pytest.mark.parametrize(
@@ -100,8 +99,7 @@ def test_a_relief_of_another_size_than_its_texture_is_not_written(tmp_path, in_r
 
 @pytest.mark.parametrize("storage", list(Storage))
 def test_a_file_returns_the_stored_form_of_a_detail(tmp_path, hand, storage):
-    save_avatar(tmp_path / "hand.jghand", hand, storage=storage)
-    again = load_avatar(tmp_path / "hand.jghand").detail
+    again = back(tmp_path, hand, storage)
     assert same(again, stored_form(hand, storage).detail)
     assert same(again, hand.detail) == (storage is Storage.EXACT)
 

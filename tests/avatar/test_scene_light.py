@@ -14,7 +14,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.lamp_rows import LIMITS, Limits, compared_at, irradiance_at, lamp_rows, light_shares
-from jghand_engine.avatar.learned import SkinResponse
+from jghand_engine.avatar.learned import CastShadow, SkinResponse
 from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.relighting import estimated
 from jghand_engine.avatar.scene_light import Baked, Lamp, SceneLight, Shades, World, mirrored_lobes, soft_cosine
@@ -31,6 +31,8 @@ from jghand_engine.native import library as native_library
 from jghand_engine.native.scene_light_task import LampKind
 
 EYE_M = np.array([0.1, 0.25, 0.5])
+# of the root from the picture's origin
+SHIFT_M = np.array([0.01, 0.02, -0.03])
 EVEN = World(np.broadcast_to(np.array([0.2, 0.5, 1.0], np.float32), (16, 32, 3)))
 
 
@@ -40,6 +42,12 @@ AVATAR = known_avatar(601)
 def baked_field(seed: int = 0) -> np.ndarray:
     """(N, 4, 3) of which some normals get nothing; of more Gaussians than are drawn."""
     return np.random.default_rng(seed).normal(size=(len(AVATAR) + 5, 4, 3))
+
+
+def cast_of(avatar: HandAvatar) -> CastShadow:
+    assert avatar.learned is not None
+    assert avatar.learned.cast is not None
+    return avatar.learned.cast
 
 
 def response_of(avatar: HandAvatar) -> SkinResponse:
@@ -90,20 +98,30 @@ def natively(
 ) -> np.ndarray:
     """(N, 3) colors towards the eye, in the avatar's order."""
     poser = Poser(native_library.load(variant), avatar)
-    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), others=others, light=light)
+    poser.prepare(bones, SHIFT_M, others=others, light=light)
     poser.run()
-    poser.prepare_gloss(EYE_M)
+    return seen(poser, len(avatar))
+
+
+def seen(poser: Poser, count: int, eye_m: np.ndarray = EYE_M) -> np.ndarray:
+    """(N, 3) a copy of the colors towards an eye, in the avatar's order."""
+    poser.prepare_gloss(eye_m)
     poser.run_gloss()
-    return poser.into.rgb[: len(avatar)][np.argsort(poser.blocks.order)]
+    return poser.into.rgb[:count][np.argsort(poser.blocks.order)]
+
+
+def from_all_sides(poser: Poser, count: int) -> np.ndarray:
+    """(N, 3) how bright each Gaussian is where it faces an eye: every one faces one of these."""
+    return np.max([seen(poser, count, eye_m) for eye_m in np.concatenate([np.eye(3), -np.eye(3)])], 0)
 
 
 def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsules | None = None) -> torch.Tensor:
     """By the functions of `learn`, in float64."""
-    hand, shift_m = HandTensors.of(avatar), np.array([0.01, 0.02, -0.03])
+    hand = HandTensors.of(avatar)
     assert hand.learned is not None
     assert hand.learned.cast is not None
     assert hand.learned.correctives is not None
-    made = RootRelative.of(avatar, bones, shift_m)
+    made = RootRelative.of(avatar, bones, SHIFT_M)
     wide = RootRelative(*(getattr(made, name).double() for name in vars(made)))
     correction = hand.learned.correctives(Angles.of(torch.from_numpy(bones.angles_rad)))
     maps = skin_maps(hand.bone_weights, wide)
@@ -121,7 +139,7 @@ def exactly(avatar: HandAvatar, bones: Bones, light: SceneLight, others: Capsule
     fallen = torch_light.shadows(cast, torch_light.Patches.of(cast.anchors), anchored, skin, flesh, light, lamps)
     got = torch_light.reached(cast, anchored, fallen, light, lamps, response)
     matt = torch_light.matt(hand.rgb.double(), skin, got, light, lamps, response, correction.shade.double())
-    return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - shift_m), got, light, lamps, response)
+    return torch_light.towards_eye(matt, skin, torch.from_numpy(EYE_M - SHIFT_M), got, light, lamps, response)
 
 
 # ---- the kernel ------------------------------------------------------------------------------------------------------
@@ -191,28 +209,23 @@ def test_lamps_among_the_fingers_cast_the_shadows_that_training_finds():
 def test_a_world_that_changes_is_seen_in_the_next_pose():
     bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
     for light in (LIGHTS["world"], SceneLight(world(3))):
-        poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=light)
+        poser.prepare(bones, SHIFT_M, light=light)
         poser.run()
-        poser.prepare_gloss(EYE_M)
-        poser.run_gloss()
-    rows = np.argsort(poser.blocks.order)
-    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, light))
+        shown = seen(poser, len(AVATAR))
+    assert np.array_equal(shown, natively(AVATAR, bones, light))
 
 
 @pytest.mark.parametrize("name", ["all", "sun", "nothing"])
 def test_a_new_light_leaves_the_pose_alone(name):
     bones, poser = bones_of(AVATAR), Poser(native_library.load(), AVATAR)
-    poser.prepare(bones, np.array([0.01, 0.02, -0.03]), light=LIGHTS["all"])
+    poser.prepare(bones, SHIFT_M, light=LIGHTS["all"])
     poser.run()
     # whoever poses again would find no Gaussians
     for values in poser._arrays.values():
         values.fill(0)
     assert poser.prepare_light(LIGHTS[name])
     poser.run()
-    poser.prepare_gloss(EYE_M)
-    poser.run_gloss()
-    rows = np.argsort(poser.blocks.order)
-    assert np.array_equal(poser.into.rgb[: len(AVATAR)][rows], natively(AVATAR, bones, LIGHTS[name]))
+    assert np.array_equal(seen(poser, len(AVATAR)), natively(AVATAR, bones, LIGHTS[name]))
 
 
 # ---- light -----------------------------------------------------------------------------------------------------------
@@ -231,13 +244,7 @@ def furnace(pose: str, limits: Limits) -> np.ndarray:
     bones, poser = bones_of(hand, pose), Poser(native_library.load(), hand, limits=limits)
     poser.prepare(bones, np.zeros(3), light=EVEN_LIGHT)
     poser.run()
-    seen = []
-    # every Gaussian faces one of these
-    for eye_m in np.concatenate([np.eye(3), -np.eye(3)]):
-        poser.prepare_gloss(eye_m)
-        poser.run_gloss()
-        seen.append(poser.into.rgb[: len(hand)].copy())
-    return np.max(seen, 0) / [0.2, 0.5, 1.0]
+    return from_all_sides(poser, len(hand)) / [0.2, 0.5, 1.0]
 
 
 @pytest.mark.parametrize("pose", ["open", "fist"])
@@ -293,10 +300,7 @@ def test_no_more_is_made_of_skin_than_four_times_what_is_seen_of_it_and_no_more_
 
 
 def test_light_is_evened_over_the_nearest_anchors_that_face_the_same_way(monkeypatch):
-    learned = load_builtin(handedness=Handedness.RIGHT).learned
-    assert learned is not None
-    assert learned.cast is not None
-    anchors = learned.cast.anchors
+    anchors = cast_of(load_builtin(handedness=Handedness.RIGHT)).anchors
     # more at once than there are, and fewer
     beside = [torch_light.anchors_beside(anchors.position_m, anchors.normal)]
     monkeypatch.setattr(cast_task, "ROWS_AT_ONCE", 300)
@@ -313,10 +317,7 @@ def test_light_is_evened_over_the_nearest_anchors_that_face_the_same_way(monkeyp
 
 
 def test_skin_of_one_brightness_stays_so_when_it_is_evened_and_other_skin_becomes_more_alike():
-    learned = AVATAR.learned
-    assert learned is not None
-    assert learned.cast is not None
-    anchors, g = learned.cast.anchors, torch.Generator().manual_seed(0)
+    anchors, g = cast_of(AVATAR).anchors, torch.Generator().manual_seed(0)
     beside = torch_light.anchors_beside(anchors.position_m, anchors.normal)
     patches = torch_light.Patches(np.zeros(len(beside), np.int64), 1, beside)
     hidden = torch.rand(len(beside), 1, generator=g).double()
@@ -379,10 +380,7 @@ def test_what_stands_before_a_lamp_takes_its_light_where_its_shadow_falls():
     """All of one lamp, half of the other, and of a lamp beyond the rows nothing."""
     bones = bones_of(AVATAR)
     sun, point, area = LAMPS["sun"], replace(LAMPS["point"], rgb=(1, 1, 1)), replace(LAMPS["area"], rgb=(9, 9, 9))
-    assert AVATAR.learned is not None
-    assert AVATAR.learned.cast is not None
-    left = np.ones((2, len(AVATAR.learned.cast.anchors.position_m)))
-    left[0], left[1] = 0, 0.5
+    left = np.array([[0.0], [0.5]]).repeat(len(cast_of(AVATAR).anchors.position_m), 1)
     shaded = natively(AVATAR, bones, SceneLight(None, (sun, point, area), Shades((left,))))
     alone = {lamp: natively(AVATAR, bones, SceneLight(None, (lamp,))) for lamp in (point, area)}
     assert np.abs(shaded - 0.5 * alone[point] - alone[area]).max() < 1e-5 * shaded.max()
@@ -392,10 +390,8 @@ def test_the_shadow_of_a_thing_falls_where_its_anchors_are():
     """The fingers of the second hand are behind a card: they alone are dark, and no other hand's."""
     hand, sun = estimated(load_builtin(handedness=Handedness.RIGHT)), replace(LAMPS["sun"], place_m=(0, 0, 1))
     hand = with_response(hand, bounce=np.zeros(3))
-    assert hand.learned is not None
-    assert hand.learned.cast is not None
     bones, edge_m = bones_of(hand, "open"), 0.09
-    behind = hand.learned.cast.anchors.position_m[:, 1] > edge_m
+    behind = cast_of(hand).anchors.position_m[:, 1] > edge_m
     light = SceneLight(None, (sun,), Shades((np.ones((1, len(behind))), 1.0 - behind[None])))
     bare, first, second = (
         natively(hand, bones, each) for each in (SceneLight(None, (sun,)), light.on_hand(0), light.on_hand(1))
@@ -427,13 +423,7 @@ def test_a_baked_light_turns_with_the_normal():
     bones, poser = bones_of(hand, "open"), Poser(native_library.load(), hand)
     poser.prepare(bones, np.zeros(3), light=SceneLight(baked=Baked((field,))))
     poser.run()
-    # every Gaussian faces one of these
-    seen = []
-    for eye_m in np.concatenate([np.eye(3), -np.eye(3)]):
-        poser.prepare_gloss(eye_m)
-        poser.run_gloss()
-        seen.append(poser.into.rgb[: len(hand)][np.argsort(poser.blocks.order)])
-    up = np.max(seen, 0) * np.pi - 1
+    up = from_all_sides(poser, len(hand)) * np.pi - 1
     assert up[:, 1].max() == pytest.approx(1, abs=0.02)
     assert np.abs(up[:, 0] - np.maximum(2 * up[:, 1], -1)).max() < 1e-3
     assert np.abs(up[:, 2] - 0.5 * up[:, 1]).max() < 1e-3
@@ -451,15 +441,12 @@ def test_hand_and_lights_that_turn_together_look_the_same():
     )
     # what fingers throw onto each other is found for directions of the world
     hand = with_response(AVATAR, bounce=np.zeros(3))
-    skeleton, poser = hand.skeleton(), Poser(native_library.load(), hand)
-    seen = []
+    skeleton, poser, here = hand.skeleton(), Poser(native_library.load(), hand), []
     for joints, light, eye in ((joints_m, lamps, EYE_M), (joints_m @ turn.T, turned, turn @ EYE_M)):
         poser.prepare(skeleton.bones(joints), joints[0], light=SceneLight(None, light))
         poser.run()
-        poser.prepare_gloss(eye)
-        poser.run_gloss()
-        seen.append(poser.into.rgb.copy())
-    assert np.abs(seen[1] - seen[0]).max() < 1e-4 * seen[0].max()
+        here.append(seen(poser, len(hand), eye))
+    assert np.abs(here[1] - here[0]).max() < 1e-4 * here[0].max()
 
 
 def test_a_lamp_behind_a_lone_surface_gives_it_nothing():
@@ -511,17 +498,15 @@ def test_a_large_area_is_four_lamps_of_one_shadow_and_gives_the_same_light():
 
 def steps(hand: HandAvatar, lights: list[SceneLight]) -> np.ndarray:
     """The largest step of an 8-bit picture from each light to the next, the brightest skin being white."""
-    poser, seen = Poser(native_library.load(), hand), []
+    poser, shown = Poser(native_library.load(), hand), []
     poser.prepare(bones_of(hand), np.zeros(3), light=lights[0])
     poser.run()
     for light in lights:
         poser.prepare_light(light)
         poser.run()
-        poser.prepare_gloss(EYE_M)
-        poser.run_gloss()
-        seen.append(poser.into.rgb.copy())
-    shown = linear_to_srgb(np.clip(np.stack(seen) / seen[0].max(), 0, 1))
-    return 255 * np.abs(np.diff(shown, axis=0)).max((1, 2))
+        shown.append(seen(poser, len(hand)))
+    display = linear_to_srgb(np.clip(np.stack(shown) / shown[0].max(), 0, 1))
+    return 255 * np.abs(np.diff(display, axis=0)).max((1, 2))
 
 
 def test_a_lamp_that_grows_out_of_nothing_and_its_shadow_appear_in_no_step():

@@ -145,6 +145,11 @@ def check(avatar: HandAvatar, bones: Bones, found: Gaussians, *, size_m: float =
     assert bool(((found.covariance_m2 - wanted_m2).abs() <= 2e-6 * largest).all())  # observed 1.5e-6
 
 
+def check_pose(library: Library, avatar: HandAvatar, joints_m: np.ndarray, *, size_m: float = 1.0) -> None:
+    bones = bones_of_hand(avatar, joints_m)
+    check(avatar, bones, natively(library, avatar, bones), size_m=size_m)
+
+
 # ---- ordinary hands --------------------------------------------------------------------------------------------------
 
 KINDS = {
@@ -165,16 +170,12 @@ KINDS = {
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("pose", ["open", "fist"])
 def test_native_skin_is_the_one_that_training_uses(library, name, pose):
-    avatar = KINDS[name]
-    bones = bones_of_hand(avatar, 1.1 * joints_of(pose))
-    check(avatar, bones, natively(library, avatar, bones))
+    check_pose(library, KINDS[name], 1.1 * joints_of(pose))
 
 
 @pytest.mark.parametrize("name", ["network", "linear-8", "ellipsoids", "world offsets"])
 def test_left_hands_are_lit_as_the_world_lights_them(library, name):
-    avatar = KINDS[name].for_hand(Handedness.LEFT)
-    bones = bones_of_hand(avatar, joints_of("claw", Handedness.LEFT))
-    check(avatar, bones, natively(library, avatar, bones))
+    check_pose(library, KINDS[name].for_hand(Handedness.LEFT), joints_of("claw", Handedness.LEFT))
 
 
 @pytest.mark.parametrize("side", list(Handedness))
@@ -214,15 +215,12 @@ def test_any_number_of_gaussians_can_be_posed(library, count, tier):
     avatar = trained_avatar(count, seed=5)
     if tier == "linear":
         avatar = changed(avatar, correctives=linear_tier(8, avatar))
-    bones = bones_of_hand(avatar, joints_of("fist"))
-    check(avatar, bones, natively(library, avatar, bones))
+    check_pose(library, avatar, joints_of("fist"))
 
 
 def test_a_prefix_is_posed_with_its_own_correctives(library):
     for whole in (AVATAR, changed(correctives=linear_tier(8))):
-        avatar = whole.prefix(123)
-        bones = bones_of_hand(avatar, joints_of("fist"))
-        check(avatar, bones, natively(library, avatar, bones))
+        check_pose(library, whole.prefix(123), joints_of("fist"))
 
 
 def test_gloss_follows_the_eye_and_leaves_nothing_behind(library):
@@ -269,8 +267,7 @@ def test_where_a_blend_collapses_the_palm_turns_what_is_attached(library, name):
 @pytest.mark.parametrize("size", [1e-6, 1e-3, 1e3])
 def test_hands_of_any_size_are_lit_alike(library, size):
     """Smaller than float32 has cubes for, and larger than any hand."""
-    bones = bones_of_hand(AVATAR, size * joints_of("fist"))
-    check(AVATAR, bones, natively(library, AVATAR, bones), size_m=size)
+    check_pose(library, AVATAR, size * joints_of("fist"), size_m=size)
 
 
 def test_a_hand_without_size_turns_nothing(library):
@@ -294,9 +291,7 @@ def test_a_normal_of_no_length_reflects_nothing_odd(library):
 
 def test_light_and_shade_stay_inside_their_range(library):
     light = replace(learned_of(AVATAR).light, irradiance=20 * learned_of(AVATAR).light.irradiance)
-    avatar = changed(light=light)
-    bones = bones_of_hand(avatar, joints_of("open"))
-    check(avatar, bones, natively(library, avatar, bones))
+    check_pose(library, changed(light=light), joints_of("open"))
 
 
 def test_the_last_pose_is_not_remembered(library):

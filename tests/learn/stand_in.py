@@ -12,6 +12,7 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.progress import Status
 
 SHAPES = {
     "planes.uv": (4, 6, 6),
@@ -122,3 +123,15 @@ class Stops(StandIn):
         if number == self._at:
             os.kill(os.getpid(), signal.SIGINT)
         return super().step(number)
+
+
+class Notes:
+    """A display that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def update(self, status: Status) -> None: ...
+
+    def note(self, sentence: str) -> None:
+        self.notes.append(sentence)

@@ -277,6 +277,3 @@ def test_what_anchors_say_changes_without_a_step_on_the_way_over_the_skin():
     anchors = place_anchors(every, torch.ones_like(every), torch.zeros(len(every), 21), 64)
     steps = anchors.spread(random(64, 1).double())[64:].diff(dim=0).abs()
     assert float(steps.max()) < 0.05
-
-
-# ---- on the skin -----------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from small_trainings import read_log
-from stand_in import StandIn
+from stand_in import Notes, StandIn
 
 from jghand_engine import files
 from jghand_engine.errors import JGHandError
@@ -52,16 +52,6 @@ class Broken(StandIn):
         return figures
 
 
-class NoNotes:
-    def __init__(self):
-        self.notes = []
-
-    def update(self, status): ...
-
-    def note(self, sentence):
-        self.notes.append(sentence)
-
-
 PLACES = [
     *(("state", name) for name in STATE),
     *(("gradient", name.removeprefix("parameter.")) for name in PARAMETERS),
@@ -80,7 +70,7 @@ PLACES = [
     ],
 )
 def test_one_bad_value_anywhere_is_caught_in_its_step_and_the_training_goes_on(where, name, value, options):
-    shown, made = NoNotes(), Broken(where, name, value)
+    shown, made = Notes(), Broken(where, name, value)
     outcome = train(lambda: made, options, shown)
     assert made.numbers[: FAULT + 1] == list(range(FAULT + 1)), "no step was done with it"
     assert made.numbers[FAULT + 1 :] == [*range(KEPT, FAULT), *range(FAULT + 1, STEPS)], (

@@ -123,6 +123,3 @@ def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, smal
         assert float(error.max()) < 2 / 255, sample
         strengths.append(posed.shadow)
     assert max(strengths) > 0.5
-
-
-# ---- the guard -------------------------------------------------------------------------------------------------------

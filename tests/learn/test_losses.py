@@ -16,19 +16,24 @@ def picture(height=23, width=19, seed=0, dtype=torch.float64):
     return torch.rand(height, width, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
-def plain_ssim(a, b):
-    """The formula as it is written, with one two-dimensional convolution per map."""
+def plain_factors(a, b):
+    """Luminance and contrast-structure of SSIM (3, H - 10, W - 10) as they are written, with one two-dimensional
+    convolution per map."""
     x = torch.arange(-5, 6, dtype=a.dtype)
     weights = torch.exp(-(x**2) / (2 * 1.5**2))
     kernel = torch.outer(weights, weights)[None, None] / weights.sum() ** 2
 
     def mean(maps):
-        return functional.conv2d(maps.permute(2, 0, 1).unsqueeze(1), kernel)
+        return functional.conv2d(maps.permute(2, 0, 1).unsqueeze(1), kernel)[:, 0]
 
     ma, mb = mean(a), mean(b)
     saa, sbb, sab = mean(a * a) - ma * ma, mean(b * b) - mb * mb, mean(a * b) - ma * mb
-    luminance = (2 * ma * mb + 1e-4) / (ma * ma + mb * mb + 1e-4)
-    return (luminance * (2 * sab + 9e-4) / (saa + sbb + 9e-4)).mean()
+    return (2 * ma * mb + 1e-4) / (ma * ma + mb * mb + 1e-4), (2 * sab + 9e-4) / (saa + sbb + 9e-4)
+
+
+def plain_ssim(a, b):
+    luminance, contrast = plain_factors(a, b)
+    return (luminance * contrast).mean()
 
 
 def test_ssim_is_the_formula():

@@ -222,6 +222,9 @@ def test_a_prefix_is_what_the_finished_avatar_gives_as_prefix(count):
     assert ours.ellipsoid is not None
     assert theirs.ellipsoid is not None
     assert np.array_equal(ours.ellipsoid.log_stretch, theirs.ellipsoid.log_stretch)
+    correctives = learned_of(hand, count).correctives
+    assert correctives is not None
+    assert len(correctives(frames_of("fist")).offset_m) == count
 
 
 def test_radii_of_a_prefix_grow_as_gaps_on_a_surface_do():

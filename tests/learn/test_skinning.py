@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from small_avatars import small_tensors
+from small_hands import rotation
 
 from jghand_engine.avatar.skin_task import SIGMA_STRETCH_MAX
 from jghand_engine.hand.joints import Handedness
@@ -31,11 +32,6 @@ def bones_of(avatar: HandTensors, joints_m: torch.Tensor, **options) -> BoneTran
 
 def posed_with(avatar: HandTensors, bones: BoneTransforms, offset_m: torch.Tensor) -> Gaussians:
     return pose_skin(avatar, bones, Correction(offset_m, torch.zeros_like(offset_m))).matt
-
-
-def random_rotation(seed: int) -> torch.Tensor:
-    q, _ = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)))
-    return q * torch.linalg.det(q).sign()
 
 
 def test_canonical_joints_give_the_canonical_gaussians():
@@ -64,7 +60,7 @@ def test_where_the_canonical_hand_stands_is_of_no_matter():
 @pytest.mark.parametrize("pose", POSES)
 def test_turning_moving_and_scaling_the_joints_does_the_same_to_the_gaussians(pose):
     avatar = small_tensors()
-    joints_m, R, size = joints_of(avatar, pose), random_rotation(1), 1.3
+    joints_m, R, size = joints_of(avatar, pose), rotation(), 1.3
     shift_m = torch.tensor([0.3, -2.0, 0.7], dtype=torch.float64)
     offset_m = 0.002 * torch.randn(len(avatar), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     here = posed_with(avatar, bones_of(avatar, joints_m), offset_m)

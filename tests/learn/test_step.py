@@ -165,7 +165,7 @@ def test_rates_rise_at_first_and_fall_exponentially(build):
 
 def test_the_rates_of_a_short_plan_rise_within_a_twentieth_of_it_and_fall_the_less_the_shorter_it_is(build):
     """A tenth of the steps from which on they settle falls to the tenth root of what those fall to."""
-    training = build(scheduled(rate=2e-3, last_part=0.05, settle_steps=1000, warm_up_steps=50, warm_up_part=0.05))
+    training = build(scheduled(rate=2e-3, last_part=0.05, settle_steps=1000))
     for planned, number, factor in ((100, 0, 1 / 5), (100, 100, 0.05**0.1), (500, 500, 0.05**0.5), (3000, 3000, 0.05)):
         training.plan(planned)
         assert rates(training, number)[0] == pytest.approx(2e-3 * factor)

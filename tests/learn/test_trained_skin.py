@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from small_avatars import small_tensors, trained_tensors
-from small_hands import bones_of, joints_of
+from small_hands import bones_of, joints_of, rotation
 
 from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.errors import InputError
@@ -50,11 +50,6 @@ def correction(seed: int = 2) -> Correction:
     g = torch.Generator().manual_seed(seed)
     offset_m = 0.003 * torch.randn(len(AVATAR), 3, dtype=torch.float64, generator=g)
     return Correction(offset_m, 0.1 * torch.randn(len(AVATAR), 3, dtype=torch.float64, generator=g))
-
-
-def rotation(seed: int = 1) -> torch.Tensor:
-    q, _ = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)))
-    return q * torch.linalg.det(q).sign()
 
 
 def turned_bones(pose: str, R: torch.Tensor) -> BoneTransforms:

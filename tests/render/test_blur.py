@@ -5,9 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jghand_engine.avatar.learned import CAPSULE_RADII_MM
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.rotations import axis_rotation
-from jghand_engine.render.blur import Moment, filled, middle, shutter_at, way_px
+from jghand_engine.render.blur import (
+    DISC_DISCREPANCY,
+    EDGE_CURVATURE,
+    FOCUS_ERROR_MAX,
+    Moment,
+    disc_px,
+    filled,
+    focus_count,
+    focus_error,
+    middle,
+    motion_count,
+    shutter_at,
+    way_px,
+)
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.template.builtin import load_template
 
@@ -66,6 +80,10 @@ def test_moments_that_are_far_apart_get_others_between_them_in_even_steps():
 def test_moments_that_are_near_each_other_stay_as_they_are():
     moments = [Moment([HAND_M], CAMERA), Moment([HAND_M + 1e-3], CAMERA)]
     assert filled(moments, [1.0, 3.0], [0]) == (moments, [0.25, 0.75])
+    # more than are needed
+    many = [Moment([HAND_M + 2e-4 * k], CAMERA) for k in range(8)]
+    assert 1 < motion_count(way_px(many, [0])) < 8
+    assert filled(many, [1.0] * 8, [0]) == (many, [0.125] * 8)
 
 
 def test_moments_of_a_hand_at_rest_are_one_image():
@@ -79,3 +97,23 @@ def test_a_way_is_as_long_as_if_the_hand_went_all_the_time_as_fast_as_in_its_fas
     nearest_m = min(CAMERA.project(HAND_M)[1])
     assert way_px(moments, [0]) == pytest.approx(3 * 0.03 * CAMERA.fx / nearest_m)
     assert way_px(moments, []) == way_px(moments[:1], [0]) == 0.0
+
+
+@pytest.mark.parametrize(("focus_m", "end"), [(2.0, "near"), (0.3, "far")])
+def test_the_largest_disc_is_that_of_the_flesh_farthest_out_of_focus(focus_m: float, end: str):
+    view, depth_m = replace(CAMERA, lens=Lens(0.02, focus_m)), HAND_M[:, 2]
+    for scale in (1.0, 1.5):
+        flesh_m = 1e-3 * max(CAPSULE_RADII_MM) * scale
+        end_m = depth_m.min() - flesh_m if end == "near" else depth_m.max() + flesh_m
+        assert disc_px(view, [HAND_M], scale) == pytest.approx(160 * 0.02 * abs(1 / focus_m - 1 / end_m))
+    assert disc_px(view, []) == disc_px(CAMERA, [HAND_M]) == 0
+
+
+def test_a_lens_has_the_least_number_of_pinholes_within_the_bound():
+    for size_px in (2.0, 3.0, 5.0):
+        count = focus_count(size_px)
+        assert focus_error(size_px, count) <= FOCUS_ERROR_MAX < focus_error(size_px, count - 1)
+    # pinholes that stand for a square of a pixel each: the midpoint rule, which misses a 24th of the second derivative
+    assert focus_error(0.5, 1) == pytest.approx(np.pi / 4 * 0.5**2 / 24 * EDGE_CURVATURE)
+    # any disc, whatever its size: the discrepancy of the samples
+    assert focus_count(float("inf")) == np.ceil((DISC_DISCREPANCY / FOCUS_ERROR_MAX) ** (4 / 3))

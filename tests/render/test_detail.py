@@ -29,6 +29,7 @@ from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.template.builtin import load_template_with_forearm
 
 PLAIN = RenderSettings(shadow=ShadowMode.OFF, antialias=False, threads=2)
+FORCED = replace(PLAIN, effects=Choice.parse("all"))
 WITHOUT = replace(PLAIN, effects=Choice.parse("motion-blur,depth-of-field"))
 
 NEARER_M, ASIDE_M = np.array([0.0, 0.0, 0.1]), np.array([0.04, 0.0, 0.0])
@@ -87,6 +88,8 @@ def test_the_kernel_draws_what_the_specification_says(name, handedness, view, mo
         assert 5e-4 < np.abs(posed_surface(avatar, pose(name, handedness))[0] - still_m).max() < 3e-3
     with_detail, without = both(avatar, name, seen)
     joints_m = pose(name, handedness)
+    posed_m = DetailedHand.of(avatar, 1.0).posed_m(avatar.skeleton().bones(joints_m, np.float64))
+    np.testing.assert_allclose(posed_m, posed_surface(avatar, joints_m)[0], rtol=0, atol=1e-12)
     wanted, surface_m, certain = ratios(avatar, joints_m, seen, without.rgba[..., 3], without.depth_m)
     assert np.isfinite(surface_m).sum() > 2000
     covered = without.rgba[..., 3] > 0.2
@@ -127,10 +130,9 @@ def test_a_ratio_of_two_doubles_the_color_inside_and_leaves_alpha_and_depth():
 
 
 def test_a_ratio_of_one_changes_nothing():
-    forced = replace(PLAIN, effects=Choice.parse("all"))
     seen, joints_m = camera(), pose("fist")
-    drawn = HandRenderer(detailed(flat(64, 0.0)), forced).render(joints_m, seen)
-    without = HandRenderer(replace(detailed(flat(64, 0.0)), detail=None), forced).render(joints_m, seen)
+    drawn = HandRenderer(detailed(flat(64, 0.0)), FORCED).render(joints_m, seen)
+    without = HandRenderer(replace(detailed(flat(64, 0.0)), detail=None), FORCED).render(joints_m, seen)
     assert drawn.report.plan[Effect.DETAIL].runs
     assert np.abs(drawn.rgba - without.rgba).max() < 1e-6
 
@@ -215,30 +217,28 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one():
 # ---- when it is drawn ------------------------------------------------------------------------------------------------
 
 
+def checkerboard(size: int) -> np.ndarray:
+    odd = np.indices((size, size)).sum(0)[..., None] % 2
+    return np.where(odd, 148, 108).repeat(3, -1).astype(np.uint8)
+
+
 def test_a_checkerboard_that_nobody_can_see_is_left_out_with_its_bound():
-    rows, columns = np.indices((512, 512))
-    avatar = detailed(np.where((rows + columns)[..., None] % 2, 148, 108).repeat(3, -1).astype(np.uint8))
+    avatar = detailed(checkerboard(512))
     near, far = camera(), camera(away_m=100.0)
-    decision = HandRenderer(avatar, PLAIN).render(pose("open"), near).report.plan[Effect.DETAIL]
-    assert decision.runs
+    assert HandRenderer(avatar, PLAIN).render(pose("open"), near).report.plan.runs(Effect.DETAIL)
     frame = HandRenderer(avatar, PLAIN).render(pose("open"), far)
     decision = frame.report.plan[Effect.DETAIL]
     assert not decision.runs
     assert "texels" in decision.reason
     assert decision.worst <= DETAIL_UNSEEN
-    drawn = HandRenderer(avatar, replace(PLAIN, effects=Choice.parse("all"))).render(pose("open"), far)
-    without = HandRenderer(replace(avatar, detail=None), drawn_all()).render(pose("open"), far)
+    drawn = HandRenderer(avatar, FORCED).render(pose("open"), far)
+    without = HandRenderer(replace(avatar, detail=None), FORCED).render(pose("open"), far)
     assert 0 <= np.abs(drawn.rgba - without.rgba).max() <= DETAIL_UNSEEN
-
-
-def drawn_all() -> RenderSettings:
-    return replace(PLAIN, effects=Choice.parse("all"))
 
 
 def test_detail_fades_out_with_the_size_of_the_hand():
     """What it changes grows from nothing: a hand that comes nearer does not pop."""
-    rows, columns = np.indices((256, 256))
-    avatar = detailed(np.where((rows + columns)[..., None] % 2, 148, 108).repeat(3, -1).astype(np.uint8))
+    avatar = detailed(checkerboard(256))
     renderer, strengths = HandRenderer(avatar, PLAIN), []
     for away_m in np.geomspace(0.3, 100, 120):
         plan = renderer.render(pose("open"), camera(16, 16, focal_px=40.0, away_m=float(away_m))).report.plan

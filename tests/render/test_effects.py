@@ -32,7 +32,7 @@ from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.crop import View, views_box
-from jghand_engine.render.effect_plan import CHOOSABLE, OF_SCENE, Choice, Effect, EffectPlan
+from jghand_engine.render.effect_plan import CHOOSABLE, NOT_CHOSEN, OF_SCENE, Choice, Effect, EffectPlan
 from jghand_engine.render.effects import CROP_SHADOW, SHADOW_MISSED
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
@@ -45,6 +45,7 @@ TRAINED = trained_avatar(3000)
 COARSE = replace(TRAINED, info=replace(TRAINED.info, learned_from=LearnedFrom("it", "all", 1, "0", pixel_m=4e-3)))
 SMALL = RenderSettings(gaussians=4000)
 ALL = Choice.parse("all")
+WHOLE = replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE])))
 # cut-off of preset final: contributions between this and 1/255 are the faint tail
 TAIL_ALPHA_MIN = 1 / 1024
 pytestmark = pytest.mark.skipif(not native_library.runnable_variants(), reason="no native variant runs here")
@@ -55,10 +56,8 @@ def pose(name: str, avatar=RIGHT) -> np.ndarray:
 
 
 def camera(width: int = 200, height: int = 160, *, away_m: float = 0.5, focal_px: float = 300.0, side_m: float = 0.15):
-    target = torch.tensor([0.0, 0.08, 0.0], dtype=torch.float64)
-    eye = target + torch.tensor([side_m, 0.1, away_m], dtype=torch.float64)
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    return Camera.looking_at(eye, target, up, width=width, height=height, focal_px=focal_px)
+    eye, target = (side_m, 0.18, away_m), (0, 0.08, 0)
+    return Camera.looking_at(eye, target, (0, 1, 0), width=width, height=height, focal_px=focal_px)
 
 
 def difference(first: Frame, second: Frame) -> float:
@@ -67,6 +66,13 @@ def difference(first: Frame, second: Frame) -> float:
 
 def box_of(scene: effects.Scene, hands: Sequence[HandFacts]) -> Box:
     return views_box(scene.views(hands, contract.ALPHA_MIN), contract.ALPHA_MIN)
+
+
+def most_outside(frame: Frame, box: Box) -> float:
+    """The largest alpha beside a box."""
+    alpha = frame.rgba[..., 3].copy()
+    alpha[box.slices] = 0
+    return float(alpha.max())
 
 
 def plan_of(frame: Frame):
@@ -113,6 +119,15 @@ def test_the_estimate_of_a_shadow_grows_with_its_samples_and_the_hand():
     assert estimate(32, 150.0) == pytest.approx(2 * estimate(16, 150.0))
     assert estimate(16, 300.0) == pytest.approx(4 * estimate(16, 150.0), rel=0.01)
     assert estimate(16, 150.0) > 0
+
+
+def test_the_estimate_of_blur_is_that_of_all_gaussians_in_every_further_picture():
+    for gaussians, shift_m in ((500, 0.005), (1000, 0.005), (500, 0.02)):
+        renderer = HandRenderer(RIGHT, replace(SMALL, gaussians=gaussians))
+        plan = plan_of(renderer.render_moments(moving(shift_m, camera()), EVEN))
+        each_ms = gaussians * (effects.RASTER_MS + effects.SKIN_MS)
+        assert plan.runs(Effect.MOTION)
+        assert plan[Effect.MOTION].estimated_ms == pytest.approx((plan.exposures - 1) * each_ms)
 
 
 def test_every_effect_is_decided_about_once_and_has_a_line():
@@ -431,16 +446,16 @@ def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     monkeypatch.setattr(backend.NativeShade, "__init__", noted)
     view = camera(1024, 768, focal_px=200.0)
     frame = HandRenderer(RIGHT, SMALL).render(pose("open"), view)
-    whole = HandRenderer(RIGHT, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE])))).render(
-        pose("open"), view
-    )
-    assert sizes[0][0] * sizes[0][1] < 0.25 * 1024 * 768
-    assert sizes[1] == (1024, 768)
+    whole = HandRenderer(RIGHT, WHOLE).render(pose("open"), view)
+    assert sizes == [(plan_of(frame).box.width, plan_of(frame).box.height), (1024, 768)]
     assert frame.rgba.shape == whole.rgba.shape
     assert difference(frame, whole) <= 1 / 255
     assert np.abs(frame.depth_m - whole.depth_m).max() < 1e-4
     # the receipt says what that may change, where there is a shadow and where there is none, and what it saves
     left_out, box = plan_of(frame)[Effect.WHOLE], plan_of(frame).box
+    rows, columns = (np.flatnonzero(whole.rgba[..., 3].any(axis)) for axis in (1, 0))
+    ends = (box.left + box.width - columns[-1], box.top + box.height - rows[-1])
+    assert max(columns[0] - box.left, rows[0] - box.top, *ends) < 40  # observed 38 px
     part = box.width * box.height / (1024 * 768)
     assert left_out.estimated_ms == pytest.approx((1 - part) * plan_of(whole)[Effect.WHOLE].estimated_ms)
     shaded = plan_of(HandRenderer(RIGHT, SMALL).render(pose("fist"), camera(1024, 768, focal_px=600.0)))
@@ -486,14 +501,12 @@ def test_no_offset_is_stretched_farther_than_the_box_knows(degrees: float, longe
 def test_nothing_is_seen_outside_of_the_hands_box(joints_of, avatar):
     for focal_px in (60.0, 300.0, 1500.0):
         view = camera(640, 480, focal_px=focal_px)
-        scene = SceneRenderer([avatar], replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
+        scene = SceneRenderer([avatar], WHOLE)
         frame = scene.render([joints_of(avatar)], view)
         posed = scene._posed
         assert posed is not None
         box = box_of(posed.scene(view), scene._facts)
-        outside = frame.rgba[..., 3].copy()
-        outside[box.top : box.top + box.height, box.left : box.left + box.width] = 0
-        assert float(outside.max()) == 0
+        assert most_outside(frame, box) == 0
 
 
 @pytest.mark.parametrize(
@@ -503,7 +516,7 @@ def test_nothing_is_seen_outside_of_the_hands_box(joints_of, avatar):
 )
 def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avatar):
     joints, rng, smaller = pose("relaxed", avatar), np.random.default_rng(3), 0
-    scene = SceneRenderer([avatar], replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
+    scene = SceneRenderer([avatar], WHOLE)
     for _ in range(40):
         eye_m, way = joints[rng.integers(21)] + rng.normal(0, 0.04, 3), rng.normal(size=3)
         view = Camera.looking_at(eye_m, eye_m + way, (0.3, 1.0, 0.2), width=160, height=160, focal_px=120.0)
@@ -512,9 +525,7 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avat
         frame = scene.render([joints], view)
         bones = [avatar.skeleton().bones(joints)]
         box = box_of(effects.Scene([joints], bones, view), [HandFacts(avatar)])
-        outside = frame.rgba[..., 3].copy()
-        outside[box.slices] = 0
-        assert float(outside.max()) == 0
+        assert most_outside(frame, box) == 0
         smaller += box.width * box.height < 160 * 160
     assert smaller > 0 or avatar is not RIGHT  # the others are small avatars whose bones move everything a little
 
@@ -524,14 +535,12 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_that_another_one_softens()
     coarse = replace(TRAINED, info=replace(TRAINED.info, learned_from=LearnedFrom("it", "all", 1, "0", pixel_m=0.03)))
     avatars, view = [RIGHT, coarse], camera(640, 480, focal_px=300.0)
     joints = [pose("open", RIGHT), pose("open", coarse) + 9 * (view.eye_m - pose("open", RIGHT).mean(0))]
-    scene = SceneRenderer(avatars, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
+    scene = SceneRenderer(avatars, WHOLE)
     frame = scene.render(joints, view)
     bones = [avatar.skeleton().bones(each) for avatar, each in zip(avatars, joints, strict=True)]
     box = box_of(effects.Scene(joints, bones, view), [HandFacts(avatar) for avatar in avatars])
-    outside = frame.rgba[..., 3].copy()
-    assert float(outside[box.slices].max()) > 0.5
-    outside[box.slices] = 0
-    assert float(outside.max()) == 0
+    assert float(frame.rgba[box.slices][..., 3].max()) > 0.5
+    assert most_outside(frame, box) == 0
     assert box.width * box.height < 640 * 480
 
 
@@ -660,13 +669,14 @@ def test_a_hand_that_only_the_rim_of_the_lens_sees_is_blurred_there():
     assert 0.030 < from_rim_m - from_middle_m < 0.040  # the box is a little deeper
 
 
-def test_what_is_in_focus_stays_where_it_was():
-    view = replace(camera(), lens=Lens(0.02, 0.4))
-    point = np.linalg.inv(view.camera_from_world) @ (0.03, -0.02, 0.4, 1.0)
-    middle, _ = view.project(point[:3])
-    for x, y in ((0.01, 0.0), (-0.004, 0.009)):
-        pixels, _ = view.through(x, y).project(point[:3])
-        assert np.allclose(pixels, middle, atol=1e-9)
+def test_blur_that_was_not_chosen_is_a_picture_of_the_middle_through_a_pinhole():
+    settings, view = replace(SMALL, effects=Choice.parse("self-shadow")), replace(camera(), lens=Lens(0.01, 0.45))
+    frame = HandRenderer(RIGHT, settings).render_moments(moving(0.04, view), EVEN)
+    plan = plan_of(frame)
+    assert plan.exposures == 1
+    for effect, lost in ((Effect.MOTION, "moving edges are sharp"), (Effect.FOCUS, "everything is sharp")):
+        assert (plan[effect].runs, plan[effect].reason, plan[effect].bound) == (False, NOT_CHOSEN, lost)
+    assert np.array_equal(frame.rgba, HandRenderer(RIGHT, settings).render(pose("relaxed"), camera()).rgba)
 
 
 def test_a_shutter_over_a_hand_at_rest_and_a_pinhole_cost_one_picture():
@@ -699,6 +709,20 @@ def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
     )
     assert both == alone
     assert alone.width > 0
+
+
+def test_the_box_of_two_hands_is_that_around_the_boxes_of_each():
+    here, view, facts = pose("open"), camera(640, 480), HandFacts(RIGHT)
+
+    def edges(*hands_m: np.ndarray) -> tuple[int, int, int, int]:
+        bones = [RIGHT.skeleton().bones(hand_m) for hand_m in hands_m]
+        box = box_of(effects.Scene(hands_m, bones, view), [facts] * len(hands_m))
+        return box.left, box.top, box.left + box.width, box.top + box.height
+
+    for place_m in ([0.3, 0.15, 0.0], [-0.3, 0.15, 0.0]):
+        there = here + np.array(place_m)
+        each = np.array([edges(here), edges(there)])
+        assert edges(here, there) == edges(there, here) == (*each[:, :2].min(0), *each[:, 2:].max(0))
 
 
 def test_parallel_rays_that_begin_within_a_hand_may_meet_it_anywhere():

@@ -22,16 +22,15 @@ from splat_scenes import (
     gradients_of,
     hand_gaussians,
     in_precision,
-    oblong_camera,
     planes_of,
     stretched,
 )
+from test_rasterize_gradients import SCENES as SPHERES
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.gaussians import Gaussians, posed_covariance
 from jghand_engine.learn.reference import rasterize_reference
 
-native = pytest.mark.parametrize("backend", NATIVE)
 every_backend = pytest.mark.parametrize("backend", ["torch", *DRAWING])
 with_gradients = pytest.mark.parametrize("backend", ["torch", *NATIVE])
 
@@ -41,17 +40,9 @@ def stretched_hand(count: int, *, aspect: float = 4.0, **options) -> Gaussians:
 
 
 SCENES = {
-    "few large": lambda: (stretched_hand(600, sigma_mm=(3, 6)), camera_for(117, 93)),
-    "many": lambda: (stretched_hand(4000, sigma_mm=(1, 2)), camera_for(128, 84)),
-    "needles": lambda: (stretched_hand(2000, sigma_mm=(1, 2), aspect=20), camera_for(128, 84)),
-    "small, from the side": lambda: (stretched_hand(3000), camera_for(160, 104, eye_direction=(1, 0.5, -0.3))),
-    "nearly opaque": lambda: (stretched_hand(3000, sigma_mm=(1.5, 2.5), opacity=(0.9, 1.0)), camera_for(96, 64)),
-    "near": lambda: (stretched_hand(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.12)),
-    "camera inside": lambda: (stretched_hand(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.02)),
-    "shifted, wide and oblong": lambda: (stretched_hand(1500, sigma_mm=(2, 5)), oblong_camera(96, 64)),
-    "one pixel": lambda: (stretched_hand(300, sigma_mm=(5, 20), opacity=(0.02, 0.1)), camera_for(1, 1)),
-    "odd size": lambda: (stretched_hand(501, sigma_mm=(2, 5)), camera_for(37, 19)),
+    name: lambda of=of: (stretched(of()[0]), of()[1]) for name, of in SPHERES.items() if name != "coarse pictures"
 }
+SCENES["needles"] = lambda: (stretched_hand(2000, sigma_mm=(1, 2), aspect=20), camera_for(128, 84))
 
 
 def test_gradients_of_the_smooth_variant_agree_with_finite_differences():
@@ -129,19 +120,6 @@ def test_sigma_is_ignored_where_there_are_covariances(backend):
 
 
 # ---- threads, order, culling ----------------------------------------------------------------------------------------
-
-
-@native
-@pytest.mark.parametrize("count", [20_000, 37, 1])
-def test_the_same_bits_from_every_number_of_threads_and_on_every_run(count, backend):
-    """Promise 16, forward and backward."""
-    gaussians, camera = stretched_hand(count, sigma_mm=(1, 2)), camera_for(256, 160)
-    picture = draw(gaussians, camera, backend, threads=1)
-    gradients = gradients_of(gaussians, camera, backend=backend, threads=1)
-    for threads in (1, 2, 3, 3):
-        assert_same_bits(draw(gaussians, camera, backend, threads=threads), picture)
-        again = gradients_of(gaussians, camera, backend=backend, threads=threads)
-        assert all(torch.equal(a, b) for a, b in zip(again, gradients, strict=True)), threads
 
 
 @with_gradients

@@ -48,11 +48,9 @@ def beside(joints_m: np.ndarray, shift_m: float) -> np.ndarray:
     return joints_m + np.array([shift_m, 0.0, 0.2 * shift_m])
 
 
-def camera(side: float = 0.15, *, size: tuple[int, int] = (120, 100), away_m=(0.0, 0.0, 0.0), focal_px=240.0) -> Camera:
-    target = torch.tensor([0.0, 0.08, 0.0], dtype=torch.float64) + torch.tensor(away_m, dtype=torch.float64)
-    eye = target + torch.tensor([side, 0.1, 0.5], dtype=torch.float64)
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    return Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=focal_px)
+def camera(side: float = 0.15, *, size: tuple[int, int] = (120, 100), focal_px: float = 240.0) -> Camera:
+    eye, target = (side, 0.18, 0.5), (0, 0.08, 0)
+    return Camera.looking_at(eye, target, (0, 1, 0), width=size[0], height=size[1], focal_px=focal_px)
 
 
 def covariance_of(gaussians: Gaussians) -> torch.Tensor:

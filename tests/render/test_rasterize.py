@@ -191,10 +191,11 @@ def test_permuted_gaussians_give_the_same_bits_when_equal_depths_keep_their_orde
 
 
 @native
+@pytest.mark.parametrize("shape", [lambda spheres: spheres, stretched], ids=["spheres", "ellipsoids"])
 @pytest.mark.parametrize(("count", "size"), [(20_000, (512, 334)), (37, (19, 5)), (1, (1, 1))])
-def test_the_same_bits_from_every_number_of_threads_and_on_every_run(count, size, backend):
+def test_the_same_bits_from_every_number_of_threads_and_on_every_run(count, size, shape, backend):
     """Promise 16, forward."""
-    gaussians, camera = hand_gaussians(count, sigma_mm=(1, 2)), camera_for(*size)
+    gaussians, camera = shape(hand_gaussians(count, sigma_mm=(1, 2))), camera_for(*size)
     once = draw(gaussians, camera, backend, threads=1)
     for threads in (1, 2, 3, 3):
         assert_same_bits(draw(gaussians, camera, backend, threads=threads), once)

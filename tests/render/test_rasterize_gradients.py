@@ -18,6 +18,7 @@ from splat_scenes import (
     in_precision,
     joined,
     oblong_camera,
+    stretched,
 )
 
 native = pytest.mark.parametrize("backend", NATIVE)
@@ -73,9 +74,10 @@ def test_a_gradient_in_one_corner_reaches_only_what_is_there(backend):
 
 
 @native
+@pytest.mark.parametrize("shape", [lambda spheres: spheres, stretched], ids=["spheres", "ellipsoids"])
 @pytest.mark.parametrize("count", [20_000, 40, 1])
-def test_the_same_gradient_bits_from_every_number_of_threads_and_on_every_run(count, backend):
-    gaussians, camera = hand_gaussians(count, sigma_mm=(1, 3)), camera_for(256, 160)
+def test_the_same_gradient_bits_from_every_number_of_threads_and_on_every_run(count, shape, backend):
+    gaussians, camera = shape(hand_gaussians(count, sigma_mm=(1, 3))), camera_for(256, 160)
     once = gradients_of(gaussians, camera, backend=backend, threads=1)
     for threads in (1, 2, 3, 3):
         again = gradients_of(gaussians, camera, backend=backend, threads=threads)

@@ -46,11 +46,18 @@ def backend(request) -> str:
     return request.param
 
 
-def camera(width: int = 150, height: int = 120, *, away_m: float = 0.5, focal_px: float = 300.0, at=(0.0, 0.08, 0.0)):
-    target = torch.tensor(at, dtype=torch.float64)
-    eye = target + torch.tensor([0.15, 0.1, away_m], dtype=torch.float64)
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    return Camera.looking_at(eye, target, up, width=width, height=height, focal_px=focal_px)
+@pytest.fixture
+def renderer(backend: str) -> HandRenderer:
+    return HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+
+
+def camera(width: int = 150, height: int = 120, *, away_m: float = 0.5, focal_px: float = 300.0) -> Camera:
+    eye, target = (0.15, 0.18, away_m), (0, 0.08, 0)
+    return Camera.looking_at(eye, target, (0, 1, 0), width=width, height=height, focal_px=focal_px)
+
+
+def pose(name: str, handedness: Handedness = Handedness.RIGHT) -> np.ndarray:
+    return named_pose(name, CANONICAL_M, handedness=handedness)
 
 
 def exact_planes(pose_m: np.ndarray, view: Camera, settings: RenderSettings, handedness=Handedness.RIGHT):
@@ -81,10 +88,10 @@ def check_against(frame: Frame, planes: torch.Tensor, *, flips: float) -> None:
 # ---- the picture ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("pose", ["open", "fist"])
+@pytest.mark.parametrize("name", ["open", "fist"])
 @pytest.mark.parametrize("handedness", list(Handedness))
-def test_native_frame_agrees_with_the_float64_chain(backend: str, pose: str, handedness: Handedness):
-    joints = 1.1 * named_pose(pose, CANONICAL_M, handedness=handedness)
+def test_native_frame_agrees_with_the_float64_chain(backend: str, name: str, handedness: Handedness):
+    joints = 1.1 * pose(name, handedness)
     view = camera()
     settings = replace(ALWAYS, backend=backend)
     frame = HandRenderer(load_painted(handedness=handedness), settings).render(joints, view)
@@ -94,7 +101,7 @@ def test_native_frame_agrees_with_the_float64_chain(backend: str, pose: str, han
 
 
 def test_frame_has_the_same_bits_from_one_two_and_three_threads(backend: str):
-    joints, view = named_pose("pinch", CANONICAL_M, handedness=Handedness.RIGHT), camera(237, 161)
+    joints, view = pose("pinch"), camera(237, 161)
     settings = replace(ALWAYS, gaussians=20_000, backend=backend)
     frames = [HandRenderer(RIGHT, replace(settings, threads=n)).render(joints, view) for n in (1, 2, 3)]
     for other in frames[1:]:
@@ -104,7 +111,7 @@ def test_frame_has_the_same_bits_from_one_two_and_three_threads(backend: str):
 
 def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
     settings = replace(ALWAYS, backend=backend)
-    joints = named_pose("relaxed", CANONICAL_M, handedness=Handedness.RIGHT)
+    joints = pose("relaxed")
     mirror = np.diag([-1.0, 1.0, 1.0])
     view = camera(160, 120)
     seen = view.camera_from_world.copy()
@@ -124,12 +131,11 @@ def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
     assert float((error > 1.1e-4).mean()) < 1e-3
 
 
-def test_hand_a_kilometer_away_loses_nothing(backend: str):
-    joints, view = named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera()
+def test_hand_a_kilometer_away_loses_nothing(renderer: HandRenderer):
+    joints, view = pose("fist"), camera()
     away = np.array([1000.0, -700.0, 300.0])
     moved = view.camera_from_world.copy()
     moved[:3, 3] -= moved[:3, :3] @ away
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
     here = renderer.render(joints, view)
     there = renderer.render(joints + away, replace(view, camera_from_world=moved))
     error = np.abs(here.rgba - there.rgba).max(-1)
@@ -137,20 +143,18 @@ def test_hand_a_kilometer_away_loses_nothing(backend: str):
     assert float(error.max()) < 0.04
 
 
-def test_camera_inside_the_hand_gives_a_finite_picture(backend: str):
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+def test_camera_inside_the_hand_gives_a_finite_picture(renderer: HandRenderer):
     for depth in (0.05, 0.02, 0.001, -0.01):
         frame = renderer.render(CANONICAL_M, camera(away_m=depth))
         assert np.isfinite(frame.rgba).all()
         assert float(frame.rgba[..., 3].max()) <= 1
 
 
-def test_frames_belong_to_the_caller(backend: str):
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+def test_frames_belong_to_the_caller(renderer: HandRenderer):
     first = renderer.render(CANONICAL_M, camera())
     kept = first.rgba.copy()
     first.depth_m[:] = 7
-    renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera())
+    renderer.render(pose("fist"), camera())
     assert np.array_equal(first.rgba, kept)
     first.rgba[:] = 7
     again = renderer.render(CANONICAL_M, camera())
@@ -171,11 +175,11 @@ def bound(frame: Frame) -> str:
 
 def test_no_memory_of_the_size_of_an_image_is_taken_beside_the_frames():
     renderer, view = HandRenderer(RIGHT, replace(ALWAYS, reuse=False)), camera(512, 384, focal_px=1000.0)
-    poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in ("fist", "open")]
-    for pose in (*poses, *poses):
-        renderer.render(pose, view)
+    poses = [pose(name) for name in ("fist", "open")]
+    for joints in (*poses, *poses):
+        renderer.render(joints, view)
     tracemalloc.start()
-    frames = [renderer.render(pose, view) for pose in (*poses, *poses)]
+    frames = [renderer.render(joints, view) for joints in (*poses, *poses)]
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert all(decision(frame, Effect.WHOLE).runs for frame in frames)
@@ -186,15 +190,13 @@ def test_no_memory_of_the_size_of_an_image_is_taken_beside_the_frames():
 
 def test_a_part_of_a_frame_is_kept_as_it_is():
     renderer, view = HandRenderer(RIGHT, replace(ALWAYS, reuse=False)), camera()
-    names = ("fist", "open", "point", "pinch")
-    poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in names]
-    parts = [renderer.render(pose, view).rgba[::2, :, 3] for pose in poses]
-    for pose, part in zip(poses, parts, strict=True):
-        assert np.array_equal(part, HandRenderer(RIGHT, ALWAYS).render(pose, view).rgba[::2, :, 3])
+    poses = [pose(name) for name in ("fist", "open", "point", "pinch")]
+    parts = [renderer.render(joints, view).rgba[::2, :, 3] for joints in poses]
+    for joints, part in zip(poses, parts, strict=True):
+        assert np.array_equal(part, HandRenderer(RIGHT, ALWAYS).render(joints, view).rgba[::2, :, 3])
 
 
-def test_small_movements_reuse_the_pose_within_the_bound(backend: str):
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+def test_small_movements_reuse_the_pose_within_the_bound(renderer: HandRenderer):
     first = renderer.render(CANONICAL_M, camera())
     assert {"transform", "skin", "raster", "shadow + compose"} <= set(first.report.stages)
     nudged = CANONICAL_M + 2e-5
@@ -251,10 +253,9 @@ def test_skin_that_is_kept_is_off_by_no_more_than_the_receipt_says(name: str, bo
     assert seen > 0.1 * REUSE_SKIN_M  # some of these steps are reused
 
 
-def test_a_flagged_hand_is_reused_only_when_it_stands_still(backend: str):
+def test_a_flagged_hand_is_reused_only_when_it_stands_still(renderer: HandRenderer):
     joints = CANONICAL_M.copy()
     joints[20] = joints[15]  # a bone without length: its direction may turn with any movement
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
     renderer.render(joints, camera())
     assert bound(renderer.render(joints, camera())) == "0"
     moved = joints.copy()
@@ -262,8 +263,7 @@ def test_a_flagged_hand_is_reused_only_when_it_stands_still(backend: str):
     assert "transform" in renderer.render(moved, camera()).report.stages
 
 
-def test_unchanged_pose_and_camera_reuse_the_picture_exactly(backend: str):
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+def test_unchanged_pose_and_camera_reuse_the_picture_exactly(renderer: HandRenderer):
     first = renderer.render(CANONICAL_M, camera())
     second = renderer.render(CANONICAL_M, camera())
     assert set(second.report.stages) == {"plan", "shadow + compose"}
@@ -273,8 +273,7 @@ def test_unchanged_pose_and_camera_reuse_the_picture_exactly(backend: str):
     assert "raster" in resized.report.stages
 
 
-def test_joints_changed_in_place_are_seen(backend: str):
-    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+def test_joints_changed_in_place_are_seen(renderer: HandRenderer):
     joints = CANONICAL_M.copy()
     renderer.render(joints, camera())
     joints += 0.01
@@ -294,13 +293,13 @@ def test_gate_fades_the_shadow_and_says_the_score(backend: str):
     still = renderer.render(CANONICAL_M, camera())
     assert decision(still, Effect.SHADOW).reason == "gate 0.00"
     assert "shadow + compose" not in still.report.stages
-    fist = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera())
+    fist = renderer.render(pose("fist"), camera())
     assert "shadow + compose" in fist.report.stages
 
 
 def test_a_picture_that_is_given_up_between_its_parts_harms_no_later_one(backend: str):
     settings, view = replace(ALWAYS, backend=backend), camera()
-    poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in ("open", "fist")]
+    poses = [pose(name) for name in ("open", "fist")]
     renderer = HandRenderer(RIGHT, settings)._scene
     wanted = HandRenderer(RIGHT, settings).render(poses[1], view).rgba
     parts = []
@@ -362,7 +361,7 @@ def test_renderer_works_on_after_a_refused_camera(backend: str):
     renderer = HandRenderer(RIGHT, settings)
     view, too_large = camera(60, 50), camera(contract.IMAGE_MAX_PX + 1, 1)
     first = renderer.render(CANONICAL_M, view)
-    fist = named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT)
+    fist = pose("fist")
     with pytest.raises(InputError, match="image size"):
         renderer.render(fist, too_large)
     # the refused picture's pose is posed now, not taken for the one that was drawn ...
@@ -380,8 +379,8 @@ def test_two_hands_share_one_picture(backend: str):
     settings = replace(ALWAYS, backend=backend, shadow=ShadowMode.OFF)
     left = load_painted(handedness=Handedness.LEFT)
     joints = [
-        named_pose("open", CANONICAL_M, handedness=Handedness.RIGHT) + np.array([0.09, 0, 0]),
-        named_pose("fist", CANONICAL_M, handedness=Handedness.LEFT) - np.array([0.09, 0, 0]),
+        pose("open") + np.array([0.09, 0, 0]),
+        pose("fist", Handedness.LEFT) - np.array([0.09, 0, 0]),
     ]
     view = camera(240, 120)
     both = SceneRenderer([RIGHT, left], settings).render(joints, view)

@@ -9,7 +9,7 @@ from jghand_engine.render.image import Box
 from jghand_engine.render.report import EffectSums, FrameReport, summed
 
 SHADOW = Decision(Effect.SHADOW, True, "gate {0:.2f}", "darker", 1.0, 0.25, (0.7,))
-CROP = Decision(Effect.WHOLE, False, "a small hand", "", 0.0, 0.5)
+CROP = Decision(Effect.WHOLE, False, "a small hand", "{0:.0f} step", 0.0, 0.5, (1.0,))
 PLAN = EffectPlan((SHADOW, CROP), Box(0, 0, 4, 4))
 
 
@@ -23,6 +23,15 @@ def test_the_first_lines_say_the_time_and_what_was_drawn():
     assert lines[:3] == ["frame 1.50 ms, v3, 1 thread", "3 of 9 Gaussians drawn, 0 invalid", "exact network"]
     assert lines[-2:] == ["raster ran, 0.40 ms", "flat"]
     assert report(threads=2).lines()[0] == "frame 1.50 ms, v3, 2 threads"
+
+
+def test_the_line_of_an_effect_says_why_what_it_is_worth_and_what_it_took_or_saved():
+    assert report(stages={"shadow + compose": 2.0}).lines()[2:4] == [
+        "self-shadow    ran      gate 0.70; without: darker; 2.00 ms",
+        "whole-picture  skipped  a small hand; off by: 1 step; saved about 0.5 ms",
+    ]
+    assert report().lines()[2].endswith("; about 0.25 ms")
+    assert CROP._replace(estimated_ms=0.0).line().endswith("; off by: 1 step")
 
 
 def test_of_a_mean_times_are_added_and_notes_said_once():
