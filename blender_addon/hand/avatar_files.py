@@ -65,7 +65,11 @@ class Card:
         """How it answers the light of a scene, in a sentence."""
         if not self.learned:
             return "Shines with its own colors: lamps do not light it"
-        return "Lit by lamps and world" if self.known_light else "Lit by lamps and world, by estimate"
+        return (
+            "Lit by lamps and world"
+            if self.known_light
+            else "Lit by lamps and world, as is estimated: the light of its pictures is unknown"
+        )
 
     def lines(self) -> list[tuple[str, str]]:
         rows = [

@@ -62,7 +62,9 @@ class AddHand(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         common.object_mode(context)
-        others = [thing for thing in context.view_layer.objects if armature.is_any_hand(thing)]
+        others = [
+            thing.matrix_world.translation.copy() for thing in context.view_layer.objects if armature.is_any_hand(thing)
+        ]
         name = f"{self.handedness.capitalize()} Hand"
         avatar = named(self.avatar)
         own = avatar_files.card_of(avatar).joints_m
@@ -74,7 +76,9 @@ class AddHand(Reporting, bpy.types.Operator):
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
         apart = BESIDE_M / context.scene.unit_settings.scale_length
-        while any((other.location - hand.location).length < apart / 2 for other in others):
+        for _ in others:
+            if not any((other - hand.location).length < apart / 2 for other in others):
+                break
             hand.location.x += apart
         # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learned from
         hand.rotation_euler = (math.pi / 2, 0.0, 0.0)

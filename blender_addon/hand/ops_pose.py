@@ -75,6 +75,11 @@ class ApplyPose(_Posing, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        said = next((text for name, _, text, *_ in POSES if name == properties.pose), "")
+        return f"{said}.\n{cls.bl_description}" if said else cls.bl_description
+
     def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
         pose = poses.pose_named(self.pose, armature.handedness_of(hand))
         return hand_poses.take_pose(hand, pose, self.part, hand_poses.chosen_part(hand))

@@ -28,8 +28,8 @@ _WARNINGS = 2
 # what the fields of the finger controls do
 _TURNS = {
     "Curl": f"{CURL_FULL_DEG:.0f}° closes the finger, down to -{CURL_BACK_DEG:.0f}° bends it back; of the hand: a fist",
-    "Spread": f"{SPREAD_FULL_DEG:.0f}° spreads the finger away from the middle one (this one: to the thumb), "
-    f"-{SPREAD_FULL_DEG:.0f}° to it; of the hand: all fingers",
+    "Spread": f"{SPREAD_FULL_DEG:.0f}° spreads a finger away from the middle finger, -{SPREAD_FULL_DEG:.0f}° moves it "
+    "there; the middle finger goes to the thumb, and back; of the hand: all fingers",
 }
 
 
@@ -259,21 +259,25 @@ class PoseMenu(bpy.types.Menu):
     bl_idname = "VIEW3D_MT_jghand_pose"
     bl_label = "Apply Pose"
     bl_options = {"SEARCH_ON_KEY_PRESS"}  # noqa: RUF012 - so does Blender declare them
-    kind = POSE
 
     def draw(self, _context: bpy.types.Context) -> None:
-        for pose in all_poses(RIGHT):
-            if pose.kind == self.kind:
-                self.layout.operator("jghand.apply_pose", text=pose.label, translate=False).pose = pose.name
-        if self.kind == POSE:
-            self.layout.separator()
-            self.layout.menu(LetterMenu.bl_idname)
+        _draw_poses(self.layout, POSE)
+        self.layout.separator()
+        self.layout.menu(LetterMenu.bl_idname)
 
 
-class LetterMenu(PoseMenu, bpy.types.Menu):
+class LetterMenu(bpy.types.Menu):
     bl_idname = "VIEW3D_MT_jghand_letter"
     bl_label = "Letters of Sign Language (ASL)"
-    kind = LETTER
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        _draw_poses(self.layout, LETTER)
+
+
+def _draw_poses(layout: bpy.types.UILayout, kind: str) -> None:
+    for pose in all_poses(RIGHT):
+        if pose.kind == kind:
+            layout.operator("jghand.apply_pose", text=pose.label, translate=False).pose = pose.name
 
 
 class PosePanel(Sidebar, bpy.types.Panel):

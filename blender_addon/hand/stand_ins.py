@@ -321,6 +321,16 @@ def on_load(*_: Any) -> None:
 
 
 @persistent
+def before_undo(*_: Any) -> None:
+    """What the timer made is in no step of undo. A step takes over what it does not change, such as a collection or an
+    object, with its pointers: to what it does not know, which it frees (a crash: run, 5.2.2). So stand-ins go before,
+    and `tend` makes those anew that the step has not."""
+    for thing in [thing for thing in bpy.data.objects if MARK in thing and _is_own(thing)]:
+        if thing.parent is None or thing.parent.mode != "EDIT":
+            _remove(thing)
+
+
+@persistent
 def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     """A render begins where no timer runs: a script may have added hands."""
     if bpy.app.background and scene.render.engine != ENGINE and WITHOUT not in scene:

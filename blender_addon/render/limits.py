@@ -79,7 +79,7 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
 
 def left_out(layer: bpy.types.ViewLayer) -> str:
     """What images of hands alone do not have of a view layer, in a sentence; "" where that is nothing."""
-    things = [thing.name for thing in layer.objects if worlds.is_surface(thing) and not thing.hide_render]
+    things = [thing.name for thing in armature.rendered_at_any_frame(layer, worlds.is_surface)]
     return f"JGHand renders hands alone, without {_listed(things)}" if things else ""
 
 

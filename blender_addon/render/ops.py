@@ -127,10 +127,12 @@ class CombineWithScene(Reporting, bpy.types.Operator):
         return True
 
     def run(self, context: bpy.types.Context) -> None:
+        ours = composite.combine(context.scene, context.view_layer)
+        said = [f"The hands are rendered in the scene {ours.name} and combined by depth."]
         if context.scene.render.engine == ENGINE:
             versions.use_eevee(context.scene)
-        ours = composite.combine(context.scene, context.view_layer)
-        self.tell(f"The hands are rendered in the scene {ours.name} and combined by depth.")
+            said.append("This scene is rendered by EEVEE now.")
+        self.tell(*said)
 
 
 class RemoveCombination(Reporting, bpy.types.Operator):

@@ -114,7 +114,7 @@ def _look() -> float | None:
     ended = _now.ended if _now is not None else ""
     path, failed = _end(), rendering.said_of_failed_hands()
     if ended == "complete":
-        text = f"Wrote the preview: {path}."
+        text = f"Wrote the preview: {path}"
         ways = (("render.play_rendered_anim", "PLAY"),)
         ui.show_later(f"{text} {failed}".strip(), icon="ERROR" if failed else "INFO", operators=ways)
     return None

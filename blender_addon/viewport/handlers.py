@@ -96,9 +96,9 @@ def _follow_status() -> None:
     """Notices when the engine starts, ends or fails: panels say so, and views may ask again."""
     global _status
     status = runtime.link().status
-    now = (status.state, status.failure)
+    now = (status.state, status.failure, status.doing)
     if now != _status:
-        came_up = status.state == "ready" and _status[:1] != ("slow",)
+        came_up = status.state == "ready" and _status[:1] not in (("ready",), ("slow",))
         _status = now
         if came_up:
             views.forget_failures()
@@ -238,6 +238,8 @@ def on_render_end(*_: Any) -> None:
 HANDLERS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("frame_change_post", on_frame_change),
     ("depsgraph_update_post", on_change),
+    ("undo_pre", stand_ins.before_undo),
+    ("redo_pre", stand_ins.before_undo),
     ("undo_post", on_undo),
     ("redo_post", on_undo),
     ("load_post", on_load),

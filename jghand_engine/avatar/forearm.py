@@ -15,8 +15,10 @@ from jghand_engine.avatar.avatar import FOREARM_WAY, HandAvatar
 # identifiers of the built-in hand's templates begin so
 BUILTIN_TEMPLATE = "makehuman-soma-right-1"
 MANO_TEMPLATES = "mano-"
-# before the last Gaussian of a forearm: the ends of its fade, meters. Skin rounds off behind them
-FOREARM_FADE_M = (0.014, 0.034)
+# before the end of a forearm: the ends of its fade, meters. Skin rounds off behind them
+FOREARM_FADE_M = (0.010, 0.030)
+# of the places farthest along a forearm so many do not say where it ends: some may have strayed
+STRAYS = 1 / 1000
 # Gaussians go on so far behind a surface that ends the hand: they are its color, in which faint ones would leave holes
 BEYOND_M = 0.012
 # across the cut at the wrist of the built-in hand, and where it lies. What closed it is up to 3 mm before the cut, as
@@ -53,7 +55,7 @@ def _end_of(avatar: HandAvatar, *, forearm: bool) -> tuple[np.ndarray, float, tu
     """The way from where it ends into it (3,), where its end is along that, meters, and how far before it nothing and
     all is shown; None: it is shown wherever it is."""
     if forearm and avatar.has_forearm:
-        return -FOREARM_WAY, (avatar.position_m @ -FOREARM_WAY).min(), FOREARM_FADE_M
+        return -FOREARM_WAY, float(np.quantile(avatar.position_m @ -FOREARM_WAY, STRAYS)), FOREARM_FADE_M
     if avatar.info.template.startswith(BUILTIN_TEMPLATE):
         return WRIST_WAY, WRIST_CUT_M, WRIST_FADE_M
     if avatar.info.template.startswith(MANO_TEMPLATES):

@@ -35,7 +35,7 @@ from jghand_engine.native.learned_tasks import CorrectiveKind
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.fine_faces import FineFaces, opposite_vertices
+from jghand_engine.render.fine_faces import AROUND_SIDE, FineFaces, opposite_vertices
 
 # Gaussians that lie apart from the depth that the surface gives them belong to something else: how far apart, meters on
 # the canonical hand, detail begins to fade, and is gone
@@ -130,12 +130,12 @@ class NativeDetail:
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
+        task.outline = min(strengths) if ends_hands else 0.0
         for hand, own, strength in zip(self._hands, self._tasks, strengths, strict=True):
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
             # one that only hides others needs no light
             own.rise = hand.rise_m if strength > 0 else 0.0
-            hand.set_faces(own, fine=ends_hands and hand.corner_px(camera) > self._outline_px)
-        task.outline = min(strengths) if ends_hands else 0.0
+            hand.set_faces(own, fine=task.outline > 0 and hand.corner_px(camera) > self._outline_px)
         self.team.fill(0)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -266,7 +266,7 @@ class _Hand:
         the camera."""
         depth_m = 1.0 if camera.orthographic else camera.camera_from_world[2] @ (*self._skin.shift, 1.0)
         corner_m = self._skin.scale * self._side_m**2 / (8 * FINGER_RADIUS_M)
-        return corner_m * camera.fx / depth_m if depth_m > 0 else math.inf
+        return corner_m * max(camera.fx, camera.fy) / depth_m if depth_m > 0 else math.inf
 
     def set_faces(self, task: DetailHand, *, fine: bool) -> None:
         """Which faces are drawn next. task: the hand's, or a copy of it"""
@@ -283,7 +283,7 @@ class _Hand:
         rows = padded_rows(len(self._row_of))
         # beside those of their first ends
         sides = Blocks.in_order(np.argsort(self._row_of[parted.around[:, 0]]))
-        around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(sides.count, LANES, -1)
+        around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(sides.count, LANES, AROUND_SIDE)
         for name in self._arrays.keys() & {"vertex", "whole", "bend", "slope"}:
             before = self._arrays[name]
             self._arrays[name] = aligned_zeros((*before.shape[:-1], rows + sides.rows))

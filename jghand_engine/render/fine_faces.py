@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# vertices around the middle of a side; of native/detail_surface.h
+AROUND_SIDE = 8
+
 
 @dataclass(frozen=True)
 class FineFaces:
     """faces:  (4 F, 3) vertices; those in the middles of sides are numbered behind the surface's own
     face_uv:   (4 F, 3, 2), linear within each coarse face
     around:    (S, 8) the surface's vertices around each of those in the middle: the two ends of the side, the two
-    corners across it, and the four across the sides beside it; where the surface ends, only the two ends count
+    corners across it, and the four across the sides beside it; where one of these is missing, only the two ends count
     """
 
     faces: np.ndarray
@@ -30,7 +33,9 @@ class FineFaces:
         beside = np.stack([np.roll(across, -1, 1), np.roll(across, -2, 1)], -1).reshape(-1, 2)
         second = back[first]
         around = np.column_stack([ends[first], corner[first], corner[second], beside[first], beside[second]])
-        around[second < 0, 2:] = np.tile(ends[first[second < 0]], 3)
+        is_inside = (back.reshape(-1, 3) >= 0).all(1).repeat(3)
+        lacks = (second < 0) | ~is_inside[first] | ~is_inside[second]
+        around[lacks, 2:] = np.tile(ends[first[lacks]], 3)
         middle_uv = (face_uv + np.roll(face_uv, -1, 1)) / 2
         return cls(_parted(faces, vertex_count + number.reshape(faces.shape)), _parted(face_uv, middle_uv), around)
 

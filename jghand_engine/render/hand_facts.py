@@ -63,7 +63,6 @@ class HandFacts:
         constant = (self._moving, self._corners_m, self._frames)
         self._constant = len(self._moving), *(array.ctypes.data for array in constant)
         # of the last pose that was asked for
-        self._found = np.empty(FOUND)
         # the largest standard deviation that a pose of scale 1 gives a Gaussian. The blended map stretches ellipsoids
         # like the corners; twice is more than it does to the skin of a hand
         self._sigma_max_m = float(avatar.sigma_m.max(initial=0.0)) * SIGMA_STRETCH_MAX
@@ -75,8 +74,9 @@ class HandFacts:
         """Where a pose is before a camera, as native/view.cpp has it: 14 numbers. joints_m: (21, 3) float64, world"""
         maps, joints = np.ascontiguousarray(bones.linear_offset, np.float32), np.ascontiguousarray(joints_m, np.float64)
         given = (array.ctypes.data for array in (maps, joints, camera.camera_from_world))
-        self._call(*self._constant, *given, camera.orthographic, self._found.ctypes.data)
-        return self._found.tolist()
+        found = np.empty(FOUND)
+        self._call(*self._constant, *given, camera.orthographic, found.ctypes.data)
+        return found.tolist()
 
     def reach_m(self, scale: float, stretch: float, alpha_min: float) -> tuple[float, float]:
         """How far a Gaussian reaches from its center in an image with this cut-off, and how far its center may be from

@@ -30,8 +30,8 @@ class RenderSettings:
     gaussians:         how many of the avatar's Gaussians: a prefix; 0 = all
     alpha_min, t_stop: cut-offs of the blend
     shadow, shadow_samples: the self-shadow pass
-    outline_px:        how far the corners of a surface that ends a hand may be from a round outline before its faces
-                       are made finer
+    outline_px:        how far corners of a surface that ends a hand may be from the round outline of a finger, at the
+                       depth of the wrist, before its faces are made finer
     correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
     threads:           0 = as many as is sensible
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels

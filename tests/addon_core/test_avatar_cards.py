@@ -42,8 +42,8 @@ def test_a_painted_avatar_says_that_nothing_was_learned():
     ("learnt", "wanted"),
     [
         ({"light": {"kind": "known"}}, "Lit by lamps and world"),
-        ({"light": {"kind": "learnt"}}, "Lit by lamps and world, by estimate"),
-        ({"lobes": 8}, "Lit by lamps and world, by estimate"),  # as files were written before light could be known
+        ({"light": {"kind": "learnt"}}, "Lit by lamps and world, as is estimated"),
+        ({"lobes": 8}, "Lit by lamps and world, as is estimated"),  # as files were written before light could be known
         (None, "Shines with its own colors"),
     ],
 )

@@ -10,7 +10,7 @@ from small_avatars import known_avatar, on_template, trained_avatar
 from jghand_engine.avatar.avatar import FOREARM_WAY
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.detail import Detail
-from jghand_engine.avatar.forearm import FOREARM_FADE_M, WRIST_CUT_M, WRIST_WAY, ended
+from jghand_engine.avatar.forearm import FOREARM_FADE_M, STRAYS, WRIST_CUT_M, WRIST_WAY, ended
 from jghand_engine.avatar.posing import Posing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose, pose_sequence_of_names
@@ -30,9 +30,9 @@ def test_the_fade_lies_where_the_template_ends():
     assert np.linalg.norm([WRIST_WAY, FOREARM_WAY], axis=1) == pytest.approx([1, 1], abs=1e-3)
     # observed 0.8 mm: the cut is nearly flat
     np.testing.assert_allclose(loop @ WRIST_WAY, WRIST_CUT_M, atol=1e-3)
-    # before the last ring, where the skin of a smooth mesh rounds off; its Gaussians end 6 mm before the template does
-    along_m = arm.vertices_m @ FOREARM_WAY
-    assert along_m.max() - 0.006 - FOREARM_FADE_M[0] < along_m[-21:-1].min()
+    # before the last ring, where the skin of a smooth mesh rounds off
+    end_m = np.quantile(load_builtin(handedness=Handedness.RIGHT).position_m @ FOREARM_WAY, 1 - STRAYS)
+    assert end_m - FOREARM_FADE_M[0] < (arm.vertices_m[-21:-1] @ FOREARM_WAY).min()
 
 
 def test_a_hand_without_a_forearm_fades_over_the_last_15_mm_and_nowhere_else():
@@ -57,8 +57,13 @@ def test_a_forearm_is_shown_up_to_its_last_centimeters_or_hidden():
     assert arm.has_forearm
     assert arm.info.template == WITH_FOREARM
     shown, hidden = ended(arm), ended(arm, forearm=False)
-    assert (shown.opacity[along_m < along_m.max() - 0.034] == 1).all()
-    assert (shown.opacity[along_m > along_m.max() - 0.014] == 0).all()
+    end_m = np.quantile(along_m, 1 - STRAYS)
+    assert (shown.opacity[along_m < end_m - 0.030] == 1).all()
+    assert (shown.opacity[along_m > end_m - 0.010] == 0).all()
+    # one that has strayed does not move the end
+    stray = arm.position_m.copy()
+    stray[along_m.argmax()] += np.float32(0.05) * FOREARM_WAY.astype(np.float32)
+    assert np.abs(ended(replace(arm, position_m=stray)).opacity - shown.opacity).max() < 0.05
     # hidden it is the hand that ends at the wrist, whose mesh goes with it
     assert (hidden.opacity[along_m > 0.02] == 0).all()
     assert hidden.info.template == load_template().identifier
@@ -78,7 +83,7 @@ def test_the_end_of_the_built_in_forearm_has_neither_holes_nor_a_cut(around_deg)
     assert inside.sum() > 60
     down = np.diff(alpha[:, inside], axis=0)
     assert alpha[-1].max() == 0
-    assert down.max() < 0.02
+    assert down.max() < 0.05  # observed 0.02
     # observed 0.30 where the outline of the end rounds off
     assert down.min() > -0.4
 

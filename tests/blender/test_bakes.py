@@ -107,3 +107,10 @@ def test_a_damaged_stamp_is_no_bake(tmp_path, damage):
     with pytest.raises(JGHandFailure) as caught:
         bakes.read_bake(tmp_path / "bake")
     assert caught.value.kind == "no_bake"
+
+
+@pytest.mark.parametrize("lit", [False, True])
+def test_in_solid_mode_which_shows_no_colors_of_points_a_bake_is_of_the_color_of_skin(context, lit):
+    red, green, blue, alpha = bakes.points_material(lit=lit).diffuse_color
+    assert red > green > blue > 0.1  # Blender's own gray is even
+    assert alpha == 1

@@ -305,7 +305,7 @@ def test_the_light_panel_says_how_each_hand_answers_the_light_of_the_scene(exten
     seen_hands.forget()
     seen = text_of(draw(light, extension))
     assert "Right Hand: Lit by lamps and world" in seen
-    assert "Left Hand: Lit by lamps and world, by estimate" in seen
+    assert "Left Hand: Lit by lamps and world, as is estimated" in seen
 
 
 def test_a_camera_that_cannot_be_used_is_told(extension, engine):

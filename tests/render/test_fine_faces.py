@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.forearm import ended
+from jghand_engine.avatar.scene_light import Lamp, SceneLight
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.native import library as native_library
+from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
@@ -108,3 +111,20 @@ def test_a_hand_has_finer_faces_where_its_corners_would_be_seen():
         apart.append(np.abs(fine - coarse).max())
     assert apart[0] == 0
     assert apart[1] > 0.4
+
+
+def test_finer_faces_have_the_light_and_the_end_of_those_that_they_part():
+    avatar = ended(load_builtin(handedness=Handedness.RIGHT))
+    joints_m = named_pose("fist", avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+    lamp = Lamp(LampKind.SUN, (3.0, 3.0, 3.0), (0.8, 0.2, 0.6))
+    away_m = np.array([0, 0, 0.5])
+    for middle_m, wide_m in ((joints_m[9], 0.1), (joints_m[0] + np.array([0.02, -0.11, 0]), 0.06)):
+        seen = Camera.looking_at(middle_m + away_m, middle_m, (0, 1, 0), width=300, height=300, focal_px=150 / wide_m)
+        settings = [replace(preset("final"), outline_px=outline_px, threads=2) for outline_px in (0.01, 100.0)]
+        fine, coarse = (
+            HandRenderer(avatar, each, SceneLight(lamps=(lamp,))).render(joints_m, seen).rgba for each in settings
+        )
+        apart = np.abs(fine - coarse).max(-1)
+        assert apart.max() > 0
+        # but for outlines, and creases whose slopes the middles do not know
+        assert np.quantile(apart, 0.97) < 0.012  # observed 0.007; 0.021 without the light of middles
