@@ -2,9 +2,9 @@
 
     .envs/engine/bin/python scripts/benchmark_busy.py [--beside 0 1 2 4] [--rounds 6]
 
-Each column has so many busy loops beside it; each row is as many threads as JGHand takes by itself, and one thread
-alone, in two processes that take turns, so that both meet the same machine. Threads that wait for each other make the
-ratio of the two fall far below 1 as soon as one of them has no processor.
+Each column has so many busy loops beside it; its figures are with as many threads as JGHand takes by itself, with one
+thread alone, and their ratio: two processes that take turns, so that both meet the same machine. Threads that wait for
+each other make the ratio fall far below 1 as soon as one of them has no processor.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PLANNED_STEPS, FIRST_STEP = 10_000, 5_000
 POSES, ACROSS_M = 4, (-0.2, 0.0, 0.2)
 # one sample lasts at least so long: several turns of the system's scheduler (some 3 ms each)
 SAMPLE_S = 0.4
-BUSY_LOOP = "while True: pass"
+BUSY_LOOP = "print(flush=True)\nwhile True: pass"
 
 
 def frames() -> Callable[[], object]:
@@ -124,7 +124,10 @@ def worker(what: str, count: int) -> Iterator[Callable[[], float]]:
 @contextlib.contextmanager
 def busy_loops(count: int) -> Iterator[None]:
     """Other programs: so many processes that want all they can get."""
-    loops = [subprocess.Popen([sys.executable, "-c", BUSY_LOOP]) for _ in range(count)]
+    loops = [subprocess.Popen([sys.executable, "-c", BUSY_LOOP], stdout=subprocess.PIPE) for _ in range(count)]
+    for loop in loops:
+        assert loop.stdout is not None
+        loop.stdout.readline()  # it runs
     try:
         yield
     finally:
@@ -137,11 +140,14 @@ def measured(what: str, beside: list[int], rounds: int) -> dict[int, np.ndarray]
     """(rounds, 2) per second beside each number of loops: with the threads that JGHand takes, and with one."""
     found = {count: np.empty((rounds, 2)) for count in beside}
     with worker(what, 0) as automatic, worker(what, 1) as one:
-        for turn in range(-1, rounds):  # the first warms up
+        for per_second in (automatic, one):  # warms up
+            per_second()
+        for turn in range(rounds):
             for count in beside:
                 with busy_loops(count):
-                    rates = [automatic(), one()] if turn % 2 else [one(), automatic()][::-1]
-                found[count][turn] = rates
+                    sides = enumerate((automatic, one)) if turn % 2 else reversed([*enumerate((automatic, one))])
+                    for side, per_second in sides:
+                        found[count][turn, side] = per_second()
     return found
 
 
