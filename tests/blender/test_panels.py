@@ -280,6 +280,12 @@ def test_common_poses_are_offered_first_and_letters_in_a_menu_of_their_own(exten
     assert named == [pose.name for pose in all_poses("right")]
 
 
+def test_no_class_of_ours_is_made_from_another_that_blender_knows():
+    """Blender then loses the first: its menu is empty (5.2.2)."""
+    known = {one for module in registration.WITH_CLASSES for one in module.CLASSES}
+    assert not [one for one in known if known.intersection(one.__mro__[1:])]
+
+
 def test_curl_and_spread_say_what_their_numbers_mean(extension, engine):
     add()
     tips = [one.settings["text"] for one in draw(hand_panel.ControlsPanel, extension).drawn if "text" in one.settings]

@@ -12,6 +12,7 @@ from blender_addon.core import poses, posing
 from blender_addon.core.stand_in import surface_at
 from blender_addon.hand import armature, seen_hands, sources, stand_ins
 from blender_addon.render import composite, preview
+from blender_addon.viewport import handlers
 
 EXACT_M = 1e-6
 
@@ -126,6 +127,18 @@ def test_a_preview_movie_shows_no_stand_in(floor, tmp_path):
     assert scene is not None
     assert scene.get(stand_ins.WITHOUT)
     preview._remove(movie)
+
+
+def test_none_is_there_while_blender_undoes_something_and_each_hand_has_one_again(extension):
+    """An undo keeps collections that it does not change, with pointers to what a timer made since: a crash in 5.2.2."""
+    hand = add_hand()
+    stand_ins.update()
+    assert only(hand)
+    stand_ins.before_undo()
+    assert not [thing for thing in bpy.data.objects if stand_ins.MARK in thing]
+    assert {name for name, act in handlers.HANDLERS if act == stand_ins.before_undo} == {"undo_pre", "redo_pre"}
+    stand_ins.update()
+    assert only(hand)
 
 
 def test_it_has_the_forearm_that_the_hand_shows(extension, monkeypatch):
