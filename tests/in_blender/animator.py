@@ -10,7 +10,7 @@ import numpy as np
 from in_blender.pictures import changed, skin
 
 # the button of the empty side bar, and the first item of the menu below it: pixels from the bar's left, window's top
-ADD_BUTTON, FIRST_ITEM = (110, 258), (62, 286)
+ADD_BUTTON, FIRST_ITEM = (110, 284), (62, 312)
 SIZE = (480, 320)
 kept: dict[str, np.ndarray] = {}
 
