@@ -140,14 +140,14 @@ def measured(what: str, beside: list[int], rounds: int) -> dict[int, np.ndarray]
     """(rounds, 2) per second beside each number of loops: with the threads that JGHand takes, and with one."""
     found = {count: np.empty((rounds, 2)) for count in beside}
     with worker(what, 0) as automatic, worker(what, 1) as one:
-        for per_second in (automatic, one):  # warms up
+        sides = automatic, one
+        for per_second in sides:  # warms up
             per_second()
         for turn in range(rounds):
             for count in beside:
                 with busy_loops(count):
-                    sides = enumerate((automatic, one)) if turn % 2 else reversed([*enumerate((automatic, one))])
-                    for side, per_second in sides:
-                        found[count][turn, side] = per_second()
+                    for side in (0, 1) if turn % 2 else (1, 0):
+                        found[count][turn, side] = sides[side]()
     return found
 
 

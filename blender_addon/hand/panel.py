@@ -29,7 +29,7 @@ _WARNINGS = 2
 _TURNS = {
     "Curl": f"{CURL_FULL_DEG:.0f}° closes the finger, down to -{CURL_BACK_DEG:.0f}° bends it back; of the hand: a fist",
     "Spread": f"{SPREAD_FULL_DEG:.0f}° spreads a finger away from the middle finger, -{SPREAD_FULL_DEG:.0f}° moves it "
-    "there; the middle finger goes to the thumb, and back; of the hand: all fingers",
+    "towards it; the middle finger goes to the thumb, and back; of the hand: all fingers",
 }
 
 
@@ -326,7 +326,7 @@ class ControlsPanel(Sidebar, bpy.types.Panel):
                 if name:
                     row.prop(hand.pose.bones[name], "rotation_euler", index=index, text="")
                 else:
-                    ui.explained(row, panel_text.Line(head, tip=_TURNS[head]))
+                    ui.explained(row.column(), panel_text.Line(head, tip=_TURNS[head]))
 
 
 class PinsPanel(Sidebar, bpy.types.Panel):

@@ -69,18 +69,19 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
     if last[0] != key:
         if hands:
             found += tuple(_between(depsgraph, kinds, joints, from_eye, from_lamps))
-        if not is_mixed and (text := left_out(layer)):
-            found += (f'{text}. "Set Up Compositing" renders both',)
+        if not is_mixed:
+            found += left_out(layer)
         if len(_kept) >= _SCENES:
             _kept.clear()
         last = _kept[place] = key, found
     return last[1]
 
 
-def left_out(layer: bpy.types.ViewLayer) -> str:
-    """What images of hands alone do not have of a view layer, in a sentence; "" where that is nothing."""
+def left_out(layer: bpy.types.ViewLayer) -> tuple[str, ...]:
+    """A sentence about what images of hands alone do not have of a view layer; none where that is nothing."""
     things = [thing.name for thing in armature.rendered_at_any_frame(layer, worlds.is_surface)]
-    return f"JGHand renders hands alone, without {_listed(things)}" if things else ""
+    text = f'JGHand renders hands alone, without {_listed(things)}. "Set Up Compositing" renders both'
+    return (text,) if things else ()
 
 
 def _listed(names: Sequence[str]) -> str:

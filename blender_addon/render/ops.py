@@ -34,8 +34,7 @@ class UseEngine(Reporting, bpy.types.Operator):
         context.scene.render.engine = ENGINE
         context.scene.render.use_lock_interface = True
         hands = armature.hands_at_any_frame(context.view_layer)
-        others = limits.left_out(context.view_layer)
-        doubts = [f'{others}. "Set Up Compositing" renders both.'] if others else []
+        doubts = limits.left_out(context.view_layer)
         if context.scene.camera is None and hands:
             camera = add_camera(context, hands[0])
             self.tell(f"The scene had no camera: {camera.name} shows the hand.", doubts=doubts)

@@ -20,16 +20,14 @@ class Blocks:
     order: (N,) which Gaussian stands in each row · rows: N rounded up to a multiple of 16
     """
 
-    def __init__(self, position_m: np.ndarray) -> None:
-        self.order = compact_order(position_m)
-        self.rows = padded_rows(len(position_m))
+    def __init__(self, order: np.ndarray) -> None:
+        self.order = order
+        self.rows = padded_rows(len(order))
 
     @classmethod
-    def in_order(cls, order: np.ndarray) -> Blocks:
-        """Blocks of what stands in a given order (N,)."""
-        blocks = cls.__new__(cls)
-        blocks.order, blocks.rows = order, padded_rows(len(order))
-        return blocks
+    def of(cls, position_m: np.ndarray) -> Blocks:
+        """Of neighbors, by their places (N, D)."""
+        return cls(compact_order(position_m))
 
     @property
     def count(self) -> int:

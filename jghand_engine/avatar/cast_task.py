@@ -56,7 +56,7 @@ class Capsules:
 def anchor_blocks(position_m: np.ndarray, normal: np.ndarray) -> Blocks:
     """Anchors, by place and normal (A, 3), in the order in which the kernels have them: neighbors that face about the
     same way together."""
-    return Blocks(_by_place_and_normal(position_m, normal))
+    return Blocks.of(_by_place_and_normal(position_m, normal))
 
 
 def anchors_beside(position_m: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -121,7 +121,7 @@ class Poser:
         limits: Limits = LIMITS,
     ) -> None:
         self._call, self._maps, learned = library.call, avatar.map_count, avatar.learned
-        self.blocks = blocks = Blocks(avatar.position_m)
+        self.blocks = blocks = Blocks.of(avatar.position_m)
         ellipsoids = learned is not None and learned.ellipsoid is not None
         fades = learned is not None and learned.fades
         self.into = new_rows(blocks.rows, ellipsoids=ellipsoids, fades=fades) if into is None else into

@@ -202,7 +202,7 @@ class _Hand:
 
     def __init__(self, hand: DetailedHand) -> None:
         detail, self.power, self.depth_m = hand.detail, hand.power, hand.detail.depth_m
-        blocks = Blocks(detail.position_m)
+        blocks = Blocks.of(detail.position_m)
         relative = detail.position_m.astype(np.float64) - hand.joints_m[0]
         self._skin_arrays = {"rest": blocks.blocked(np.pad(relative, ((0, 0), (0, 1))))}
         self._skin_arrays |= blocks.bones(hand.weights)
@@ -216,7 +216,7 @@ class _Hand:
             self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
             set_pointers(self._surface, self._correctives)
         self._detail, self._row_of = detail, np.argsort(blocks.order)
-        self._face_blocks = Blocks(detail.position_m[detail.faces].mean(1))
+        self._face_blocks = Blocks.of(detail.position_m[detail.faces].mean(1))
         self._coarse = _Faces(self._face_blocks, detail.faces, detail.face_uv, self._row_of, ends_hand=detail.ends_hand)
         self._fine: _Faces | None = None
         side_m = np.linalg.norm(np.diff(detail.position_m[detail.faces[:, :2]], axis=1), axis=-1)
@@ -282,7 +282,7 @@ class _Hand:
         detail, parted = self._detail, FineFaces.of(self._detail.faces, self._detail.face_uv, len(self._row_of))
         rows = padded_rows(len(self._row_of))
         # beside those of their first ends
-        sides = Blocks.in_order(np.argsort(self._row_of[parted.around[:, 0]]))
+        sides = Blocks(np.argsort(self._row_of[parted.around[:, 0]]))
         around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(sides.count, LANES, AROUND_SIDE)
         for name in self._arrays.keys() & {"vertex", "whole", "bend", "slope"}:
             before = self._arrays[name]
@@ -291,7 +291,7 @@ class _Hand:
         self._arrays["whole"][rows:] = sides.in_rows(detail.shown[parted.around[:, :2]].mean(1))
         self._arrays["around"] = np.ascontiguousarray(around.swapaxes(1, 2))
         row_of = np.concatenate([self._row_of, rows + np.argsort(sides.order)])
-        parts = Blocks.in_order((4 * self._face_blocks.order[:, None] + np.arange(4)).ravel())
+        parts = Blocks((4 * self._face_blocks.order[:, None] + np.arange(4)).ravel())
         return _Faces(parts, parted.faces, parted.face_uv, row_of, ends_hand=True)
 
     def pose(self, bones: Bones, shift_m: np.ndarray) -> None:

@@ -29,7 +29,8 @@ class FineFaces:
         # a side between two faces is numbered by the first of them
         first, number = np.unique(np.where(back < 0, own, np.minimum(back, own)), return_inverse=True)
         ends = np.stack([faces, np.roll(faces, -1, 1)], -1).reshape(-1, 2)
-        across, corner = opposite_vertices(faces), np.roll(faces, -2, 1).ravel()
+        corner = np.roll(faces, -2, 1).ravel()
+        across = corner[back].reshape(-1, 3)  # where none is, it is left out below
         beside = np.stack([np.roll(across, -1, 1), np.roll(across, -2, 1)], -1).reshape(-1, 2)
         second = back[first]
         around = np.column_stack([ends[first], corner[first], corner[second], beside[first], beside[second]])
@@ -37,7 +38,11 @@ class FineFaces:
         lacks = (second < 0) | ~is_inside[first] | ~is_inside[second]
         around[lacks, 2:] = np.tile(ends[first[lacks]], 3)
         middle_uv = (face_uv + np.roll(face_uv, -1, 1)) / 2
-        return cls(_parted(faces, vertex_count + number.reshape(faces.shape)), _parted(face_uv, middle_uv), around)
+        return cls(
+            parted_in_four(faces, vertex_count + number.reshape(faces.shape)),
+            parted_in_four(face_uv, middle_uv),
+            around,
+        )
 
 
 def opposite_vertices(faces: np.ndarray) -> np.ndarray:
@@ -57,7 +62,9 @@ def sides_behind(faces: np.ndarray) -> np.ndarray:
     return np.where(side[found] == back, found, -1)
 
 
-def _parted(corner: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """(4 F, 3, …) of values (F, 3, …) at the corners, and in the middles of the sides from each to the next."""
-    parts = [np.stack([corner[:, k], middle[:, k], middle[:, k - 1]], 1) for k in range(3)]
-    return np.stack([*parts, middle], 1).reshape(-1, *corner.shape[1:])
+def parted_in_four(corners: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """(4F, 3, ...) of values (F, 3, ...) at the corners of faces, and in the middles of the edges that leave them: the
+    three outside, then the one inside."""
+    (a, b, c), (ab, bc, ca) = np.moveaxis(corners, 1, 0), np.moveaxis(middles, 1, 0)
+    four = [np.stack(three, 1) for three in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+    return np.stack(four, 1).reshape(-1, *corners.shape[1:])

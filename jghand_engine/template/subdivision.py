@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from jghand_engine.render.fine_faces import parted_in_four
 from jghand_engine.template.surface import directed_edges
 
 # new vertices on edges: shares of the edge's two ends, and of the two corners across it
@@ -77,13 +78,6 @@ def _once(faces: np.ndarray, face_uv: np.ndarray, count: int) -> tuple[np.ndarra
     valence = np.asarray(neighbors.sum(1)).ravel()
     beta = (5 / 8 - (3 / 8 + np.cos(2 * np.pi / valence) / 4) ** 2) / valence
     even = sparse.diags_array(1 - valence * beta) + sparse.diags_array(beta) @ neighbors
-    finer = _split(faces, number + count)
-    finer_uv = _split(face_uv, (face_uv + np.roll(face_uv, -1, axis=1)) / 2)
+    finer = parted_in_four(faces, number + count)
+    finer_uv = parted_in_four(face_uv, (face_uv + np.roll(face_uv, -1, axis=1)) / 2)
     return finer, finer_uv, sparse.csr_array(sparse.vstack([even, odd]))
-
-
-def _split(corners: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """(F, 3, ...) corners, middles of the edges that leave them -> (4F, 3, ...): three outside, one inside."""
-    (a, b, c), (ab, bc, ca) = np.moveaxis(corners, 1, 0), np.moveaxis(middles, 1, 0)
-    four = [np.stack(three, 1) for three in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-    return np.stack(four, 1).reshape(-1, *corners.shape[1:])

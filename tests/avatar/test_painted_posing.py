@@ -95,7 +95,7 @@ def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: L
 
 def test_blocks_hold_all_points_and_are_small():
     points = load_painted(handedness=Handedness.RIGHT).position_m
-    blocks = Blocks(points)
+    blocks = Blocks.of(points)
     assert np.array_equal(np.sort(blocks.order), np.arange(len(points)))
     whole = len(points) // LANES * LANES
     sides_m = np.ptp(points[blocks.order[:whole]].reshape(-1, LANES, 3), axis=1).max(1)

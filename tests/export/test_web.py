@@ -239,7 +239,7 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
     origin_m = np.array(description_of(folder)["origin_m"])
     joints_m = sequence.joints_m[[0, 20, 38, 55, -1]] - origin_m
     found = posed_by_the_page(folder, joints_m)
-    order, transform, worst = Blocks(shown.position_m).order, transform_of(shown), dict[str, float]()
+    order, transform, worst = Blocks.of(shown.position_m).order, transform_of(shown), dict[str, float]()
     for frame, joints in enumerate(joints_m):
         bones = transform.bones(torch.from_numpy(joints))
         with torch.no_grad():
@@ -283,7 +283,7 @@ def test_the_page_poses_as_the_engine_does(tmp_path, kind, hand):
 def in_rows_of_the_page(detail: Detail) -> np.ndarray:
     """Which vertex of the surface stands in each of the page's."""
     vertex = one_uv_each(detail.faces, detail.face_uv)[0]
-    return vertex[Blocks(detail.position_m[vertex]).order]
+    return vertex[Blocks.of(detail.position_m[vertex]).order]
 
 
 @pytest.mark.parametrize("hand", Handedness)
@@ -335,7 +335,7 @@ def slopes_of_the_engine(
     assert detail is not None
     poser = Poser(library, avatar)
     drawn = NativeDetail(library, [DetailedHand.of(avatar, 1.0, poser)])
-    (hand,), row = drawn._hands, np.argsort(Blocks(detail.position_m).order)
+    (hand,), row = drawn._hands, np.argsort(Blocks.of(detail.position_m).order)
     camera, slopes, bends = Camera(8, 8, 10.0, 10.0, 4.0, 4.0, np.eye(4), orthographic=True), [], []
     for joints in joints_m:
         bones = avatar.skeleton().bones(joints)

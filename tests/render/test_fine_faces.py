@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.forearm import ended
 from jghand_engine.avatar.scene_light import Lamp, SceneLight
@@ -124,7 +125,7 @@ def test_middles_have_the_light_the_bend_and_the_end_of_the_mean_of_their_ends()
     detail = renderer._backend._detail
     assert detail is not None
     arrays = detail._hands[0]._arrays
-    ends, first = arrays["around"][:, :2].swapaxes(1, 2).reshape(-1, 2), len(detail._hands[0]._row_of) + 15 & -16
+    ends, first = arrays["around"][:, :2].swapaxes(1, 2).reshape(-1, 2), padded_rows(len(detail._hands[0]._row_of))
     ends = ends[ends[:, 0] != ends[:, 1]]  # without what fills up the last block
     for name, varies in (("slope", 1.0), ("bend", 0.1), ("whole", 0.5)):
         values = arrays[name]

@@ -88,7 +88,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     avatar: with the correctives that the page shall compute.
     """
     given, avatar = avatar, in_studio(avatar)
-    blocks = Blocks(avatar.position_m)
+    blocks = Blocks.of(avatar.position_m)
     learned = avatar.learned
     skin = skin_task(blocks)
     task = LearnedTask() if learned is None else learned_task(learned, avatar.handedness)
@@ -183,7 +183,7 @@ def _cast(
 def _detail(avatar: HandAvatar, detail: Detail, learned: Learned, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     """What the first step of native/detail.cpp reads of the surface, and what the page's shaders draw on it."""
     vertex, uv, faces = one_uv_each(detail.faces, detail.face_uv)
-    position_m, blocks = detail.position_m[vertex], Blocks(detail.position_m[vertex])
+    position_m, blocks = detail.position_m[vertex], Blocks.of(detail.position_m[vertex])
     relative_m = position_m.astype(np.float64) - avatar.canonical_joints_m[0]
     own = {
         "skin.rest": blocks.blocked(np.pad(relative_m, ((0, 0), (0, 1)))),
