@@ -14,7 +14,7 @@ from typing import TypeVar
 from jghand_engine.learn.tables import NONE, Table
 from jghand_engine.study.stability_curves import CURVES, Curve
 from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, hand_cases
-from jghand_engine.study.stability_measures import FEW, SKIN_MAX_M, HandRow, correctives_row, hand_row
+from jghand_engine.study.stability_measures import FEW, SIGNS_MAX_M, SKIN_MAX_M, HandRow, correctives_row, hand_row
 from jghand_engine.study.stability_pictures import PIXEL_MAX, PictureRow
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
@@ -53,15 +53,16 @@ class Stability:
         missed = sum(bool(row.missed) for row in [*hands, *self.pictures])
         total = len(hands) + len(self.pictures)
         bare, shipped = (
-            max(row.ours.axes_mm for row in rows if "ordinary" in row.name) for rows in (self.hands, self.correctives)
+            max(row.ours.signs_mm for row in rows if "ordinary" in row.name) for rows in (self.hands, self.correctives)
         )
         twist = next(curve for curve in self.curves if curve.name == "straight_twist")
         return (
             f"{finite} of {total} hard cases have finite values and gradients; "
             f"{total - missed} meet every bound, {missed} miss one. On ordinary poses joints that are "
-            f"{1e3 * NUDGE_M:g} mm off along every axis move the skin of the built-in hand by up to {shipped:.1f} mm, "
-            f"and by {bare:.1f} mm where nothing but the bones moves it. A straightened finger whose joints are 0.5 mm "
-            f"off twists by {twist.ours[-1]:.1f} degrees, by the usual cross products {twist.usual[-1]:.0f}."
+            f"{1e3 * NUDGE_M:g} mm off along every axis, with the worst of all signs, move the skin of the built-in "
+            f"hand by up to {shipped:.1f} mm, and by {bare:.1f} mm where nothing but the bones moves it. A "
+            f"straightened finger whose joints are 0.5 mm off twists by {twist.ours[-1]:.1f} degrees, by the usual "
+            f"cross products {twist.usual[-1]:.0f}."
         )
 
 
@@ -89,27 +90,28 @@ def measure_stability(tick: Callable[[], None] = lambda: None) -> Stability:
 
 def _hand_table(rows: list[HandRow]) -> Table:
     nudge = f"{1e3 * NUDGE_M:g} mm"
-    columns = ("Hand", "Gradient", "usual", "float32, mm", "usual", f"{nudge} nudge, mm", "usual", "Misses", "Says")
+    columns = ("Hand", "Gradient", "usual", "float32, mm", "usual", f"{nudge} nudge, mm", "usual", "worst signs, mm",
+               "usual", "Misses", "Says")  # fmt: skip
     notes = (
         "All values and gradients are finite, in float32 and float64, of the hand and of 100 hands beside it "
         f"(trained: {FEW}), where no column says otherwise.",
         f"Gradient: the largest, times the size of the hand; bound {GRADIENT_MAX:.0e}. "
         "float32: how far the skin is from where float64 has it.",
-        f"Nudge: how far the skin moves when every joint is off by {nudge} (trained: all Gaussians, in the tier that "
-        "is shown); bound "
-        f"{1e3 * SKIN_MAX_M:g} mm, except where the transform itself says that the hand has no "
-        "certain frame (last column). A forearm goes on where the palm points, like a lever: its skin is moved by that "
-        "and once more for each palm's length behind the wrist.",
+        f"Nudge: how far the skin moves when every joint is off by {nudge} in directions of chance, and by as much on "
+        "every axis with the worst of all signs (trained: all Gaussians, in the tier that is shown); bounds "
+        f"{1e3 * SKIN_MAX_M:g} and {1e3 * SIGNS_MAX_M:.1f} mm, except where the transform itself says that the hand "
+        "has no certain frame (last column). A forearm goes on where the palm points, like a lever: its skin is moved "
+        "by that and once more for each palm's length behind the wrist.",
         "usual: angles by acos, frames by normalized cross products, |b| + 1e-8, absolute coordinates; written for "
         "this study (study/stability_usual.py). Lengths are as on a hand of ordinary size.",
-        "The JSON also has nudges of exactly that length on each axis, and the difference of a picture from float64.",
+        "The JSON also has the difference of a picture from float64.",
     )
     return Table("Hard hands", columns, tuple(_hand_cells(row) for row in rows), notes)
 
 
 def _hand_cells(row: HandRow) -> tuple[str, ...]:
     cells = []
-    for name in ("gradient", "precision_mm", "nudged_mm"):
+    for name in ("gradient", "precision_mm", "nudged_mm", "signs_mm"):
         cells.append(short(getattr(row.ours, name)) if row.ours.finite else "not finite")
         cells.append(NONE if row.usual is None else short(getattr(row.usual, name)))
     return (row.name, *cells, "; ".join(row.missed) or NONE, "; ".join(row.flags) or NONE)

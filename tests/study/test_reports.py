@@ -29,7 +29,7 @@ pytest.importorskip("matplotlib")
 
 ROOT = Path(__file__).parents[2]
 CROP = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
-GOOD = Measured(finite=True, gradient=42.0, precision_mm=3e-5, nudged_mm=1.1, axes_mm=1.8)
+GOOD = Measured(finite=True, gradient=42.0, precision_mm=3e-5, nudged_mm=1.1, signs_mm=1.8)
 PICTURE = PictureError(worst=1e-4, flipped=0, finite=True, visible=7, invalid=0)
 
 
@@ -66,7 +66,7 @@ def hard_cases() -> Stability:
     usual = np.array([1.0, 10, 100, np.nan, 107])
     curve = Curve("straight_twist", "title", "below", "x", "y", "way", distance, np.full(5, 0.5), usual, visible=2.0)
     pictures = [PictureRow("picture", PICTURE, 1.0, True, 0.5)]
-    trained = HandRow("trained hand, ordinary: good hand", [], replace(GOOD, axes_mm=3.1), None, PICTURE)
+    trained = HandRow("trained hand, ordinary: good hand", [], replace(GOOD, signs_mm=3.1), None, PICTURE)
     return Stability(hands, [trained], pictures, [curve])
 
 

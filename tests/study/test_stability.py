@@ -20,10 +20,10 @@ from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, HandCase,
 from jghand_engine.study.stability_measures import (
     GAUSSIANS,
     PRECISION_MAX_M,
+    SIGNS_MAX_M,
     SKIN_MAX_M,
     Skin,
     as_shown,
-    axis_nudges,
     correctives_row,
     hand_row,
     levers_of,
@@ -33,6 +33,7 @@ from jghand_engine.study.stability_measures import (
     posed_avatar,
     random_nudges,
     transform_for,
+    worst_signs,
 )
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
@@ -43,7 +44,7 @@ FAR_TESTED = (
     "middle finger sideways, +90 degrees",
     "index folded back at its knuckle",
 )
-# and those that come nearest to the bound by what was learned: the shown tier moves skin by 1.65 and 1.81 mm of 2
+# and those that come nearest to the bound by what was learned: the shown tier moves skin by 2.09 and 2.28 mm of 2.6
 NEAREST = ("ordinary: fist", "bones +50 % and -50 % in turn")
 row_of = cache(lambda name: correctives_row(hand_cases()[name]))
 
@@ -57,7 +58,8 @@ def test_a_hard_hand_is_finite_exact_and_continuous(name):
     assert row.picture.good
     if row.flags:
         return
-    assert max(row.ours.nudged_mm, row.ours.axes_mm) <= 1e3 * SKIN_MAX_M
+    assert row.ours.nudged_mm <= 1e3 * SKIN_MAX_M
+    assert row.ours.signs_mm <= 1e3 * SIGNS_MAX_M
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -78,9 +80,34 @@ def test_the_trained_hand_far_outside_training_is_finite_and_drawn_right(name):
 
 @pytest.mark.parametrize("name", [FAR_TESTED[1], *NEAREST])
 def test_the_trained_hand_is_steady_where_every_coordinate_is_off(name):
-    axes_mm = row_of(name).ours.axes_mm
+    signs_mm = row_of(name).ours.signs_mm
     assert row_of(name).flags == []
-    assert axes_mm <= 1e3 * SKIN_MAX_M
+    assert signs_mm <= 1e3 * SIGNS_MAX_M
+
+
+@pytest.mark.parametrize("name", ["ordinary: relaxed", "ordinary: fist"])
+def test_on_ordinary_poses_bones_move_skin_little_whatever_the_signs(name):
+    case, bones = hand_cases()[name], partial(ours, handedness=RIGHT)
+    # METHOD 2.11; observed 1.83 and 1.87
+    assert moved_mm(bones, case, worst_signs(bones, case)) <= 1e3 * SKIN_MAX_M
+
+
+def test_the_worst_signs_are_the_worst_of_all_signs():
+    """Of skin that hangs on nine coordinates alone, whose signs can all be tried."""
+    case, generator = HandCase("linear", posed("relaxed")), torch.Generator().manual_seed(3)
+    way = torch.randn(40, 3, 9, dtype=torch.float64, generator=generator)
+
+    def skin(joints_m, dtype):
+        # where the wrist is, is added to what a formulation answers
+        return Skin((joints_m[:, 4:7].flatten(1) @ way.mT).swapaxes(0, 1), torch.zeros((), dtype=dtype))
+
+    of_nine = torch.cartesian_prod(*9 * [torch.tensor([-1.0, 1.0], dtype=torch.float64)]).reshape(-1, 3, 3)
+    every = torch.zeros(len(of_nine), 21, 3, dtype=torch.float64)
+    every[:, 4:7] = of_nine
+    found = worst_signs(skin, case)
+    assert set(found[:, 4:7].unique().tolist()) == {-1.0, 1.0}
+    found[:, 0] = 0
+    assert moved_mm(skin, case, found) == pytest.approx(moved_mm(skin, case, every), rel=1e-9)
 
 
 def test_the_trained_network_itself_keeps_to_the_bound():
@@ -93,8 +120,8 @@ def test_the_trained_network_itself_keeps_to_the_bound():
             posed = [posed_avatar(avatar, transform, one).position_m for one in joints_m - joints_m[:, :1]]
         return Skin(torch.stack(posed).to(dtype), torch.zeros(()))
 
-    # observed 1.35
-    assert moved_mm(network, case, axis_nudges(8), levers_of(avatar)) <= 1e3 * SKIN_MAX_M
+    levers = levers_of(avatar)
+    assert moved_mm(network, case, worst_signs(network, case, levers), levers) <= 1e3 * SIGNS_MAX_M
 
 
 def test_a_forearm_moves_as_the_end_of_a_lever_does_and_nothing_else_may():
@@ -107,8 +134,9 @@ def test_a_forearm_moves_as_the_end_of_a_lever_does_and_nothing_else_may():
     assert 2.4 < float(levers.max()) < 2.8
     case = hand_cases()["ordinary: relaxed"]
     bare = replace(avatar, learned=replace(avatar.learned, correctives=None, distilled=None))
-    assert moved_mm(as_shown(bare), case, axis_nudges()) > 1e3 * SKIN_MAX_M
-    assert moved_mm(as_shown(bare), case, axis_nudges(), levers) <= 1e3 * SKIN_MAX_M
+    shown = as_shown(bare)
+    assert moved_mm(shown, case, worst_signs(shown, case)) > 1e3 * SIGNS_MAX_M
+    assert moved_mm(shown, case, worst_signs(shown, case, levers), levers) <= 1e3 * SKIN_MAX_M
 
 
 def test_a_trained_hand_is_nudged_as_it_is_shown():
