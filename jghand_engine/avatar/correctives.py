@@ -6,6 +6,7 @@ angles of the joints near it (pose features, mixed by its skin weights), or a li
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -104,8 +105,8 @@ class PoseNetwork(PerGaussian):
         return AnglePlanes(self.weights["angles.planes"], self.shape.level1)
 
     def longest_offset_m(self) -> float:
-        """What no offset exceeds along an axis, in any pose."""
-        return self.shape.reach_m
+        """What no offset is longer than, in any pose."""
+        return math.sqrt(3) * self.shape.reach_m
 
 
 @dataclass(frozen=True)
@@ -136,13 +137,14 @@ class LinearCorrectives(PerGaussian):
         return self.direction.shape[1]
 
     def longest_offset_m(self) -> float:
-        """What no offset exceeds along an axis, in any pose: features are means of the planes' texels."""
+        """What no offset is longer than, in any pose: features are means of the planes' texels."""
         texels = np.moveaxis(self.angles.planes, 1, -1).reshape(-1, len(self.mean))
         simple = np.abs((texels - self.mean) @ self.projection).max(0)[: self.basis]
         first, second = products(self.projection.shape[1], self.basis)
         numbers = np.concatenate([simple, simple[first] * simple[second]])
         directions = np.abs(self.direction[..., :3].astype(np.float32)) * np.abs(self.scale[:, :1, None])
-        return float((np.abs(self.constant[:, :3]) + np.einsum("k,nkc->nc", numbers, directions)).max())
+        along_axes = np.abs(self.constant[:, :3]) + np.einsum("k,nkc->nc", numbers, directions)
+        return float(np.linalg.norm(along_axes, axis=1).max())
 
 
 Correctives = PoseNetwork | LinearCorrectives

@@ -172,6 +172,11 @@ class Poser:
         self._stands, self._eye_m = (linear_offset, bones, others), None
         self._team.fill(0)
 
+    def hide(self) -> None:
+        """Nothing of the avatar is drawn before its next pose."""
+        self.into.position_m.fill(np.nan)
+        self._stands = None
+
     def prepare_light(self, light: SceneLight) -> bool:
         """Sets another light of the scene for the pose that stands: `run` lights it anew, and nothing else. Whether
         there is anything to be run: not for an avatar without a response."""
@@ -204,11 +209,9 @@ class Poser:
 
     def prepare_gloss(self, eye_m: np.ndarray) -> bool:
         """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
-        when nothing is reflected or the pose was seen from there last."""
-        if self._stands is None:
-            raise InputError("gloss", wanted="a pose before it", came="none")
-        light = self._light
-        if light is None or not light.reflects or (self._eye_m is not None and np.array_equal(eye_m, self._eye_m)):
+        without a pose, or when nothing is reflected or the pose was seen from there last."""
+        light, is_known = self._light, self._eye_m is not None and np.array_equal(eye_m, self._eye_m)
+        if self._stands is None or light is None or not light.reflects or is_known:
             return False
         self._eye_m = np.array(eye_m, np.float64)
         light.task.eye = tuple(self._eye_m)

@@ -157,12 +157,13 @@ def at_part(stages: tuple[tuple[float, float], ...], part: float) -> float:
 
 
 def ablations(options: TrainOptions) -> dict[str, TrainOptions]:
-    """The rows of the paper's ablation table, from the full configuration (PAPER 3), and one more where fingers cast a
-    shadow: the paper knows that of the screen alone."""
+    """The rows of the paper's ablation table, from the full configuration (PAPER 3), and two more of what the paper has
+    not: the shadow that fingers cast, and joints that err while the pose's network learns."""
     rows = {
         "w/o trans": replace(options, transform=Transform.HALO_LIKE),
         "w/o screen shadow": replace(options, shadow=False),
         "w/o cast shadow": replace(options, model=replace(options.model, cast_shadow=False)),
+        "w/o joint errors": replace(options, joint_noise_m=0.0),
         "w/o iso": replace(options, model=replace(options.model, anisotropic=True)),
         "full": options,
     }

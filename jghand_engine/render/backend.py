@@ -67,6 +67,7 @@ class Canvas:
     camera:    of the image's origin, that is camera_from_world @ translation(origin)
     near_m:    depth of the origin, meters
     style:     of the shadow, None for none
+    seen:      per hand whether it can be in the image; the others are not posed
     alpha_min: cut-off of the blend
     depth:     whether somebody wants it
     light:     of the scene; None for that of the capture
@@ -76,6 +77,7 @@ class Canvas:
     camera: Camera
     near_m: float
     style: ShadowStyle | None
+    seen: tuple[bool, ...]
     alpha_min: float
     depth: bool = False
     light: SceneLight | None = None
@@ -123,7 +125,8 @@ class Backend:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
             self._hands.append(Poser(library, avatar, mine, limits_of(settings.effects)))
             first += len(mine)
-        self._padding = rows - sum(len(avatar) for avatar in avatars)
+        self._counts = [len(avatar) for avatar in avatars]
+        self._padding = rows - sum(self._counts)
         # numbers of the hands that have one
         self._detailed = [place for place, avatar in enumerate(avatars) if avatar.detail is not None]
         self._detail: NativeDetail | None = None
@@ -148,11 +151,14 @@ class Backend:
         camera, settings, light = canvas.camera, self._settings, canvas.light
         skins: list[Poser] = []
         if poses is not None:
-            skins = self._hands
+            skins = [hand for hand, is_seen in zip(self._hands, canvas.seen, strict=True) if is_seen]
             # hands of one image share its low pass: it is that of the finest pictures that are known
             pixels_m = (pixel_m * pose.bones.scale for pixel_m, pose in zip(self._pixels_m, poses, strict=True))
             self._gaussians = replace(self._gaussians, pixel_m=min(filter(None, pixels_m), default=0.0))
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
+                if not canvas.seen[place]:
+                    hand.hide()
+                    continue
                 keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
                 hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
             if self._detail is not None:
@@ -185,7 +191,8 @@ class Backend:
         work.run(shared_pool(self.threads))
         work.report_to(report, LIGHT if poses is None else SKIN, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasterizer.visible
-        report.invalid_gaussians = self._rasterizer.invalid - self._padding
+        hidden = sum(count for count, is_seen in zip(self._counts, canvas.seen, strict=True) if not is_seen)
+        report.invalid_gaussians = self._rasterizer.invalid - self._padding - hidden
         if self._rasterizer.fell_back:
             report.backend = self._library.variant
             report.notes.append(self._rasterizer.fell_back)

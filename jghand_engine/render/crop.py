@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,15 +39,20 @@ class View:
         self.extent_px = extent_px(max(camera.fx * wide, camera.fy * high), self.nearest_m, camera)
 
 
-def views_box(views: Iterable[View], alpha_min: float) -> Box:
+def seen_hands(views: Sequence[View], alpha_min: float) -> tuple[bool, ...]:
+    """Whether each hand of an image may touch it."""
+    pixel_m = _coarsest_m(views)
+    return tuple(bool(views_box([view], alpha_min, pixel_m).width) for view in views)
+
+
+def views_box(views: Sequence[View], alpha_min: float, pixel_m: float = 0.0) -> Box:
     """The rectangle that hands may touch, each before a camera of its own, all of one size of image: NOWHERE for hands
     behind the camera or beside the image, all of it where that is not known. What passes the image between two views is
-    in it."""
+    in it. pixel_m: of other hands in the image, as of `_coarsest_m`"""
     # from, to: of columns and rows
     found, width, height = [math.inf, -math.inf, math.inf, -math.inf], 0, 0
-    views, cut = list(views), math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2)
-    # hands share a low pass, `Backend.draw`: whichever of theirs it is
-    low_pass_m = cut * max((view.hand.avatar.pixel_m * view.bones.scale for view in views), default=0.0)
+    cut = math.sqrt(2 * math.log(1 / alpha_min) * contract.BLUR_PX2)
+    low_pass_m = cut * max(pixel_m, _coarsest_m(views))
     for view in views:
         camera, flags = view.camera, view.bones.flags
         width, height = camera.width, camera.height
@@ -84,6 +89,12 @@ def views_box(views: Iterable[View], alpha_min: float) -> Box:
     left, right = _on_grid(found[0], found[1], width)
     top, bottom = _on_grid(found[2], found[3], height)
     return Box(left, top, right - left, bottom - top) if left < right and top < bottom else NOWHERE
+
+
+def _coarsest_m(views: Sequence[View]) -> float:
+    """The largest pixel of pictures that one of the hands was learned from, meters: hands share a low pass
+    (`Backend.draw`), whichever of theirs it is."""
+    return max((view.hand.avatar.pixel_m * view.bones.scale for view in views), default=0.0)
 
 
 def _beyond(aside_m: float, splat_m: float, farthest_m: float) -> float:

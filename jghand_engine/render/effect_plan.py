@@ -128,6 +128,7 @@ class EffectPlan:
 
     decisions: one per effect that the light has
     box:       what is drawn of the image, empty where no hand can be seen
+    seen:      per hand whether it can be
     strength:  of the shadow pass, 0..1
     enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not
     plain:     share, 0..1, of the image that is not
@@ -137,6 +138,7 @@ class EffectPlan:
 
     decisions: tuple[Decision, ...]
     box: Box
+    seen: tuple[bool, ...] = ()
     strength: float = 0.0
     enlarged: int = 1
     plain: float = 1.0

@@ -31,7 +31,7 @@ from jghand_engine.render.blur import (
     way_px,
 )
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import View, views_box
+from jghand_engine.render.crop import View, seen_hands, views_box
 from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
 from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, fade, fade_with_size, gap_between
 from jghand_engine.render.hand_facts import HandFacts
@@ -157,11 +157,12 @@ class Scene:
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
     """Decides about every effect of one image through a pinhole."""
     views = scene.views(hands, settings.alpha_min)
-    box = views_box(views, settings.alpha_min)
+    seen = seen_hands(views, settings.alpha_min)
+    box = views_box([view for view, is_seen in zip(views, seen, strict=True) if is_seen], settings.alpha_min)
     if not box.width and not settings.effects.forced:
         other = OF_SCENE if scene.lit is None else OF_CAPTURE
         nothing = tuple(Decision(effect, False, "no hand is in the image") for effect in Effect if effect not in other)
-        return EffectPlan(nothing, box)
+        return EffectPlan(nothing, box, seen)
     if scene.lit is None:
         strength, shadow = plan_shadow(scene, views, settings)
         light = [shadow]
@@ -171,9 +172,9 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
-    detail, seen = plan_detail(scene, views, settings)
-    decisions = (*_reuse(scene, hands, settings), seen, smooth, *light, *NO_BLUR, crop)
-    return EffectPlan(decisions, box, strength, enlarged, plain, detail=detail)
+    detail, textured = plan_detail(scene, views, settings)
+    decisions = (*_reuse(scene, hands, settings), textured, smooth, *light, *NO_BLUR, crop)
+    return EffectPlan(decisions, box, seen, strength, enlarged, plain, detail=detail)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:

@@ -55,7 +55,7 @@ class HandFacts:
         self.corrective_change = CorrectiveChange(net)
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         # the longest offset of the correctives
-        self._offset_m = 0.0 if net is None else OFFSET_STRETCH * math.sqrt(3) * net.longest_offset_m()
+        self._offset_m = 0.0 if net is None else OFFSET_STRETCH * net.longest_offset_m()
         self._moving, self._corners_m = _corners(avatar)
         # along these a bone is stretched
         self._frames = np.ascontiguousarray(avatar.skeleton().canonical.frames)

@@ -197,9 +197,15 @@ class SceneRenderer:
         check_canceled()
         report.backend, report.threads = self._backend.variant, self._backend.threads
         report.gaussians = sum(map(len, self._avatars))
-        posed = self._pose(list(map(HandPose.of, moment.hands)), report)
+        hands = list(map(HandPose.of, moment.hands))
+        posed = self._pose(hands, report)
+        plan = self._plan(posed, moment.camera, report)
+        if posed.moved_m is not None and any(now and not had for now, had in zip(plan.seen, posed.seen, strict=True)):
+            # a hand has come into the image
+            posed = self._pose(hands, report, anew=True)
+            plan = self._plan(posed, moment.camera, report)
         report.tier = self._tiers if posed.moved_m is None else ""
-        report.plan = plan = self._plan(posed, moment.camera, report)
+        report.plan = plan
         report.notes += posed.notes
         return self._draw(posed, moment.camera, plan, report, check_canceled)
 
@@ -231,11 +237,11 @@ class SceneRenderer:
 
     # ---- the pose ----------------------------------------------------------------------------------------------------
 
-    def _pose(self, hands: list[HandPose], report: FrameReport) -> _Posed:
-        """The bone transforms, and whether they are new. Nothing is kept of it before it is painted."""
+    def _pose(self, hands: list[HandPose], report: FrameReport, *, anew: bool = False) -> _Posed:
+        """The bone transforms, and whether they are new, or taken to be. Nothing is kept of it before it is painted."""
         started, last, settings = time.perf_counter(), self._posed, self.settings
         bones, joints_m = self._bones_of(hands), [hand.joints_m for hand in hands]
-        if last is not None:
+        if last is not None and not anew:
             moved_m = reusable(bones, last.bones, last.corrected_rad, self._facts, settings)
             if moved_m is not None:
                 return replace(last, moved_m=moved_m)
@@ -262,8 +268,8 @@ class SceneRenderer:
         """Per hand the angles of correctives that can be used again; None for none."""
         if last is None:
             return [None] * len(self._facts)
-        pairs = zip(self._facts, last.corrected_rad, strict=True)
-        return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
+        had = zip(self._facts, last.corrected_rad, last.seen, strict=True)
+        return [angles_rad if facts.keeps_correctives and seen else None for facts, angles_rad, seen in had]
 
     def _plan(self, posed: _Posed, camera: Camera, report: FrameReport) -> EffectPlan:
         started = time.perf_counter()
@@ -292,7 +298,7 @@ class SceneRenderer:
                 bones, joints_m = _bones(self._transforms[hand], HandPose.of(moment.hands[hand])), moment.joints_m[hand]
                 yield from (View(joints_m, bones, self._facts[hand], camera, alpha_min) for camera in cameras)
 
-        return [hand for hand in range(len(self._facts)) if views_box(views(hand), alpha_min).width]
+        return [hand for hand in range(len(self._facts)) if views_box(list(views(hand)), alpha_min).width]
 
     # ---- the image -------------------------------------------------------------------------------------------------
 
@@ -304,6 +310,8 @@ class SceneRenderer:
         self._empty = not box.width
         if self._empty:
             return self._nothing()
+        if posed.moved_m is None:
+            posed = replace(posed, seen=plan.seen)
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
             check_canceled()
@@ -361,7 +369,7 @@ class SceneRenderer:
     ) -> Canvas:
         style, at_origin = self._shadow_style(strength) if strength > 0 else None, _at_origin(posed, camera)
         near_m = float(at_origin.camera_from_world[2, 3])
-        return Canvas(at_origin, near_m, style, alpha_min, depth, self.light, detail)
+        return Canvas(at_origin, near_m, style, posed.seen, alpha_min, depth, self.light, detail)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""
@@ -432,6 +440,7 @@ class _Posed:
     corrected_rad: per hand the angles (37,) of its correctives
     notes:         of what is wrong with a hand, and of what its avatar never saw
     moved_m:       how far the skin can be from where the backend has it; None where it has another pose, or none
+    seen:          per hand whether the backend has it: not one that was not in the image; empty before it is painted
     """
 
     joints_m: list[np.ndarray]
@@ -439,6 +448,7 @@ class _Posed:
     corrected_rad: list[np.ndarray]
     notes: list[str]
     moved_m: float | None = None
+    seen: tuple[bool, ...] = ()
 
     @property
     def bones(self) -> list[Bones]:

@@ -56,6 +56,14 @@ def error_of(correctives: LinearCorrectives, poses: torch.Tensor) -> torch.Tenso
     return torch.stack([both(correctives, pose) - both(NET, pose) for pose in poses]).square().mean((0, 1)).sqrt()
 
 
+def test_no_offset_is_longer_than_a_linear_tier_says():
+    tier = TIERS[6]
+    longest_m = max(float(both(tier, pose)[:, :3].norm(dim=-1).max()) for pose in poses_near(KNOWN, 50, seed=3))
+    assert longest_m <= tier.longest_offset_m()
+    still = replace(tier, direction=np.zeros_like(tier.direction))
+    assert still.longest_offset_m() == pytest.approx(float(np.linalg.norm(tier.constant[:, :3], axis=1).max()))
+
+
 def test_a_larger_basis_is_nearer_and_a_small_one_much_better_than_none():
     fresh = poses_near(KNOWN, 20, seed=2)
     errors = [error_of(TIERS[basis], fresh) for basis in sorted(TIERS)]

@@ -62,14 +62,15 @@ def test_a_stage_lasts_until_the_next_begins():
         ("w/o trans", {"transform"}),
         ("w/o screen shadow", {"shadow"}),
         ("w/o cast shadow", {"model.cast_shadow"}),
+        ("w/o joint errors", {"joint_noise_m"}),
         ("w/o iso", {"model.anisotropic"}),
     ],
 )
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_an_ablation_differs_in_nothing_but_what_it_leaves_out(preset, row, names):
     rows = ablations(PRESETS[preset])
-    if row == "w/o cast shadow" and preset == "paper-faithful":
-        assert row not in rows, "the paper's hand casts none"
+    if row in ("w/o cast shadow", "w/o joint errors") and preset == "paper-faithful":
+        assert row not in rows, "the paper has neither"
     else:
         assert differing(asdict(PRESETS[preset]), asdict(rows[row])) == names
 

@@ -372,6 +372,39 @@ def test_nothing_is_posed_for_a_hand_that_is_not_in_the_picture(where: str, monk
     assert not renderer.bone_ids(camera()).any()
 
 
+@pytest.mark.parametrize("where", ELSEWHERE)
+def test_of_two_hands_one_that_is_not_in_the_picture_is_not_posed(where: str, monkeypatch):
+    skinned, corrected = counted(monkeypatch, Poser, "prepare"), counted(monkeypatch, NetworkStep, "prepare")
+    # shadow and filter are of both hands: what asks for them may be the other one, so that nothing pops as it leaves
+    settings = replace(SMALL, ids=True, threads=1, shadow=ShadowMode.OFF, antialias=False)
+    here = pose("relaxed", TRAINED)
+    both = SceneRenderer([TRAINED, TRAINED], settings)
+    frame = both.render([here, here + ELSEWHERE[where]], camera())
+    assert skinned == corrected == [1]
+    alone = HandRenderer(TRAINED, settings).render(here, camera())
+    for name in ("rgba", "depth_m", "ids"):
+        assert np.array_equal(getattr(frame, name), getattr(alone, name))
+    assert frame.report.invalid_gaussians == alone.report.invalid_gaussians == 0
+    assert frame.report.visible_gaussians == alone.report.visible_gaussians
+
+
+def test_a_hand_that_rests_is_posed_when_the_camera_finds_it(monkeypatch):
+    skinned = counted(monkeypatch, Poser, "prepare")
+    settings, here = replace(SMALL, threads=1), pose("relaxed", TRAINED)
+    joints_m, wide = [here, here - [0.5, 0.0, 0.0]], camera(focal_px=60.0)
+    close = camera(focal_px=400.0)
+    renderer = SceneRenderer([TRAINED, TRAINED], settings)
+    renderer.render(joints_m, close)
+    assert skinned == [1]
+    found = renderer.render(joints_m, wide)
+    assert skinned == [3]
+    assert np.array_equal(found.rgba, SceneRenderer([TRAINED, TRAINED], settings).render(joints_m, wide).rgba)
+    renderer.render(joints_m, close)
+    renderer.render(joints_m, wide)
+    # what was posed stays posed
+    assert skinned == [5]
+
+
 def test_a_hand_that_flies_into_the_picture_is_blurred_there():
     """The middle of its way is out of the picture, and the end is not."""
     joints = pose("relaxed") + np.array([0.9, 0.0, 0.0])
@@ -486,7 +519,7 @@ def test_no_offset_is_stretched_farther_than_the_box_knows(degrees: float, longe
     joints, facts = folded(degrees, TRAINED, longer), HandFacts(TRAINED)
     assert TRAINED.learned is not None
     assert TRAINED.learned.correctives is not None
-    longest_m = np.sqrt(3) * TRAINED.learned.correctives.longest_offset_m()
+    longest_m = TRAINED.learned.correctives.longest_offset_m()
     bones, weights = TRAINED.skeleton().bones(joints), torch.from_numpy(TRAINED.bone_weights).double()
     maps = skin_maps(weights, transform_of(TRAINED).bones(torch.from_numpy(joints)))
     stretched_m = bones.scale * float(torch.linalg.matrix_norm(maps.turning, 2).max()) * longest_m
