@@ -19,7 +19,7 @@ import numpy as np
 
 from .. import folders, versions
 from .. import ops as common
-from ..core.joints import LEFT, RIGHT
+from ..core.joints import LEFT, RIGHT, WRIST
 from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
@@ -93,10 +93,7 @@ _LABELS = (
 )
 
 # options that go to the renderer; where one of them is chosen, it reads jghand's own files too
-_OF_OTHERS = (
-    *("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones"),
-    *("mirror", "in_place"),
-)
+_OF_OTHERS = ("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones", "mirror")
 
 
 _TRACKED_HANDS = (
@@ -228,13 +225,19 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     )
 
     working = "Importing the motion"
-    choices = ("target", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
+    choices = ("target", "in_place", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
     headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in MOTION_SUFFIXES), options={"HIDDEN"}
     )
     target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)
+    in_place: bpy.props.BoolProperty(
+        name="In Place",
+        description="The wrist stays where the hand is, that of a new hand where it begins: it turns and bends on the "
+        "spot. Else it moves as in the file, whose origin is where the hand is, or the world's of a new one",
+        default=True,
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",
@@ -265,15 +268,16 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         subtype="FILE_PATH",
     )
     mirror: bpy.props.BoolProperty(name="Mirror", description="Make it the motion of the other hand")
-    in_place: bpy.props.BoolProperty(
-        name="In Place", description="Keep the wrist where it first is: the hand turns and moves on the spot"
-    )
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         path = Path(bpy.path.abspath(self.filepath))
         content = yield from self._content(context, path)
-        wanted = self.wanted(context, [(content, path.stem)])
-        self.conclude(self.keying(context, wanted), wanted)
+        (one,) = self.wanted(context, [(content, path.stem)])
+        if self.in_place:
+            wrist_m = content.joints_m[:, [WRIST]]
+            stays_m = wrist_m[0] if one.hand is None else 0.0
+            one = replace(one, motion=replace(content, joints_m=content.joints_m - wrist_m + stays_m))
+        self.conclude(self.keying(context, [one]), [one])
 
     def said(self) -> dict[str, str | bool]:
         """What was chosen beside the file, in the renderer's words."""
@@ -288,7 +292,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             "--part": self.part,
             "--bones": bpy.path.abspath(self.bones),
             "--mirror": self.mirror,
-            "--in-place": self.in_place,
         }
         return {option: "" if value == "AUTO" else value for option, value in chosen.items()}
 
