@@ -105,7 +105,14 @@ _TRACKED_HANDS = (
 _FILM_TIP = (
     "As the film shows it: adds its camera with the film behind the hand. The scene takes its size and frame rate"
 )
-_PLACEMENTS = (
+_IN_FILE_TIP = "The wrist moves as in the file, whose origin is where the hand is, or the world's of a new one"
+# where there is no hand yet, the wrist of a new one is where the file has it
+_PLACEMENTS_OF_FILES = (
+    ("FROM_HAND", "From the Hand", "The wrist begins where the hand is, and moves as in the file", "NONE", 0),
+    ("IN_PLACE", "In Place", "The wrist stays where it begins: the hand turns and bends on the spot", "NONE", 1),
+    ("FILE", "As in the File", _IN_FILE_TIP, "NONE", 2),
+)
+_PLACEMENTS_OF_FILMS = (
     ("IN_PLACE", "In Place", "The wrist stays where the hand is: it turns and bends on the spot", "NONE", 0),
     ("FROM_HAND", "From the Hand", "The wrist begins where the hand is, and moves as it did in the film", "NONE", 1),
     ("FILM", "Film Camera", _FILM_TIP, "NONE", 2),
@@ -225,18 +232,15 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     )
 
     working = "Importing the motion"
-    choices = ("target", "in_place", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
+    choices = ("target", "placement", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
     headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in MOTION_SUFFIXES), options={"HIDDEN"}
     )
     target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)
-    in_place: bpy.props.BoolProperty(
-        name="In Place",
-        description="The wrist stays where the hand is, that of a new hand where it begins: it turns and bends on the "
-        "spot. Else it moves as in the file, whose origin is where the hand is, or the world's of a new one",
-        default=True,
+    placement: bpy.props.EnumProperty(
+        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS_OF_FILES, default="FROM_HAND"
     )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
@@ -273,10 +277,10 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath))
         content = yield from self._content(context, path)
         (one,) = self.wanted(context, [(content, path.stem)])
-        if self.in_place:
-            wrist_m = content.joints_m[:, [WRIST]]
-            stays_m = wrist_m[0] if one.hand is None else 0.0
-            one = replace(one, motion=replace(content, joints_m=content.joints_m - wrist_m + stays_m))
+        if self.placement != "FILE":
+            (near,) = near_hand([content], 0, in_place=self.placement == "IN_PLACE")
+            begins_m = content.joints_m[0, WRIST] if one.hand is None else 0.0
+            one = replace(one, motion=replace(near, joints_m=near.joints_m + begins_m))
         self.conclude(self.keying(context, [one]), [one])
 
     def said(self) -> dict[str, str | bool]:
@@ -379,7 +383,7 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         max=100.0,
     )
     placement: bpy.props.EnumProperty(
-        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS, default="IN_PLACE"
+        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS_OF_FILMS, default="IN_PLACE"
     )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True

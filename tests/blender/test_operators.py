@@ -560,7 +560,7 @@ def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extensio
     path = write_motion(tmp_path / "wave.npz", joints, side)
     thing = add(side)
     thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
-    chosen = {"first_frame": 10, "use_scene_range": True, "in_place": False}
+    chosen = {"first_frame": 10, "use_scene_range": True, "placement": "FILE"}
     assert bpy.ops.jghand.import_motion(filepath=str(path), **chosen) == {"FINISHED"}
     assert extension.object == thing
     assert thing.animation_data.action.name == "wave"
@@ -573,17 +573,20 @@ def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extensio
     assert np.abs(hands.joints_of(thing) - joints[-1]).max() > 0.01
 
 
+@pytest.mark.parametrize("placement", ["", "FROM_HAND", "IN_PLACE"])
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_motion_plays_where_the_hand_stands_a_new_one_where_the_motion_begins(extension, tmp_path, is_there):
+def test_a_motion_begins_where_the_hand_stands_a_new_one_where_it_is_told(extension, tmp_path, is_there, placement):
     joints = hands.moving_hand_m("right")
     joints = joints + np.linspace((0.3, -0.2, 1.1), (0.8, 0.3, 1.6), len(joints))[:, None]
     path = write_motion(tmp_path / "wave.npz", joints, "right")
     extension.scene.cursor.location = (1, 2, 3)
     if is_there:
         add("right")
-    assert bpy.ops.jghand.import_motion(filepath=str(path)) == {"FINISHED"}
+    chosen = {"placement": placement} if placement else {}
+    assert bpy.ops.jghand.import_motion(filepath=str(path), **chosen) == {"FINISHED"}
     place = (1, 2, 3) if is_there else joints[0, 0]
-    for frame, wanted in enumerate(joints - joints[:, :1] + place):
+    still = joints[:, :1] if placement == "IN_PLACE" else joints[:1, :1]
+    for frame, wanted in enumerate(joints - still + place):
         seen = armature.read_hand(extension.object, armature.at_frame(extension.scene, 1 + frame))
         np.testing.assert_allclose(seen.joints_world_m, wanted, atol=3 * EXACT_M)
 
