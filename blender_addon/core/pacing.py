@@ -30,7 +30,8 @@ LATE_PATIENCE = 3
 ORBIT_WAIT_S = 0.033
 # after the last change: the settings of the viewport instead of the fast ones, and then the settings of renders
 SETTLE_S, SHARPEN_S = 0.15, 0.6
-# a picture of an earlier pose is shown for so long while no newer one comes: afterwards it would be taken for the truth
+# a picture of an earlier pose is shown for so long while no newer one comes, and while the engine says that it loads:
+# afterwards it would be taken for the truth
 STALE_S = 2.0
 # pixels of one picture: while something moves (a little more than 512 x 334), while nothing moves, and the most that is
 # asked for at all (full HD): larger views are drawn from a smaller picture. Making textures of it holds the main thread
@@ -104,13 +105,15 @@ class Ask:
 @dataclass(frozen=True)
 class DrawMoment:
     """now_s: on any clock that only goes forward · frame_s: how long a frame lasts · step_s: when Blender came to the
-    present frame · answering: whether the engine can be expected to answer"""
+    present frame · answering: whether the engine can be expected to answer · loading: whether it says that it loads
+    something first, as the avatar of another hand"""
 
     now_s: float
     activity: Activity = Activity.POSING
     frame_s: float = 1 / 24
     step_s: float = 0.0
     answering: bool = True
+    loading: bool = False
 
 
 @dataclass(frozen=True)
@@ -259,7 +262,7 @@ def may_show(pace: Pace, moment: DrawMoment) -> bool:
         return False
     if pace.shown.want == pace.want:
         return True
-    return moment.answering and is_open(pace) and moment.now_s - pace.behind_s <= STALE_S
+    return moment.answering and is_open(pace) and (moment.loading or moment.now_s - pace.behind_s <= STALE_S)
 
 
 def is_open(pace: Pace) -> bool:

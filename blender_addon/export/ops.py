@@ -32,10 +32,12 @@ class Export(StartsJob, bpy.types.Operator):
     bl_description = "Write what the hands do over the range of frames into the folder. Esc cancels"
     bl_options = REGISTERED
 
+    key = runtime.EXPORT
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         writes_usd = context.scene.jghand.output.format == "usd"
-        return poll_hands_to_write(cls, context) and (not writes_usd or poll_usd(cls))
+        return poll_hands_to_write(cls, context) and (not writes_usd or poll_usd(cls, context))
 
     @classmethod
     def description(cls, context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:
@@ -122,9 +124,11 @@ class Bake(StartsJob, bpy.types.Operator):
     # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
     bl_options = REGISTERED
 
+    key = runtime.BAKE
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands_to_write(cls, context) and poll_usd(cls)
+        return poll_hands_to_write(cls, context) and poll_usd(cls, context)
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.bake_folder)

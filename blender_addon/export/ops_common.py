@@ -15,8 +15,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from .. import ui
 from ..core.view import HandInSpace
-from ..errors import JGHandFailure
+from ..errors import ADVICE, JGHandFailure
 from ..hand import armature, avatar_files, sources
 from ..hand.seen_hands import avatar_of
 from ..ops import DONE, InTurns, chosen_hands, followed, missing, seen_frames
@@ -40,7 +41,7 @@ class StartsJob(InTurns):
     working = "Reading the animation"
     # what stands on the button that overwrites
     overwrite = "Overwrite"
-    key = runtime.OUTPUT
+    key: str
     # whether the operator stays until the job has ended, so that Esc ends it: not for hours
     watched = True
     _is_done = False
@@ -194,16 +195,20 @@ def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
         return missing(operator, "Select a hand, or choose All")
     if not frames_to_write(context):
         return missing(operator, "The last frame comes before the first")
-    return poll_job(operator, runtime.OUTPUT)
+    return all(poll_job(operator, key) for key in (runtime.BAKE, runtime.EXPORT))
 
 
-def poll_usd(operator: type) -> bool:
-    """Whether stages can be written; what else may be missing is said when the button is pressed."""
+def poll_usd(operator: type, context: bpy.types.Context) -> bool:
+    return not ui.kept(context, lacks_usd) or missing(operator, ADVICE["no_usd"].sentence)
+
+
+def lacks_usd(_context: bpy.types.Context) -> bool:
+    """Whether no stages can be written; what else may be missing is said when the button is pressed."""
     try:
         runtime.program(usd=True)
     except JGHandFailure as failure:
-        return failure.kind != "no_usd" or missing(operator, failure.advice.sentence)
-    return True
+        return failure.kind == "no_usd"
+    return False
 
 
 def poll_job(operator: type, key: str) -> bool:

@@ -11,8 +11,9 @@ from .. import ui
 from ..errors import JGHandFailure
 from ..render import scene_light
 from ..renderer import runtime
-from ..renderer.panel import draw_job
+from ..renderer.panel import draw_failure, draw_job
 from . import bakes
+from .ops_common import lacks_usd
 
 
 class BakePanel(ui.HandSidebar, bpy.types.Panel):
@@ -23,9 +24,10 @@ class BakePanel(ui.HandSidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.output
-        column = _draw_what(layout, context)
+        column = _draw_what(layout, context, runtime.BAKE)
         column.prop(settings, "bake_folder")
         column.prop(settings, "bake_width_factor")
+        _draw_usd(layout, context)
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
         hand = ui.active(context)
         if hand is None or not hand.jghand.bake:
@@ -45,7 +47,7 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.output
-        column = _draw_what(layout, context)
+        column = _draw_what(layout, context, runtime.EXPORT)
         column.prop(settings, "format")
         column.prop(settings, "folder")
         if settings.format == "usd":
@@ -53,6 +55,7 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
             column.prop(settings, "variant")
             column.prop(settings, "radiance")
             column.prop(settings, "width_factor")
+            _draw_usd(layout, context)
         elif settings.format == "ply":
             column.prop(settings, "axes")
             if scene_light.is_chosen(context.scene):
@@ -60,10 +63,10 @@ class ExportPanel(ui.HandSidebar, bpy.types.Panel):
         layout.operator("jghand.export", icon="EXPORT")
 
 
-def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """The job that writes hands, which hands, and which frames. Returns the column that they stand in."""
+def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> bpy.types.UILayout:
+    """The job that writes hands, by its key, which hands, and which frames. Returns the column that they stand in."""
     settings = context.scene.jghand.output
-    draw_job(layout, context, runtime.OUTPUT)
+    draw_job(layout, context, key)
     column = ui.settings(layout)
     column.row().prop(settings, "hands", expand=True)
     column.prop(settings, "use_scene_range")
@@ -72,6 +75,12 @@ def _draw_what(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.ty
         rows.prop(settings, "frame_start")
         rows.prop(settings, "frame_end")
     return column
+
+
+def _draw_usd(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Why the buttons below are gray, where they are for want of USD."""
+    if ui.kept(context, lacks_usd):
+        draw_failure(layout, context, JGHandFailure("no_usd"))
 
 
 def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from .. import folders, versions
 from .. import ops as common
-from ..core.joints import LEFT, RIGHT
+from ..core.joints import LEFT, RIGHT, WRIST
 from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
@@ -93,10 +93,7 @@ _LABELS = (
 )
 
 # options that go to the renderer; where one of them is chosen, it reads jghand's own files too
-_OF_OTHERS = (
-    *("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones"),
-    *("mirror", "in_place"),
-)
+_OF_OTHERS = ("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones", "mirror")
 
 
 _TRACKED_HANDS = (
@@ -108,7 +105,14 @@ _TRACKED_HANDS = (
 _FILM_TIP = (
     "As the film shows it: adds its camera with the film behind the hand. The scene takes its size and frame rate"
 )
-_PLACEMENTS = (
+_IN_FILE_TIP = "The wrist moves as in the file, whose origin is where the hand is, or the world's of a new one"
+# where there is no hand yet, the wrist of a new one is where the file has it
+_PLACEMENTS_OF_FILES = (
+    ("FROM_HAND", "From the Hand", "The wrist begins where the hand is, and moves as in the file", "NONE", 0),
+    ("IN_PLACE", "In Place", "The wrist stays where it begins: the hand turns and bends on the spot", "NONE", 1),
+    ("FILE", "As in the File", _IN_FILE_TIP, "NONE", 2),
+)
+_PLACEMENTS_OF_FILMS = (
     ("IN_PLACE", "In Place", "The wrist stays where the hand is: it turns and bends on the spot", "NONE", 0),
     ("FROM_HAND", "From the Hand", "The wrist begins where the hand is, and moves as it did in the film", "NONE", 1),
     ("FILM", "Film Camera", _FILM_TIP, "NONE", 2),
@@ -228,13 +232,16 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     )
 
     working = "Importing the motion"
-    choices = ("target", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
+    choices = ("target", "placement", "first_frame", "use_scene_range", "use_scene_rate", *_OF_OTHERS)
     headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in MOTION_SUFFIXES), options={"HIDDEN"}
     )
     target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)
+    placement: bpy.props.EnumProperty(
+        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS_OF_FILES, default="FROM_HAND"
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",
@@ -265,15 +272,16 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         subtype="FILE_PATH",
     )
     mirror: bpy.props.BoolProperty(name="Mirror", description="Make it the motion of the other hand")
-    in_place: bpy.props.BoolProperty(
-        name="In Place", description="Keep the wrist where it first is: the hand turns and moves on the spot"
-    )
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         path = Path(bpy.path.abspath(self.filepath))
         content = yield from self._content(context, path)
-        wanted = self.wanted(context, [(content, path.stem)])
-        self.conclude(self.keying(context, wanted), wanted)
+        (one,) = self.wanted(context, [(content, path.stem)])
+        if self.placement != "FILE":
+            (near,) = near_hand([content], 0, in_place=self.placement == "IN_PLACE")
+            begins_m = content.joints_m[0, WRIST] if one.hand is None else 0.0
+            one = replace(one, motion=replace(near, joints_m=near.joints_m + begins_m))
+        self.conclude(self.keying(context, [one]), [one])
 
     def said(self) -> dict[str, str | bool]:
         """What was chosen beside the file, in the renderer's words."""
@@ -288,7 +296,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             "--part": self.part,
             "--bones": bpy.path.abspath(self.bones),
             "--mirror": self.mirror,
-            "--in-place": self.in_place,
         }
         return {option: "" if value == "AUTO" else value for option, value in chosen.items()}
 
@@ -376,7 +383,7 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         max=100.0,
     )
     placement: bpy.props.EnumProperty(
-        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS, default="IN_PLACE"
+        name="Placement", description="Where the hand is in the scene", items=_PLACEMENTS_OF_FILMS, default="IN_PLACE"
     )
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Make the scene's frame range that of the motion", default=True

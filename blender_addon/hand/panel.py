@@ -160,9 +160,7 @@ class CardPanel(Sidebar, bpy.types.Panel):
             draw_failure(layout, context, failure)
             return
         for name, value in card.lines():
-            row = layout.split(factor=0.3)
-            row.label(text=name)
-            ui.paragraph(row, context, value)
+            ui.paragraph(layout, context, f"{name}: {value}")
 
 
 # rows that the list shows before it scrolls

@@ -21,12 +21,12 @@ from . import ENGINE, worlds
 from .scene_shadows import SOLID
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
-# and locked Blender's interface before, and the nodes of its own that were switched off then; of the view layer that is
-# combined: whether it had its depth before. A copy of the scene has them too, so that the scene of the hands says whose
-# it is; it, and nodes, say that they are ours
+# and locked Blender's interface before, the nodes of its own that were switched off then, and the engine that it was
+# given in place of ours; of the view layer that is combined: whether it had its depth before. A copy of the scene has
+# them too, so that the scene of the hands says whose it is; it, and nodes, say that they are ours
 HANDS_SCENE, OWN_TREE, HAD_DEPTH = "jghand_hands_scene", "jghand_own_compositor", "jghand_had_depth"
 HAD_COMPOSITING, ASIDE = "jghand_had_compositing", "jghand_compositor_aside"
-HAD_LOCK = "jghand_had_lock_interface"
+HAD_LOCK, GIVEN_ENGINE = "jghand_had_lock_interface", "jghand_given_engine"
 OWNER = "jghand_combined_scene"
 MARK = "jghand_combination"
 # what the scene of the hands has as the first one has it
@@ -133,6 +133,8 @@ def remove(scene: bpy.types.Scene) -> None:
         bpy.data.scenes.remove(ours)
     _give_depth_back(scene)
     scene.render.use_lock_interface = bool(scene.get(HAD_LOCK, scene.render.use_lock_interface))
+    if scene.get(GIVEN_ENGINE) == scene.render.engine:
+        scene.render.engine = ENGINE
     _forget_marks(scene)
 
 
@@ -145,7 +147,7 @@ def forget(copy: bpy.types.Scene) -> None:
 
 
 def _forget_marks(scene: bpy.types.Scene) -> None:
-    for name in (HANDS_SCENE, OWN_TREE, HAD_COMPOSITING, ASIDE, HAD_LOCK):
+    for name in (HANDS_SCENE, OWN_TREE, HAD_COMPOSITING, ASIDE, HAD_LOCK, GIVEN_ENGINE):
         scene.pop(name, None)
 
 

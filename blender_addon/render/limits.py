@@ -79,7 +79,9 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
 
 def left_out(layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     """A sentence about what images of hands alone do not have of a view layer; none where that is nothing."""
-    things = [thing.name for thing in armature.rendered_at_any_frame(layer, worlds.is_surface)]
+    known: seen_hands.Known = {}
+    found = armature.rendered_at_any_frame(layer, lambda thing: seen_hands.shows(thing, worlds.is_surface, known))
+    things = [thing.name for thing in found]
     text = f'JGHand renders hands alone, without {_listed(things)}. "Set Up Compositing" renders both'
     return (text,) if things else ()
 

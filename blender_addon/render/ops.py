@@ -126,10 +126,12 @@ class CombineWithScene(Reporting, bpy.types.Operator):
         return True
 
     def run(self, context: bpy.types.Context) -> None:
-        ours = composite.combine(context.scene, context.view_layer)
+        scene = context.scene
+        ours = composite.combine(scene, context.view_layer)
         said = [f"The hands are rendered in the scene {ours.name} and combined by depth."]
-        if context.scene.render.engine == ENGINE:
-            versions.use_eevee(context.scene)
+        if scene.render.engine == ENGINE:
+            versions.use_eevee(scene)
+            scene[composite.GIVEN_ENGINE] = scene.render.engine
             said.append("This scene is rendered by EEVEE now.")
         self.tell(*said)
 
@@ -146,7 +148,8 @@ class RemoveCombination(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         composite.remove(context.scene)
-        self.tell("This scene is not combined with hands any more.")
+        ours = context.scene.render.engine == ENGINE
+        self.tell("This scene is not combined with hands any more.", "JGHand renders it." if ours else "")
 
 
 class SaveLight(Reporting, ExportHelper, bpy.types.Operator):

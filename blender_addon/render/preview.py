@@ -8,6 +8,7 @@ depth. What is set for the movie is set in the copy, so whatever ends it, the sc
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -112,9 +113,9 @@ def _look() -> float | None:
     if bpy.app.is_job_running("RENDER"):
         return _LOOK_S
     ended = _now.ended if _now is not None else ""
-    path, failed = _end(), rendering.said_of_failed_hands()
+    written, failed = _end(), rendering.said_of_failed_hands()
     if ended == "complete":
-        text = f"Wrote the preview: {path}"
+        text = f"Wrote the preview: {written}."
         ways = (("render.play_rendered_anim", "PLAY"),)
         ui.show_later(f"{text} {failed}".strip(), icon="ERROR" if failed else "INFO", operators=ways)
     return None
@@ -208,15 +209,17 @@ def _add_camera(copy: bpy.types.Scene, space: bpy.types.SpaceView3D) -> bpy.type
 
 
 def _end() -> str:
-    """Takes away what was made for the movie; returns where it was written."""
+    """Takes away what was made for the movie; returns what was written, and where."""
     global _now
     movie, _now = _now, None
     scene = _scene(movie.scene_uid) if movie is not None else None
     if movie is None or scene is None:  # another file was opened
         return ""
     path = bpy.path.abspath(scene.render.frame_path(frame=scene.frame_start))
+    images = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    is_one = scene.render.is_movie_format or images == 1
     _remove(movie)
-    return path
+    return path if is_one else f"{images} images in {os.path.dirname(path)}"
 
 
 def _remove(movie: _Movie) -> None:

@@ -85,7 +85,8 @@ def draw_tools(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if runtime.jobs().runs(runtime.TOOLS):
         return
     now = runtime.tools_state()
-    box.label(text=_STATES[now], icon="CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO")
+    icon = "CHECKMARK" if now == "ready" else "ERROR" if now == "broken" else "INFO"
+    ui.paragraph(box, context, _STATES[now], icon=icon)
     row = box.row(align=True)
     if now != "ready":
         row.operator("jghand.install_tools", icon="IMPORT")

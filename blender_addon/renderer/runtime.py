@@ -32,7 +32,8 @@ from .process import CARRIED, engine_command, engine_program
 # kinds of pictures whose receipts are kept
 VIEWPORT, RENDER = "viewport", "render"
 # keys of jobs
-OUTPUT, CAPTURE, TRAINING, IMPORT, OWN, TOOLS = "output", "capture", "training", "import", "own", "tools"
+BAKE, EXPORT, CAPTURE, TRAINING = "bake", "export", "capture", "training"
+IMPORT, OWN, TOOLS = "import", "own", "tools"
 TOOLS_PACKAGES = (
     *("torch", "numpy", "scipy", "trimesh", "safetensors", "pillow", "tyro", "rich", "usd-core"),
     *("mediapipe", "imageio-ffmpeg"),

@@ -132,8 +132,10 @@ class FilmPanel(Sidebar, bpy.types.Panel):
         try:
             runtime.program(learns=True)
         except JGHandFailure as failure:
-            draw_failure(layout, context, failure)
-            draw_tools(layout, context)
+            if failure.kind == "no_tools":
+                draw_tools(layout, context)
+            else:
+                draw_failure(layout, context, failure)
             return
         if not runtime.is_online():
             text = "Blender may not go online: the networks that find a hand must be on this computer already"

@@ -122,7 +122,8 @@ def moment_of(scene: bpy.types.Scene) -> DrawMoment:
             activity = Activity.PLAYING
     render = scene.render
     frame_s = render.fps_base / render.fps
-    return DrawMoment(now_s(), activity, frame_s, _step_s, runtime.link().status.state == "ready")
+    status = runtime.link().status
+    return DrawMoment(now_s(), activity, frame_s, _step_s, status.state == "ready", bool(status.doing))
 
 
 def settings_of(scene: bpy.types.Scene) -> ViewSettings:

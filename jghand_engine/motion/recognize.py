@@ -34,14 +34,13 @@ def recognized(path: Path) -> tuple[Reader, Source]:
         return reader, source
     if path.is_dir():
         raise NoMotionError(
-            "a folder with neither frames of OpenPose nor hands of FreeMoCap (pictures to learn from: "
-            "`jghand check-data`)"
+            "a folder with neither frames of OpenPose nor hands of FreeMoCap; pictures to learn from are no motion"
         )
     if isinstance(source.document, dict) and "asset" in source.document:
         raise NoMotionError(_NOT_READ[b"glTF"])
     if source.document is not None:
         raise NoMotionError("JSON in which JGHand finds no frames of hands")
-    raise NoMotionError("its beginning is that of no motion file that JGHand knows (hands in a video: `jghand track`)")
+    raise NoMotionError("its beginning is that of no motion file that JGHand knows; hands in a video are tracked")
 
 
 def _source(path: Path) -> Source:

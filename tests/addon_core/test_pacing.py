@@ -132,6 +132,18 @@ def test_an_earlier_pose_is_shown_for_a_short_time_only_while_nothing_newer_come
     assert view.shows() == B
 
 
+def test_hands_stay_in_the_view_while_the_avatar_of_another_one_is_loaded():
+    view = view_of(A)
+    view.draw(B)
+    view.now_s += 10 * pacing.STALE_S
+    assert view.shows(loading=True) == A
+    assert view.shows() is None
+    view.draw(A_FROM_BEHIND, loading=True)
+    assert view.shows(loading=True) is None, "never from another side"
+    view.answer(failure="bad_avatar")
+    assert view.shows(loading=True) is None
+
+
 def test_an_earlier_pose_is_not_shown_when_no_picture_is_coming():
     view = view_of(A)
     view.draw(B)

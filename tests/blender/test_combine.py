@@ -205,6 +205,18 @@ def test_removing_leaves_nothing(scene):
     np.testing.assert_array_equal(f12(), wanted)
 
 
+@pytest.mark.parametrize("changed", [False, True])
+def test_removing_gives_jghand_back_where_the_scene_still_has_what_it_was_given(scene, changed):
+    bpy.ops.jghand.use_engine()
+    bpy.ops.jghand.combine_with_scene()
+    assert "EEVEE" in scene.render.engine
+    if changed:
+        scene.render.engine = "CYCLES"
+    bpy.ops.jghand.remove_combination()
+    assert scene.render.engine == ("CYCLES" if changed else "JGHAND")
+    assert not [name for name in scene.keys() if name.startswith("jghand_")]  # noqa: SIM118 - no dictionary
+
+
 def own_nodes(scene: bpy.types.Scene) -> bpy.types.Node:
     """A compositor of the user's, which makes the picture half as bright; returns its node."""
     tree = versions.ensure_compositor_tree(scene)

@@ -167,7 +167,7 @@ def test_a_motion_on_linked_bones_is_keyed_without_its_forearm_and_says_so(exten
     bpy.context.view_layer.objects.active = hand
     joints = hands.moving_hand_m("right")
     write_motion(tmp_path / "wave.npz", MotionFile(joints, 24.0, "right", forearm=random_turns(len(joints))))
-    bpy.ops.jghand.import_motion(filepath=str(tmp_path / "wave.npz"), target="ACTIVE")
+    bpy.ops.jghand.import_motion(filepath=str(tmp_path / "wave.npz"), target="ACTIVE", placement="FILE")
     assert "The turn of the forearm is left out on there" in capfd.readouterr().out
     read = armature.read_hand(hand, armature.at_frame(bpy.context.scene, 1))
     np.testing.assert_allclose(read.joints_m, joints[0], atol=1e-6)

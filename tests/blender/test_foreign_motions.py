@@ -127,7 +127,7 @@ def _check_without_tips(motion, joints):
 @pytest.mark.parametrize("name", ["sample.bvh", "sample.json"])
 def test_import_motion_takes_files_of_other_programs(extension, samples, capfd, name):
     extension.scene.render.fps = 30
-    assert bpy.ops.jghand.import_motion(filepath=str(samples / name)) == {"FINISHED"}
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / name), placement="FILE") == {"FINISHED"}
     said = capfd.readouterr().out
     assert "12 frames from 1 to 12" in said
     x, y, z = np.moveaxis(np.load(samples / "joints.npy"), -1, 0)
@@ -145,7 +145,7 @@ def test_rate_and_order_of_joints_alone_are_said_beside_them(extension, samples,
     mano = [0, *range(5, 8), *range(9, 12), *range(17, 20), *range(13, 16), *range(1, 4), *TIPS]
     np.save(samples / "bare.npy", joints[:, mano])
     extension.scene.render.fps = 24
-    said = {"hand": "right", "order": "mano16_tips", "fps": 48.0}
+    said = {"hand": "right", "order": "mano16_tips", "fps": 48.0, "placement": "FILE"}
     assert bpy.ops.jghand.import_motion(filepath=str(samples / "bare.npy"), **said) == {"FINISHED"}
     assert "12 frames from 1 to 7" in capfd.readouterr().out
     for frame in (0, 4, 10):
@@ -173,9 +173,19 @@ def test_what_the_engine_cannot_read_is_told_in_its_words(extension, engine, tmp
     assert not bpy.data.armatures
 
 
+@pytest.mark.parametrize("content", [b"no zip", b"PK\x03\x04 torn", b""])
+def test_a_bad_npz_is_told_without_words_of_the_command_line(extension, engine, tmp_path, content):
+    path = tmp_path / "bad.npz"
+    path.write_bytes(content)
+    with pytest.raises(RuntimeError, match=r"bad\.npz") as refused:
+        bpy.ops.jghand.import_motion(filepath=str(path))
+    assert "`" not in str(refused.value)
+    assert "jghand " not in str(refused.value)
+
+
 def test_jghands_own_files_are_mirrored_and_kept_in_place_too(extension, samples, engine):
     motion, _ = converted(engine, samples / "joints.npy", "--hand", "right")
-    chosen = {"mirror": True, "in_place": True}
+    chosen = {"mirror": True, "placement": "IN_PLACE"}
     assert bpy.ops.jghand.import_motion(filepath=str(samples / "joints.npz"), **chosen) == {"FINISHED"}
     hand = extension.object
     assert armature.handedness_of(hand) == "left"
@@ -196,7 +206,8 @@ def test_of_a_file_with_both_hands_the_active_hand_takes_the_one_that_becomes_it
         frame["worldLandmarks"].append([{**point, "x": 0.1 - point["x"]} for point in right])
         frame["handedness"].append([{"categoryName": "Left", "score": 1.0}])
     (samples / "both.json").write_text(json.dumps(frames))
-    assert bpy.ops.jghand.import_motion(filepath=str(samples / "both.json"), mirror=mirror) == {"FINISHED"}
+    chosen = {"mirror": mirror, "placement": "FILE"}
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / "both.json"), **chosen) == {"FINISHED"}
     assert extension.object is hand
     assert armature.handedness_of(hand) == "right"
     x, y, z = np.moveaxis(np.load(samples / "joints.npy"), -1, 0)

@@ -181,6 +181,12 @@ def test_what_jghand_alone_leaves_out_of_images_is_named_with_the_way_to_have_bo
     assert "hands alone, without Cube, Cube.001, Cube.002, …" in capfd.readouterr().out
     assert 'hands alone, without Cube, Cube.001, Cube.002, …. "Set Up Compositing" renders both' in told()
     assert "jghand.combine_with_scene" in draw(RenderPanel, bpy.context).operators
+    inner, placed = bpy.data.collections.new("inner"), bpy.data.objects.new("A tree", None)
+    inner.objects.link(bpy.data.objects["Cube"])
+    scene.collection.objects.link(placed)
+    placed.instance_type, placed.instance_collection = "COLLECTION", inner
+    assert "hands alone, without A tree, Cube, Cube.001, …" in told()
+    bpy.data.objects.remove(placed)
     for thing in scene.objects:
         thing.hide_render = thing.type == "MESH"
     assert "alone" not in told()

@@ -560,7 +560,8 @@ def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extensio
     path = write_motion(tmp_path / "wave.npz", joints, side)
     thing = add(side)
     thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
-    assert bpy.ops.jghand.import_motion(filepath=str(path), first_frame=10, use_scene_range=True) == {"FINISHED"}
+    chosen = {"first_frame": 10, "use_scene_range": True, "placement": "FILE"}
+    assert bpy.ops.jghand.import_motion(filepath=str(path), **chosen) == {"FINISHED"}
     assert extension.object == thing
     assert thing.animation_data.action.name == "wave"
     assert (extension.scene.frame_start, extension.scene.frame_end) == (10, 14)
@@ -570,6 +571,24 @@ def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extensio
     # the controls act on top again
     thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
     assert np.abs(hands.joints_of(thing) - joints[-1]).max() > 0.01
+
+
+@pytest.mark.parametrize("placement", ["", "FROM_HAND", "IN_PLACE"])
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_motion_begins_where_the_hand_stands_a_new_one_where_it_is_told(extension, tmp_path, is_there, placement):
+    joints = hands.moving_hand_m("right")
+    joints = joints + np.linspace((0.3, -0.2, 1.1), (0.8, 0.3, 1.6), len(joints))[:, None]
+    path = write_motion(tmp_path / "wave.npz", joints, "right")
+    extension.scene.cursor.location = (1, 2, 3)
+    if is_there:
+        add("right")
+    chosen = {"placement": placement} if placement else {}
+    assert bpy.ops.jghand.import_motion(filepath=str(path), **chosen) == {"FINISHED"}
+    place = (1, 2, 3) if is_there else joints[0, 0]
+    still = joints[:, :1] if placement == "IN_PLACE" else joints[:1, :1]
+    for frame, wanted in enumerate(joints - still + place):
+        seen = armature.read_hand(extension.object, armature.at_frame(extension.scene, 1 + frame))
+        np.testing.assert_allclose(seen.joints_world_m, wanted, atol=3 * EXACT_M)
 
 
 def test_a_motion_of_the_other_side_or_without_a_hand_makes_a_new_hand(extension, tmp_path):

@@ -15,7 +15,7 @@ from hands import PLACES, keyed_hand, mixamo_rig, moving_hand_m, put
 from recording_layout import draw
 
 import blender_addon
-from blender_addon import folders
+from blender_addon import folders, ui
 from blender_addon.errors import JGHandFailure
 from blender_addon.export import bakes, ops_common, recording, usd_hook
 from blender_addon.export import panel as output
@@ -24,10 +24,12 @@ from blender_addon.export.ops_common import StartsJob
 from blender_addon.hand import armature, sources
 from blender_addon.hand.motion_files import read_motion
 from blender_addon.renderer import runtime
+from blender_addon.renderer.jobs import JobSpec, JobTable
 from blender_addon.renderer.process import VARIABLE
 from blender_addon.viewport import handlers
 
 FRAMES = 4
+PANELS = (output.BakePanel, output.ExportPanel)
 STAND_IN = Path(__file__).resolve().parents[1] / "addon_core" / "stand_in_job.py"
 # float32 of Blender's bones, half a meter from the origin
 JOINT_ERROR_M = 1e-6
@@ -193,10 +195,46 @@ def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, t
     extension.scene.jghand.output.folder = str(tmp_path)
     with pytest.raises(RuntimeError, match=r"none\.jghand"):
         bpy.ops.jghand.export()
-    job = runtime.jobs().get(runtime.OUTPUT)
+    job = runtime.jobs().get(runtime.EXPORT)
     assert job is not None
     assert job.state.failure is not None
-    assert bpy.ops.jghand.show_log(key=runtime.OUTPUT) == {"FINISHED"}
+    assert bpy.ops.jghand.show_log(key=runtime.EXPORT) == {"FINISHED"}
+
+
+def test_a_job_is_shown_in_the_panel_that_started_it_and_keeps_the_other_from_writing(extension, monkeypatch):
+    a_hand(extension)
+    monkeypatch.setattr(runtime, "_jobs", JobTable())
+    runtime.jobs().start(runtime.BAKE, JobSpec("Baking", (sys.executable, "-I", str(STAND_IN), "long")))
+    bars = [[one.function for one in draw(each, extension).drawn].count("progress") for each in PANELS]
+    assert bars == [1, 0]
+    assert not bpy.ops.jghand.export.poll()
+
+
+def test_a_blender_without_usd_says_so_in_a_sentence_and_looks_for_it_once(extension, monkeypatch):
+    a_hand(extension)
+    looks = []
+
+    def program(*, usd: bool = False, **_: object) -> tuple[str, ...]:
+        looks.append(usd)
+        raise JGHandFailure("no_usd")
+
+    monkeypatch.setattr(runtime, "program", program)
+    for panel in PANELS:
+        assert "This Blender cannot read or write USD" in " ".join(draw(panel, extension).texts)
+        assert not bpy.ops.jghand.bake.poll()
+        assert not bpy.ops.jghand.export.poll()
+    extension.scene.jghand.output.format = "ply"
+    assert "USD" not in " ".join(draw(output.ExportPanel, extension).texts)
+    looks.clear()
+    with monkeypatch.context() as in_a_window:
+        timers = SimpleNamespace(is_registered=lambda _: True)
+        window = SimpleNamespace(app=SimpleNamespace(background=False, timers=timers))
+        in_a_window.setattr(ui, "bpy", window)
+        for _ in range(3):
+            ops_common.poll_usd(Bake, extension)
+    assert not looks, "a redraw reads nothing: the timer does"
+    assert (ops_common.lacks_usd, extension.scene.session_uid, ()) in ui._wanted
+    ui._wanted.clear()
 
 
 def a_copy(made: Path, make: Callable[[Path], None], tmp_path: Path) -> bpy.types.Object:

@@ -216,6 +216,13 @@ def test_an_avatar_that_is_damaged_or_gone_is_told_in_the_panel(extension, engin
     assert told in text_of(draw(hand_panel.HandPanel, extension))
 
 
+def test_the_details_of_an_avatar_have_the_whole_width_that_their_lines_are_broken_for(extension, engine):
+    add()
+    seen = draw(hand_panel.CardPanel, extension)
+    assert "Name: JGHand built-in" in text_of(seen)
+    assert "split" not in [one.function for one in seen.drawn]
+
+
 def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatch):
     add()
     found = [("Right Hand", JGHandFailure("zero_scale", "small print")), ("", JGHandFailure("killed"))]

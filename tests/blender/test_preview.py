@@ -67,9 +67,10 @@ def written(folder: Path) -> dict[str, np.ndarray]:
     return {path.name: hands.pixels(path)[..., :3] for path in sorted((folder / "movie").iterdir())}
 
 
-def test_a_preview_has_hands_and_all_else_over_the_preview_range_and_leaves_nothing(scene, tmp_path):
+def test_a_preview_has_hands_and_all_else_over_the_preview_range_and_leaves_nothing(scene, tmp_path, capfd):
     before = state(scene)
     assert bpy.ops.jghand.preview_movie() == {"FINISHED"}
+    assert f"Wrote 2 images in {tmp_path / 'movie'}." in capfd.readouterr().out
     assert state(scene) == before
     pictures = written(tmp_path)
     assert list(pictures) == ["f_0002.png", "f_0003.png"]
@@ -85,6 +86,12 @@ def test_a_preview_has_hands_and_all_else_over_the_preview_range_and_leaves_noth
         assert not is_magenta(picture)
         assert np.abs(picture - alone)[~hand].mean() < 0.02, "all else is as it is without hands"
     assert (np.abs(pictures["f_0002.png"] - pictures["f_0003.png"]).max(-1) > 0.3).any(), "it moves"
+
+
+def test_one_image_or_a_movie_is_named_by_its_file(scene, capfd):
+    scene.frame_preview_end = scene.frame_preview_start
+    bpy.ops.jghand.preview_movie()
+    assert re.search(r"Wrote .*movie.f_0002\.png\.", capfd.readouterr().out)
 
 
 @pytest.mark.parametrize("size", [(191, 127), (1920, 1081), (9, 5)])
@@ -125,7 +132,7 @@ def test_a_hand_that_fails_is_magenta_in_the_preview_which_says_so(scene, tmp_pa
     bpy.ops.jghand.preview_movie()
     assert [is_magenta(picture) for picture in written(tmp_path).values()] == [False, True]
     reason = "The hands of frame 3 failed and are magenta: A scale of zero is not supported"
-    assert re.search(f"Warning: Wrote .*f_0002.png. {reason}", capfd.readouterr().out)
+    assert re.search(f"Warning: Wrote 2 images in .*movie. {reason}", capfd.readouterr().out)
 
 
 def view_of(context) -> bpy.types.Area:

@@ -3,6 +3,7 @@
 import os
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
@@ -351,6 +352,23 @@ def test_a_failure_is_told_with_the_view_and_asked_for_no_more(full_link, extens
     look(context, view, hand)
     assert view.came is first
     assert views.problems() == []
+
+
+def test_a_view_keeps_its_picture_while_the_avatar_of_another_hand_is_loaded(link, extension, monkeypatch):
+    context = extension
+    hand = add_hand(context)
+    view = view_on(context, hand)
+    wait_for(context, view)
+    monkeypatch.setattr(link, "ask", lambda *_, **__: None)  # nothing comes
+    hand.jghand.avatar = "/another.jghand"
+    look(context, view, hand)
+    later_s = views.now_s() + 2 * pacing.STALE_S
+    monkeypatch.setattr(views, "now_s", lambda: later_s)
+    for doing, stays in (("", False), ("Loading the avatar", True)):
+        status = replace(link.status, doing=doing)
+        monkeypatch.setattr(runtime, "link", lambda status=status: SimpleNamespace(status=status))
+        assert pacing.may_show(view.pace, views.moment_of(context.scene)) == stays
+    monkeypatch.setattr(runtime, "link", lambda: link)
 
 
 def test_a_view_at_rest_brings_a_killed_renderer_back_and_asks_again(link, extension, monkeypatch):

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from recording_layout import draw
+from test_avatar_cards import write_avatar  # pyright: ignore[reportMissingImports]
 from waiting import wait_for_count, wait_until
 
 from blender_addon.export import bakes
@@ -202,16 +203,15 @@ def test_the_hands_to_choose_from_are_those_of_the_engine():
 
 def test_an_avatar_is_put_on_the_selected_hands(place):
     bpy.ops.jghand.add_hand(handedness="right")
-    file = place / "ana.jghand"
-    file.write_bytes(b"")
+    file = write_avatar(place / "ana.jghand", name="Ana", gaussians=7)
     assert bpy.ops.jghand.load_avatar(filepath=str(file)) == {"FINISHED"}
     assert bpy.context.object.jghand.avatar == str(file)
 
 
 def test_the_path_of_an_avatar_is_relative_where_that_is_wanted(place):
     bpy.ops.jghand.add_hand(handedness="right")
-    (place / "ana.jghand").write_bytes(b"")
-    bpy.ops.jghand.load_avatar(filepath=str(place / "ana.jghand"), relative_path=True)
+    file = write_avatar(place / "ana.jghand", name="Ana", gaussians=7)
+    bpy.ops.jghand.load_avatar(filepath=str(file), relative_path=True)
     assert bpy.context.object.jghand.avatar == "//ana.jghand"
 
 
@@ -265,6 +265,17 @@ def test_what_is_no_avatar_is_not_put_on_a_hand(place, name, why):
     with pytest.raises(RuntimeError, match=why):
         bpy.ops.jghand.load_avatar(filepath=str(place / name))
     assert bpy.context.object.jghand.avatar == ""
+
+
+def test_a_damaged_avatar_is_refused_by_name_and_the_good_one_stays(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    good = write_avatar(place / "ana.jghand", name="Ana", gaussians=7)
+    bpy.ops.jghand.load_avatar(filepath=str(good))
+    whole = ROOT / "jghand_engine" / "assets" / "painted_right.jghand"
+    (place / "torn.jghand").write_bytes(whole.read_bytes()[:-5])
+    with pytest.raises(RuntimeError, match=r"damaged[^(]*\(.*torn\.jghand\s+ValueError: its end is missing"):
+        bpy.ops.jghand.load_avatar(filepath=str(place / "torn.jghand"))
+    assert bpy.context.object.jghand.avatar == str(good)
 
 
 def test_the_card_is_shown_and_an_avatar_without_one_says_so(place, monkeypatch):
