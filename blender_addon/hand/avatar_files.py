@@ -157,7 +157,7 @@ def read_card(path: Path) -> Card:
         with path.open("rb") as file:
             (length,) = struct.unpack("<Q", file.read(8))
             if length > _HEADER_MAX_BYTES:
-                raise ValueError(f"a header of {length} bytes")
+                raise ValueError("its beginning is not that of an avatar")
             header = json.loads(file.read(length))
             ends = [about["data_offsets"][1] for name, about in header.items() if name != "__metadata__"]
             if path.stat().st_size < 8 + length + max(ends, default=0):
@@ -167,7 +167,9 @@ def read_card(path: Path) -> Card:
     except FileNotFoundError as error:
         raise JGHandFailure("no_avatar", str(path)) from error
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, struct.error) as error:
-        raise JGHandFailure("bad_avatar", f"{path}\n{type(error).__name__}: {str(error)[:200]}") from error
+        # what is said of JSON, of bytes and of keys helps nobody here
+        reason = str(error) if type(error) in (ValueError, PermissionError) else "its header cannot be read"
+        raise JGHandFailure("bad_avatar", f"{path}\n{reason}") from error
 
 
 def _card(about: Mapping[str, Any], written: str) -> Card:
@@ -191,7 +193,7 @@ def _joints(value: Any) -> tuple[tuple[float, float, float], ...] | None:
         return None
     joints = tuple((float(x), float(y), float(z)) for x, y, z in value)
     if len(joints) != len(NAMES) or not all(math.isfinite(x) for joint in joints for x in joint):
-        raise ValueError("its joints")
+        raise ValueError("its joints are no 21 places")
     return joints
 
 
