@@ -16,7 +16,6 @@ training reads them without another package, and Blender's own files of parts ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -221,14 +220,3 @@ def _world(entry: JsonObject, folder: Path, known: dict[str, SceneLight]) -> Sce
 
 def _is_inside(name: object) -> bool:
     return isinstance(name, str) and not Path(name).is_absolute() and ".." not in Path(name).parts
-
-
-def refuse_known_light(samples: Sequence[Sample], thing: str) -> None:
-    """InputError for pictures that have a light of their own each, by a measure that knows one for all."""
-    if any(sample.light is not None for sample in samples):
-        raise InputError(
-            thing,
-            wanted="pictures that are all in one light",
-            came="a light of its own for each",
-            remedy="Take a capture in one light; jghand evaluate judges hands in known light.",
-        )

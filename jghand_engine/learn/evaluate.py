@@ -73,21 +73,29 @@ class AvatarPicturer:
         return self._renderers[key].render([hand], camera).rgba
 
 
-def pictured(sample: Sample, draw: Picturer) -> tuple[np.ndarray, TrainingImage, float]:
-    """A sample as it is drawn (H, W, 4), as it is, and the milliseconds of drawing it.
+def pictured(
+    sample: Sample, draw: Picturer, truth: MixedPicture | TrainingImage | None = None
+) -> tuple[np.ndarray, TrainingImage, float]:
+    """A sample as it is drawn (H, W, 4), as it is, and the milliseconds of drawing it. truth: `truth_of` it, where it
+    is drawn more than once.
 
     A picture of known light is drawn in it, in `judged_mix`, and both are exposed alike before sRGB's curve.
     """
-    if sample.light is None or not isinstance(draw, AvatarPicturer):
-        truth, started = load_image(sample), time.perf_counter()
+    truth = truth_of(sample, draw) if truth is None else truth
+    started = time.perf_counter()
+    if isinstance(truth, TrainingImage):
         rgba = draw(sample.hand, sample.handedness, sample.camera)
         return rgba, truth, 1e3 * (time.perf_counter() - started)
-    one = judged_mix(sample)
-    started = time.perf_counter()
-    rgba = draw.in_light(sample, one.light)
+    assert isinstance(draw, AvatarPicturer)
+    rgba = draw.in_light(sample, truth.light)
     render_ms = 1e3 * (time.perf_counter() - started)
-    ours = linear_to_srgb(np.clip(one.exposure * rgba[..., :3], 0, 1))
-    return np.concatenate([ours, rgba[..., 3:]], -1), _exposed(one), render_ms
+    ours = linear_to_srgb(np.clip(truth.exposure * rgba[..., :3], 0, 1))
+    return np.concatenate([ours, rgba[..., 3:]], -1), _exposed(truth), render_ms
+
+
+def truth_of(sample: Sample, draw: Picturer) -> MixedPicture | TrainingImage:
+    """What a sample looks like, as far as who draws it can be lit. InputError as `load_groups`, `load_image`."""
+    return load_image(sample) if sample.light is None or not isinstance(draw, AvatarPicturer) else judged_mix(sample)
 
 
 def _exposed(one: MixedPicture) -> TrainingImage:

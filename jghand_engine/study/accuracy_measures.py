@@ -11,10 +11,9 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.captures.capture_folder import open_capture
-from jghand_engine.captures.known_light import refuse_known_light
-from jghand_engine.captures.sample import Sample, load_image
+from jghand_engine.captures.sample import Sample
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, held_out
+from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, held_out, pictured, truth_of
 from jghand_engine.learn.metrics import checked_picture, psnr
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
@@ -186,7 +185,6 @@ def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None],
     """About so many pictures that a capture's split holds out, of every kind as many as of the others, or all. say:
     called with doubts about them."""
     capture = open_capture(folder)
-    refuse_known_light(capture.samples, "pictures to compare with")
     told = held_out(avatar, capture, split_capture(capture, to_learn=False))
     if told.warning:
         say(told.warning)
@@ -213,12 +211,12 @@ def truth_scores(compared: Sequence[Variant], avatar: HandAvatar, truth: Truth) 
 
 
 def pictures_psnr_db(drawers: Sequence[Picturer], truth: Truth) -> np.ndarray:
-    """(D, P) of whole pictures over black, by who draws and by picture."""
+    """(D, P) of whole pictures over black, by who draws, all of one kind, and by picture."""
     psnr_db = np.empty((len(drawers), len(truth.samples)))
     for column, sample in enumerate(truth.samples):
-        picture = load_image(sample)
+        shown = truth_of(sample, drawers[0])
         for line, draw in enumerate(drawers):
+            rgba, picture, _ = pictured(sample, draw, shown)
             # premultiplied: over black it is the picture
-            rgb = draw(sample.hand, sample.handedness, sample.camera)[..., :3]
-            psnr_db[line, column] = psnr(checked_picture("rgb", rgb, picture.mask), picture.rgb)
+            psnr_db[line, column] = psnr(checked_picture("rgb", rgba[..., :3], picture.mask), picture.rgb)
     return psnr_db

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from learn.lit_samples import write_lit_capture
 from learn.small_capture import write_small_capture
 from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
@@ -209,6 +210,23 @@ def test_every_setting_is_compared_with_the_same_pictures_of_a_capture(tmp_path,
     drawn = [draw(one.joints_m, one.handedness, one.camera)[..., :3] for one in truth.samples]
     own_db = [psnr(ours.clip(0, 1), picture.rgb) for ours, picture in zip(drawn, pictures, strict=True)]
     assert scores["draft"].psnr_db == pytest.approx(np.mean(own_db))
+
+
+@needs_native
+def test_pictures_that_are_each_in_a_light_of_their_own_are_drawn_in_it(tmp_path):
+    """The hand that they are of, in any other light, is far from them."""
+    avatar = known_avatar(1000)
+    truth = accuracy_measures.held_out_truth(avatar, write_lit_capture(tmp_path, avatar), lambda _: None, pictures=4)
+    compared = [one for one in variants(avatar, SMALL, {}) if one.axis == TOGETHER]
+    scores = accuracy_measures.truth_scores(compared, avatar, truth)
+    reference = next(score for one, score in zip(compared, scores, strict=True) if one.name == "reference")
+    # the groups are halves, and what is brighter than white is cut off in both
+    assert reference.psnr_db > 45
+    elsewhere = [
+        AvatarPicturer(avatar, PRESETS["reference"])(one.hand, one.handedness, one.camera) for one in truth.samples
+    ]
+    pictures = [load_image(sample) for sample in truth.samples]
+    assert max(psnr(ours[..., :3].clip(0, 1), one.rgb) for ours, one in zip(elsewhere, pictures, strict=True)) < 35
 
 
 @needs_native
