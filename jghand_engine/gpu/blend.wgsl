@@ -15,6 +15,8 @@ struct Picture {
 // as in native/constants.h
 const FRONT_MIN = 0.04;
 const COVER_FROM = 0.15;
+const BENEATH_FROM = 0.1;
+const BENEATH_WHOLE = 0.5;
 // 12 KiB of the 16 that every WebGPU device has
 const CHUNK = 256u;
 var<workgroup> shapes: array<vec4f, CHUNK>;
@@ -59,10 +61,11 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
         let exponent = (d.x * shape.z + d.y * shape.w) * d.x + (d.y * d.y * rest.x + rest.y);
         if (!(exponent > picture.log2_alpha_min)) { continue; }
         let weight = min(exp2(exponent), picture.alpha_max) * T;
+        let shown = select(weight, weight * saturate((T - BENEATH_FROM) / (BENEATH_WHOLE - BENEATH_FROM)), picture.fills != 0u);
         T -= weight;
-        color += weight * vec3f(rest.zw, other.x);
+        color += shown * vec3f(rest.zw, other.x);
         depth += weight * other.y;
-        front += weight * other.z;
+        front += shown * other.z;
         if (!(T > picture.t_stop)) { open = false; break; }
       }
     }

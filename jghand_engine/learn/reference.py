@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch.utils.checkpoint import checkpoint
@@ -94,12 +95,12 @@ def rasterize_reference(
     with torch.no_grad():
         kept, invalid = _select(gaussians, position_c, camera, alpha_min)
     ellipses = _project(gaussians, position_c, kept, camera)
-    planes = _draw_tiles(ellipses, camera, alpha_min=alpha_min, smooth=smooth)
-    picture = Picture.from_planes(planes, visible_gaussians=len(kept), invalid_gaussians=invalid)
+    draw = partial(_draw_tiles, camera=camera, alpha_min=alpha_min, smooth=smooth, fills=gaussians.front is not None)
+    picture = Picture.from_planes(draw(ellipses), visible_gaussians=len(kept), invalid_gaussians=invalid)
     if gaussians.front is None:
         return picture
-    parts = replace(gaussians, rgb=gaussians.front[:, None].expand(-1, 3), front=None)
-    front = rasterize_reference(parts, camera, alpha_min=alpha_min, smooth=smooth).rgb[..., :1]
+    parts = gaussians.front[kept, None].expand(-1, 3)
+    front = draw(replace(ellipses, features=torch.cat([parts, ellipses.features[:, 3:]], 1)))[0, ..., None]
     alpha, tiny = picture.alpha, torch.finfo(picture.alpha.dtype).tiny
     cover = smoothstep((alpha - contract.COVER_FROM) / (1 - contract.COVER_FROM))
     gain = cover[..., None] / torch.maximum(front, (contract.FRONT_MIN * alpha[..., None]).clamp_min(tiny))
@@ -251,8 +252,8 @@ def _boxes(ellipses: _Ellipses, alpha_min: float) -> torch.Tensor:
     return torch.stack([e.u - rx, e.u + rx, e.v - ry, e.v + ry])
 
 
-def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth: bool) -> torch.Tensor:
-    """Planes (5, H, W), tile by tile."""
+def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth: bool, fills: bool) -> torch.Tensor:
+    """Planes (5, H, W), tile by tile. fills: see `_blend`"""
     with torch.no_grad():
         left, right, top, bottom = _boxes(ellipses, alpha_min)
     tile, rows = contract.TILE_PX, []
@@ -265,7 +266,7 @@ def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth
             width = min(tile, camera.width - x)
             index = in_row[(row_right > x) & (row_left < x + tile)]
             pixels = _pixel_centers(x, y, width, height, ellipses.u)
-            values = _draw_pixels(ellipses.select(index), pixels, alpha_min=alpha_min, smooth=smooth)
+            values = _draw_pixels(ellipses.select(index), pixels, alpha_min=alpha_min, smooth=smooth, fills=fills)
             columns.append(values.reshape(height, width, 5))
         rows.append(torch.cat(columns, 1))
     return torch.cat(rows, 0).permute(2, 0, 1)
@@ -278,8 +279,10 @@ def _pixel_centers(x: int, y: int, width: int, height: int, like: torch.Tensor) 
     return torch.cartesian_prod(ys, xs).reshape(-1, 2).flip(1)
 
 
-def _draw_pixels(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool) -> torch.Tensor:
-    """(P, 5): R G B A D of P pixels, as many at a time as fit into the memory allowed."""
+def _draw_pixels(
+    ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool
+) -> torch.Tensor:
+    """(P, 5): R G B A D of P pixels, as many at a time as fit into the memory allowed. fills: see `_blend`"""
     count = ellipses.u.shape[0]
     if count == 0:
         return ellipses.features.sum(0).expand(pixels.shape[0], 5)  # zeros that belong to the graph
@@ -287,7 +290,7 @@ def _draw_pixels(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float,
     tensors = [getattr(ellipses, name) for name in ellipses.__dataclass_fields__]
 
     def blend(some: torch.Tensor, *fields: torch.Tensor) -> torch.Tensor:
-        return _blend(_Ellipses(*fields), some, alpha_min=alpha_min, smooth=smooth)
+        return _blend(_Ellipses(*fields), some, alpha_min=alpha_min, smooth=smooth, fills=fills)
 
     parts = []
     for some in pixels.split(at_once):
@@ -298,8 +301,9 @@ def _draw_pixels(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float,
     return torch.cat(parts)
 
 
-def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool) -> torch.Tensor:
-    """(P, 5) sums of weight times features, front to back; column 3 is 1 - transmittance."""
+def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool) -> torch.Tensor:
+    """(P, 5) sums of weight times features, front to back; column 3 is 1 - transmittance. fills: what stands beneath
+    gives a part of its color alone, as the contract has it for Gaussians with `front`"""
     e = ellipses
     dx, dy = pixels[:, :1] - e.u, pixels[:, 1:] - e.v
     q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / e.det
@@ -308,7 +312,12 @@ def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smoot
     alpha = torch.where(alpha < contract.ALPHA_MAX, alpha, torch.full_like(alpha, contract.ALPHA_MAX))
     behind = torch.cumprod(1 - alpha, 1)
     transmittance = torch.cat([torch.ones_like(behind[:, :1]), behind[:, :-1]], 1)
-    return (alpha * transmittance) @ e.features
+    weight = alpha * transmittance
+    if not fills:
+        return weight @ e.features
+    span = contract.BENEATH_WHOLE - contract.BENEATH_FROM
+    shown = weight * ((transmittance - contract.BENEATH_FROM) / span).clamp(0, 1)
+    return torch.cat([shown @ e.features[:, :3], weight @ e.features[:, 3:]], 1)
 
 
 def _cut(alpha: torch.Tensor, alpha_min: float, *, smooth: bool) -> torch.Tensor:

@@ -83,20 +83,18 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   store(hand.slope + 3 * rows + row, dot(slope, normal));
 }
 
-// Puts vertices into the middles of sides, on a smooth surface through those around: two ends, two corners across, four
-// across the sides beside. Source: Dyn, Levin, Gregory, A butterfly subdivision scheme for surface interpolation with
-// tension control, 1990, with their tension of 1/16.
+// Puts vertices into the middles of sides, on a smooth surface through those around: render/fine_faces.py.
 void round_sides(const DetailTask& t, const DetailHand& hand, int32_t block) {
-  constexpr float SHARE[AROUND_SIDE] = {.5f, .5f, .125f, .125f, -.0625f, -.0625f, -.0625f, -.0625f};
   const int64_t rows = rows_of(hand), row = LANES * (int64_t)(hand.surface->skin.blocks + block);
   vi from[AROUND_SIDE];
   memcpy(from, hand.around + AROUND_SIDE * LANES * (int64_t)block, sizeof from);
+  const float* shares = hand.side_share + AROUND_SIDE * LANES * (int64_t)block;
   vf x{}, y{}, z{};
   for (int k = 0; k < AROUND_SIDE; k++) {
     const vf near = gather(hand.vertex + 2 * rows, from[k]), away = t.orthographic ? -near : 1.f / near;
-    const vf share = SHARE[k] * (t.orthographic ? all(1.f) : away);
+    const vf own = load(shares + LANES * k), share = own * (t.orthographic ? all(1.f) : away);
     x += share * (gather(hand.vertex, from[k]) - t.cx), y += share * (gather(hand.vertex + rows, from[k]) - t.cy);
-    z += SHARE[k] * away;
+    z += own * away;
   }
   const vf iz = t.orthographic ? all(1.f) : 1.f / z;
   store(hand.vertex + row, select(z > t.z_near, x * iz + t.cx, all(__builtin_nanf(""))));

@@ -39,6 +39,7 @@ struct DetailHand {
   float rise;                // m per side of the square, over the range of a byte, times the hand's scale; 0: not drawn
   // vertices in the middles of sides
   const int32_t* around;     // (side_blocks, AROUND_SIDE, 16): rows of the vertices around each: see `round_sides`
+  const float* side_share;   // (side_blocks, AROUND_SIDE, 16): how much each of them counts
   int32_t side_blocks;
 };
 constexpr int AROUND_SIDE = 8;

@@ -25,6 +25,7 @@ class DetailHand(ctypes.Structure):
         *((name, _P) for name in ("learned", "normal", "nearest", "beside", "share", "bend", "slope")),
         ("rise", _F32),
         ("around", _P),
+        ("side_share", _P),
         ("side_blocks", _I32),
     )
 

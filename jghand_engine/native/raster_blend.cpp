@@ -19,9 +19,10 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
   auto add = [&](int hit) __attribute__((always_inline)) {
     const Record& record = chunk.records[hit];
     const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
+    const vf shown = FRONT ? weight * clamped((T - BENEATH_FROM) * (1.0f / (BENEATH_WHOLE - BENEATH_FROM))) : weight;
     T -= weight;
-    r += weight * record.r, g += weight * record.g, b += weight * record.b, depth += weight * record.z;
-    if (FRONT) front += weight * record.front;
+    r += shown * record.r, g += shown * record.g, b += shown * record.b, depth += weight * record.z;
+    if (FRONT) front += shown * record.front;
   };
   int i = 0, n = hits.count;
   for (; i + UNROLL <= n; i += UNROLL) {
@@ -32,7 +33,8 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
   block = {T, r, g, b, depth, front};
 }
 
-// FRONT: with the color of what is seen from outside, and a sharper outline: coverage goes up from COVER_FROM on.
+// FRONT: with the color of what is seen from outside and stands in front, and a sharper outline: coverage goes up from
+// COVER_FROM on.
 template <bool FRONT>
 JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
   const vf alpha = 1.0f - block.transmittance;

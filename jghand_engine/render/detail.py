@@ -283,13 +283,15 @@ class _Hand:
         rows = padded_rows(len(self._row_of))
         # beside those of their first ends
         sides = Blocks(np.argsort(self._row_of[parted.around[:, 0]]))
-        around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(sides.count, LANES, AROUND_SIDE)
+        in_sides = (sides.count, LANES, AROUND_SIDE)
+        around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(in_sides)
         for name in self._arrays.keys() & {"vertex", "whole", "bend", "slope"}:
             before = self._arrays[name]
             self._arrays[name] = aligned_zeros((*before.shape[:-1], rows + sides.rows))
             self._arrays[name][..., :rows] = before
         self._arrays["whole"][rows:] = sides.in_rows(detail.shown[parted.around[:, :2]].mean(1))
         self._arrays["around"] = np.ascontiguousarray(around.swapaxes(1, 2))
+        self._arrays["side_share"] = np.ascontiguousarray(sides.in_rows(parted.share).reshape(in_sides).swapaxes(1, 2))
         row_of = np.concatenate([self._row_of, rows + np.argsort(sides.order)])
         parts = Blocks((4 * self._face_blocks.order[:, None] + np.arange(4)).ravel())
         return _Faces(parts, parted.faces, parted.face_uv, row_of, ends_hand=True)

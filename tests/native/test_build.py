@@ -39,7 +39,8 @@ def test_the_kernels_constants_are_those_of_python():
 
 def test_the_shaders_constant_is_that_of_python():
     text = (Path(gpu.__file__).parent / "blend.wgsl").read_text()
-    assert re.findall(r"const FRONT_MIN = ([\d.]+);", text) == [f"{contract.FRONT_MIN:g}"]
+    for name in ("FRONT_MIN", "COVER_FROM", "BENEATH_FROM", "BENEATH_WHOLE"):
+        assert re.findall(rf"const {name} = ([\d.]+);", text) == [f"{getattr(contract, name):g}"]
 
 
 def test_a_scene_has_as_many_lamps_as_the_kernel_has_room_for_shadows():

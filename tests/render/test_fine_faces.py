@@ -20,8 +20,6 @@ from jghand_engine.render.fine_faces import FineFaces, opposite_vertices, sides_
 from jghand_engine.render.renderer import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset
 
-# of the vertices around the middle of a side, in their order: Dyn, Levin and Gregory's, with their tension
-SHARES = np.array([1 / 2, 1 / 2, 1 / 8, 1 / 8, *[-1 / 16] * 4])
 OCTAHEDRON = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
@@ -59,20 +57,27 @@ def test_each_face_becomes_four_that_are_as_closed_as_the_surface_and_lie_in_its
     np.testing.assert_array_equal(fine.face_uv[[0, 1, 2], [0, 0, 0]], face_uv[0])
 
 
-def test_middles_lie_on_a_cubic_surface_through_the_vertices_and_on_the_side_where_the_surface_ends():
+def test_middles_lie_on_a_cubic_surface_through_the_vertices_and_on_its_border_where_it_ends():
     place, faces = grid(7)
     factors = np.random.default_rng(2).normal(size=(4, 4)) * (np.add.outer(range(4), range(4)) < 4)
 
     def height(at: np.ndarray) -> np.ndarray:
         return np.einsum("ni,ij,nj->n", np.vander(at[:, 0], 4, True), factors, np.vander(at[:, 1], 4, True))
 
-    around = FineFaces.of(faces, place[faces], len(place)).around
-    middle, found = place[around[:, :2]].mean(1), height(place)[around] @ SHARES
+    fine = FineFaces.of(faces, place[faces], len(place))
+    middle, found = place[fine.around[:, :2]].mean(1), (height(place)[fine.around] * fine.share).sum(1)
     inside = ((middle > 1) & (middle < 5)).all(1)
     np.testing.assert_allclose(found[inside], height(middle)[inside])
+    # on the border as far as it goes straight on before and behind
     ends = ((middle == 0) | (middle == 6)).any(1)
-    assert ends.sum() == 24
-    np.testing.assert_allclose(found[ends], height(place)[around[ends, :2]].mean(1))
+    along = ends & ((middle == 0) | (middle == 6) | ((middle > 1) & (middle < 5))).all(1)
+    assert (ends.sum(), along.sum()) == (24, 16)
+    np.testing.assert_allclose(found[along], height(middle)[along])
+    # and beside it no farther off than a plane is from a plane
+    factors[2:], factors[:, 2:], factors[1, 1] = 0, 0, 0
+    found = (height(place)[fine.around] * fine.share).sum(1)
+    straight = ~ends | along
+    np.testing.assert_allclose(found[straight], height(middle)[straight], atol=1e-12)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
@@ -89,7 +94,8 @@ def test_the_kernel_puts_middles_where_the_shares_say(orthographic):
     detail.prepare(np.zeros((5, 64, 96), np.float32), seen, [1.0], ends_hands=True)
     shared_pool(0).run(lambda _thread: detail.run())
     fine = FineFaces.of(hand.detail.faces, hand.detail.face_uv, len(hand.detail.position_m))
-    posed_m = np.concatenate([hand.posed_m(bones), np.einsum("k,nkc->nc", SHARES, hand.posed_m(bones)[fine.around])])
+    own_m = hand.posed_m(bones)
+    posed_m = np.concatenate([own_m, np.einsum("nk,nkc->nc", fine.share, own_m[fine.around])])
     wanted_px, _ = seen.project(posed_m[fine.faces].reshape(-1, 3))
     drawn = detail._hands[0]
     assert drawn._fine is not None
