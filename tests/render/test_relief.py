@@ -5,27 +5,34 @@ from functools import cache
 
 import numpy as np
 import pytest
+import torch
 from detail_reference import bilinear, posed_surface
 from detail_samples import detail_of, flat
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.builtin import load_builtin, load_painted
+from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import HEIGHT_STEP_M, Bend, Relief, finger_shares
-from jghand_engine.avatar.scene_light import Baked, Lamp, SceneLight, World, soft_cosine
+from jghand_engine.avatar.relighting import in_studio
+from jghand_engine.avatar.scene_light import WORLD_FLOOR, Baked, Lamp, SceneLight, World, soft_cosine
+from jghand_engine.avatar.scene_light_step import BLACK
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.learn import scene_light as torch_light
+from jghand_engine.learn.light import harmonics, unit
 from jghand_engine.native import library as native_library
-from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.native.scene_light_task import NUMBER, LampKind
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, SurfaceHits
 from jghand_engine.render.effect_plan import Choice
-from jghand_engine.render.renderer import Frame, HandRenderer
+from jghand_engine.render.renderer import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
 DRAWN = RenderSettings(shadow=ShadowMode.OFF, antialias=False, threads=2, effects=Choice.parse("all"))
 TEXELS = 64
 # native/detail.cpp, scene_light.cpp
-LEAST, MOST, GRAZED = 0.4, 2.5, 0.1
+LEAST, MOST, GRAZED, LIT_MIN = 0.4, 2.5, 0.1, 1e-9
 
 
 def heights(kind: str) -> np.ndarray:
@@ -156,6 +163,82 @@ def test_every_kernel_and_any_number_of_threads_draws_the_same_relief(variant):
     )
     assert np.array_equal(one, two)
     assert np.abs(one - drawn(hand("bumps"), light).rgba).max() < 1e-3
+
+
+# ---- how light turns with skin ---------------------------------------------------------------------------------------
+
+# lamps of all kinds, which show skin of all slopes
+LAMPS = (
+    Lamp(LampKind.SUN, (3, 2, 1), (0.2, 0.5, 1), angle_rad=0.1, has_shadow=False),
+    Lamp(LampKind.POINT, (0.05, 0.2, 0.1), (0.1, 0.15, 0.1), radius_m=0.03, has_shadow=False),
+    Lamp(LampKind.SPOT, (0.3, 0.2, 0.4), (0, 0.1, -0.3), (0, 0, 1), cone_rad=0.9, blend=0.4, has_shadow=False),
+    Lamp(LampKind.AREA, (2, 3, 4), (0.2, 0.5, -0.2), (-0.2, -1, 0.4), size_m=(0.3, 0.2), has_shadow=False),
+    Lamp(LampKind.SUN, (1, 1, 1), (0, 0, -1), has_shadow=False, on_matt=False),
+)
+COLORS = World(np.random.default_rng(0).random((16, 32, 3)) ** 4 * [3, 2, 1])
+LIGHTS = {
+    "its own": None,
+    "a world": SceneLight(COLORS),
+    "lamps": SceneLight(None, LAMPS),
+    "lamps behind each other and a world": SceneLight(COLORS, tuple(replace(lamp, has_shadow=True) for lamp in LAMPS)),
+}
+
+
+def luminance(rgb: np.ndarray | torch.Tensor) -> torch.Tensor:
+    """(...) of colors (..., 3)."""
+    return torch.as_tensor(rgb).double() @ torch.tensor([0.2126, 0.7152, 0.0722]).double()
+
+
+def slope_of_world(of_world: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+    """(V, 3) along the skin: what comes from all around has no more of it along the normal."""
+    (slope,) = torch.autograd.grad(of_world.sum(), normal)
+    return slope - (slope * normal).sum(1, keepdim=True) * normal
+
+
+def slope_in_scene(light: SceneLight, poser: Poser, around: LightAround, place_m: torch.Tensor, normal: torch.Tensor):
+    """(V, 3) of the light at vertices (V, 3), root-relative, over the light itself; of shadows the kernel's anchors."""
+    step = poser._light._scene
+    columns = padded_rows(7 + 2 * step.task.slots)
+    said = step.arrays["reached"].ravel()[: columns * len(step.arrays["reached"])].reshape(-1, columns)
+    reached = torch.from_numpy(np.einsum("vk,vkc->vc", around.share.astype(np.float64), said[around.nearest]))
+    terms, softness = (light.world or BLACK).terms, step._response.softness
+    part = luminance(reached[:, :3])
+    of_world = part * (harmonics(normal) @ luminance(terms.irradiance(softness)))
+    slope, faced = slope_of_world(of_world, normal), torch.zeros(len(normal))
+    whole = torch.maximum(of_world, part * luminance(WORLD_FLOOR * terms.mean_irradiance)) + luminance(reached[:, 3:6])
+    for row in step.arrays["lamp"][: step.task.lamps].astype(np.float64):
+        direction, strength, sine = torch_light.lamp_at(row, place_m)
+        slot = int(row[NUMBER["slot"]])
+        hidden = 0 if slot < 0 else row[NUMBER["shade"]] * (1 - reached[:, 7 + 2 * slot])
+        strength = strength * (1 - hidden) * row[NUMBER["on_matt"]] * luminance(row[6:9])
+        corner = (float(softness[1]) ** 2 + sine.square()).sqrt().clamp(torch_light.CORNER_MIN, torch_light.CORNER_MAX)
+        falls = strength * torch_light.soft_cosine((normal * direction).sum(1), corner)
+        slope, whole, faced = slope + torch.autograd.grad(falls.sum(), normal)[0], whole + falls, faced + strength
+    return slope / torch.maximum(whole, GRAZED * faced).clamp_min(LIT_MIN)[:, None]
+
+
+@pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS)
+def test_the_slope_of_light_is_what_skin_that_turns_gets_more_of_it(light):
+    """By derivatives of what training computes, at each vertex of the surface."""
+    avatar, seen, joints_m = hand("bumps"), camera(), pose("fist")
+    renderer = SceneRenderer([avatar], DRAWN, light)
+    renderer.render([joints_m], seen)
+    backend, bones = renderer._backend, avatar.skeleton().bones(joints_m)
+    assert backend._detail is not None
+    drawn = backend._detail._hands[0]
+    maps = np.einsum("vb,bij->vij", DetailedHand.of(avatar, 1.0).weights, bones.linear_offset)[..., :3]
+    normal = unit(torch.from_numpy(np.einsum("vij,vj->vi", maps, avatar.detail.normals))).requires_grad_(True)
+    if light is None:
+        irradiance = in_studio(avatar).learned.light.irradiance.mean(1)
+        slope = slope_of_world(harmonics(normal) @ torch.from_numpy(irradiance).double(), normal)
+    else:
+        place_m = torch.from_numpy(posed_surface(avatar, joints_m)[0] - bones.root_m)
+        slope = slope_in_scene(light, backend._hands[0], drawn._light, place_m, normal)
+    turned = (slope @ torch.from_numpy(seen.camera_from_world[:3, :3].T)).detach().numpy()
+    along = (slope * normal).sum(1).detach().numpy()
+    found = drawn._arrays["slope"][:, drawn._row_of]
+    # observed: 3.2e-6 of the largest
+    assert np.abs(found - np.append(turned.T, along[None], 0)).max() < 5e-6 * np.abs(turned).max()
 
 
 # ---- what it does ----------------------------------------------------------------------------------------------------
