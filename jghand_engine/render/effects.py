@@ -144,9 +144,9 @@ class Scene:
     joints_m: Sequence[np.ndarray]
     bones: Sequence[Bones]
     camera: Camera
-    moved_m: float | None = None
-    reshaped: bool = True
-    lit: Lit | None = None
+    moved_m: float | None
+    reshaped: bool
+    lit: Lit | None
 
     def views(self, hands: Sequence[HandFacts], alpha_min: float) -> list[View]:
         """Per hand where its skin may be."""

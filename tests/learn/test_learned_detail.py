@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from painted_samples import camera_at, painted_samples
+from painted_samples import camera_at, discs, painted_samples, sample_of, write_rgba
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from small_avatars import on_template
 from small_hands import INFO, joints_of
 from small_trainings import SMALL, small_training
 
 from jghand_engine.avatar.avatar import LearnedFrom, forearm_way
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.detail import log_ratios
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import HandPose
@@ -19,9 +21,12 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn import detail, step
 from jghand_engine.learn.detail import Beside, DetailLearner, Surface, _grazes, fit_surface
 from jghand_engine.learn.options import PAPER_FAITHFUL
+from jghand_engine.learn.pictures import Pictures
 from jghand_engine.native import library
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
+from jghand_engine.render.renderer import HandRenderer
+from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template, load_template_with_forearm
 from jghand_engine.template.mesh import HandTemplate
 
@@ -70,6 +75,23 @@ def test_the_surface_is_found_where_the_gaussians_are_and_how_deep_they_lie(hand
     missed_m = (ours.height_m - truth.height_m)[skin]
     assert depth_m == pytest.approx(1.5e-3, abs=1e-4)
     assert np.sqrt((missed_m**2).mean()) < 2e-4 < np.sqrt((truth.height_m[skin] ** 2).mean()) / 2
+
+
+def test_a_picture_is_trusted_within_its_mask_and_where_gaussians_hide_all_behind_them(tmp_path):
+    avatar, joints_m = load_painted(handedness=Handedness.RIGHT), joints_of("open")
+    camera = camera_at(size=SIZE_PX, focal_px=FOCAL_PX)
+    everywhere, within = np.full(SIZE_PX, 255, np.uint8), discs(camera, joints_m, 12.0)
+    trusted = []
+    for name, mask in (("everywhere", everywhere), ("within", within)):
+        picture = write_rgba(tmp_path / f"{name}.png", mask)
+        (one,) = detail.beside(avatar, [sample_of(picture, camera, joints_m)], Pictures())
+        alpha = HandRenderer(avatar, RenderSettings(antialias=False)).render(joints_m, one.camera).rgba[..., 3]
+        # with two pixels around
+        around = ndimage.binary_dilation(one.trusted, iterations=2)
+        assert alpha[around].min() > detail.WHOLLY_DRAWN
+        assert one.hand[around].all()
+        trusted.append(one.trusted.sum())
+    assert 500 < trusted[1] < 0.7 * trusted[0]
 
 
 @pytest.fixture

@@ -117,3 +117,9 @@ def test_a_lens_has_the_least_number_of_pinholes_within_the_bound():
     assert focus_error(0.5, 1) == pytest.approx(np.pi / 4 * 0.5**2 / 24 * EDGE_CURVATURE)
     # any disc, whatever its size: the discrepancy of the samples
     assert focus_count(float("inf")) == np.ceil((DISC_DISCREPANCY / FOCUS_ERROR_MAX) ** (4 / 3))
+
+
+def test_a_little_blur_takes_few_pictures():
+    """What a user waits for: of ways and discs of up to some pixels, and of any that is long or wide."""
+    assert [motion_count(length_px) for length_px in (0.5, 1.0, 2.0, 5.0, 20.0, np.inf)] == [2, 3, 4, 6, 20, 128]
+    assert [focus_count(size_px) for size_px in (0.5, 1.0, 2.0, 4.0, np.inf)] == [1, 2, 7, 26, 86]

@@ -17,17 +17,20 @@ from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.corrective_task import NetworkStep
 from jghand_engine.avatar.correctives import CorrectiveChange, PoseNetShape
 from jghand_engine.avatar.posing import Poser
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.skinning import skin_maps
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import contract
 from jghand_engine.native import library as native_library
+from jghand_engine.native.scene_light_task import LampKind
 from jghand_engine.render import backend, blur, effects
 from jghand_engine.render.blur import Moment, shutter_at, way_px
 from jghand_engine.render.camera import Camera, Lens
@@ -62,6 +65,11 @@ def camera(width: int = 200, height: int = 160, *, away_m: float = 0.5, focal_px
 
 def difference(first: Frame, second: Frame) -> float:
     return float(np.abs(first.rgba - second.rgba).max())
+
+
+def scene_of(joints_m: Sequence[np.ndarray], bones: Sequence[Bones], view: Camera) -> effects.Scene:
+    """New poses in the light of their captures."""
+    return effects.Scene(joints_m, bones, view, moved_m=None, reshaped=True, lit=None)
 
 
 def box_of(scene: effects.Scene, hands: Sequence[HandFacts]) -> Box:
@@ -128,6 +136,21 @@ def test_the_estimate_of_blur_is_that_of_all_gaussians_in_every_further_picture(
         each_ms = gaussians * (effects.RASTER_MS + effects.SKIN_MS)
         assert plan.runs(Effect.MOTION)
         assert plan[Effect.MOTION].estimated_ms == pytest.approx((plan.exposures - 1) * each_ms)
+
+
+@pytest.mark.parametrize(
+    "light", [None, SceneLight(World(np.ones((8, 16, 3))), (Lamp(LampKind.SUN, (3, 3, 3), (0.3, 0.6, 1)),))],
+    ids=["its own light", "a scene's"],
+)  # fmt: skip
+def test_no_effect_is_said_to_cost_less_than_microseconds_or_more_than_a_frame(light: SceneLight | None):
+    """Of the built-in hand, some ten thousand Gaussians: what its parts take on any machine."""
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    settings = replace(preset("viewport"), effects=ALL)
+    frame = HandRenderer(avatar, settings, light).render(pose("fist", avatar), camera())
+    costs = {one.effect: one.estimated_ms for one in plan_of(frame).decisions if one.estimated_ms}
+    assert len(costs) >= 6
+    assert min(costs.values()) > 0.005, costs
+    assert max(costs.values()) < 50, costs
 
 
 def test_every_effect_is_decided_about_once_and_has_a_line():
@@ -557,7 +580,7 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_around_the_near_plane(avat
             continue
         frame = scene.render([joints], view)
         bones = [avatar.skeleton().bones(joints)]
-        box = box_of(effects.Scene([joints], bones, view), [HandFacts(avatar)])
+        box = box_of(scene_of([joints], bones, view), [HandFacts(avatar)])
         assert most_outside(frame, box) == 0
         smaller += box.width * box.height < 160 * 160
     assert smaller > 0 or avatar is not RIGHT  # the others are small avatars whose bones move everything a little
@@ -571,7 +594,7 @@ def test_nothing_is_seen_outside_of_the_box_of_a_hand_that_another_one_softens()
     scene = SceneRenderer(avatars, WHOLE)
     frame = scene.render(joints, view)
     bones = [avatar.skeleton().bones(each) for avatar, each in zip(avatars, joints, strict=True)]
-    box = box_of(effects.Scene(joints, bones, view), [HandFacts(avatar) for avatar in avatars])
+    box = box_of(scene_of(joints, bones, view), [HandFacts(avatar) for avatar in avatars])
     assert float(frame.rgba[box.slices][..., 3].max()) > 0.5
     assert most_outside(frame, box) == 0
     assert box.width * box.height < 640 * 480
@@ -737,7 +760,7 @@ def test_a_hand_behind_the_camera_takes_one_picture_and_nothing_is_drawn(monkeyp
 def test_a_hand_behind_the_camera_leaves_the_box_to_the_one_before_it():
     here, facts, bones_of = pose("open"), HandFacts(RIGHT), RIGHT.skeleton().bones
     alone, both = (
-        box_of(effects.Scene(all_m, [bones_of(one) for one in all_m], camera()), [facts] * len(all_m))
+        box_of(scene_of(all_m, [bones_of(one) for one in all_m], camera()), [facts] * len(all_m))
         for all_m in ([here], [here + BEHIND_M, here])
     )
     assert both == alone
@@ -749,7 +772,7 @@ def test_the_box_of_two_hands_is_that_around_the_boxes_of_each():
 
     def edges(*hands_m: np.ndarray) -> tuple[int, int, int, int]:
         bones = [RIGHT.skeleton().bones(hand_m) for hand_m in hands_m]
-        box = box_of(effects.Scene(hands_m, bones, view), [facts] * len(hands_m))
+        box = box_of(scene_of(hands_m, bones, view), [facts] * len(hands_m))
         return box.left, box.top, box.left + box.width, box.top + box.height
 
     for place_m in ([0.3, 0.15, 0.0], [-0.3, 0.15, 0.0]):
@@ -760,7 +783,7 @@ def test_the_box_of_two_hands_is_that_around_the_boxes_of_each():
 
 def test_parallel_rays_that_begin_within_a_hand_may_meet_it_anywhere():
     view = replace(camera(away_m=0.03, side_m=0.02), orthographic=True)
-    box = box_of(effects.Scene([pose("open")], [RIGHT.skeleton().bones(pose("open"))], view), [HandFacts(RIGHT)])
+    box = box_of(scene_of([pose("open")], [RIGHT.skeleton().bones(pose("open"))], view), [HandFacts(RIGHT)])
     assert (box.left, box.top, box.width, box.height) == (0, 0, view.width, view.height)
 
 
