@@ -1,5 +1,6 @@
 """Evaluation: which pictures are measured, how figures are gathered, and the tables that show them."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,6 +57,16 @@ def test_a_constant_error_on_the_hand_is_20_db_there_and_more_around_it(evaluati
     for picture in evaluation.pictures:
         assert picture.scores["psnr_mask"] == pytest.approx(20, abs=1e-4)
         assert picture.scores["psnr_mask"] < picture.scores["psnr_box"] < picture.scores["psnr_full"]
+
+
+def test_the_time_of_a_picture_is_that_of_drawing_it_in_milliseconds(split):
+    def draw(hand, handedness, camera):
+        time.sleep(0.01)
+        return np.zeros((camera.height, camera.width, 4), np.float32)
+
+    started = time.perf_counter()
+    *_, render_ms = pictured(split.test[0], draw)
+    assert 10 <= render_ms <= 1e3 * (time.perf_counter() - started)
 
 
 def test_every_picture_is_measured_once_and_ticked(capture, split):

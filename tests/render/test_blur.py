@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.learned import CAPSULE_RADII_MM
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.render.blur import (
@@ -13,16 +14,19 @@ from jghand_engine.render.blur import (
     EDGE_CURVATURE,
     FOCUS_ERROR_MAX,
     Moment,
+    check_moments,
     disc_px,
     filled,
     focus_count,
     focus_error,
     middle,
     motion_count,
+    pinholes,
     shutter_at,
     way_px,
 )
 from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.render.shadow import vogel_disc
 from jghand_engine.template.builtin import load_template
 
 HAND_M = load_template().joints_m + np.array([0.0, 0.0, 0.6])
@@ -123,3 +127,27 @@ def test_a_little_blur_takes_few_pictures():
     """What a user waits for: of ways and discs of up to some pixels, and of any that is long or wide."""
     assert [motion_count(length_px) for length_px in (0.5, 1.0, 2.0, 5.0, 20.0, np.inf)] == [2, 3, 4, 6, 20, 128]
     assert [focus_count(size_px) for size_px in (0.5, 1.0, 2.0, 4.0, np.inf)] == [1, 2, 7, 26, 86]
+
+
+def test_the_pinholes_of_all_moments_are_one_sunflower_on_the_lens():
+    """Each place is taken once."""
+    view = replace(CAMERA, lens=Lens(0.02, 0.5))
+    eyes_m = np.array([one.eye_m[:2] for index in range(5) for one in pinholes(view, index, 4, 5)])
+    wanted_m = 0.01 * vogel_disc(20)
+    np.testing.assert_allclose(sorted(map(tuple, eyes_m)), sorted(map(tuple, wanted_m)), atol=1e-12)
+    assert pinholes(CAMERA, 2, 3, 5) == [CAMERA] * 3
+
+
+@pytest.mark.parametrize("weights", [[1.0], [1.0, 1.0, 1.0], [1.0, -1.0], [1.0, np.inf], [np.nan, 1.0], [0.0, 0.0]])
+def test_weights_are_one_for_each_moment_and_of_some_weight(weights: list[float]):
+    moments = [Moment([HAND_M], CAMERA)] * 2
+    check_moments(moments, [0.0, 1.0])
+    with pytest.raises(InputError, match="weights of moments: wanted 2"):
+        check_moments(moments, weights)
+
+
+def test_moments_of_an_image_are_of_one_size_and_not_none():
+    other = replace(CAMERA, width=201)
+    for moments in ([], [Moment([HAND_M], CAMERA), Moment([HAND_M], other)]):
+        with pytest.raises(InputError, match="moments of an image"):
+            check_moments(moments, [1.0] * len(moments))

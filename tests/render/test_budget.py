@@ -1,6 +1,7 @@
 """Budgets: what is chosen, how it is said, the file that is kept, the measurement where there is none. Never how long
 anything takes."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -145,6 +146,14 @@ def test_a_file_that_cannot_be_read_is_as_if_it_were_not_there(cache, content):
     assert read_profile(avatar, SIZE, 1) is None
     write_profile(avatar, SIZE, 1, KNOWN)
     assert read_profile(avatar, SIZE, 1) == KNOWN
+
+
+@pytest.mark.parametrize("figures", [[5, "NaN", 50], [5, "Infinity", 50], [5, 6, "Infinity"]])
+def test_figures_that_are_none_are_measured_anew(cache, figures):
+    avatar = small_avatar(10)
+    cache.mkdir()
+    profile_file(avatar).write_text(json.dumps({"24x16, 1 threads": {"viewport": figures}}))
+    assert read_profile(avatar, SIZE, 1) is None
 
 
 # ---- the measurement -------------------------------------------------------------------------------------------------

@@ -153,6 +153,32 @@ def test_no_effect_is_said_to_cost_less_than_microseconds_or_more_than_a_frame(l
     assert max(costs.values()) < 50, costs
 
 
+def test_correctives_are_said_to_cost_what_their_tier_does():
+    for avatar, each_ms in (
+        (TRAINED, effects.NETWORK_MS),
+        (load_builtin(handedness=Handedness.RIGHT), effects.LINEAR_MS),
+    ):
+        plan = plan_of(HandRenderer(avatar, preset("viewport")).render(pose("fist", avatar), camera()))
+        assert plan[Effect.CORRECTIVES].estimated_ms == pytest.approx(len(avatar) * each_ms)
+
+
+@pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
+def test_of_a_large_picture_with_a_small_hand_no_more_than_a_quarter_is_drawn(avatar):
+    view = camera(1024, 1024, focal_px=200.0)
+    plan = plan_of(HandRenderer(avatar, SMALL).render(pose("open", avatar), view))
+    assert not plan.runs(Effect.WHOLE)
+    assert plan.box.width * plan.box.height < 1024 * 1024 / 4
+
+
+def test_what_blur_misses_is_said_in_percent():
+    plan = plan_of(HandRenderer(RIGHT, SMALL).render_moments(moving(0.02, camera()), EVEN))
+    travel_px, count = plan[Effect.MOTION].figures[0], plan.exposures
+    missed = 100 * blur.motion_error(travel_px, count)
+    wanted = f"joints travel {travel_px:.1f} px, {count} images, which miss {missed:.1g} % of an edge's contrast"
+    assert plan[Effect.MOTION].reason == wanted
+    assert 0 < missed <= 100 * blur.MOTION_ERROR_MAX
+
+
 def test_every_effect_is_decided_about_once_and_has_a_line():
     frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera())
     decided = [decision.effect for decision in plan_of(frame).decisions]
@@ -732,6 +758,7 @@ def test_blur_that_was_not_chosen_is_a_picture_of_the_middle_through_a_pinhole()
     assert plan.exposures == 1
     for effect, lost in ((Effect.MOTION, "moving edges are sharp"), (Effect.FOCUS, "everything is sharp")):
         assert (plan[effect].runs, plan[effect].reason, plan[effect].bound) == (False, NOT_CHOSEN, lost)
+        assert plan[effect].worst == 1
     assert np.array_equal(frame.rgba, HandRenderer(RIGHT, settings).render(pose("relaxed"), camera()).rgba)
 
 

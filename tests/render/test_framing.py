@@ -72,6 +72,15 @@ def test_palm_and_back_are_not_mixed_up(view, handedness, index_is_right):
     assert (uv[:, INDEX, 0] > uv[:, PINKY, 0]).all() == index_is_right
 
 
+@pytest.mark.parametrize(
+    ("view", "to_eye"),
+    [("front", (0, 0, 1)), ("back", (0, 0, -1)), ("side", (1, 0, 0)), ("outside", (-1, 0, 0)), ("top", (0, 1, 0))],
+)
+def test_a_camera_stands_straight_before_the_side_that_it_is_named_by(view, to_eye):
+    camera = framing_camera(load_template().joints_m[None], Handedness.RIGHT, view, width=WIDTH, height=HEIGHT)
+    np.testing.assert_allclose(-camera.camera_from_world[2, :3], to_eye, atol=1e-12)
+
+
 @pytest.mark.parametrize("handedness", Handedness)
 def test_hand_axes_of_the_canonical_hand_are_its_frame(handedness):
     sign = 1 if handedness is Handedness.RIGHT else -1

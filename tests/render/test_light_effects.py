@@ -133,6 +133,8 @@ def test_all_draws_every_lamp_and_its_shadow_and_auto_is_off_by_what_it_says():
     everything = lit(SceneLight(DAY, lamps), "all").render([FIST], camera())
     assert reasons(everything)[Effect.LAMPS] == "5 lamps on the hand"
     assert reasons(everything)[Effect.LAMP_SHADOW] == "of 5 lamps"
+    # FAINT is left out, of all light a thousandth; half of it would be drawn from four thousandths on
+    assert 0 < plan_of(auto)[Effect.LAMPS].figures[0] < 0.4
     stated = sum(plan_of(auto)[effect].figures[0] for effect in (Effect.LAMPS, Effect.LAMP_SHADOW)) / 100
     # of the brightest that skin can be here, and what a box of its own rounds elsewhere
     brightest = float(everything.rgba.max())
