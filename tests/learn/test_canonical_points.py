@@ -13,7 +13,7 @@ from jghand_engine.learn import canonical_points
 from jghand_engine.learn.canonical_points import CanonicalPoints, bone_areas, place_points, take_turns
 from jghand_engine.learn.options import PAPER_FAITHFUL
 from jghand_engine.template import sampling
-from jghand_engine.template.builtin import load_template
+from jghand_engine.template.builtin import load_template, load_template_with_forearm
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.sampling import bone_distances
 from jghand_engine.template.weight_field import WeightField
@@ -137,6 +137,16 @@ def test_radii_are_half_the_mean_distance_to_the_three_nearest(points):
     )
     wanted = 0.5 * apart.sort(1).values[:, 1:4].mean(1)
     torch.testing.assert_close(points.sigma_m, wanted.float(), atol=5e-8, rtol=0)
+
+
+def test_gaussians_of_a_forearm_start_half_as_wide_again(monkeypatch):
+    monkeypatch.setattr(canonical_points, "WeightField", WeightField)
+    points = place_points(load_template_with_forearm(), COUNT, depth_m=DEPTH_M, area_power=0.78, seed=0)
+    apart = torch.cdist(points.position_m.double(), points.position_m.double())
+    wider = points.sigma_m / (0.5 * apart.sort(1).values[:, 1:4].mean(1))
+    arm = points.position_m[:, 1] < -0.03
+    assert arm.sum() > 10
+    torch.testing.assert_close(wider[arm], torch.full_like(wider[arm], 1.5), atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("part", [0.1, 0.4, 1.0])

@@ -145,3 +145,13 @@ def test_the_table_keeps_scales_apart_and_says_what_is_coarser(capture, sample, 
     assert any("Ceiling: not measured" in note for note in table.notes)
     inside, edges = (dict(zip(table.columns, row, strict=True)) for row in table.rows[:2])
     assert (inside["detail 2-4 px"], edges["detail 2-4 px"]) == ("1.00", "-")
+
+
+def test_pictures_of_alike_scales_are_one_row(sample, disc):
+    truth = picture(disc)
+    made = [
+        crop for mm_px in (0.18, 0.19) for crop in crops.crop_scores(at_scale(sample, mm_px), "v", truth.rgb, truth)
+    ]
+    groups = crops.crop_groups(made)
+    assert list(groups) == ["v, inside, 0.18 to 0.19 mm", "v, edges, 0.18 to 0.19 mm"]
+    assert sum(map(len, groups.values())) == len(made)

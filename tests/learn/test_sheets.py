@@ -49,6 +49,11 @@ def test_the_best_and_the_worst_are_always_shown(capture):
     assert len(sheets.from_best_to_worst(pictures, 99)) == len(pictures)
 
 
+def test_variants_stand_beside_the_truth_in_a_row_for_each_picture(capture):
+    sheet = sheets.variant_sheet(capture.samples[:2], {"one": draw, "other": draw}, "title")
+    assert rows_and_columns(sheet) == (2, 3)
+
+
 def test_poses_show_each_pose_once(capture):
     chosen = sheets.varied_samples(capture.samples, 12)
     assert len(chosen) == len(capture.poses) == len({sample.pose for sample in chosen})
