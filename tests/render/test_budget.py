@@ -2,6 +2,7 @@
 anything takes."""
 
 import json
+import time
 from dataclasses import replace
 
 import pytest
@@ -168,6 +169,13 @@ def test_two_seconds_tell_times_and_accuracies():
     assert 10 < coarse.psnr_db < 60
     assert all(0 < row.median_ms <= row.p95_ms for row in measured)
     assert coarse.settings is offered["coarse"]
+
+
+def test_it_is_measured_for_as_long_as_it_may_take():
+    started = time.perf_counter()
+    subject, offered = moving_subject("small", trained_avatar(60), *SIZE), {"draft": PRESETS["draft"]}
+    measure_quickly(subject, offered, threads=1, seconds=0.5)
+    assert time.perf_counter() - started >= 0.5
 
 
 @pytest.mark.parametrize("away", [slice(0, 1), slice(-1, None)], ids=["first", "last"])
