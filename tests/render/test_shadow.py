@@ -13,7 +13,6 @@ from depth_scenes import camera, fingers, plane, planes_of, rays, sphere
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.shadow import darken, normalized_depth, printed_visibility, shade, surface_normals, visibility
-from jghand_engine.native import contract
 from jghand_engine.native.binding import Library
 from jghand_engine.render import passes
 from jghand_engine.render.shadow import NativeShade, ShadowStyle, vogel_disc
@@ -262,11 +261,6 @@ def test_only_the_color_is_darkened_and_by_the_tint():
     assert torch.allclose(half[..., 0], rgb[..., 0] * (1 - 0.5 * darkness))
     assert torch.allclose(half[..., 1], rgb[..., 1] * (1 - 0.25 * darkness))
     assert torch.equal(half[..., 2], rgb[..., 2])
-
-
-@pytest.mark.parametrize("samples", [1, contract.SHADOW_SAMPLES_MAX])
-def test_a_shadow_has_as_few_samples_as_one_and_as_many_as_there_is_room_for(samples: int):
-    assert ShadowStyle(samples=samples).samples == samples
 
 
 @pytest.mark.parametrize(
