@@ -141,7 +141,9 @@ def test_radii_are_half_the_mean_distance_to_the_three_nearest(points):
 
 def test_gaussians_of_a_forearm_start_half_as_wide_again(monkeypatch):
     monkeypatch.setattr(canonical_points, "WeightField", WeightField)
-    points = place_points(load_template_with_forearm(), COUNT, depth_m=DEPTH_M, area_power=0.78, seed=0)
+    # cells are kept by their depth: the hand's are others
+    depth_m = 1.2 * DEPTH_M
+    points = place_points(load_template_with_forearm(), COUNT, depth_m=depth_m, area_power=0.78, seed=0)
     apart = torch.cdist(points.position_m.double(), points.position_m.double())
     wider = points.sigma_m / (0.5 * apart.sort(1).values[:, 1:4].mean(1))
     arm = points.position_m[:, 1] < -0.03
