@@ -83,6 +83,12 @@ def test_crops_inside_show_nothing_but_hand_and_those_at_edges_about_half(disc):
         assert counts.max() == 1
 
 
+def test_where_all_is_hand_there_are_no_edges_and_where_none_is_no_crops():
+    everywhere, nowhere = (crops.places(np.full((300, 300), value, np.float32), 100) for value in (1, 0))
+    assert [len(everywhere[kind]) for kind in (crops.INSIDE, crops.EDGES)] == [2, 0]
+    assert not any(nowhere.values())
+
+
 def test_a_crop_of_1080p_has_256_pixels_and_a_coarser_picture_fewer(sample, disc):
     truth = picture(disc)
     (inside, *_), coarse = (

@@ -54,6 +54,14 @@ def test_variants_stand_beside_the_truth_in_a_row_for_each_picture(capture):
     assert rows_and_columns(sheet) == (2, 3)
 
 
+def test_poses_between_two_stand_in_a_row_for_each_drawer_and_views_in_one_for_each_picture(capture):
+    pair = capture.samples[0], capture.by_pose()[capture.poses[1]][0]
+    between = sheets.between_sheet([pair], {"one": draw, "other": draw}, "title")
+    assert rows_and_columns(between) == (2, sheets.SHEET_STEPS_BETWEEN + 2)
+    views = sheets.view_sheet(capture.samples[:2], draw, "title")
+    assert rows_and_columns(views) == (2, len(sheets.VIEWS))
+
+
 def test_poses_show_each_pose_once(capture):
     chosen = sheets.varied_samples(capture.samples, 12)
     assert len(chosen) == len(capture.poses) == len({sample.pose for sample in chosen})

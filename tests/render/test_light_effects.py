@@ -81,6 +81,14 @@ def test_a_lamp_that_nobody_sees_costs_nothing():
     assert costs[0] == costs[1]
 
 
+def test_shadows_that_nobody_sees_are_left_out_and_what_that_saves_is_said():
+    lone = SceneLight(DAY, (sun(0.006, 0.3, 0.6, 1),))
+    skipped, drawn = (plan_of(lit(lone, effects).render([FIST], camera())) for effects in ("auto", "all"))
+    assert "too faint" in skipped[Effect.LAMP_SHADOW].reason
+    saved, spent = (plan[Effect.LAMP_SHADOW].estimated_ms for plan in (skipped, drawn))
+    assert saved == spent > 0
+
+
 def test_a_lamp_that_is_dragged_redoes_the_light_alone(monkeypatch):
     skinned = counted(monkeypatch, Poser, "prepare")
     corrected = counted(monkeypatch, NetworkStep, "prepare")
