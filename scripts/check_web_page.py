@@ -52,8 +52,8 @@ COMPARED = (0, 20, 100)
 LIGHTS = {"own": (), "turned": (100, 10)}
 # the picture without the self-shadow that the page leaves out, away from the outline; seen 55.1 at least: the page shows
 # what stands beneath a layer (RENDERING 3), as a browser's blending, from back to front, does not know what comes
-# before; where the engine did, too, it was 63.5. At the outline a graphics card counts four or eight samples of a pixel,
-# and the engine sixteen: with it 45.1 to 48.3
+# before; where the engine showed it, too, 63.5 were seen. At the outline a graphics card counts four or eight samples
+# of a pixel, and the engine sixteen: with it 45.1 to 48.3
 PSNR_LEAST_DB, WITH_OUTLINE_LEAST_DB = 54.0, 44.0
 # alpha of a pixel that is hand alone, but for rounding
 WHOLE = 0.999
