@@ -50,7 +50,7 @@ POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
 COMPARED = (0, 20, 100)
 # lights in which they are: the hand's own, and a sun so many degrees around it and above it, where relief shows
 LIGHTS = {"own": (), "turned": (100, 10)}
-# the picture without the self-shadow that the page leaves out, away from the outline; seen 55.1 at least: the page shows
+# the picture without the self-shadow that the page leaves out, away from the outline; seen 55.1 at least: it shows
 # what stands beneath a layer (RENDERING 3), as a browser's blending, from back to front, does not know what comes
 # before; where the engine showed it, too, 63.5 were seen. At the outline a graphics card counts four or eight samples
 # of a pixel, and the engine sixteen: with it 45.1 to 48.3
