@@ -32,7 +32,7 @@ class Export(StartsJob, bpy.types.Operator):
     bl_description = "Write what the hands do over the range of frames into the folder. Esc cancels"
     bl_options = REGISTERED
 
-    key = runtime.EXPORT
+    key, never_beside = runtime.EXPORT, (runtime.BAKE,)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -124,7 +124,7 @@ class Bake(StartsJob, bpy.types.Operator):
     # the scene is changed when the job has ended, whoever notices that: the step for undo is made there
     bl_options = REGISTERED
 
-    key = runtime.BAKE
+    key, never_beside = runtime.BAKE, (runtime.EXPORT,)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

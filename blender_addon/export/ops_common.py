@@ -42,6 +42,8 @@ class StartsJob(InTurns):
     # what stands on the button that overwrites
     overwrite = "Overwrite"
     key: str
+    # keys of jobs that it does not run beside
+    never_beside: tuple[str, ...] = ()
     # whether the operator stays until the job has ended, so that Esc ends it: not for hours
     watched = True
     _is_done = False
@@ -83,7 +85,8 @@ class StartsJob(InTurns):
 
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """A step per frame; then the job is looked at, unless it takes hours."""
-        runtime.jobs().refuse_second(self.key)  # before minutes of recording
+        for key in (self.key, *self.never_beside):  # before minutes of recording
+            runtime.jobs().refuse_second(key)
         self.prepare(context)
         recordings: list[Recording] = []
         things = self.recorded_hands(context)
@@ -212,8 +215,10 @@ def lacks_usd(_context: bpy.types.Context) -> bool:
 
 
 def poll_job(operator: type, key: str) -> bool:
-    text = "This is running already: wait until it has ended, or cancel it"
-    return not runtime.jobs().runs(key) or missing(operator, text)
+    job = runtime.jobs().get(key)
+    if job is None or job.is_over:
+        return True
+    return missing(operator, f"{job.spec.title} is running already: wait until it has ended, or cancel it")
 
 
 def place(context: bpy.types.Context, text: str) -> Path:

@@ -151,24 +151,29 @@ def has_forearm(avatar: str) -> bool:
         return False
 
 
+class _NoCardError(ValueError):
+    """Says what a file lacks."""
+
+
 def read_card(path: Path) -> Card:
     """The card of a `.jghand` file. JGHandFailure: bad_avatar, no_avatar."""
     try:
         with path.open("rb") as file:
             (length,) = struct.unpack("<Q", file.read(8))
             if length > _HEADER_MAX_BYTES:
-                raise ValueError("its beginning is not that of an avatar")
+                raise _NoCardError("its beginning is not that of an avatar")
             header = json.loads(file.read(length))
             ends = [about["data_offsets"][1] for name, about in header.items() if name != "__metadata__"]
             if path.stat().st_size < 8 + length + max(ends, default=0):
-                raise ValueError("its end is missing")
+                raise _NoCardError("its end is missing")
         written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
         return _card(json.loads(header["__metadata__"]["jghand"]), written)
     except FileNotFoundError as error:
         raise JGHandFailure("no_avatar", str(path)) from error
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, struct.error) as error:
-        # what is said of JSON, of bytes and of keys helps nobody here
-        reason = str(error) if type(error) in (ValueError, PermissionError) else "its header cannot be read"
+        # what Python says of JSON, of bytes and of keys helps nobody here
+        of_rights = "it may not be read" if isinstance(error, PermissionError) else "its header cannot be read"
+        reason = str(error) if isinstance(error, _NoCardError) else of_rights
         raise JGHandFailure("bad_avatar", f"{path}\n{reason}") from error
 
 
@@ -193,7 +198,7 @@ def _joints(value: Any) -> tuple[tuple[float, float, float], ...] | None:
         return None
     joints = tuple((float(x), float(y), float(z)) for x, y, z in value)
     if len(joints) != len(NAMES) or not all(math.isfinite(x) for joint in joints for x in joint):
-        raise ValueError("its joints are no 21 places")
+        raise _NoCardError("its joints are no 21 places")
     return joints
 
 

@@ -346,9 +346,9 @@ class LoadAvatar(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         path = Path(bpy.path.abspath(self.filepath))
-        avatar_files.read_card(path)  # of a file that cannot be read the hands keep their avatar
-        if path.suffix != avatar_files.SUFFIX:
+        if path.is_file() and path.suffix != avatar_files.SUFFIX:
             raise JGHandFailure("bad_avatar", f"{path} does not end with {avatar_files.SUFFIX}")
+        avatar_files.read_card(path)  # of a file that cannot be read the hands keep their avatar
         kept = folders.relative(str(path)) if self.relative_path and context.blend_data.filepath else self.filepath
         hands = _editable_hands(context)
         for thing in hands:

@@ -80,7 +80,11 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
 def left_out(layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     """A sentence about what images of hands alone do not have of a view layer; none where that is nothing."""
     known: seen_hands.Known = {}
-    found = armature.rendered_at_any_frame(layer, lambda thing: seen_hands.shows(thing, worlds.is_surface, known))
+
+    def wanted(thing: bpy.types.Object) -> bool:
+        return worlds.is_surface(thing) and not thing.hide_render
+
+    found = armature.rendered_at_any_frame(layer, lambda thing: seen_hands.shows(thing, wanted, known))
     things = [thing.name for thing in found]
     text = f'JGHand renders hands alone, without {_listed(things)}. "Set Up Compositing" renders both'
     return (text,) if things else ()

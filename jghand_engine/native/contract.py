@@ -28,8 +28,8 @@ RGB_MAX = 1e6
 FRONT_MIN = 0.04
 # coverage from which such a picture shows anything: Gaussians are round, and wider at an outline than skin ends
 COVER_FROM = 0.15
-# transmittance from which on, and up to which, what stands beneath gives such a picture a part of its color: between
-# those of one layer an eighth of what is right beneath is seen, which in back light is brighter by ten times and more
+# transmittance below which a Gaussian gives such a picture none of its color, and above which all: between those of one
+# layer an eighth of what is right beneath is seen, which in back light is brighter by ten times and more
 BENEATH_FROM, BENEATH_WHOLE = 0.1, 0.5
 # coordinates beyond this are counted as invalid, meters: depth is blended like a color, and has the same limit
 POSITION_MAX_M = 1e6

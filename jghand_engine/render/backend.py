@@ -175,7 +175,8 @@ class Backend:
         detail = self._detail if canvas.detail and not keep_image else None
         if detail is not None:
             strengths = [canvas.detail[place] for place in self._detailed]
-            detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands)
+            seen = [canvas.seen[place] for place in self._detailed]
+            detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)

@@ -39,10 +39,11 @@ class View:
         self.extent_px = extent_px(max(camera.fx * wide, camera.fy * high), self.nearest_m, camera)
 
 
-def seen_hands(views: Sequence[View], alpha_min: float) -> tuple[bool, ...]:
-    """Whether each hand of an image may touch it."""
+def seen_hands(views: Sequence[View], alpha_min: float) -> tuple[Box, tuple[bool, ...]]:
+    """The rectangle of an image that hands may touch, as of `views_box`, and whether each of them does."""
     pixel_m = _coarsest_m(views)
-    return tuple(bool(views_box([view], alpha_min, pixel_m).width) for view in views)
+    seen = tuple(bool(views_box([view], alpha_min, pixel_m).width) for view in views)
+    return views_box([view for view, is_seen in zip(views, seen, strict=True) if is_seen], alpha_min, pixel_m), seen
 
 
 def views_box(views: Sequence[View], alpha_min: float, pixel_m: float = 0.0) -> Box:

@@ -121,21 +121,30 @@ class NativeDetail:
             hand.rise_m = own.scale * hand.range_m
 
     def prepare(
-        self, planes: np.ndarray, camera: Camera, strengths: Sequence[float], *, ends_hands: bool = False
+        self,
+        planes: np.ndarray,
+        camera: Camera,
+        strengths: Sequence[float],
+        *,
+        ends_hands: bool = False,
+        seen: Sequence[bool] | None = None,
     ) -> None:
         """Sets the next image, (5, H, W) as the rasterizer leaves it, which is changed in place.
-        strengths: 0..1 per hand · ends_hands: whether nothing is drawn that is not on one of the surfaces"""
+        strengths: 0..1 per hand · ends_hands: whether nothing is drawn that is not on one of the surfaces · seen: per
+        hand whether it can be in the image; None: all"""
         task, self._keep = self._task, planes
         task.picture = address(planes, np.float32, "planes", (5, camera.height, camera.width), writable=True)
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
         task.outline = min(strengths) if ends_hands else 0.0
-        for hand, own, strength in zip(self._hands, self._tasks, strengths, strict=True):
+        in_image = [True] * len(strengths) if seen is None else seen
+        for hand, own, strength, is_seen in zip(self._hands, self._tasks, strengths, in_image, strict=True):
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
             # one that only hides others needs no light
             own.rise = hand.rise_m if strength > 0 else 0.0
-            hand.set_faces(own, fine=task.outline > 0 and hand.corner_px(camera) > self._outline_px)
+            hand.set_faces(own, fine=is_seen and task.outline > 0 and hand.corner_px(camera) > self._outline_px)
+            own.groups *= is_seen
         self.team.fill(0)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

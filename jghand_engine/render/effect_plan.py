@@ -138,7 +138,7 @@ class EffectPlan:
 
     decisions: tuple[Decision, ...]
     box: Box
-    seen: tuple[bool, ...] = ()
+    seen: tuple[bool, ...]
     strength: float = 0.0
     enlarged: int = 1
     plain: float = 1.0

@@ -31,7 +31,7 @@ from jghand_engine.render.blur import (
     way_px,
 )
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.crop import View, seen_hands, views_box
+from jghand_engine.render.crop import View, seen_hands
 from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, Decision, Effect, EffectPlan
 from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, fade, fade_with_size, gap_between
 from jghand_engine.render.hand_facts import HandFacts
@@ -157,23 +157,30 @@ class Scene:
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
     """Decides about every effect of one image through a pinhole."""
     views = scene.views(hands, settings.alpha_min)
-    seen = seen_hands(views, settings.alpha_min)
-    box = views_box([view for view, is_seen in zip(views, seen, strict=True) if is_seen], settings.alpha_min)
+    box, seen = seen_hands(views, settings.alpha_min)
     if not box.width and not settings.effects.forced:
         other = OF_SCENE if scene.lit is None else OF_CAPTURE
         nothing = tuple(Decision(effect, False, "no hand is in the image") for effect in Effect if effect not in other)
         return EffectPlan(nothing, box, seen)
+    # what costs and what is lost are told of those in the image; that shadow and filter do not pop as a hand leaves it,
+    # they are decided for all
+    shown = [place for place, is_seen in enumerate(seen) if is_seen or not box.width]
+    drawn, bones = [hands[place] for place in shown], [scene.bones[place] for place in shown]
     if scene.lit is None:
         strength, shadow = plan_shadow(scene, views, settings)
         light = [shadow]
     else:
-        strength, light = 0.0, light_decisions(scene.lit, scene.moved_m, scene.bones, hands, settings.effects)
+        strength, light = 0.0, light_decisions(scene.lit, scene.moved_m, bones, drawn, settings.effects)
     enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
         box = Box(0, 0, scene.camera.width, scene.camera.height)
-    detail, textured = plan_detail(scene, views, settings)
-    decisions = (*_reuse(scene, hands, settings), textured, smooth, *light, *NO_BLUR, crop)
+    detail, textured = plan_detail(scene, [views[place] for place in shown], settings)
+    if detail:
+        # 1 of a hand that is not in the image: where all end with their skin, the least of them says how much
+        strengths = dict(zip(shown, detail, strict=True))
+        detail = tuple(strengths.get(place, 1.0) for place in range(len(hands)))
+    decisions = (*_reuse(scene, drawn, settings), textured, smooth, *light, *NO_BLUR, crop)
     return EffectPlan(decisions, box, seen, strength, enlarged, plain, detail=detail)
 
 

@@ -440,7 +440,7 @@ class _Posed:
     corrected_rad: per hand the angles (37,) of its correctives
     notes:         of what is wrong with a hand, and of what its avatar never saw
     moved_m:       how far the skin can be from where the backend has it; None where it has another pose, or none
-    seen:          per hand whether the backend has it: not one that was not in the image; empty before it is painted
+    seen:          per hand whether the backend holds its pose: a hand outside the image is not posed; empty before
     """
 
     joints_m: list[np.ndarray]

@@ -13,7 +13,16 @@ from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import Sample
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.learn.evaluate import AvatarPicturer, Picturer, categories_of, held_out, pictured, truth_of
+from jghand_engine.learn.evaluate import (
+    NOT_KNOWN,
+    AvatarPicturer,
+    Picturer,
+    categories_of,
+    held_out,
+    pictured,
+    spread,
+    truth_of,
+)
 from jghand_engine.learn.metrics import checked_picture, psnr
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
@@ -182,12 +191,16 @@ def finger_tips(picture: np.ndarray, pose_m: np.ndarray, subject: Subject) -> np
 
 
 def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None], pictures: int = PICTURES) -> Truth:
-    """About so many pictures that a capture's split holds out, of every kind as many as of the others, or all. say:
-    called with doubts about them."""
+    """About so many pictures that a capture's split holds out, of every kind as many as of the others, or all; of a
+    capture that the avatar did not learn from, as far as it says, any. say: called with doubts about them."""
     capture = open_capture(folder)
     told = held_out(avatar, capture, split_capture(capture, to_learn=False))
     if told.warning:
         say(told.warning)
+    if told.split.origin.endswith(NOT_KNOWN):
+        # then no more is known of those that the split holds out
+        samples = spread(capture.samples, pictures)
+        return Truth(samples, f"{len(samples)} pictures of {capture.name} ({NOT_KNOWN})")
     # pictures that were all learned from can still be compared with; that is said above and in the table
     which = "test" if told.split.test else "train"
     sizes = [len(samples) for samples in categories_of(told.split, which).values()]

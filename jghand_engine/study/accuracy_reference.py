@@ -40,13 +40,16 @@ class Error:
 
 
 class ExactPictures64:
-    """The pictures of some poses (P, 21, 3), all Gaussians, nothing cut off, nothing stopped, in float64."""
+    """The pictures of some poses (P, 21, 3), all Gaussians, nothing cut off, nothing stopped, in float64. What detail
+    changes, and that a hand ends with its skin, is added as the kernels draw it, by preset `reference`."""
 
     def __init__(self, subject: Subject, poses_m: np.ndarray) -> None:
         # as the renderer shows it where no scene lights it
         self._subject, self.poses_m = replace(subject, avatar=in_studio(subject.avatar)), poses_m
         # whether there is a shadow, and how strong, is decided by the renderer
-        self._renderer = HandRenderer(subject.avatar, PRESETS["reference"])
+        settings = replace(PRESETS["reference"], antialias=False)
+        self._renderer = HandRenderer(subject.avatar, settings)
+        self._plain = HandRenderer(replace(subject.avatar, detail=None), settings)
         self.pictures = [self._exact(pose_m) for pose_m in poses_m]
 
     def error(self, draw: Callable[[np.ndarray], np.ndarray]) -> Error:
@@ -67,7 +70,8 @@ class ExactPictures64:
         with torch.no_grad():
             gaussians, camera = self._posed(pose_m), self._subject.camera
             picture = rasterize_reference(_double(gaussians), camera, alpha_min=ALPHA_MIN)
-            return self._shaded(picture, pose_m).numpy()
+            plain, detailed = (one.render(pose_m, camera).rgba[..., :3] for one in (self._plain, self._renderer))
+            return self._shaded(picture, pose_m).numpy() + (detailed - plain).astype(np.float64)
 
     def _shaded(self, picture: Picture, pose_m: np.ndarray) -> Tensor:
         style = self._style(pose_m)

@@ -54,7 +54,8 @@ SKIN_POINTS = 400
 SKIN_MAX_M = 2e-3
 # the same with the worst of all signs: three times as far as each joint is off, sqrt(3) NUDGE_M. Joints that are off by
 # e at both ends of a bone of length l turn it by 2 e / l, which moves skin r beside its axis by e (1 + 2 r / l): 8 mm
-# beside a finger's end of 19 mm by 1.8 e, and by 2.7 e where it is half as long
+# beside a finger's end of 19 mm by 1.8 e, and by 2.7 e where it is half as long. Twist and blending make 2.2 e of 1.8;
+# 3 e is left for bones of other lengths, and fingers that stand aside
 SIGNS_MAX_M = 3 * 3**0.5 * NUDGE_M
 # of a nudge, by which it is found how each joint moves the skin: small enough for first order, large beside rounding
 FIRST_ORDER = 0.02

@@ -267,6 +267,20 @@ def test_what_is_no_avatar_is_not_put_on_a_hand(place, name, why):
     assert bpy.context.object.jghand.avatar == ""
 
 
+def test_a_whole_avatar_of_another_ending_is_refused_for_that(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    named = write_avatar(place / "ana.zip", name="Ana", gaussians=7)
+    with pytest.raises(RuntimeError, match="does not end with"):
+        bpy.ops.jghand.load_avatar(filepath=str(named))
+
+
+def test_a_header_that_says_nonsense_is_told_without_pythons_words(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    file = write_avatar(place / "many.jghand", name="Ana", gaussians="many")
+    with pytest.raises(RuntimeError, match="its header cannot be read"):
+        bpy.ops.jghand.load_avatar(filepath=str(file))
+
+
 def test_a_damaged_avatar_is_refused_by_name_and_the_good_one_stays(place):
     bpy.ops.jghand.add_hand(handedness="right")
     good = write_avatar(place / "ana.jghand", name="Ana", gaussians=7)

@@ -37,7 +37,7 @@ def test_the_kernels_constants_are_those_of_python():
             assert not re.search(rf"constexpr \w+ ({'|'.join(shared)})\b", path.read_text()), path.name
 
 
-def test_the_shaders_constant_is_that_of_python():
+def test_the_shaders_constants_are_those_of_python():
     text = (Path(gpu.__file__).parent / "blend.wgsl").read_text()
     for name in ("FRONT_MIN", "COVER_FROM", "BENEATH_FROM", "BENEATH_WHOLE"):
         assert re.findall(rf"const {name} = ([\d.]+);", text) == [f"{getattr(contract, name):g}"]

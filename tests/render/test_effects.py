@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from small_avatars import ellipsoid_avatar, trained_avatar
+from small_avatars import coarse_builtin, ellipsoid_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.builtin import load_builtin, load_painted
@@ -452,6 +452,57 @@ def test_a_hand_that_rests_is_posed_when_the_camera_finds_it(monkeypatch):
     renderer.render(joints_m, wide)
     # what was posed stays posed
     assert skinned == [5]
+
+
+def test_pictures_are_as_fresh_ones_whoever_was_hidden_before():
+    """Two lit hands with detail: one is hidden and found, the light changes meanwhile, and a shutter is open."""
+    avatar, rng = coarse_builtin(600, 64), np.random.default_rng(4)
+    settings = replace(SMALL, gaussians=None, threads=1, repeatable=True, ids=True)
+    lights = [
+        SceneLight(lamps=(Lamp(LampKind.SUN, (3.0, 2.0, 1.0), way),)) for way in ((1.0, 1.0, 1.0), (-1.0, 0.5, 0.2))
+    ]
+    scene, here = SceneRenderer([avatar, avatar], settings, lights[0]), pose("relaxed", avatar)
+    found = set()
+    for frame in range(12):
+        joints_m = [here, pose(("fist", "open")[frame % 2], avatar) + [(0.12, 0, 0), (0, 0, 2.0)][rng.integers(2)]]
+        scene.light = lights[rng.integers(2)]
+        ways = [0.0, 0.01] if frame % 4 == 3 else [0.0]
+        moments = [Moment([one + np.array([way, 0, 0]) for one in joints_m], camera()) for way in ways]
+        fresh = SceneRenderer([avatar, avatar], settings, scene.light)
+        frames = [each.render_moments(moments, [1.0] * len(moments)) for each in (scene, fresh)]
+        for name in ("rgba", "depth_m", "ids"):
+            assert np.array_equal(getattr(frames[0], name), getattr(frames[1], name)), frame
+        assert np.array_equal(scene.bone_ids(camera()), fresh.bone_ids(camera()))
+        found.add(plan_of(frames[0]).seen)
+    assert found == {(True, True), (True, False)}
+
+
+def test_a_hand_behind_the_camera_has_no_surface():
+    avatar = coarse_builtin(600, 64)
+    scene = SceneRenderer([avatar, avatar], replace(SMALL, gaussians=None))
+    scene.render([pose("open", avatar), pose("open", avatar) + np.array([0, 0, 2.0])], camera())
+    detail = scene._backend._detail
+    assert detail is not None
+    assert [task.groups > 0 for task in detail._tasks] == [True, False]
+    assert detail._tasks[1].side_blocks == 0
+
+
+def test_the_box_knows_the_low_pass_of_a_hand_that_is_not_in_the_picture():
+    coarse = replace(TRAINED, info=replace(TRAINED.info, learned_from=LearnedFrom("it", "all", 1, "0", pixel_m=0.03)))
+    view, sharp = camera(640, 480, focal_px=300.0), pose("open", RIGHT)
+    behind = pose("open", coarse) + 9 * (view.eye_m - sharp.mean(0))
+    boxes = [
+        plan_of(SceneRenderer([RIGHT, other], SMALL).render([sharp, behind], view)).box for other in (RIGHT, coarse)
+    ]
+    assert boxes[1].width > boxes[0].width
+
+
+def test_a_receipt_tells_of_the_hands_in_the_picture_alone():
+    here, there = pose("relaxed", TRAINED), pose("relaxed", TRAINED) + np.array([0, 0, 2.0])
+    alone = plan_of(HandRenderer(TRAINED, SMALL).render(here, camera()))
+    both = plan_of(SceneRenderer([TRAINED, TRAINED], SMALL).render([here, there], camera()))
+    for effect in (Effect.SKIN, Effect.CORRECTIVES, Effect.CAST):
+        assert both[effect].estimated_ms == alone[effect].estimated_ms > 0
 
 
 def test_a_hand_that_flies_into_the_picture_is_blurred_there():

@@ -10,7 +10,7 @@ from jghand_engine.render.report import EffectSums, FrameReport, summed
 
 SHADOW = Decision(Effect.SHADOW, True, "gate {0:.2f}", "darker", 1.0, 0.25, (0.7,))
 CROP = Decision(Effect.WHOLE, False, "a small hand", "{0:.0f} step", 0.0, 0.5, (1.0,))
-PLAN = EffectPlan((SHADOW, CROP), Box(0, 0, 4, 4))
+PLAN = EffectPlan((SHADOW, CROP), Box(0, 0, 4, 4), (True,))
 
 
 def report(**changes) -> FrameReport:

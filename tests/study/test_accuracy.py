@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from learn.lit_samples import write_lit_capture
 from learn.small_capture import write_small_capture
-from small_avatars import ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
+from small_avatars import coarse_builtin, ellipsoid_avatar, known_avatar, small_avatar, trained_avatar
 
+from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import load_image
 from jghand_engine.learn.evaluate import AvatarPicturer
 from jghand_engine.learn.metrics import psnr
@@ -93,6 +94,20 @@ def test_the_renderers_own_reference_comes_near_the_picture_in_double_precision(
     assert error.psnr_db > psnr_db
     assert error.worst < worst
     assert exact.pictures[0].dtype == np.float64
+
+
+@needs_native
+def test_the_picture_in_double_precision_has_detail_and_ends_with_the_skin():
+    subject = subject_of(coarse_builtin())
+    exact = ExactPictures64(subject, spread_poses(subject, 2))
+    settings, found = replace(PRESETS["reference"], reuse=False, antialias=False), []
+    for avatar in (subject.avatar, replace(subject.avatar, detail=None)):
+        drawn = HandRenderer(avatar, settings)
+        pictures = {pose_m.tobytes(): drawn.render(pose_m, subject.camera).rgba for pose_m in exact.poses_m}
+        found.append(exact.error(lambda pose_m, of=pictures: of[pose_m.tobytes()]).psnr_db)
+    whole, plain = found
+    assert whole > 50
+    assert plain < 35
 
 
 @needs_native
@@ -210,6 +225,19 @@ def test_every_setting_is_compared_with_the_same_pictures_of_a_capture(tmp_path,
     drawn = [draw(one.joints_m, one.handedness, one.camera)[..., :3] for one in truth.samples]
     own_db = [psnr(ours.clip(0, 1), picture.rgb) for ours, picture in zip(drawn, pictures, strict=True)]
     assert scores["draft"].psnr_db == pytest.approx(np.mean(own_db))
+
+
+def test_of_a_capture_that_a_hand_did_not_learn_from_any_pictures_are_compared_with(tmp_path):
+    folder, doubts = write_small_capture(tmp_path), []
+    every = open_capture(folder).samples
+    # of one that was not learned at all, those that the capture holds out
+    held_out = accuracy_measures.held_out_truth(small_avatar(60), folder, doubts.append, pictures=1000)
+    assert len(held_out.samples) < len(every)
+    assert not doubts
+    known = accuracy_measures.held_out_truth(trained_avatar(60), folder, doubts.append, pictures=1000)
+    assert list(known.samples) == list(every)
+    assert "whether they were held out is not known" in known.origin
+    assert len(doubts) == 1
 
 
 @needs_native
