@@ -457,7 +457,7 @@ def test_a_hand_that_rests_is_posed_when_the_camera_finds_it(monkeypatch):
 def test_pictures_are_as_fresh_ones_whoever_was_hidden_before():
     """Two lit hands with detail: one is hidden and found, the light changes meanwhile, and a shutter is open."""
     avatar, rng = coarse_builtin(600, 64), np.random.default_rng(4)
-    settings = replace(SMALL, gaussians=None, threads=1, repeatable=True, ids=True)
+    settings = replace(SMALL, gaussians=0, threads=1, repeatable=True, ids=True)
     lights = [
         SceneLight(lamps=(Lamp(LampKind.SUN, (3.0, 2.0, 1.0), way),)) for way in ((1.0, 1.0, 1.0), (-1.0, 0.5, 0.2))
     ]
@@ -479,7 +479,7 @@ def test_pictures_are_as_fresh_ones_whoever_was_hidden_before():
 
 def test_a_hand_behind_the_camera_has_no_surface():
     avatar = coarse_builtin(600, 64)
-    scene = SceneRenderer([avatar, avatar], replace(SMALL, gaussians=None))
+    scene = SceneRenderer([avatar, avatar], replace(SMALL, gaussians=0))
     scene.render([pose("open", avatar), pose("open", avatar) + np.array([0, 0, 2.0])], camera())
     detail = scene._backend._detail
     assert detail is not None
