@@ -172,8 +172,8 @@ class Accuracy:
         return (
             "●: on the front, nothing is both faster and more accurate. A preset keeps its place when what beats it is "
             f"faster by less than {100 * FRONT_NOISE:.0f} %, which is noise.",
-            "dB: whole picture over black, against the same hand drawn in float64 with nothing left out, its detail added "
-            f"as the kernels draw it, {self.poses} poses together; worst: of any pixel and channel.",
+            "dB: whole picture over black, against the same hand drawn in float64 with nothing left out, its detail "
+            f"added as the kernels draw it, {self.poses} poses together; worst: of any pixel and channel.",
             *(
                 (
                     f"PSNR: mean and standard error against {self.truth}; gain: on the same pictures, against preset "
