@@ -13,14 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.file import load_avatar
-from jghand_engine.avatar.posing import Posing
-from jghand_engine.avatar.tiers import Tier
 from jghand_engine.motion.content import MotionFormat
 from jghand_engine.motion.read import read_motion_file
+from jghand_engine.study.stability_measures import as_shown
 
 RESTING_PART = 0.25
 # of the Gaussians of a frame that are told of: their middle, and those that move farthest
@@ -37,12 +36,8 @@ def resting(joints_m: np.ndarray) -> np.ndarray:
 
 def moved_mm(avatar: HandAvatar, joints_m: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """(len(frames), N) how far each Gaussian goes from each of the frames to the next, about the wrist, millimeters."""
-    posing, about_wrist_m = Posing(avatar), joints_m - joints_m[:, :1]
-
-    def skin(frame: int) -> np.ndarray:
-        return np.array(posing(about_wrist_m[frame]).position_m)
-
-    return _MM * np.array([np.linalg.norm(skin(frame + 1) - skin(frame), axis=-1) for frame in frames])
+    skin, steps = as_shown(avatar), (torch.from_numpy(joints_m[frame : frame + 2]) for frame in frames)
+    return _MM * np.array([np.linalg.norm(np.diff(skin(one, torch.float64).skin, axis=0)[0], axis=-1) for one in steps])
 
 
 def main() -> None:
@@ -50,22 +45,20 @@ def main() -> None:
     parser.add_argument("motion", type=Path)
     parser.add_argument("avatars", nargs="+", help="files, or a name such as builtin")
     options = parser.parse_args()
-    avatars = {
-        name: load_avatar(name) if Path(name).is_file() else load_avatar_called(name) for name in options.avatars
-    }
+    avatars = {name: load_avatar_called(name) for name in options.avatars}
     of_hand = MotionFormat(handedness=next(iter(avatars.values())).handedness)
     joints_m = read_motion_file(options.motion, of_hand).sequence.joints_m
     frames = resting(joints_m)
     print(f"{len(frames)} of {len(joints_m)} frames; mm, medians over them of the skin's {PERCENTILES} %")
     for name, avatar in avatars.items():
         learned = avatar.learned
-        shown = avatar if learned is None else replace(avatar, learned=learned.with_tier(Tier.AUTO)[0])
-        bones = (
-            avatar if learned is None else replace(avatar, learned=replace(learned, correctives=None, distilled=None))
-        )
-        ways = [np.percentile(moved_mm(one, joints_m, frames), PERCENTILES, axis=1) for one in (bones, shown)]
-        by_bones, as_shown = (np.median(way, axis=1).round(3).tolist() for way in ways)
-        print(f"{name}: by bones {by_bones}, as shown {as_shown}")
+        bare = None if learned is None else replace(learned, correctives=None, distilled=None)
+        ways = [
+            np.percentile(moved_mm(one, joints_m, frames), PERCENTILES, axis=1)
+            for one in (replace(avatar, learned=bare), avatar)
+        ]
+        by_bones, shown = (np.median(way, axis=1).round(3).tolist() for way in ways)
+        print(f"{name}: by bones {by_bones}, as shown {shown}")
 
 
 if __name__ == "__main__":

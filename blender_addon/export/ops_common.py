@@ -191,14 +191,14 @@ def named_hands(
 # ---- what can be refused ---------------------------------------------------------------------------------------------
 
 
-def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
+def poll_hands_to_write(operator: type[StartsJob], context: bpy.types.Context) -> bool:
     if not hands_to_write(context):
         if context.scene.jghand.output.hands == "all":
             return missing(operator, "There is no hand in this view layer that is rendered")
         return missing(operator, "Select a hand, or choose All")
     if not frames_to_write(context):
         return missing(operator, "The last frame comes before the first")
-    return all(poll_job(operator, key) for key in (runtime.BAKE, runtime.EXPORT))
+    return all(poll_job(operator, key) for key in (operator.key, *operator.never_beside))
 
 
 def poll_usd(operator: type, context: bpy.types.Context) -> bool:

@@ -61,7 +61,8 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
         let exponent = (d.x * shape.z + d.y * shape.w) * d.x + (d.y * d.y * rest.x + rest.y);
         if (!(exponent > picture.log2_alpha_min)) { continue; }
         let weight = min(exp2(exponent), picture.alpha_max) * T;
-        let shown = select(weight, weight * saturate((T - BENEATH_FROM) / (BENEATH_WHOLE - BENEATH_FROM)), picture.fills != 0u);
+        let part = saturate((T - BENEATH_FROM) / (BENEATH_WHOLE - BENEATH_FROM));
+        let shown = select(weight, weight * part, picture.fills != 0u);
         T -= weight;
         color += shown * vec3f(rest.zw, other.x);
         depth += weight * other.y;

@@ -291,10 +291,12 @@ NOT_KNOWN = "whether they were held out is not known"
 @dataclass(frozen=True)
 class HeldOut:
     """split: as it was for this avatar; its origin says what is not certain · warning: a sentence for the user, empty
-    when the avatar was learned from split.train and nothing else of the capture."""
+    when the avatar was learned from split.train and nothing else of the capture · is_known: whether it is known what
+    the avatar was learned from."""
 
     split: Split
     warning: str = ""
+    is_known: bool = True
 
 
 def held_out(avatar: HandAvatar, capture: Capture, split: Split) -> HeldOut:
@@ -317,4 +319,4 @@ def held_out(avatar: HandAvatar, capture: Capture, split: Split) -> HeldOut:
 
 def _not_known(split: Split, why: str) -> HeldOut:
     warning = f"{why}: whether the pictures it is measured on were among them is not known."
-    return HeldOut(replace(split, origin=f"{split.origin}; {NOT_KNOWN}"), warning)
+    return HeldOut(replace(split, origin=f"{split.origin}; {NOT_KNOWN}"), warning, is_known=False)

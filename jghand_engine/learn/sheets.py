@@ -99,11 +99,11 @@ def variant_sheet(samples: Sequence[Sample], drawers: Mapping[str, Picturer], ti
     """Each sample in a row of its own: the truth, then what each drawer makes of it; (H, W, 3) uint8."""
     cells: list[Cell] = []
     for sample in samples:
-        _, truth, _ = pictured(sample, next(iter(drawers.values())))
+        drawn = {name: pictured(sample, draw) for name, draw in drawers.items()}
+        _, truth, _ = next(iter(drawn.values()))
         square = _Square.around(truth.mask)
         cells.append(Cell(f"truth · {_where(sample)}", square.hand(truth.rgb, truth.mask)))
-        for name, draw in drawers.items():
-            rgba, truth, _ = pictured(sample, draw)
+        for name, (rgba, truth, _) in drawn.items():
             label = f"{name} · {psnr(np.clip(rgba[..., :3], 0, 1), truth.rgb):.1f} dB"
             cells.append(Cell(label, square.hand(rgba[..., :3], rgba[..., 3])))
     return _with_head(_sheet(cells, 1 + len(drawers)), title, "PSNR of the full picture on black")

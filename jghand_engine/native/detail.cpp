@@ -16,7 +16,6 @@
 #include "detail_surface.h"
 #include "export.h"
 #include "projection.h"
-#include "shadow.h"
 #include "team.h"
 
 namespace jg {

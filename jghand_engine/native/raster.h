@@ -57,8 +57,8 @@ struct RasterJob {
   const float* rgb;       // (count, 3)
   const float* front;     // (count) part of it that is seen from outside, by which rgb is multiplied already: pixels get
                           // the color that these parts have, as if none were seen from inside, through gaps between
-                          // others, nor what stands beneath a layer; and outlines are sharper, see store_block. null: all of all, as blended. There is no
-                          // backward pass of such a picture
+                          // others, nor what stands beneath a layer; and outlines are sharper, see store_block. null:
+                          // all of all, as blended. There is no backward pass of such a picture
   // scratch that forward leaves for backward
   Record* records;          // (count)
   TileRect* rects;          // (count): of culled ones x1 is -1

@@ -40,10 +40,16 @@ class View:
 
 
 def seen_hands(views: Sequence[View], alpha_min: float) -> tuple[Box, tuple[bool, ...]]:
-    """The rectangle of an image that hands may touch, as of `views_box`, and whether each of them does."""
+    """The rectangle of an image that hands may touch, around that of each as of `views_box`, and whether each does."""
     pixel_m = _coarsest_m(views)
-    seen = tuple(bool(views_box([view], alpha_min, pixel_m).width) for view in views)
-    return views_box([view for view, is_seen in zip(views, seen, strict=True) if is_seen], alpha_min, pixel_m), seen
+    boxes = [views_box([view], alpha_min, pixel_m) for view in views]
+    found = [box for box in boxes if box.width]
+    seen = tuple(bool(box.width) for box in boxes)
+    if not found:
+        return NOWHERE, seen
+    left, top = min(box.left for box in found), min(box.top for box in found)
+    right, bottom = max(box.left + box.width for box in found), max(box.top + box.height for box in found)
+    return Box(left, top, right - left, bottom - top), seen
 
 
 def views_box(views: Sequence[View], alpha_min: float, pixel_m: float = 0.0) -> Box:

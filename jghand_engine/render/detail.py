@@ -137,8 +137,9 @@ class NativeDetail:
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         task.camera_from_position[:] = camera.camera_from_world[:3].ravel().tolist()
-        task.outline = min(strengths) if ends_hands else 0.0
         in_image = [True] * len(strengths) if seen is None else seen
+        least = min((strength for strength, is_seen in zip(strengths, in_image, strict=True) if is_seen), default=0.0)
+        task.outline = least if ends_hands else 0.0
         for hand, own, strength, is_seen in zip(self._hands, self._tasks, strengths, in_image, strict=True):
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
             # one that only hides others needs no light

@@ -133,7 +133,7 @@ class EffectPlan:
     enlarged:  how many times larger a small hand is drawn, and averaged; 1 = not
     plain:     share, 0..1, of the image that is not
     exposures: images that are averaged for motion and focus
-    detail:    strength of each hand's detail, 0..1; empty where none is drawn
+    detail:    strength of each hand's detail, 0..1, 0 outside the image; empty where none is drawn
     """
 
     decisions: tuple[Decision, ...]

@@ -177,9 +177,8 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         box = Box(0, 0, scene.camera.width, scene.camera.height)
     detail, textured = plan_detail(scene, [views[place] for place in shown], settings)
     if detail:
-        # 1 of a hand that is not in the image: where all end with their skin, the least of them says how much
         strengths = dict(zip(shown, detail, strict=True))
-        detail = tuple(strengths.get(place, 1.0) for place in range(len(hands)))
+        detail = tuple(strengths.get(place, 0.0) for place in range(len(hands)))
     decisions = (*_reuse(scene, drawn, settings), textured, smooth, *light, *NO_BLUR, crop)
     return EffectPlan(decisions, box, seen, strength, enlarged, plain, detail=detail)
 

@@ -197,7 +197,7 @@ def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None],
     told = held_out(avatar, capture, split_capture(capture, to_learn=False))
     if told.warning:
         say(told.warning)
-    if told.split.origin.endswith(NOT_KNOWN):
+    if not told.is_known:
         # then no more is known of those that the split holds out
         samples = spread(capture.samples, pictures)
         return Truth(samples, f"{len(samples)} pictures of {capture.name} ({NOT_KNOWN})")

@@ -17,6 +17,7 @@ from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.learn.shadow import shade
 from jghand_engine.learn.skinning import pose_gaussians
+from jghand_engine.render.effect_plan import EffectPlan
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.shadow import ShadowStyle
@@ -70,17 +71,17 @@ class ExactPictures64:
         with torch.no_grad():
             gaussians, camera = self._posed(pose_m), self._subject.camera
             picture = rasterize_reference(_double(gaussians), camera, alpha_min=ALPHA_MIN)
-            plain, detailed = (one.render(pose_m, camera).rgba[..., :3] for one in (self._plain, self._renderer))
-            return self._shaded(picture, pose_m).numpy() + (detailed - plain).astype(np.float64)
+            plain, detailed = (one.render(pose_m, camera) for one in (self._plain, self._renderer))
+            by_detail = (detailed.rgba - plain.rgba)[..., :3].astype(np.float64)
+            return self._shaded(picture, detailed.report.plan).numpy() + by_detail
 
-    def _shaded(self, picture: Picture, pose_m: np.ndarray) -> Tensor:
-        style = self._style(pose_m)
+    def _shaded(self, picture: Picture, plan: EffectPlan | None) -> Tensor:
+        style = self._style(plan)
         if style is None:
             return picture.rgb
         return shade(picture.rgb, picture.alpha, picture.depth_sum, self._subject.camera, style)
 
-    def _style(self, pose_m: np.ndarray) -> ShadowStyle | None:
-        plan = self._renderer.render(pose_m, self._subject.camera).report.plan
+    def _style(self, plan: EffectPlan | None) -> ShadowStyle | None:
         learned = self._subject.avatar.learned
         look = ShadowLook() if learned is None else learned.shadow
         if plan is None or plan.strength == 0 or look is None:

@@ -20,6 +20,8 @@ from jghand_engine.render.fine_faces import FineFaces, opposite_vertices, sides_
 from jghand_engine.render.renderer import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset
 
+# of the vertices around the middle of a side, in their order: Dyn, Levin and Gregory's, with their tension
+SHARES = np.array([1 / 2, 1 / 2, 1 / 8, 1 / 8, *[-1 / 16] * 4])
 OCTAHEDRON = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
@@ -68,6 +70,7 @@ def test_middles_lie_on_a_cubic_surface_through_the_vertices_and_on_its_border_w
     middle, found = place[fine.around[:, :2]].mean(1), (height(place)[fine.around] * fine.share).sum(1)
     inside = ((middle > 1) & (middle < 5)).all(1)
     np.testing.assert_allclose(found[inside], height(middle)[inside])
+    assert (fine.share[inside] == SHARES).all()
     # on the border as far as it goes straight on before and behind
     ends = ((middle == 0) | (middle == 6)).any(1)
     along = ends & ((middle == 0) | (middle == 6) | ((middle > 1) & (middle < 5))).all(1)
