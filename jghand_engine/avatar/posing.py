@@ -9,6 +9,7 @@ apart, for images, and left out of files.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +31,11 @@ from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
 from jghand_engine.native.rasterizer import GaussianArrays
+from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.tasks import LANES, SkinTask
 from jghand_engine.native.threads import shared_pool
+
+NO_DEPTHS: Mapping[int, LampDepth] = {}
 
 
 @dataclass(frozen=True)
@@ -150,11 +154,12 @@ class Poser:
         keep_correctives: bool = False,
         others: Capsules | None = None,
         light: SceneLight | None = None,
+        depths: Mapping[int, LampDepth] = NO_DEPTHS,
     ) -> None:
         """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
         keep_correctives: whether those of the last pose that was run are used again. others: the flesh of hands beside
         this one, which cast their shadow on it. light: of the scene, in the frame of the joints, for an avatar with a
-        response.
+        response; depths: what stands before its lamps, by their numbers, capsules say it of the others.
 
         InputError names an array that the kernel cannot read or write.
         """
@@ -167,7 +172,7 @@ class Poser:
         task.scale, task.inverse_scale = bones.scale, inverse_scale
         if self._light is not None:
             self._light.task.skin = task
-            self._light.prepare_scene(light, bones)
+            self._light.prepare_scene(light, bones, depths)
             self._light.prepare(bones, self.into, others, keep_correctives=keep_correctives)
         self._stands, self._eye_m = (linear_offset, bones, others), None
         self._team.fill(0)
@@ -177,13 +182,13 @@ class Poser:
         self.into.position_m.fill(np.nan)
         self._stands = None
 
-    def prepare_light(self, light: SceneLight) -> bool:
+    def prepare_light(self, light: SceneLight, depths: Mapping[int, LampDepth] = NO_DEPTHS) -> bool:
         """Sets another light of the scene for the pose that stands: `run` lights it anew, and nothing else. Whether
         there is anything to be run: not for an avatar without a response."""
         if self._light is None or not self._light.is_lit or self._stands is None:
             return False
         _, bones, others = self._stands
-        self._light.prepare_scene(light, bones, keep_pose=True)
+        self._light.prepare_scene(light, bones, depths, keep_pose=True)
         self._light.prepare_shadows(bones, others)
         self._eye_m = None
         self._team.fill(0)
@@ -275,9 +280,11 @@ class _Light:
         beside = np.argsort(blocks.order)[np.minimum(nearest, len(blocks.order) - 1)]
         return LightAround(self, self._cast.row_of_anchor[nearest], beside, share)
 
-    def prepare_scene(self, light: SceneLight | None, bones: Bones, *, keep_pose: bool = False) -> None:
+    def prepare_scene(
+        self, light: SceneLight | None, bones: Bones, depths: Mapping[int, LampDepth], *, keep_pose: bool = False
+    ) -> None:
         if self._scene is not None:
-            self._scene.prepare(light or SceneLight(), bones, keep_pose=keep_pose)
+            self._scene.prepare(light or SceneLight(), bones, depths, keep_pose=keep_pose)
 
     def prepare(self, bones: Bones, into: GaussianArrays, others: Capsules | None, *, keep_correctives: bool) -> None:
         task, front = self.task, into.front if self._fades else None

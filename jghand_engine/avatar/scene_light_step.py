@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -23,7 +24,7 @@ from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
-from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, THROWN, SceneLightTask
+from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, THROWN, LampDepth, SceneLightTask
 from jghand_engine.native.tasks import LANES
 
 # edge of a lamp's shadow on skin, as a part of the capsule's radius
@@ -82,9 +83,12 @@ class SceneLightStep:
         self._world: World | None = None
         self._set_world(None)
 
-    def prepare(self, light: SceneLight, bones: Bones, *, keep_pose: bool = False) -> None:
+    def prepare(
+        self, light: SceneLight, bones: Bones, depths: Mapping[int, LampDepth], *, keep_pose: bool = False
+    ) -> None:
         """Sets the light of the next pose, or of the one that stands; the hand's capsules are the cast shadow's, whose
-        `prepare` comes after this: shadows of the world are found for its own directions."""
+        `prepare` comes after this: shadows of the world are found for its own directions. depths: what stands before
+        lamps, by their numbers; capsules say it of the others"""
         self.task.keeps_pose = keep_pose
         # without its shadow nothing was found of the world
         self.task.keeps_visible = keep_pose and light.world is self._world and self.task.shade > 0
@@ -96,6 +100,8 @@ class SceneLightStep:
         self.arrays["lamp"][: len(rows)], self.arrays["casting"][: len(casting)] = rows, casting
         self.task.lamps, self.task.slots = len(rows), len(casting)
         self.task.shade, _ = world_shade(shares, self._response.bounce, self._limits)
+        self._depths = (LampDepth * len(sources))(*(depths.get(number, LampDepth()) for number in sources))
+        self.task.depth = ctypes.addressof(self._depths) if depths and sources else None
         self._set_left(None if light.shades is None else light.shades.left[0], sources)
         self._set_baked(None if light.baked is None else light.baked.field[0])
 

@@ -240,7 +240,7 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
   };
   Lit lit[LANES];
   Sights sights = {};
-  vf own[LANES][3], near[LANES];
+  vf own[LANES][3], near[LANES], exact[LANES];
   for (int b = 0; b < count; b++) {
     light_of_world(t, first + b, lit[b]);
     set_points(sights, b, lit[b].p, s.own[first + b]);
@@ -249,6 +249,7 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
     const int slot = (int)s.lamp[LAMP * j + SLOT];
     const float* casting = s.casting + LAMP * slot;
     uint32_t edges = 0;
+    float by_depth = 0;
     // parts of a large lamp share a shadow
     for (end = j + 1; slot >= 0 && end < s.lamps && (int)s.lamp[LAMP * end + SLOT] == slot;) end++;
     for (int b = 0; b < count; b++) {
@@ -264,10 +265,13 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
       }
       if (slot < 0) continue;
       // near the edge of a shadow, which is sharper than anchors are apart, it is found for each
+      const LampDepth* depth = s.depth && s.depth[slot].part > 0 ? s.depth + slot : nullptr;
+      exact[b] = all(1.f), by_depth = depth ? depth->part : 0.f;
+      if (end - j > 1) lamp_at(casting, of.p, of.direction, strength, sine2);
+      if (depth && bit_mask(falls)) exact[b] = past_surface(*depth, first + b, lit[b].normal, sine2);
       const vf wide = lit[b].reached[OF_WORLD + columns_per_slot(s) * slot + 1];
       near[b] = select(falls, clamped(EDGE_GAIN * wide * (1.f - wide)), vf{}), of.seen = all(1.f);
-      if (!bit_mask(near[b] > 0)) continue;
-      if (end - j > 1) lamp_at(casting, of.p, of.direction, strength, sine2);
+      if (!bit_mask(near[b] > 0) || by_depth == 1) continue;
       of.sine = quick_sqrt(sine2);
       edges |= 1u << b;
     }
@@ -277,6 +281,7 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
       if (slot >= 0) {
         const vf* of_slot = lit[b].reached + OF_WORLD + columns_per_slot(s) * slot;
         vf part = of_slot[0] + near[b] * (sights.each[b].seen - of_slot[0]);
+        part += by_depth * (exact[b] - part);
         if (s.left) part *= of_slot[2];
         reaches = 1.f - casting[SHADE] * (1.f - part);
         store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + first + b), reaches);

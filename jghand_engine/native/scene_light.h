@@ -1,7 +1,7 @@
 // Trained skin in the light of a scene (docs/LIGHT.md): a world all around and lamps in it, scene-linear.
 // learn/scene_light.py is the specification.
 #pragma once
-#include "learned.h"
+#include "lamp_depth.h"
 
 namespace jg {
 
@@ -42,6 +42,7 @@ struct SceneLightTask {
   const float* irradiance;   // (16, 3): of the world, W/m2, for `harmonics`
   const float* left;         // (slots, 16 anchor blocks): what the scene's things leave of a lamp at an anchor; null: all
   const float* baked;        // (blocks, 12, 16): W/m2 instead of lamps and world: rgb, and how it turns; null: none
+  const LampDepth* depth;    // (slots): what stands before a lamp, by pictures that are taken from it; null: none
   const float* lobe;         // (lobes, 7): what the world mirrors: unit direction, sharpness / ln 2, radiance
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees

@@ -28,12 +28,27 @@ THROWN = 10
 NUMBER = {name: place for place, name in enumerate(LAMP_NUMBERS)}
 
 
+# places of the picture of a lamp that a point is compared with
+LAMP_TAPS = 16
+
+
+class LampDepth(ctypes.Structure):
+    """LampDepth of native/lamp_depth.h."""
+
+    _fields_ = (
+        *((name, _P) for name in ("near", "disc", "vertex", "corner", "share")),
+        ("axes", _F32 * 9),
+        *((name, _F32) for name in ("focal", "part", "scale")),
+        *((name, _I32) for name in ("size", "orthographic", "rows")),
+    )
+
+
 class SceneLightTask(ctypes.Structure):
     """SceneLightTask of native/scene_light.h."""
 
     _fields_ = (
         *((name, _P) for name in ("material", "own", "partly", "hides_start", "hides", "lamp", "casting")),
-        *((name, _P) for name in ("irradiance", "left", "baked", "lobe")),
+        *((name, _P) for name in ("irradiance", "left", "baked", "depth", "lobe")),
         *((name, _P) for name in ("posed", "visible", "skin_seen", "thrown", "beside", "bounced")),
         *((name, _P) for name in ("reflecting", "sky", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "least")),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,17 +15,19 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.cast_task import Capsules
-from jghand_engine.avatar.posing import Poser, new_rows
+from jghand_engine.avatar.posing import NO_DEPTHS, Poser, new_rows
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.gpu.choice import device_for, new_rasterizer
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
+from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
+from jghand_engine.render.lamp_depth import LampPictures
 from jghand_engine.render.light_effects import limits_of
 from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
 from jghand_engine.render.report import FrameReport
@@ -33,7 +35,8 @@ from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
 # names of the stages
-SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE, DETAIL = (
+LAMP_DEPTH, SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE, DETAIL = (
+    "lamp pictures",
     "skin",
     "light",
     "gloss",
@@ -72,6 +75,7 @@ class Canvas:
     depth:     whether somebody wants it
     light:     of the scene; None for that of the capture
     detail:    strength of each hand's, 0..1; empty for none
+    sharp:     per lamp of the light how much edges of its shadow are the surface's, 0..1; empty for none
     """
 
     camera: Camera
@@ -82,6 +86,7 @@ class Canvas:
     depth: bool = False
     light: SceneLight | None = None
     detail: tuple[float, ...] = ()
+    sharp: tuple[float, ...] = ()
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
@@ -137,6 +142,9 @@ class Backend:
                 [DetailedHand.of(avatars[place], detail_powers[place], self._hands[place]) for place in self._detailed],
                 outline_px=settings.outline_px,
             )
+        self._pictures = LampPictures(self._detail, avatars) if self._detail and self._ends_hands else None
+        # bones of the hands as they are posed, and the origin of their positions
+        self._stand: tuple[list[Bones], np.ndarray] = [], np.zeros(3)
         self.light: SceneLight | None = None
         self.rest()
 
@@ -155,17 +163,27 @@ class Backend:
             # hands of one image share its low pass: it is that of the finest pictures that are known
             pixels_m = (pixel_m * pose.bones.scale for pixel_m, pose in zip(self._pixels_m, poses, strict=True))
             self._gaussians = replace(self._gaussians, pixel_m=min(filter(None, pixels_m), default=0.0))
+            if self._detail is not None:
+                posed = [poses[place] for place in self._detailed]
+                self._detail.pose([pose.bones for pose in posed], [pose.shift_m for pose in posed])
+            self._stand = [pose.bones for pose in poses], poses[0].bones.root_m - poses[0].shift_m
+            depths = self._depths(canvas, report)
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
                 if not canvas.seen[place]:
                     hand.hide()
                     continue
                 keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
-                hand.prepare(pose.bones, pose.shift_m, keep_correctives=keeps, others=pose.others, light=mine)
-            if self._detail is not None:
-                posed = [poses[place] for place in self._detailed]
-                self._detail.pose([pose.bones for pose in posed], [pose.shift_m for pose in posed])
+                hand.prepare(
+                    pose.bones,
+                    pose.shift_m,
+                    keep_correctives=keeps,
+                    others=pose.others,
+                    light=mine,
+                    depths=depths[place],
+                )
         elif light is not None and light != self.light:
-            skins = [hand for place, hand in enumerate(self._hands) if hand.prepare_light(light.on_hand(place))]
+            lit = zip(self._hands, self._depths(canvas, report), strict=True)
+            skins = [hand for place, (hand, own) in enumerate(lit) if hand.prepare_light(light.on_hand(place), own)]
         self.light = light
         if not keep_image:
             self._planes = self._rasterizer.prepare(
@@ -198,6 +216,15 @@ class Backend:
             report.backend = self._library.variant
             report.notes.append(self._rasterizer.fell_back)
         return rgba, depth_m
+
+    def _depths(self, canvas: Canvas, report: FrameReport) -> Sequence[Mapping[int, LampDepth]]:
+        """Per hand what stands before lamps, as it is posed."""
+        if self._pictures is None or canvas.light is None or not any(canvas.sharp):
+            return [NO_DEPTHS] * len(self._hands)
+        started = time.perf_counter()
+        taken = self._pictures.take(canvas.light.lamps, canvas.sharp, *self._stand, canvas.seen)
+        report.ran(LAMP_DEPTH, 1e3 * (time.perf_counter() - started))
+        return taken
 
     def rest(self) -> None:
         """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""

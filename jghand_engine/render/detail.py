@@ -150,16 +150,33 @@ class NativeDetail:
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Of the pose that stands and one hand: see `SurfaceHits`. The camera is of the origin of the positions."""
-        task, shape = self._task, (camera.height, camera.width)
-        row, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
-        self.prepare(np.empty((5, *shape), np.float32), camera, [0.0])
-        task.hit, task.hit_near = row.ctypes.data, near.ctypes.data
-        shared_pool(0).run(lambda _thread: self.run())
-        task.hit = task.hit_near = None
+        row, near = self._nearest(camera)
         face = np.where(row < 0, -1, self._hands[0].face_of_row[row])
         with np.errstate(divide="ignore"):
             depth_m = -near if camera.orthographic else 1 / near
         return face, np.where(row < 0, np.float32(np.inf), depth_m)
+
+    def surfaces(self, camera: Camera) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Of the pose that stands: (H, W) float32 how near the nearest surface is, 1/z or, of parallel rays, -z, and
+        where nothing is, below all; and per hand (3, rows) x, y and near of its vertices. The camera is of the origin of
+        the positions."""
+        _, near = self._nearest(camera)
+        return near, [hand.vertices.copy() for hand in self._hands]
+
+    def rows_of_vertices(self, hand: int) -> np.ndarray:
+        """(V,) in which row of `surfaces` each vertex of a hand stands."""
+        return self._hands[hand].row_of_vertex
+
+    def _nearest(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W) numbers of the nearest faces with those of their hands, -1 where there are none, and how near they
+        are."""
+        task, shape = self._task, (camera.height, camera.width)
+        face, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
+        self.prepare(np.empty((5, *shape), np.float32), camera, [0.0] * len(self._hands))
+        task.hit, task.hit_near = face.ctypes.data, near.ctypes.data
+        shared_pool(0).run(lambda _thread: self.run())
+        task.hit = task.hit_near = None
+        return face, near
 
     def run(self) -> None:
         """Draws what was prepared; every thread of a team calls it."""
@@ -225,9 +242,9 @@ class _Hand:
             self._correctives = detail.correctives.arrays(blocks) | {"numbers": self._numbers}
             self._surface.correctives, self._surface.basis = CorrectiveKind.LINEAR, NUMBERS
             set_pointers(self._surface, self._correctives)
-        self._detail, self._row_of = detail, np.argsort(blocks.order)
+        self._detail, self.row_of_vertex = detail, np.argsort(blocks.order)
         self._face_blocks = Blocks.of(detail.position_m[detail.faces].mean(1))
-        self._coarse = _Faces(self._face_blocks, detail.faces, detail.face_uv, self._row_of, ends_hand=detail.ends_hand)
+        self._coarse = _Faces(self._face_blocks, detail.faces, detail.face_uv, self.row_of_vertex, ends_hand=detail.ends_hand)
         self._fine: _Faces | None = None
         side_m = np.linalg.norm(np.diff(detail.position_m[detail.faces[:, :2]], axis=1), axis=-1)
         self._side_m = float(np.median(side_m)) if side_m.size else 0.0
@@ -271,6 +288,11 @@ class _Hand:
         """(rows,) numbers of its own faces, as hits tell them."""
         return self._coarse.of_row
 
+    @property
+    def vertices(self) -> np.ndarray:
+        """(3, rows) x, y, px, and near of its vertices in the last image."""
+        return self._arrays["vertex"]
+
     def corner_px(self, camera: Camera) -> float:
         """How far the sides of faces are from a round outline, at the depth of its wrist; infinite where that is behind
         the camera."""
@@ -289,12 +311,12 @@ class _Hand:
 
     def _parted(self) -> _Faces:
         """Makes room for the vertices in the middles of sides; returns the faces between them."""
-        detail, parted = self._detail, FineFaces.of(self._detail.faces, self._detail.face_uv, len(self._row_of))
-        rows = padded_rows(len(self._row_of))
+        detail, parted = self._detail, FineFaces.of(self._detail.faces, self._detail.face_uv, len(self.row_of_vertex))
+        rows = padded_rows(len(self.row_of_vertex))
         # beside those of their first ends
-        sides = Blocks(np.argsort(self._row_of[parted.around[:, 0]]))
+        sides = Blocks(np.argsort(self.row_of_vertex[parted.around[:, 0]]))
         in_sides = (sides.count, LANES, AROUND_SIDE)
-        around = sides.in_rows(self._row_of[parted.around], np.int32).reshape(in_sides)
+        around = sides.in_rows(self.row_of_vertex[parted.around], np.int32).reshape(in_sides)
         for name in self._arrays.keys() & {"vertex", "whole", "bend", "slope"}:
             before = self._arrays[name]
             self._arrays[name] = aligned_zeros((*before.shape[:-1], rows + sides.rows))
@@ -302,7 +324,7 @@ class _Hand:
         self._arrays["whole"][rows:] = sides.in_rows(detail.shown[parted.around[:, :2]].mean(1))
         self._arrays["around"] = np.ascontiguousarray(around.swapaxes(1, 2))
         self._arrays["side_share"] = np.ascontiguousarray(sides.in_rows(parted.share).reshape(in_sides).swapaxes(1, 2))
-        row_of = np.concatenate([self._row_of, rows + np.argsort(sides.order)])
+        row_of = np.concatenate([self.row_of_vertex, rows + np.argsort(sides.order)])
         parts = Blocks((4 * self._face_blocks.order[:, None] + np.arange(4)).ravel())
         return _Faces(parts, parted.faces, parted.face_uv, row_of, ends_hand=True)
 

@@ -25,6 +25,7 @@ class Effect(StrEnum):
     WHOLE = "whole-picture"
     LAMPS = "lamps"
     LAMP_SHADOW = "lamp-shadow"
+    SHARP_SHADOW = "sharp-shadow"
     WORLD_SHADOW = "world-shadow"
     GLOSS = "gloss"
 
@@ -33,7 +34,9 @@ class Effect(StrEnum):
 CHOOSABLE = tuple(effect for effect in Effect if effect not in (Effect.SKIN, Effect.LAMPS))
 # what a hand has in the light of its capture alone, and in that of a scene alone; nothing is decided about the others
 OF_CAPTURE = frozenset({Effect.CAST, Effect.SHADOW})
-OF_SCENE = frozenset({Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS})
+OF_SCENE = frozenset(
+    {Effect.LAMPS, Effect.LAMP_SHADOW, Effect.SHARP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS}
+)
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,7 @@ class EffectPlan:
     plain:     share, 0..1, of the image that is not
     exposures: images that are averaged for motion and focus
     detail:    strength of each hand's detail, 0..1, 0 outside the image; empty where none is drawn
+    sharp:     per lamp how much edges of its shadow are the surface's, 0..1; empty where none are
     """
 
     decisions: tuple[Decision, ...]
@@ -144,6 +148,7 @@ class EffectPlan:
     plain: float = 1.0
     exposures: int = 1
     detail: tuple[float, ...] = ()
+    sharp: tuple[float, ...] = ()
 
     def __getitem__(self, effect: Effect) -> Decision:
         return next(decision for decision in self.decisions if decision.effect is effect)

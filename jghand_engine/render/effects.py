@@ -168,9 +168,10 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     drawn, bones = [hands[place] for place in shown], [scene.bones[place] for place in shown]
     if scene.lit is None:
         strength, shadow = plan_shadow(scene, views, settings)
-        light = [shadow]
+        light, sharp = [shadow], ()
     else:
-        strength, light = 0.0, light_decisions(scene.lit, scene.moved_m, bones, drawn, settings.effects)
+        strength = 0.0
+        light, sharp = light_decisions(scene.lit, scene.moved_m, bones, drawn, settings)
     enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:
@@ -180,7 +181,7 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         strengths = dict(zip(shown, detail, strict=True))
         detail = tuple(strengths.get(place, 0.0) for place in range(len(hands)))
     decisions = (*_reuse(scene, drawn, settings), textured, smooth, *light, *NO_BLUR, crop)
-    return EffectPlan(decisions, box, seen, strength, enlarged, plain, detail=detail)
+    return EffectPlan(decisions, box, seen, strength, enlarged, plain, detail=detail, sharp=sharp)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:

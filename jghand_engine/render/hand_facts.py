@@ -56,7 +56,7 @@ class HandFacts:
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         # the longest offset of the correctives
         self._offset_m = 0.0 if net is None else OFFSET_STRETCH * net.longest_offset_m()
-        self._moving, self._corners_m = _corners(avatar)
+        self._moving, self._corners_m = box_corners(avatar)
         # along these a bone is stretched
         self._frames = np.ascontiguousarray(avatar.skeleton().canonical.frames)
         self._call = library.load().call.jg_view
@@ -95,7 +95,7 @@ class HandFacts:
         return moved_m + turned * self._offset_m + float(np.linalg.norm(new.root_m - old.root_m))
 
 
-def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
+def box_corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the maps that move anything; (maps, 4, 8) corners of the boxes around it, canonical,
     root-relative, and ones.
 

@@ -8,15 +8,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine.avatar.lamp_rows import LIMITS, Limits, fade, lamp_weights, shares_on, world_shade
+from jghand_engine.avatar.lamp_rows import LIMITS, TINY, Limits, fade, lamp_weights, shares_on, world_shade
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
+from jghand_engine.native.scene_light_task import NUMBER, LampKind
 from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effect
 from jghand_engine.render.hand_facts import HandFacts
+from jghand_engine.render.settings import RenderSettings
 
 # estimated cost on one core, milliseconds per Gaussian, the anchors' part in it: of a lamp, of its shadow, of what is
 # mirrored of it, of the world's shadow
 LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
+# ... of a shadow with sharp edges, per Gaussian, and of the picture that it asks
+SHARP_MS, PICTURE_MS = 5e-5, 1.5
+# part of all light from which on the edges of a lamp's shadow are sharp ones; fades in up to twice that
+SHARP_LIMIT = 0.02
+# lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
+# one its picture sees other skin than its rim does
+SHARP_SINE, BLUNT_SINE = 0.18, 0.24
 # what the world's reflections cost, in lamps
 LOBES_AS_LAMPS = 6
 # why something stays as it was drawn last
@@ -54,17 +63,19 @@ def limits_of(choice: Choice) -> Limits:
 
 
 def light_decisions(
-    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], choice: Choice
-) -> list[Decision]:
-    """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene`"""
+    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], settings: RenderSettings
+) -> tuple[list[Decision], tuple[float, ...]]:
+    """About lamps, their shadows, that of the world, and gloss; and `EffectPlan.sharp`. moved_m, bones: see
+    `effects.Scene`"""
+    choice = settings.effects
     lit_hands = [
         (one, hand.joints_m, hand.learned.response, hand.count)
         for one, hand in zip(bones, hands, strict=True)
         if hand.learned is not None and hand.learned.response is not None
     ]
-    names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
+    names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.SHARP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
     if not lit_hands:
-        return [Decision(effect, False, "a painted hand shines with its own colors") for effect in names]
+        return [Decision(effect, False, "a painted hand shines with its own colors") for effect in names], ()
     light, limits, count = lit.light, limits_of(choice), sum(gaussians for *_, gaussians in lit_hands)
     each = [shares_on(light, one, joints_m)[0] for one, joints_m, _, _ in lit_hands]
     # of several hands the one that gets the most
@@ -74,10 +85,14 @@ def light_decisions(
         world_shade(share, response.bounce, limits) for share, (_, _, response, _) in zip(each, lit_hands, strict=True)
     )
     weight = lamp_weights(most, limits)
+    has_shadow = np.array([lamp.has_shadow for lamp in light.lamps], bool)
+    shade = fade(shares, limits.lamp_shadow) * (weight > 0) * has_shadow
+    sharp, sharpens = _sharp_shadows(light, shares, shade, bones, hands, settings)
     mirrors = any(response.mirrors for _, _, response, _ in lit_hands)
     decisions = [
         _lamps(shares, weight, count),
-        _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
+        _lamp_shadows(shares, weight, has_shadow, shade, count, choice),
+        sharpens,
         _world_shadow(*world, count, choice),
         _gloss(light, weight, count, choice) if mirrors else _matt(choice),
     ]
@@ -85,9 +100,9 @@ def light_decisions(
         pose_and_light = KEPT_LIGHT if not lit.is_new else None
         world_too = pose_and_light or (None if lit.has_new_world else KEPT_WORLD)
         view_too = None if lit.is_seen_anew else pose_and_light
-        reasons = (pose_and_light, pose_and_light, world_too, view_too)
+        reasons = (pose_and_light, pose_and_light, pose_and_light, world_too, view_too)
         decisions = [_kept(one, why, moved_m) for one, why in zip(decisions, reasons, strict=True)]
-    return decisions
+    return decisions, sharp
 
 
 def _kept(decision: Decision, why: str | None, moved_m: float) -> Decision:
@@ -110,10 +125,9 @@ def _lamps(shares: np.ndarray, weight: np.ndarray, count: int) -> Decision:
 
 
 def _lamp_shadows(
-    light: SceneLight, shares: np.ndarray, weight: np.ndarray, count: int, choice: Choice, limit: float
+    shares: np.ndarray, weight: np.ndarray, has_shadow: np.ndarray, shade: np.ndarray, count: int, choice: Choice
 ) -> Decision:
-    casts = (weight > 0) & np.array([lamp.has_shadow for lamp in light.lamps], bool)
-    shade = fade(shares, limit) * casts
+    casts = (weight > 0) & has_shadow
     drawn, figures = int((shade > 0).sum()), (100 * float((shares * casts) @ (1 - shade)),)
     out, lost = int(casts.sum()) - drawn, "shadows in the light of lamps"
     if not choice.allows(Effect.LAMP_SHADOW):
@@ -125,6 +139,47 @@ def _lamp_shadows(
         return Decision(Effect.LAMP_SHADOW, False, why, lost, None, out * count * LAMP_SHADOW_MS, figures)
     why = f"of {_counted(drawn)}" + (f", {_counted(out)} too faint for one: {{0:.2g}} % of the light" if out else "")
     return Decision(Effect.LAMP_SHADOW, True, why, lost, None, drawn * count * LAMP_SHADOW_MS, figures)
+
+
+def _sharp_shadows(
+    light: SceneLight,
+    shares: np.ndarray,
+    shade: np.ndarray,
+    bones: Sequence[Bones],
+    hands: Sequence[HandFacts],
+    settings: RenderSettings,
+) -> tuple[tuple[float, ...], Decision]:
+    """Which shadows have the edges of the surface. shade: (lamps,) how much of each is drawn"""
+    choice, lost = settings.effects, "edges of shadows up to 4 mm elsewhere"
+
+    def skipped(why: str, cost: float = 0.0) -> tuple[tuple[float, ...], Decision]:
+        return (), Decision(Effect.SHARP_SHADOW, False, why, lost, None, cost)
+
+    if not choice.allows(Effect.SHARP_SHADOW):
+        return skipped(NOT_CHOSEN)
+    if not (settings.sharp_shadows or choice.forces(Effect.SHARP_SHADOW)):
+        return skipped("draft and viewport have edges of capsules")
+    if not all(hand.avatar.detail is not None and hand.avatar.detail.ends_hand for hand in hands):
+        return skipped("a hand has no surface")
+    limit = 0.0 if choice.forces(Effect.SHARP_SHADOW) else SHARP_LIMIT
+    sine = np.max([_sines(light, one.root_m) for one in bones], axis=0, initial=0.0)
+    narrow = np.clip((BLUNT_SINE - sine) / (BLUNT_SINE - SHARP_SINE), 0, 1)
+    weight = fade(shares, limit) * narrow * (shade > 0)
+    drawn, casts = int((weight > 0).sum()), int((shade > 0).sum())
+    cost = PICTURE_MS + sum(hand.count for hand in hands) * SHARP_MS
+    if not drawn:
+        return skipped("no small lamp casts a shadow that counts")
+    why = f"of {_counted(drawn)}" + (f", {_counted(casts - drawn)} too large or too faint" if casts > drawn else "")
+    return tuple(weight.tolist()), Decision(Effect.SHARP_SHADOW, True, why, lost, None, drawn * cost)
+
+
+def _sines(light: SceneLight, place_m: np.ndarray) -> np.ndarray:
+    """(lamps,) sines of half the angle of each, as a place (3,) sees them."""
+    rows = light.lamp_numbers
+    radius2, sun_sine = rows[:, NUMBER["radius2"]], rows[:, NUMBER["sun_sine"]]
+    distance2 = np.square(rows[:, :3] - place_m).sum(1)
+    of_lamp = np.sqrt(radius2 / np.maximum(distance2 + radius2, TINY))
+    return np.where(rows[:, NUMBER["kind"]] == LampKind.SUN, sun_sine, of_lamp)
 
 
 def _world_shadow(shade: float, most: float, count: int, choice: Choice) -> Decision:

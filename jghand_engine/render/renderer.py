@@ -340,7 +340,8 @@ class SceneRenderer:
         settings = self.settings
         # normals are those of the depth
         depth = settings.depth or settings.normals
-        canvas = self._canvas(posed, camera, plan.strength, settings.alpha_min, depth=depth, detail=plan.detail)
+        canvas = self._canvas(posed, camera, plan.strength, settings.alpha_min)
+        canvas = replace(canvas, depth=depth, detail=plan.detail, sharp=plan.sharp)
         poses = None if posed.moved_m is not None else posed.poses
         keeps = poses is None and not settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # an image that fails half way may leave the backend with half of these Gaussians: then the next one poses anew
@@ -357,19 +358,10 @@ class SceneRenderer:
         report.ran(IDS, 1e3 * (time.perf_counter() - started))
         return weights
 
-    def _canvas(
-        self,
-        posed: _Posed,
-        camera: Camera,
-        strength: float,
-        alpha_min: float,
-        *,
-        depth: bool = False,
-        detail: tuple[float, ...] = (),
-    ) -> Canvas:
+    def _canvas(self, posed: _Posed, camera: Camera, strength: float, alpha_min: float) -> Canvas:
         style, at_origin = self._shadow_style(strength) if strength > 0 else None, _at_origin(posed, camera)
         near_m = float(at_origin.camera_from_world[2, 3])
-        return Canvas(at_origin, near_m, style, posed.seen, alpha_min, depth, self.light, detail)
+        return Canvas(at_origin, near_m, style, posed.seen, alpha_min, light=self.light)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""

@@ -14,6 +14,7 @@ STAGE_OF_EFFECT = {
     Effect.DETAIL: "detail",
     Effect.SHADOW: "shadow + compose",
     Effect.GLOSS: "gloss",
+    Effect.SHARP_SHADOW: "lamp pictures",
 }
 
 

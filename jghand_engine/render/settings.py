@@ -32,6 +32,7 @@ class RenderSettings:
     shadow, shadow_samples: the self-shadow pass
     outline_px:        how far corners of a surface that ends a hand may be from the round outline of a finger, at the
                        depth of the wrist, before its faces are made finer
+    sharp_shadows:     whether shadows of small lamps have the edges of the skin's surface (`lamp_depth`), not of capsules
     correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
     threads:           0 = as many as is sensible
     backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
@@ -51,6 +52,7 @@ class RenderSettings:
     shadow: ShadowMode = ShadowMode.GATED
     shadow_samples: int = 16
     outline_px: float = 1.0
+    sharp_shadows: bool = False
     correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
@@ -89,13 +91,16 @@ class RenderSettings:
 PRESETS: dict[str, RenderSettings] = {
     "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
     "viewport": RenderSettings(),
-    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64, outline_px=0.25, correctives=Tier.EXACT),
+    "final": RenderSettings(
+        alpha_min=1 / 1024, shadow_samples=64, outline_px=0.25, sharp_shadows=True, correctives=Tier.EXACT
+    ),
     "reference": RenderSettings(
         alpha_min=1 / 16384,
         t_stop=1e-6,
         shadow=ShadowMode.ALWAYS,
         shadow_samples=64,
         outline_px=0.25,
+        sharp_shadows=True,
         correctives=Tier.EXACT,
         reuse=False,
     ),
