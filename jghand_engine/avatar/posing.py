@@ -22,7 +22,7 @@ from jghand_engine.avatar.lamp_rows import LIMITS, Limits
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned, anchors_around
 from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
-from jghand_engine.avatar.scene_light_step import SceneLightStep
+from jghand_engine.avatar.scene_light_step import NO_DEPTHS, SceneLightStep
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError, RetryError
@@ -34,8 +34,6 @@ from jghand_engine.native.rasterizer import GaussianArrays
 from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.tasks import LANES, SkinTask
 from jghand_engine.native.threads import shared_pool
-
-NO_DEPTHS: Mapping[int, LampDepth] = {}
 
 
 @dataclass(frozen=True)
@@ -281,7 +279,12 @@ class _Light:
         return LightAround(self, self._cast.row_of_anchor[nearest], beside, share)
 
     def prepare_scene(
-        self, light: SceneLight | None, bones: Bones, depths: Mapping[int, LampDepth], *, keep_pose: bool = False
+        self,
+        light: SceneLight | None,
+        bones: Bones,
+        depths: Mapping[int, LampDepth] = NO_DEPTHS,
+        *,
+        keep_pose: bool = False,
     ) -> None:
         if self._scene is not None:
             self._scene.prepare(light or SceneLight(), bones, depths, keep_pose=keep_pose)

@@ -38,6 +38,8 @@ MIRROR_SHARPNESS = 0.5
 WHOLLY = 1e-6
 # without a world its cells are black
 BLACK = World(np.zeros((2, 4, 3)))
+# capsules say what stands before all lamps
+NO_DEPTHS: Mapping[int, LampDepth] = {}
 
 
 class SceneLightStep:
@@ -84,7 +86,12 @@ class SceneLightStep:
         self._set_world(None)
 
     def prepare(
-        self, light: SceneLight, bones: Bones, depths: Mapping[int, LampDepth], *, keep_pose: bool = False
+        self,
+        light: SceneLight,
+        bones: Bones,
+        depths: Mapping[int, LampDepth] = NO_DEPTHS,
+        *,
+        keep_pose: bool = False,
     ) -> None:
         """Sets the light of the next pose, or of the one that stands; the hand's capsules are the cast shadow's, whose
         `prepare` comes after this: shadows of the world are found for its own directions. depths: what stands before

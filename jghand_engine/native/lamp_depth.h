@@ -8,13 +8,16 @@
 
 namespace jg {
 
-// Mirrored field by field in native/scene_light_task.py.
+// Mirrored field by field in native/scene_light_task.py, as the next one.
+struct Above {
+  const int32_t* corner;  // (blocks, 3, 16): rows of the vertices of the surface around the places above points
+  const float* share;     // (blocks, 3, 16) of each
+};
 struct LampDepth {
   const float* near;      // (size, size): of the nearest surface 1/z or, of parallel rays, -z, m; what is empty is below all
   const float* disc;      // (2, TAPS): places in the unit disc
   const float* vertex;    // (3, rows) of the hand's surface in the picture: x, y px, near
-  const int32_t* corner;  // (blocks, 3, 16): rows of the vertices around the places above its Gaussians
-  const float* share;     // (blocks, 3, 16) of each
+  Above skin, anchors;    // of its Gaussians, and of the anchors of the light
   float axes[9];          // of the picture, in rows
   float focal;            // px; of parallel rays px per m
   float part;             // 0..1: how much counts what it says, the rest is said by capsules
@@ -31,15 +34,15 @@ constexpr float STEEP_COSINE_MIN = 0.2f;  // of a plane's cosine to the light, a
 constexpr float SEARCH_MIN_PX = 1.f, REACH_MAX_PX = 64.f;  // taps that are farther apart would miss fingers
 constexpr float DEPTH_MIN_M = 1e-6f, DEEPEST_M = 1e9f;     // as a divisor; where nothing is
 
-// Of the skin above the Gaussians of a block, with unit normals; sine2: squared, of the lamp's half angle there.
-JG_INLINE vf past_surface(const LampDepth& d, int32_t block, const vf normal[3], vf sine2) {
+// Of the skin above the points of a block, with unit normals; sine2: squared, of the lamp's half angle there.
+JG_INLINE vf past_surface(const LampDepth& d, const Above& above, int32_t block, const vf normal[3], vf sine2) {
   vf x = {}, y = {}, z = {}, n[3];
   for (int k = 0; k < 3; k++) {
     const int64_t at = LANES * (3 * (int64_t)block + k);
     vi row;
-    memcpy(&row, d.corner + at, sizeof row);
+    memcpy(&row, above.corner + at, sizeof row);
     const vf near = gather(d.vertex + 2 * (int64_t)d.rows, row), depth = d.orthographic ? -near : 1.f / near;
-    const vf share = load(d.share + at), flat = share * (d.orthographic ? all(1.f) : depth);
+    const vf share = load(above.share + at), flat = share * (d.orthographic ? all(1.f) : depth);
     x += flat * gather(d.vertex, row), y += flat * gather(d.vertex + d.rows, row), z += share * depth;
     n[k] = d.axes[3 * k] * normal[0] + d.axes[3 * k + 1] * normal[1] + d.axes[3 * k + 2] * normal[2];
   }

@@ -268,7 +268,7 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
       const LampDepth* depth = s.depth && s.depth[slot].part > 0 ? s.depth + slot : nullptr;
       exact[b] = all(1.f), by_depth = depth ? depth->part : 0.f;
       if (end - j > 1) lamp_at(casting, of.p, of.direction, strength, sine2);
-      if (depth && bit_mask(falls)) exact[b] = past_surface(*depth, first + b, lit[b].normal, sine2);
+      if (depth && bit_mask(falls)) exact[b] = past_surface(*depth, depth->skin, first + b, lit[b].normal, sine2);
       const vf wide = lit[b].reached[OF_WORLD + columns_per_slot(s) * slot + 1];
       near[b] = select(falls, clamped(EDGE_GAIN * wide * (1.f - wide)), vf{}), of.seen = all(1.f);
       if (!bit_mask(near[b] > 0) || by_depth == 1) continue;
@@ -331,6 +331,11 @@ void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end) {
     for (int b = 0; b < count; b++) {
       float* row = s.reached + columns * LANES * (int64_t)(first + b) + OF_WORLD + each * j;
       seen[j][b] = sights.each[b].seen;
+      if (s.depth && s.depth[j].part > 0) {
+        lamp_at(lamp, sights.each[b].p, direction, strength, sine2);
+        for (int i = 0; i < 3; i++) normal[i] = load(posed(b) + LANES * (3 + i));
+        seen[j][b] += s.depth[j].part * (past_surface(s.depth[j], s.depth[j].anchors, first + b, normal, sine2) - seen[j][b]);
+      }
       store_column(row, columns, seen[j][b]), store_column(row + 1, columns, sights.each[b].wide);
       if (!s.left) continue;
       const vf left = load(s.left + LANES * (c.blocks * (int64_t)j + first + b));

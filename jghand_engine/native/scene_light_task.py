@@ -32,11 +32,19 @@ NUMBER = {name: place for place, name in enumerate(LAMP_NUMBERS)}
 LAMP_TAPS = 16
 
 
+class Above(ctypes.Structure):
+    """Above of native/lamp_depth.h."""
+
+    _fields_ = (("corner", _P), ("share", _P))
+
+
 class LampDepth(ctypes.Structure):
     """LampDepth of native/lamp_depth.h."""
 
     _fields_ = (
-        *((name, _P) for name in ("near", "disc", "vertex", "corner", "share")),
+        *((name, _P) for name in ("near", "disc", "vertex")),
+        ("skin", Above),
+        ("anchors", Above),
         ("axes", _F32 * 9),
         *((name, _F32) for name in ("focal", "part", "scale")),
         *((name, _I32) for name in ("size", "orthographic", "rows")),

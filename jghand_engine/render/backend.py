@@ -15,8 +15,9 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.cast_task import Capsules
-from jghand_engine.avatar.posing import NO_DEPTHS, Poser, new_rows
+from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.avatar.scene_light import SceneLight
+from jghand_engine.avatar.scene_light_step import NO_DEPTHS
 from jghand_engine.gpu.choice import device_for, new_rasterizer
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library

@@ -158,8 +158,8 @@ class NativeDetail:
 
     def surfaces(self, camera: Camera) -> tuple[np.ndarray, list[np.ndarray]]:
         """Of the pose that stands: (H, W) float32 how near the nearest surface is, 1/z or, of parallel rays, -z, and
-        where nothing is, below all; and per hand (3, rows) x, y and near of its vertices. The camera is of the origin of
-        the positions."""
+        where nothing is, below all; and per hand (3, rows) x, y and near of its vertices. The camera is of the origin
+        of the positions."""
         _, near = self._nearest(camera)
         return near, [hand.vertices.copy() for hand in self._hands]
 
@@ -244,7 +244,9 @@ class _Hand:
             set_pointers(self._surface, self._correctives)
         self._detail, self.row_of_vertex = detail, np.argsort(blocks.order)
         self._face_blocks = Blocks.of(detail.position_m[detail.faces].mean(1))
-        self._coarse = _Faces(self._face_blocks, detail.faces, detail.face_uv, self.row_of_vertex, ends_hand=detail.ends_hand)
+        self._coarse = _Faces(
+            self._face_blocks, detail.faces, detail.face_uv, self.row_of_vertex, ends_hand=detail.ends_hand
+        )
         self._fine: _Faces | None = None
         side_m = np.linalg.norm(np.diff(detail.position_m[detail.faces[:, :2]], axis=1), axis=-1)
         self._side_m = float(np.median(side_m)) if side_m.size else 0.0

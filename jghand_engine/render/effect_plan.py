@@ -34,9 +34,7 @@ class Effect(StrEnum):
 CHOOSABLE = tuple(effect for effect in Effect if effect not in (Effect.SKIN, Effect.LAMPS))
 # what a hand has in the light of its capture alone, and in that of a scene alone; nothing is decided about the others
 OF_CAPTURE = frozenset({Effect.CAST, Effect.SHADOW})
-OF_SCENE = frozenset(
-    {Effect.LAMPS, Effect.LAMP_SHADOW, Effect.SHARP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS}
-)
+OF_SCENE = frozenset({Effect.LAMPS, Effect.LAMP_SHADOW, Effect.SHARP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS})
 
 
 @dataclass(frozen=True)

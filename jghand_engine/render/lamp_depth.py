@@ -5,34 +5,37 @@ light reaches the skin above it (native/lamp_depth.h): edges of shadows are thos
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.blocks import Blocks
+from jghand_engine.avatar.cast_task import anchor_blocks
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.scene_light import Lamp
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
-from jghand_engine.native.scene_light_task import LAMP_TAPS, LampDepth, LampKind
-from jghand_engine.native.tasks import LANES
+from jghand_engine.native.scene_light_task import LAMP_TAPS, Above, LampDepth, LampKind
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import NativeDetail
 from jghand_engine.render.hand_facts import box_corners
 from jghand_engine.render.shadow import vogel_disc
 
-# pixels along a side, 0.8 mm each of a hand with its forearm: Gaussians are 1 mm apart, four times as many change nothing
+# pixels along a side, 0.8 mm each of a hand with its forearm: Gaussians are 1 mm apart, more pixels show no more
 SIDE_PX = 512
 # parallel rays begin so far before the hands, meters: what stands still farther away is left out
 PARALLEL_FROM_M = 1.0
-# radii of the ball around the hands between which a lamp that comes nearer leaves its picture: it sees ever less of them
+# radii of the ball around the hands, between which a lamp that comes nearer loses its picture: it sees less of them
 APART_LEAST, APART_WHOLE = 1.3, 1.6
 # Gaussians that look for their vertex together: 60 MB
 NEAREST_TOGETHER = 2048
 # square of an area, m4, as a divisor
 AREA2_MIN = 1e-20
+
+# rows of vertices and shares, (blocks, 3, 16)
+_Above = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class LampPictures:
         self._disc = aligned_zeros((2, LAMP_TAPS))
         self._disc[...] = vogel_disc(LAMP_TAPS).T
         # per hand, once it is asked for
-        self._above: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._above: dict[int, tuple[_Above, _Above]] = {}
         # what the last ones point to
         self._taken: list[np.ndarray] = []
 
@@ -107,13 +110,13 @@ class LampPictures:
             near, vertices = self._detail.surfaces(replace(camera, camera_from_world=from_origin))
             self._taken += [near, *vertices]
             for hand in lit:
-                corner, share = self._skin_above(hand)
+                skin, anchors = self._above_hand(hand)
                 found[hand][number] = LampDepth(
                     near=near.ctypes.data,
                     disc=self._disc.ctypes.data,
                     vertex=vertices[hand].ctypes.data,
-                    corner=corner.ctypes.data,
-                    share=share.ctypes.data,
+                    skin=Above(*(array.ctypes.data for array in skin)),
+                    anchors=Above(*(array.ctypes.data for array in anchors)),
                     axes=tuple(from_origin[:3, :3].ravel().tolist()),
                     focal=camera.fx,
                     part=part,
@@ -135,16 +138,25 @@ class LampPictures:
         middle_m = (every_m.min(1) + every_m.max(1)) / 2
         return Ball(middle_m, math.sqrt(np.square(every_m - middle_m[:, None]).sum(0).max()))
 
-    def _skin_above(self, hand: int) -> tuple[np.ndarray, np.ndarray]:
-        """`LampDepth`'s corner and share of a hand's Gaussians."""
+    def _above_hand(self, hand: int) -> tuple[_Above, _Above]:
+        """`LampDepth`'s skin and anchors of a hand that a scene can light."""
         if hand not in self._above:
             avatar = self._avatars[hand]
             assert avatar.detail is not None
-            blocks, (vertex, share) = Blocks.of(avatar.position_m), skin_above(avatar.detail, avatar.position_m)
-            rows = blocks.in_rows(self._detail.rows_of_vertices(hand)[vertex], np.int32)
-            corner = np.ascontiguousarray(rows.reshape(-1, LANES, 3).swapaxes(1, 2))
-            self._above[hand] = corner, blocks.blocked(share)
+            assert avatar.learned is not None
+            assert avatar.learned.cast is not None
+            anchors, of_vertices = avatar.learned.cast.anchors, self._detail.rows_of_vertices(hand)
+            vertex, share = skin_above(avatar.detail, avatar.position_m)
+            of_anchors = skin_above(avatar.detail, anchors.position_m)
+            self._above[hand] = (
+                _blocked(Blocks.of(avatar.position_m), of_vertices[vertex], share),
+                _blocked(anchor_blocks(anchors.position_m, anchors.normal), of_vertices[of_anchors[0]], of_anchors[1]),
+            )
         return self._above[hand]
+
+
+def _blocked(blocks: Blocks, corner: np.ndarray, share: np.ndarray) -> _Above:
+    return blocks.blocked(corner, np.int32), blocks.blocked(share)
 
 
 def skin_above(detail: Detail, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from jghand_engine.render.settings import RenderSettings
 # mirrored of it, of the world's shadow
 LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
 # ... of a shadow with sharp edges, per Gaussian, and of the picture that it asks
-SHARP_MS, PICTURE_MS = 5e-5, 1.5
+SHARP_MS, PICTURE_MS = 2e-5, 1.3
 # part of all light from which on the edges of a lamp's shadow are sharp ones; fades in up to twice that
 SHARP_LIMIT = 0.02
 # lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
@@ -157,8 +157,10 @@ def _sharp_shadows(
 
     if not choice.allows(Effect.SHARP_SHADOW):
         return skipped(NOT_CHOSEN)
+    if not shade.any():
+        return skipped("no lamp casts a shadow")
     if not (settings.sharp_shadows or choice.forces(Effect.SHARP_SHADOW)):
-        return skipped("draft and viewport have edges of capsules")
+        return skipped("presets final and reference ask for it")
     if not all(hand.avatar.detail is not None and hand.avatar.detail.ends_hand for hand in hands):
         return skipped("a hand has no surface")
     limit = 0.0 if choice.forces(Effect.SHARP_SHADOW) else SHARP_LIMIT
@@ -168,7 +170,7 @@ def _sharp_shadows(
     drawn, casts = int((weight > 0).sum()), int((shade > 0).sum())
     cost = PICTURE_MS + sum(hand.count for hand in hands) * SHARP_MS
     if not drawn:
-        return skipped("no small lamp casts a shadow that counts")
+        return skipped("lamps are too large or too faint")
     why = f"of {_counted(drawn)}" + (f", {_counted(casts - drawn)} too large or too faint" if casts > drawn else "")
     return tuple(weight.tolist()), Decision(Effect.SHARP_SHADOW, True, why, lost, None, drawn * cost)
 

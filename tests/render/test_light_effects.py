@@ -51,8 +51,12 @@ def test_each_light_has_effects_of_its_own():
 @pytest.mark.parametrize(
     ("light", "avatar", "wanted"),
     [
-        (SceneLight(), TRAINED, ("the scene has no lamps", "no lamp casts a shadow", *["no light is on the hand"] * 2)),
-        (LIGHT_OF_DAY, RIGHT, ("a painted hand shines with its own colors",) * 4),
+        (
+            SceneLight(),
+            TRAINED,
+            ("the scene has no lamps", *["no lamp casts a shadow"] * 2, *["no light is on the hand"] * 2),
+        ),
+        (LIGHT_OF_DAY, RIGHT, ("a painted hand shines with its own colors",) * 5),
     ],
     ids=["darkness", "painted"],
 )

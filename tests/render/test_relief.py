@@ -236,7 +236,7 @@ def test_the_slope_of_light_is_what_skin_that_turns_gets_more_of_it(light):
         slope = slope_in_scene(light, backend._hands[0], drawn._light, place_m, normal)
     turned = (slope @ torch.from_numpy(seen.camera_from_world[:3, :3].T)).detach().numpy()
     along = (slope * normal).sum(1).detach().numpy()
-    found = drawn._arrays["slope"][:, drawn._row_of]
+    found = drawn._arrays["slope"][:, drawn.row_of_vertex]
     # observed: 3.2e-6 of the largest
     assert np.abs(found - np.append(turned.T, along[None], 0)).max() < 5e-6 * np.abs(turned).max()
 

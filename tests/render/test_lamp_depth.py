@@ -1,0 +1,214 @@
+"""Shadows with the edges of the skin's surface, by pictures that are taken from lamps."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_avatars import coarse_builtin, trained_avatar
+from test_effects import plan_of
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.detail import DetailedHand
+from jghand_engine.render.effect_plan import Choice, Effect
+from jghand_engine.render.framing import framing_camera
+from jghand_engine.render.lamp_depth import APART_LEAST, APART_WHOLE, skin_above
+from jghand_engine.render.renderer import Frame, SceneRenderer
+from jghand_engine.render.settings import preset
+from jghand_engine.template.closest import Surface
+
+AVATAR = coarse_builtin()
+FINAL = preset("final")
+FIST = named_pose("fist", AVATAR.rest_joints_m, handedness=Handedness.RIGHT)
+DIM = World(np.full((2, 4, 3), 0.02, np.float32))
+WHITE = (3.0, 3.0, 3.0)
+TO_SUN = np.array([0.8, 0.7, 0.6])
+SUN = Lamp(LampKind.SUN, WHITE, tuple(TO_SUN), angle_rad=0.002)
+MIDDLE_M = FIST.mean(0)
+
+
+def point(away_m: float, radius_m: float = 0.0005) -> Lamp:
+    """As bright as the sun at the middle of the fist, in its direction."""
+    place_m = MIDDLE_M + away_m * TO_SUN / np.linalg.norm(TO_SUN)
+    return Lamp(LampKind.POINT, tuple(away_m**2 * np.array(WHITE)), tuple(place_m), radius_m=radius_m, is_soft=False)
+
+
+def view(joints_m: np.ndarray = FIST) -> Camera:
+    return framing_camera(joints_m[None], Handedness.RIGHT, "front", width=240, height=300)
+
+
+def drawn(*lamps: Lamp, joints_m: np.ndarray = FIST, settings=FINAL, avatar: HandAvatar = AVATAR) -> Frame:
+    return SceneRenderer([avatar], settings, SceneLight(DIM, lamps)).render([joints_m], view(joints_m))
+
+
+def skin_seen(renderer: SceneRenderer, hand: int = 0) -> np.ndarray:
+    """(N,) what of the first lamp reaches the Gaussians of a hand."""
+    poser = renderer._backend._hands[hand]
+    assert poser._light is not None
+    assert poser._light._scene is not None
+    return poser._light._scene.arrays["skin_seen"][0][np.argsort(poser.blocks.order)]
+
+
+def hidden_by_faces(corners_m: np.ndarray, places_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """(N,) whether any of the triangles (F, 3, 3) stands before places (N, 3), by rays: Möller and Trumbore, 1997."""
+    sides_m = corners_m[:, 1:] - corners_m[:, :1]
+    across = np.cross(direction, sides_m[:, 1])
+    area = (sides_m[:, 0] * across).sum(1)
+    found = []
+    for place_m in places_m:
+        from_first = place_m - corners_m[:, 0]
+        turned = np.cross(from_first, sides_m[:, 0])
+        u, v = (from_first * across).sum(1) / area, (turned @ direction) / area
+        way_m = (sides_m[:, 1] * turned).sum(1) / area
+        found.append(((u >= 0) & (v >= 0) & (u + v <= 1) & (way_m > 0.002)).any())
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def posed():
+    """Corners of the faces of the fist (F, 3, 3), places above the Gaussians (N, 3), and normals there (N, 3)."""
+    detail = AVATAR.detail
+    assert detail is not None
+    bones = AVATAR.skeleton().bones(FIST)
+    vertices_m = DetailedHand.of(AVATAR, 1.0).posed_m(bones)
+    vertex, share = skin_above(detail, AVATAR.position_m)
+    corners_m = vertices_m[detail.faces]
+    around_m = vertices_m[vertex]
+    normal = np.cross(around_m[:, 1] - around_m[:, 0], around_m[:, 2] - around_m[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return corners_m, np.einsum("nk,nkc->nc", share, around_m), normal
+
+
+def test_skin_above_a_place_is_the_nearest_that_there_is():
+    detail = AVATAR.detail
+    assert detail is not None
+    vertex, share = skin_above(detail, AVATAR.position_m)
+    assert np.allclose(share.sum(1), 1, atol=1e-5)
+    assert share.min() >= 0
+    found_m = np.einsum("nk,nkc->nc", share, detail.position_m[vertex])
+    exact = Surface(detail.position_m.astype(np.float64), detail.faces).closest(AVATAR.position_m.astype(np.float64))
+    apart_m = np.linalg.norm(found_m - AVATAR.position_m, axis=1)
+    # a face that the nearest vertex is not of can be nearer, by a part of its size
+    assert np.percentile(apart_m - np.abs(exact.signed_m), 95) < 1e-4
+    assert (apart_m - np.abs(exact.signed_m)).max() < 3e-3
+
+
+@pytest.mark.parametrize("lamp", [SUN, point(20.0), point(0.4)], ids=["sun", "far point", "near point"])
+def test_light_reaches_skin_where_no_face_stands_before_it(posed, lamp):
+    """By rays past every face, for Gaussians that the light falls on and that no edge of a shadow is near."""
+    corners_m, places_m, normal = posed
+    renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (lamp,)))
+    assert plan_of(renderer.render([FIST], view())).runs(Effect.SHARP_SHADOW)
+    seen = skin_seen(renderer)
+    chosen = np.random.default_rng(1).permutation(len(places_m))[:1500]
+    to_lamp = TO_SUN if lamp.kind is LampKind.SUN else np.array(lamp.place_m) - places_m[chosen]
+    to_lamp = np.broadcast_to(to_lamp, (len(chosen), 3)) / np.linalg.norm(to_lamp, axis=-1, keepdims=True)
+    lit = (normal[chosen] * to_lamp).sum(1) > 0.4
+    chosen, to_lamp = chosen[lit], to_lamp[lit]
+    clear = (seen[chosen] < 0.05) | (seen[chosen] > 0.95)
+    chosen, to_lamp = chosen[clear], to_lamp[clear]
+    hidden = np.concatenate(
+        [hidden_by_faces(corners_m, places_m[[row]], way) for row, way in zip(chosen, to_lamp, strict=True)]
+    )
+    assert len(chosen) > 300
+    assert 0.1 < hidden.mean() < 0.9
+    assert (hidden == (seen[chosen] < 0.5)).mean() > 0.97
+
+
+def facing(posed) -> np.ndarray:
+    """(N,) whether the sun falls on a Gaussian well."""
+    return posed[2] @ TO_SUN > 0.4 * np.linalg.norm(TO_SUN)
+
+
+def test_edges_are_as_wide_as_the_lamp_makes_them(posed):
+    """Skin that is in part in the shadow grows with the lamp."""
+    parts = []
+    for radius_m in (0.0, 0.04, 0.09):
+        renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (point(0.5, radius_m),)))
+        renderer.render([FIST], view())
+        seen = skin_seen(renderer)[facing(posed)]
+        parts.append(float(((seen > 0.1) & (seen < 0.9)).mean()))
+    assert parts[0] < 0.8 * parts[1] < 0.8 * 0.8 * parts[2], parts
+
+
+def test_a_far_point_is_a_sun():
+    pictures = [drawn(lamp).rgba for lamp in (SUN, point(30.0))]
+    assert np.abs(pictures[0] - pictures[1]).mean() < 0.002 * pictures[0].mean()
+
+
+def test_a_hand_of_another_size_in_a_scene_of_that_size_looks_the_same():
+    def at_size(times: float) -> np.ndarray:
+        lamp = point(0.5)
+        rgb = tuple((times**2 * np.array(lamp.rgb)).tolist())
+        place_m = tuple((times * np.array(lamp.place_m)).tolist())
+        return drawn(replace(lamp, rgb=rgb, place_m=place_m, radius_m=times * 0.01), joints_m=times * FIST).rgba
+
+    usual, large = at_size(1.0), at_size(6.0)
+    assert np.abs(usual - large).mean() < 0.004 * usual.mean()
+
+
+def test_a_hand_before_the_lamp_hides_it_from_the_other(posed):
+    """Where capsules of a hand farther than 30 cm are not asked."""
+    to_sun = TO_SUN / np.linalg.norm(TO_SUN)
+    joints_m = [FIST, FIST + 0.6 * to_sun]
+    avatars = [AVATAR, AVATAR]
+    renderer = SceneRenderer(avatars, FINAL, SceneLight(DIM, (SUN,)))
+    camera = Camera.looking_at((0, 0, 3.0), MIDDLE_M, (0, 1, 0), width=300, height=300, focal_px=300)
+    renderer.render(joints_m, camera)
+    lone = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,)))
+    lone.render([FIST], view())
+    behind, before, alone = (
+        one[facing(posed)].mean() for one in (skin_seen(renderer, 0), skin_seen(renderer, 1), skin_seen(lone))
+    )
+    assert behind < 0.1 * alone
+    assert np.isclose(before, alone, rtol=0.05)
+
+
+def test_a_lamp_that_comes_near_fades_to_capsules():
+    """No step of a millimeter changes much where its picture begins to see too little, and inside the hand's ball there
+    is none."""
+    radius_m = 0.12
+    ways_m = np.linspace(APART_LEAST - 0.1, APART_WHOLE + 0.1, 12) * radius_m
+    pictures = [drawn(point(way_m)).rgba for way_m in ways_m]
+    steps = [np.abs(b - a).mean() / a.mean() for a, b in pairwise(pictures)]
+    assert max(steps) < 2 * np.median(steps)
+
+
+def test_large_faint_and_shadowless_lamps_have_edges_of_capsules():
+    far = point(1.0)
+    for lamps in ((replace(far, radius_m=0.5),), (SUN, replace(far, rgb=(0.01, 0.01, 0.01)))):
+        frame = drawn(*lamps)
+        assert plan_of(frame).sharp[1:] == (0.0,) * (len(lamps) - 1)
+        assert plan_of(frame).runs(Effect.SHARP_SHADOW) == (len(lamps) == 2)
+    assert plan_of(drawn(replace(SUN, has_shadow=False)))[Effect.SHARP_SHADOW].reason == "no lamp casts a shadow"
+
+
+def test_who_asks_for_less_gets_capsules_and_is_told_why():
+    cases = {
+        "presets final and reference ask for it": (preset("viewport"), AVATAR),
+        "not among the chosen effects": (replace(FINAL, effects=Choice.parse("lamp-shadow,detail")), AVATAR),
+        "a hand has no surface": (FINAL, trained_avatar(500)),
+    }
+    for why, (settings, avatar) in cases.items():
+        frame = drawn(SUN, settings=settings, avatar=avatar)
+        assert plan_of(frame)[Effect.SHARP_SHADOW].reason == why
+        assert "lamp pictures" not in frame.report.stages
+
+
+def test_a_lamp_that_is_dragged_takes_its_picture_anew_and_one_that_stays_does_not():
+    renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,)))
+    renderer.render([FIST], view())
+    moved = SceneLight(DIM, (replace(SUN, place_m=(0.5, 0.9, 0.6)),))
+    renderer.light = moved
+    dragged = renderer.render([FIST], view())
+    assert {"lamp pictures", "light"} <= set(dragged.report.stages)
+    fresh = SceneRenderer([AVATAR], FINAL, moved).render([FIST], view())
+    assert np.array_equal(dragged.rgba, fresh.rgba)
+    again = renderer.render([FIST], view())
+    assert "lamp pictures" not in again.report.stages
+    assert np.array_equal(again.rgba, fresh.rgba)
