@@ -134,7 +134,10 @@ def test_middles_have_the_light_the_bend_and_the_end_of_the_mean_of_their_ends()
     detail = renderer._backend._detail
     assert detail is not None
     arrays = detail._hands[0]._arrays
-    ends, first = arrays["around"][:, :2].swapaxes(1, 2).reshape(-1, 2), padded_rows(len(detail._hands[0].row_of_vertex))
+    ends, first = (
+        arrays["around"][:, :2].swapaxes(1, 2).reshape(-1, 2),
+        padded_rows(len(detail._hands[0].row_of_vertex)),
+    )
     ends = ends[ends[:, 0] != ends[:, 1]]  # without what fills up the last block
     for name, varies in (("slope", 1.0), ("bend", 0.1), ("whole", 0.5)):
         values = arrays[name]

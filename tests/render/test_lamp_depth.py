@@ -136,6 +136,25 @@ def test_edges_are_as_wide_as_the_lamp_makes_them(posed):
     assert parts[0] < 0.8 * parts[1] < 0.8 * 0.8 * parts[2], parts
 
 
+def test_skin_that_sees_all_of_a_wide_lamp_is_not_darkened_by_its_own_slope(posed):
+    """And none of it reaches skin that sees nothing of it: by rays to its middle and its rim."""
+    corners_m, places_m, normal = posed
+    lamp = point(0.5, 0.085)
+    renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (lamp,)))
+    renderer.render([FIST], view())
+    seen = skin_seen(renderer)
+    chosen = np.flatnonzero(facing(posed))[::4]
+    across = np.cross(TO_SUN, [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
+    on_lamp_m = lamp.place_m + np.vstack([[0.0, 0, 0], 0.085 * across / np.linalg.norm(across, axis=1, keepdims=True)])
+    hidden = np.array(
+        [[hidden_by_faces(corners_m, places_m[[row]], to - places_m[row])[0] for to in on_lamp_m] for row in chosen]
+    )
+    whole, none = seen[chosen][~hidden.any(1)], seen[chosen][hidden.all(1)]
+    assert min(len(whole), len(none)) > 30
+    assert np.percentile(whole, 5) > 0.9
+    assert none.mean() < 0.1
+
+
 def test_a_far_point_is_a_sun():
     pictures = [drawn(lamp).rgba for lamp in (SUN, point(30.0))]
     assert np.abs(pictures[0] - pictures[1]).mean() < 0.002 * pictures[0].mean()
