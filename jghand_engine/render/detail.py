@@ -292,8 +292,9 @@ class _Hand:
 
     @property
     def vertices(self) -> np.ndarray:
-        """(3, rows) x, y, px, and near of its vertices in the last image."""
-        return self._arrays["vertex"]
+        """(3, rows) x, y, px, and near of its own vertices in the last image, of coarse faces: there is room for more."""
+        rows = padded_rows(len(self.row_of_vertex))
+        return self._arrays["vertex"].ravel()[: 3 * rows].reshape(3, rows)
 
     def corner_px(self, camera: Camera) -> float:
         """How far the sides of faces are from a round outline, at the depth of its wrist; infinite where that is behind

@@ -138,7 +138,7 @@ def test_edges_are_as_wide_as_the_lamp_makes_them(posed):
 
 def test_skin_that_sees_all_of_a_wide_lamp_is_not_darkened_by_its_own_slope(posed):
     """And none of it reaches skin that sees nothing of it: by rays to its middle and its rim."""
-    corners_m, places_m, normal = posed
+    corners_m, places_m, _ = posed
     lamp = point(0.5, 0.085)
     renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (lamp,)))
     renderer.render([FIST], view())
@@ -217,6 +217,19 @@ def test_who_asks_for_less_gets_capsules_and_is_told_why():
         frame = drawn(SUN, settings=settings, avatar=avatar)
         assert plan_of(frame)[Effect.SHARP_SHADOW].reason == why
         assert "lamp pictures" not in frame.report.stages
+
+
+def test_a_large_picture_with_finer_faces_leaves_the_next_shadows_as_they_are():
+    light, pose = SceneLight(DIM, (SUN,)), [FIST]
+    renderer = SceneRenderer([AVATAR], FINAL, light)
+    renderer.render(pose, view().scaled(4))
+    assert renderer._backend._detail is not None
+    assert renderer._backend._detail._hands[0]._fine is not None
+    other = [FIST @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])]
+    renderer.render(other, view())
+    assert np.array_equal(
+        renderer.render(pose, view()).rgba, SceneRenderer([AVATAR], FINAL, light).render(pose, view()).rgba
+    )
 
 
 def test_a_lamp_that_is_dragged_takes_its_picture_anew_and_one_that_stays_does_not():
