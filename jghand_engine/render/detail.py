@@ -292,7 +292,7 @@ class _Hand:
 
     @property
     def vertices(self) -> np.ndarray:
-        """(3, rows) x, y, px, and near of its own vertices in the last image, of coarse faces: there is room for more."""
+        """(3, rows) x, y, px, and near of its own vertices in the last image, of coarse faces."""
         rows = padded_rows(len(self.row_of_vertex))
         return self._arrays["vertex"].ravel()[: 3 * rows].reshape(3, rows)
 

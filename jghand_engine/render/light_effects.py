@@ -25,7 +25,7 @@ SHARP_MS, PICTURE_MS = 2e-5, 1.3
 SHARP_LIMIT = 0.02
 # lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
 # one its picture sees other skin than its rim does
-SHARP_SINE, BLUNT_SINE = 0.18, 0.24
+SHARP_SINE, BLUNT_SINE = 0.14, 0.18
 # what the world's reflections cost, in lamps
 LOBES_AS_LAMPS = 6
 # why something stays as it was drawn last
@@ -159,7 +159,7 @@ def _sharp_shadows(
         return skipped(NOT_CHOSEN)
     if not shade.any():
         return skipped("no lamp casts a shadow")
-    if not (settings.sharp_shadows or choice.forces(Effect.SHARP_SHADOW)):
+    if not settings.sharp_shadows:
         return skipped("presets final and reference ask for it")
     if not all(hand.avatar.detail is not None and hand.avatar.detail.ends_hand for hand in hands):
         return skipped("a hand has no surface")

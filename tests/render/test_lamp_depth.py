@@ -128,7 +128,7 @@ def facing(posed) -> np.ndarray:
 def test_edges_are_as_wide_as_the_lamp_makes_them(posed):
     """Skin that is in part in the shadow grows with the lamp."""
     parts = []
-    for radius_m in (0.0, 0.04, 0.09):
+    for radius_m in (0.0, 0.035, 0.068):
         renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (point(0.5, radius_m),)))
         renderer.render([FIST], view())
         seen = skin_seen(renderer)[facing(posed)]
@@ -139,13 +139,13 @@ def test_edges_are_as_wide_as_the_lamp_makes_them(posed):
 def test_skin_that_sees_all_of_a_wide_lamp_is_not_darkened_by_its_own_slope(posed):
     """And none of it reaches skin that sees nothing of it: by rays to its middle and its rim."""
     corners_m, places_m, _ = posed
-    lamp = point(0.5, 0.085)
+    lamp = point(0.5, 0.068)
     renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (lamp,)))
     renderer.render([FIST], view())
     seen = skin_seen(renderer)
     chosen = np.flatnonzero(facing(posed))[::4]
     across = np.cross(TO_SUN, [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
-    on_lamp_m = lamp.place_m + np.vstack([[0.0, 0, 0], 0.085 * across / np.linalg.norm(across, axis=1, keepdims=True)])
+    on_lamp_m = lamp.place_m + np.vstack([[0.0, 0, 0], 0.068 * across / np.linalg.norm(across, axis=1, keepdims=True)])
     hidden = np.array(
         [[hidden_by_faces(corners_m, places_m[[row]], to - places_m[row])[0] for to in on_lamp_m] for row in chosen]
     )
