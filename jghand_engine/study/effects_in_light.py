@@ -122,8 +122,8 @@ class _Run:
 
 
 def _leaves_out(decision: Decision) -> bool:
-    """Whether some of the light is missing: of lamps that run the figure is what the others would give. Sharp edges move
-    some, and a preset asks for them or not."""
+    """Whether some of the light is missing: of lamps that run the figure is what the others would give. Sharp edges
+    move some, and a preset asks for them or not."""
     faint = decision.effect in (Effect.LAMPS, Effect.LAMP_SHADOW) and any(decision.figures)
     return decision.effect in OF_SCENE - {Effect.SHARP_SHADOW} and (faint or not decision.runs)
 
