@@ -3,10 +3,10 @@
 The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units (the
 word metres), handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform,
 storage, gaussians, position_box_m, pose_statistics. own_joints_m, which may be left out, are its joints in standard
-order. A scale mode is a name or the number of the blended one. transform
-is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which may be left out, is its `learned_from`. The
-arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3) float64. Files keep the standard joint
-order; the engine's level order ends here.
+order; so may checksum, the CRC-32 of the bytes of all arrays, in the order of their names. A scale mode is a name or
+the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which may
+be left out, is its `learned_from`. The arrays are those of `storage.expected_arrays` and canonical_joints_m (21, 3)
+float64. Files keep the standard joint order; the engine's level order ends here.
 
 A trained avatar has format_version 2, a description `learnt` and the arrays of `learned_storage`. One that was learned
 in known light has version 3: older JGHands refuse it, who would draw its albedo as its colors. One with a detail,
@@ -17,6 +17,7 @@ correctives, or the hand's end version 5. Avatars that were not trained are stil
 from __future__ import annotations
 
 import json
+import zlib
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,7 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         arrays, about = pack_detail(avatar.detail, storage)
         packed |= arrays
         description["detail"] = about.as_dict()
+    description["checksum"] = _checksum(packed)
     try:
         text = json.dumps(description, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -137,6 +139,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         with safetensors.safe_open(file, framework="numpy") as content:
             about = _Description(thing, (content.metadata() or {}).get(METADATA_KEY))
             packed = _read_arrays(thing, content, about)
+            is_damaged = about.checksum not in (None, _checksum(packed))
             check_finite(packed, thing)
     except safetensors.SafetensorError as error:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
@@ -157,6 +160,9 @@ def _load(file: Path, thing: str) -> HandAvatar:
     if about.detail is not None:
         avatar = replace(avatar, detail=unpack_detail(packed, about.detail, thing))
     check_avatar(avatar, thing)
+    # what can be said in more words was said by then
+    if is_damaged:
+        raise InputError(thing, wanted="the numbers that were written", came="some others", remedy=REMEDY)
     return avatar
 
 
@@ -200,6 +206,7 @@ class _Description:
             pose_statistics=_pose_statistics(of),
             learned_from=_learned_from(of.object("learnt_from")),
         )
+        self.checksum = of.count("checksum", 0, 2**32 - 1) if "checksum" in content else None
         self.own_joints_m = None
         if "own_joints_m" in content:
             self.own_joints_m = to_level(of.array("own_joints_m", (JOINT_COUNT, 3)), JointOrder.STANDARD)
@@ -271,6 +278,14 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
         if came != (dtype, shape):
             raise InputError(f"{thing}: {name}", wanted=f"{dtype} {shape}", came=f"{came[0]} {came[1]}", remedy=REMEDY)
     return {name: content.get_tensor(name) for name in wanted}
+
+
+def _checksum(arrays: Arrays) -> int:
+    """Of damage: it does not say who wrote them."""
+    checksum = 0
+    for name in sorted(arrays):
+        checksum = zlib.crc32(np.ascontiguousarray(arrays[name]).data, checksum)
+    return checksum
 
 
 def _is_linear(avatar: HandAvatar) -> bool:

@@ -67,7 +67,7 @@ def material_of(avatar: HandAvatar) -> Material:
 def covered_mean(avatar: HandAvatar, values: np.ndarray) -> np.ndarray:
     """(C,) float32 mean of values (N, C), each Gaussian's as much as it covers."""
     weight = (avatar.opacity * np.square(avatar.sigma_m)).astype(np.float64)
-    return (weight @ values / weight.sum()).astype(np.float32)
+    return (weight @ values / max(weight.sum(), np.finfo(float).tiny)).astype(np.float32)
 
 
 def thrown_back(avatar: HandAvatar, albedo: np.ndarray) -> np.ndarray:

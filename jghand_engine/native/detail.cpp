@@ -176,7 +176,7 @@ void set_up_group(const DetailTask& t, const DetailHand& hand, int32_t group) {
   vi first_x, last_x, first_y, last_y;
   centers(min(min(x[0], x[1]), x[2]), max(max(x[0], x[1]), x[2]), t.width, first_x, last_x);
   centers(min(min(y[0], y[1]), y[2]), max(max(y[0], y[1]), y[2]), t.height, first_y, last_y);
-  vi seen = area * hand.facing > AREA_MIN_PX2, kind = all(0);
+  vi seen = (hand.facing == 0 ? abs(area) : area * hand.facing) > AREA_MIN_PX2, kind = all(0);
   if (t.outline > 0) {
     // a pixel whose center it does not reach may be covered in part
     seen &= (max(max(x[0], x[1]), x[2]) >= 0) & (min(min(x[0], x[1]), x[2]) <= (float)t.width);

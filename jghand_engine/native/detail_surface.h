@@ -23,7 +23,7 @@ struct DetailHand {
   const uint32_t* texels;    // every level in squares of 4 x 4: three channels of ten bits, 512 changes nothing; with a
                              // relief a second word each, four signed bytes: rise by column and row, straight, then bent
   int32_t size_log2, groups;
-  float facing;              // sign of the area on the image of a face seen from outside
+  float facing;              // sign of the area on the image of a face seen from outside; 0: both sides are drawn
   float depth;               // m, of the Gaussians below the surface, times the hand's scale
   float fade_from, fade_to;  // m: apart from that depth by this much, detail begins to fade, and is gone
   float strength;            // 0..1; 0: not drawn

@@ -27,15 +27,17 @@ struct LampDepth {
 
 constexpr int TAPS = 16;  // LAMP_TAPS of native/scene_light_task.py
 // of a hand of scale 1: what is nearer to a point's plane than this does not stand before it, and from so much more on it
-// does wholly; half width of the narrowest edge, which is as wide as Gaussians are apart; and how far before a point most
-// of a hand can stand
+// does wholly; half width of the narrowest edge, which is as wide as Gaussians are apart; and how far before a point what
+// stands there makes all of a wide edge
 constexpr float BIAS_M = 1.5e-3f, RAMP_M = 5e-4f, EDGE_MIN_M = 1e-3f, BEFORE_MAX_M = 0.12f;
 constexpr float STEEP_COSINE_MIN = 0.2f;  // of a plane's cosine to the light, as a divisor: light that grazes has faded
-constexpr float SEARCH_MIN_PX = 1.f, REACH_MAX_PX = 64.f;  // taps that are farther apart would miss fingers
-constexpr float DEPTH_MIN_M = 1e-6f, DEEPEST_M = 1e9f;     // as a divisor; where nothing is
+constexpr float AROUND_COSINE = 0.1f;     // skin that faces away so far has its own flesh before it, and light all the same
+constexpr float REACH_MAX_PX = 64.f;      // taps that are farther apart would miss fingers
+constexpr float DEPTH_MIN_M = 1e-6f, DEEPEST_M = 1e9f;  // as a divisor; where nothing is
 
-// Of the skin above the points of a block, with unit normals; sine2: squared, of the lamp's half angle there.
-JG_INLINE vf past_surface(const LampDepth& d, const Above& above, int32_t block, const vf normal[3], vf sine2) {
+// What reaches the skin above the points of a block, with unit normals, where capsules say that `seen` does.
+// sine: of the lamp's half angle there
+JG_INLINE vf past_surface(const LampDepth& d, const Above& above, int32_t block, const vf normal[3], vf sine, vf seen) {
   vf x = {}, y = {}, z = {}, n[3];
   for (int k = 0; k < 3; k++) {
     const int64_t at = LANES * (3 * (int64_t)block + k);
@@ -48,35 +50,43 @@ JG_INLINE vf past_surface(const LampDepth& d, const Above& above, int32_t block,
   }
   if (!d.orthographic) x *= 1.f / z, y *= 1.f / z;
   const vf px_per_m = d.orthographic ? all(d.focal) : d.focal / max(z, all(DEPTH_MIN_M));
+  // along the ray through the point, whose depth grows by 1
+  const vf u = (x - 0.5f * (float)d.size) * (1.f / d.focal), v = (y - 0.5f * (float)d.size) * (1.f / d.focal);
+  const vf along = d.orthographic ? n[2] : n[2] + u * n[0] + v * n[1];
+  const vf cosine = d.orthographic ? -along : -along * inverse_sqrt(1.f + u * u + v * v);
   // how much deeper the plane of the point is, a px to the right and down
-  const vf steep = 1.f / (min(n[2], all(-STEEP_COSINE_MIN)) * px_per_m), deeper_x = -n[0] * steep, deeper_y = -n[1] * steep;
-  const vf sine = quick_sqrt(sine2), last = all((float)(d.size - 1));
+  const vf steep = -1.f / (min(along, all(-STEEP_COSINE_MIN)) * px_per_m), deeper_x = n[0] * steep, deeper_y = n[1] * steep;
+  const vf last = all((float)(d.size - 1));
   const float bias = BIAS_M * d.scale, over_ramp = 1.f / (RAMP_M * d.scale);
   // what a tap meets: its depth, and how far it is before the plane of the point
   const auto tap = [&](int k, vf reach_px, vf& before) __attribute__((always_inline)) {
-    const vf dx = d.disc[k] * reach_px, dy = d.disc[TAPS + k] * reach_px;
-    const vi column = floor_to_int(min(max(x + dx, vf{}), last)), row = floor_to_int(min(max(y + dy, vf{}), last));
+    const vi column = floor_to_int(min(max(x + d.disc[k] * reach_px, vf{}), last));
+    const vi row = floor_to_int(min(max(y + d.disc[TAPS + k] * reach_px, vf{}), last));
+    const vf dx = __builtin_convertvector(column, vf) + 0.5f - x, dy = __builtin_convertvector(row, vf) + 0.5f - y;
     const vf near = gather(d.near, row * d.size + column);
     const vf depth = d.orthographic ? -near : select(near > 0, inverse(near), all(DEEPEST_M));
     before = z + deeper_x * dx + deeper_y * dy - bias - depth;
     return depth;
   };
-  const vf search = min(max(BEFORE_MAX_M * d.scale * sine * px_per_m, all(SEARCH_MIN_PX)), all(REACH_MAX_PX));
+  const vf least = all(EDGE_MIN_M * d.scale), widest = max(BEFORE_MAX_M * d.scale * sine, least);
+  const vf search = min(widest * px_per_m, all(REACH_MAX_PX));
   vf count = {}, sum = {}, before;
   for (int k = 0; k < TAPS; k++) {
     const vf depth = tap(k, search, before);
     const vi stands = before > 0;
     count += select(stands, all(1.f), vf{}), sum += select(stands, depth, vf{});
   }
-  if (!bit_mask(count > 0)) return all(1.f);
+  const vf counts = d.part * clamped(1.f + cosine * (1.f / AROUND_COSINE));
+  if (!bit_mask(count > 0)) return seen + counts * (1.f - seen);
   const vf mean = sum / max(count, all(1.f)), grows = d.orthographic ? all(1.f) : z / max(mean, all(DEPTH_MIN_M));
-  const vf edge_m = max(sine * max(z - mean, vf{}) * grows, all(EDGE_MIN_M * d.scale));
+  // not wider than was searched: light begins where nothing is found
+  const vf edge = min(max(sine * max(z - mean, vf{}) * grows, least) * px_per_m, search);
   vf hidden = {};
   for (int k = 0; k < TAPS; k++) {
-    tap(k, min(edge_m * px_per_m, all(REACH_MAX_PX)), before);
+    tap(k, edge, before);
     hidden += clamped(before * over_ramp);
   }
-  return select(count > 0, 1.f - hidden * (1.f / TAPS), all(1.f));
+  return seen + counts * (select(count > 0, 1.f - hidden * (1.f / TAPS), all(1.f)) - seen);
 }
 
 }  // namespace jg

@@ -240,7 +240,8 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
   };
   Lit lit[LANES];
   Sights sights = {};
-  vf own[LANES][3], near[LANES], exact[LANES];
+  vf own[LANES][3], near[LANES];
+  uint32_t lit_by[LANES];
   for (int b = 0; b < count; b++) {
     light_of_world(t, first + b, lit[b]);
     set_points(sights, b, lit[b].p, s.own[first + b]);
@@ -248,8 +249,8 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
   for (int j = 0, end; j < s.lamps; j = end) {
     const int slot = (int)s.lamp[LAMP * j + SLOT];
     const float* casting = s.casting + LAMP * slot;
+    const LampDepth* depth = slot >= 0 && s.depth && s.depth[slot].part > 0 ? s.depth + slot : nullptr;
     uint32_t edges = 0;
-    float by_depth = 0;
     // parts of a large lamp share a shadow
     for (end = j + 1; slot >= 0 && end < s.lamps && (int)s.lamp[LAMP * end + SLOT] == slot;) end++;
     for (int b = 0; b < count; b++) {
@@ -265,15 +266,13 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
       }
       if (slot < 0) continue;
       // near the edge of a shadow, which is sharper than anchors are apart, it is found for each
-      const LampDepth* depth = s.depth && s.depth[slot].part > 0 ? s.depth + slot : nullptr;
-      exact[b] = all(1.f), by_depth = depth ? depth->part : 0.f;
-      if (end - j > 1) lamp_at(casting, of.p, of.direction, strength, sine2);
-      if (depth && bit_mask(falls)) exact[b] = past_surface(*depth, depth->skin, first + b, lit[b].normal, sine2);
       const vf wide = lit[b].reached[OF_WORLD + columns_per_slot(s) * slot + 1];
       near[b] = select(falls, clamped(EDGE_GAIN * wide * (1.f - wide)), vf{}), of.seen = all(1.f);
-      if (!bit_mask(near[b] > 0) || by_depth == 1) continue;
+      lit_by[b] = bit_mask(falls);
+      if (!(depth ? lit_by[b] : bit_mask(near[b] > 0))) continue;
+      if (end - j > 1) lamp_at(casting, of.p, of.direction, strength, sine2);
       of.sine = quick_sqrt(sine2);
-      edges |= 1u << b;
+      edges |= (uint32_t)(bit_mask(near[b] > 0) != 0) << b;
     }
     look<false>(t.cast, s, casting, edges, hides, sights);
     for (int b = 0; b < count; b++) {
@@ -281,7 +280,7 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
       if (slot >= 0) {
         const vf* of_slot = lit[b].reached + OF_WORLD + columns_per_slot(s) * slot;
         vf part = of_slot[0] + near[b] * (sights.each[b].seen - of_slot[0]);
-        part += by_depth * (exact[b] - part);
+        if (depth && lit_by[b]) part = past_surface(*depth, depth->skin, first + b, lit[b].normal, sights.each[b].sine, part);
         if (s.left) part *= of_slot[2];
         reaches = 1.f - casting[SHADE] * (1.f - part);
         store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + first + b), reaches);
@@ -331,12 +330,12 @@ void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end) {
     for (int b = 0; b < count; b++) {
       float* row = s.reached + columns * LANES * (int64_t)(first + b) + OF_WORLD + each * j;
       seen[j][b] = sights.each[b].seen;
-      if (s.depth && s.depth[j].part > 0) {
-        lamp_at(lamp, sights.each[b].p, direction, strength, sine2);
-        for (int i = 0; i < 3; i++) normal[i] = load(posed(b) + LANES * (3 + i));
-        seen[j][b] += s.depth[j].part * (past_surface(s.depth[j], s.depth[j].anchors, first + b, normal, sine2) - seen[j][b]);
-      }
       store_column(row, columns, seen[j][b]), store_column(row + 1, columns, sights.each[b].wide);
+      // what of it skin throws back
+      if (s.depth && s.depth[j].part > 0) {
+        for (int i = 0; i < 3; i++) normal[i] = load(posed(b) + LANES * (3 + i));
+        seen[j][b] = past_surface(s.depth[j], s.depth[j].anchors, first + b, normal, sights.each[b].sine, seen[j][b]);
+      }
       if (!s.left) continue;
       const vf left = load(s.left + LANES * (c.blocks * (int64_t)j + first + b));
       store_column(row + 2, columns, left);
@@ -595,3 +594,4 @@ void light_slope(const LearnedTask& t, const int32_t* nearest, const int32_t* be
 }  // namespace jg
 
 JG_API int32_t jg_scene_light_task_bytes() { return sizeof(jg::SceneLightTask); }
+JG_API int32_t jg_lamp_depth_bytes() { return sizeof(jg::LampDepth); }

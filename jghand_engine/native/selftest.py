@@ -21,7 +21,7 @@ from jghand_engine.native.detail_task import DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.mean import MeanTask, NativeMean
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View, job_bytes
-from jghand_engine.native.scene_light_task import SceneLightTask
+from jghand_engine.native.scene_light_task import LampDepth, SceneLightTask
 from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
 
 _COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
@@ -72,6 +72,7 @@ def check(library: Library) -> None:
         (call.jg_skin_task_bytes, SkinTask),
         (call.jg_learned_task_bytes, LearnedTask),
         (call.jg_scene_light_task_bytes, SceneLightTask),
+        (call.jg_lamp_depth_bytes, LampDepth),
         (call.jg_shade_task_bytes, ShadeTask),
         (call.jg_detail_hand_bytes, DetailHand),
         (call.jg_detail_task_bytes, DetailTask),

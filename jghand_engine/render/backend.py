@@ -28,6 +28,7 @@ from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
+from jghand_engine.render.effect_plan import Sharp
 from jghand_engine.render.lamp_depth import LampPictures
 from jghand_engine.render.light_effects import limits_of
 from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
@@ -71,23 +72,25 @@ class Canvas:
     camera:    of the image's origin, that is camera_from_world @ translation(origin)
     near_m:    depth of the origin, meters
     style:     of the shadow, None for none
-    seen:      per hand whether it can be in the image; the others are not posed
+    posed:     per hand whether it stands in its pose; the others were outside the image when it was new
     alpha_min: cut-off of the blend
     depth:     whether somebody wants it
     light:     of the scene; None for that of the capture
+    seen:      per hand whether it can be in the image
     detail:    strength of each hand's, 0..1; empty for none
-    sharp:     per lamp of the light how much edges of its shadow are the surface's, 0..1; empty for none
+    sharp:     per hand which shadows on it have the edges of surfaces; empty for none
     """
 
     camera: Camera
     near_m: float
     style: ShadowStyle | None
-    seen: tuple[bool, ...]
+    posed: tuple[bool, ...]
     alpha_min: float
     depth: bool = False
     light: SceneLight | None = None
+    seen: tuple[bool, ...] = ()
     detail: tuple[float, ...] = ()
-    sharp: tuple[float, ...] = ()
+    sharp: tuple[Sharp, ...] = ()
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
@@ -144,8 +147,8 @@ class Backend:
                 outline_px=settings.outline_px,
             )
         self._pictures = LampPictures(self._detail, avatars) if self._detail and self._ends_hands else None
-        # bones of the hands as they are posed, and the origin of their positions
-        self._stand: tuple[list[Bones], np.ndarray] = [], np.zeros(3)
+        # scales of the hands as they are posed, and the origin of their positions
+        self._stand: tuple[list[float], np.ndarray] = [], np.zeros(3)
         self.light: SceneLight | None = None
         self.rest()
 
@@ -160,17 +163,17 @@ class Backend:
         camera, settings, light = canvas.camera, self._settings, canvas.light
         skins: list[Poser] = []
         if poses is not None:
-            skins = [hand for hand, is_seen in zip(self._hands, canvas.seen, strict=True) if is_seen]
+            skins = [hand for hand, stands in zip(self._hands, canvas.posed, strict=True) if stands]
             # hands of one image share its low pass: it is that of the finest pictures that are known
             pixels_m = (pixel_m * pose.bones.scale for pixel_m, pose in zip(self._pixels_m, poses, strict=True))
             self._gaussians = replace(self._gaussians, pixel_m=min(filter(None, pixels_m), default=0.0))
             if self._detail is not None:
                 posed = [poses[place] for place in self._detailed]
                 self._detail.pose([pose.bones for pose in posed], [pose.shift_m for pose in posed])
-            self._stand = [pose.bones for pose in poses], poses[0].bones.root_m - poses[0].shift_m
+            self._stand = [pose.bones.scale for pose in poses], poses[0].bones.root_m - poses[0].shift_m
             depths = self._depths(canvas, report)
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
-                if not canvas.seen[place]:
+                if not canvas.posed[place]:
                     hand.hide()
                     continue
                 keeps, mine = pose.keep_correctives, None if light is None else light.on_hand(place)
@@ -211,7 +214,7 @@ class Backend:
         work.run(shared_pool(self.threads))
         work.report_to(report, LIGHT if poses is None else SKIN, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasterizer.visible
-        hidden = sum(count for count, is_seen in zip(self._counts, canvas.seen, strict=True) if not is_seen)
+        hidden = sum(count for count, stands in zip(self._counts, canvas.posed, strict=True) if not stands)
         report.invalid_gaussians = self._rasterizer.invalid - self._padding - hidden
         if self._rasterizer.fell_back:
             report.backend = self._library.variant
@@ -220,10 +223,11 @@ class Backend:
 
     def _depths(self, canvas: Canvas, report: FrameReport) -> Sequence[Mapping[int, LampDepth]]:
         """Per hand what stands before lamps, as it is posed."""
-        if self._pictures is None or canvas.light is None or not any(canvas.sharp):
+        if self._pictures is None or canvas.light is None or not canvas.sharp:
             return [NO_DEPTHS] * len(self._hands)
         started = time.perf_counter()
-        taken = self._pictures.take(canvas.light.lamps, canvas.sharp, *self._stand, canvas.seen)
+        sharp = [one if stands else Sharp() for one, stands in zip(canvas.sharp, canvas.posed, strict=True)]
+        taken = self._pictures.take(canvas.light.lamps, sharp, *self._stand, shared_pool(self.threads))
         report.ran(LAMP_DEPTH, 1e3 * (time.perf_counter() - started))
         return taken
 

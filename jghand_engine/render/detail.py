@@ -33,7 +33,7 @@ from jghand_engine.native.binding import Library, address, aligned_zeros, new_te
 from jghand_engine.native.detail_task import FACE_BOUNDS, FACE_VECTORS, TEXEL_BITS, DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import CorrectiveKind
 from jghand_engine.native.tasks import LANES
-from jghand_engine.native.threads import shared_pool
+from jghand_engine.native.threads import WorkerPool, shared_pool
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.fine_faces import AROUND_SIDE, FineFaces, opposite_vertices
 
@@ -150,32 +150,40 @@ class NativeDetail:
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Of the pose that stands and one hand: see `SurfaceHits`. The camera is of the origin of the positions."""
-        row, near = self._nearest(camera)
+        row, near = self._nearest(camera, shared_pool(0))
         face = np.where(row < 0, -1, self._hands[0].face_of_row[row])
         with np.errstate(divide="ignore"):
             depth_m = -near if camera.orthographic else 1 / near
         return face, np.where(row < 0, np.float32(np.inf), depth_m)
 
-    def surfaces(self, camera: Camera) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Of the pose that stands: (H, W) float32 how near the nearest surface is, 1/z or, of parallel rays, -z, and
-        where nothing is, below all; and per hand (3, rows) x, y and near of its vertices. The camera is of the origin
-        of the positions."""
-        _, near = self._nearest(camera)
+    def surfaces(self, camera: Camera, pool: WorkerPool) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Of the pose that stands: (H, W) float32 how near the nearest surface is, from within, too, 1/z or, of
+        parallel rays, -z, and where nothing is, below all; and per hand (3, rows) x, y and near of its vertices. The
+        camera is of the origin of the positions."""
+        _, near = self._nearest(camera, pool, from_within=True)
         return near, [hand.vertices.copy() for hand in self._hands]
 
     def rows_of_vertices(self, hand: int) -> np.ndarray:
         """(V,) in which row of `surfaces` each vertex of a hand stands."""
         return self._hands[hand].row_of_vertex
 
-    def _nearest(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    def _nearest(self, camera: Camera, pool: WorkerPool, *, from_within: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """(H, W) numbers of the nearest faces with those of their hands, -1 where there are none, and how near they
         are."""
         task, shape = self._task, (camera.height, camera.width)
         face, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
         self.prepare(np.empty((5, *shape), np.float32), camera, [0.0] * len(self._hands))
         task.hit, task.hit_near = face.ctypes.data, near.ctypes.data
-        shared_pool(0).run(lambda _thread: self.run())
-        task.hit = task.hit_near = None
+        outside = [hand.facing for hand in self._tasks]
+        try:
+            for hand in self._tasks:
+                hand.facing *= not from_within
+            pool.run(lambda _thread: self.run())
+        finally:
+            # the arrays are their owner's
+            task.hit = task.hit_near = None
+            for hand, facing in zip(self._tasks, outside, strict=True):
+                hand.facing = facing
         return face, near
 
     def run(self) -> None:

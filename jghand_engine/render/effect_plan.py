@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any, NamedTuple
 
 from jghand_engine.errors import InputError
+from jghand_engine.render.hand_facts import Ball
 from jghand_engine.render.image import Box
 
 
@@ -124,6 +125,18 @@ class Decision(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Sharp:
+    """Shadows on a hand with the edges of surfaces.
+
+    weights: per lamp how much they count beside those of capsules, 0..1; empty for none
+    ball:    around the hand's surface
+    """
+
+    weights: tuple[float, ...] = ()
+    ball: Ball | None = None
+
+
+@dataclass(frozen=True)
 class EffectPlan:
     """How one image is made.
 
@@ -135,7 +148,7 @@ class EffectPlan:
     plain:     share, 0..1, of the image that is not
     exposures: images that are averaged for motion and focus
     detail:    strength of each hand's detail, 0..1, 0 outside the image; empty where none is drawn
-    sharp:     per lamp how much edges of its shadow are the surface's, 0..1; empty where none are
+    sharp:     per hand which shadows on it have the edges of surfaces; empty where none have
     """
 
     decisions: tuple[Decision, ...]
@@ -146,7 +159,7 @@ class EffectPlan:
     plain: float = 1.0
     exposures: int = 1
     detail: tuple[float, ...] = ()
-    sharp: tuple[float, ...] = ()
+    sharp: tuple[Sharp, ...] = ()
 
     def __getitem__(self, effect: Effect) -> Decision:
         return next(decision for decision in self.decisions if decision.effect is effect)

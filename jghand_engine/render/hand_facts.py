@@ -6,6 +6,8 @@ From bones and boxes alone; `crop` makes the part of an image of it that hands c
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +25,17 @@ from jghand_engine.render.gate import ShadowGate
 OFFSET_STRETCH = BLEND_DET_MIN ** (-1 / 3)
 # numbers that native/view.cpp finds
 FOUND = 14
+# of a ball around a hand without size, as a divisor
+RADIUS_MIN_M = 1e-6
 PRINTED_NOTE = "the avatar was trained with the shadow of the paper, which is not drawn: JGHand's own is another one"
+
+
+@dataclass(frozen=True)
+class Ball:
+    """middle_m: (3,) in the frame of the joints · radius_m: above 0"""
+
+    middle_m: np.ndarray
+    radius_m: float
 
 
 class HandFacts:
@@ -56,7 +68,7 @@ class HandFacts:
         self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         # the longest offset of the correctives
         self._offset_m = 0.0 if net is None else OFFSET_STRETCH * net.longest_offset_m()
-        self._moving, self._corners_m = box_corners(avatar)
+        self._moving, self._corners_m = _corners(avatar, avatar.position_m, avatar.bone_weights)
         # along these a bone is stretched
         self._frames = np.ascontiguousarray(avatar.skeleton().canonical.frames)
         self._call = library.load().call.jg_view
@@ -85,6 +97,25 @@ class HandFacts:
         seen_m = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
         return seen_m * max(scale, 1.0), self._offset_m * max(stretch, 1.0)
 
+    @cached_property
+    def _surface(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """`_corners` of the surface that ends the hand; None without one."""
+        detail = self.avatar.detail
+        if detail is None or not detail.ends_hand:
+            return None
+        drawn = np.unique(detail.faces)
+        return _corners(self.avatar, detail.position_m[drawn], detail.bone_weights[drawn])
+
+    def ball(self, bones: Bones) -> Ball | None:
+        """Around the surface that ends the hand, correctives aside; None without one."""
+        if self._surface is None:
+            return None
+        moving, corners_m = self._surface
+        posed_m = (bones.maps[moving].astype(np.float64) @ corners_m).swapaxes(0, 1).reshape(3, -1)
+        middle_m = (posed_m.min(1) + posed_m.max(1)) / 2
+        radius_m = math.sqrt(np.square(posed_m - middle_m[:, None]).sum(0).max())
+        return Ball(middle_m + bones.root_m, max(radius_m, RADIUS_MIN_M))
+
     def skin_change_m(self, new: Bones, old: Bones) -> float:
         """How far a point of the skin is from where another pose has it, at most, correctives that change apart: a
         skinned point is a mean of what its bones make of it, so that it moves less than some corner of a bone's box."""
@@ -95,15 +126,15 @@ class HandFacts:
         return moved_m + turned * self._offset_m + float(np.linalg.norm(new.root_m - old.root_m))
 
 
-def box_corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the maps that move anything; (maps, 4, 8) corners of the boxes around it, canonical,
-    root-relative, and ones.
+def _corners(avatar: HandAvatar, position_m: np.ndarray, bone_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the maps that move any of some canonical places (N, 3); (maps, 4, 8) corners of the boxes around it,
+    canonical, root-relative, and ones.
 
     A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
     in the hull of the boxes.
     """
-    relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
-    moves = (avatar.map_weights(avatar.position_m, avatar.bone_weights) != 0).T
+    relative = position_m.astype(np.float64) - avatar.canonical_joints_m[0]
+    moves = (avatar.map_weights(position_m, bone_weights) != 0).T
     moving = np.asarray(moves.any(1))
     ends = [np.stack([relative[rows].min(0), relative[rows].max(0)], 1) for rows in moves[moving]]
     corners = [np.stack(np.meshgrid(*pair, [1.0], indexing="ij")).reshape(4, 8) for pair in ends]

@@ -12,8 +12,8 @@ from jghand_engine.avatar.lamp_rows import LIMITS, TINY, Limits, fade, lamp_weig
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
-from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effect
-from jghand_engine.render.hand_facts import HandFacts
+from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effect, Sharp
+from jghand_engine.render.hand_facts import Ball, HandFacts
 from jghand_engine.render.settings import RenderSettings
 
 # estimated cost on one core, milliseconds per Gaussian, the anchors' part in it: of a lamp, of its shadow, of what is
@@ -25,10 +25,13 @@ SHARP_MS, PICTURE_MS = 2e-5, 1.3
 SHARP_LIMIT = 0.02
 # lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
 # one its picture sees other skin than its rim does
-SHARP_SINE, BLUNT_SINE = 0.14, 0.18
+SHARP_SINE, BLUNT_SINE = 0.16, 0.20
+# radii of the ball around a hand, between which a lamp that comes nearer loses its picture: it sees less of the hand
+APART_LEAST, APART_WHOLE = 1.3, 1.6
 # what the world's reflections cost, in lamps
 LOBES_AS_LAMPS = 6
 # why something stays as it was drawn last
+PAINTED = "a painted hand shines with its own colors"
 KEPT_LIGHT, KEPT_WORLD = "pose and light are kept", "pose and world are kept"
 
 
@@ -63,19 +66,17 @@ def limits_of(choice: Choice) -> Limits:
 
 
 def light_decisions(
-    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], settings: RenderSettings
-) -> tuple[list[Decision], tuple[float, ...]]:
-    """About lamps, their shadows, that of the world, and gloss; and `EffectPlan.sharp`. moved_m, bones: see
-    `effects.Scene`"""
-    choice = settings.effects
+    lit: Lit, moved_m: float | None, bones: Sequence[Bones], hands: Sequence[HandFacts], choice: Choice
+) -> list[Decision]:
+    """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene`"""
     lit_hands = [
         (one, hand.joints_m, hand.learned.response, hand.count)
         for one, hand in zip(bones, hands, strict=True)
         if hand.learned is not None and hand.learned.response is not None
     ]
-    names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.SHARP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
+    names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
     if not lit_hands:
-        return [Decision(effect, False, "a painted hand shines with its own colors") for effect in names], ()
+        return [Decision(effect, False, PAINTED) for effect in names]
     light, limits, count = lit.light, limits_of(choice), sum(gaussians for *_, gaussians in lit_hands)
     each = [shares_on(light, one, joints_m)[0] for one, joints_m, _, _ in lit_hands]
     # of several hands the one that gets the most
@@ -85,24 +86,24 @@ def light_decisions(
         world_shade(share, response.bounce, limits) for share, (_, _, response, _) in zip(each, lit_hands, strict=True)
     )
     weight = lamp_weights(most, limits)
-    has_shadow = np.array([lamp.has_shadow for lamp in light.lamps], bool)
-    shade = fade(shares, limits.lamp_shadow) * (weight > 0) * has_shadow
-    sharp, sharpens = _sharp_shadows(light, shares, shade, bones, hands, settings)
     mirrors = any(response.mirrors for _, _, response, _ in lit_hands)
     decisions = [
         _lamps(shares, weight, count),
-        _lamp_shadows(shares, weight, has_shadow, shade, count, choice),
-        sharpens,
+        _lamp_shadows(light, shares, weight, count, choice, limits.lamp_shadow),
         _world_shadow(*world, count, choice),
         _gloss(light, weight, count, choice) if mirrors else _matt(choice),
     ]
     if moved_m is not None:
-        pose_and_light = KEPT_LIGHT if not lit.is_new else None
+        pose_and_light = _kept_light(lit)
         world_too = pose_and_light or (None if lit.has_new_world else KEPT_WORLD)
         view_too = None if lit.is_seen_anew else pose_and_light
-        reasons = (pose_and_light, pose_and_light, pose_and_light, world_too, view_too)
+        reasons = (pose_and_light, pose_and_light, world_too, view_too)
         decisions = [_kept(one, why, moved_m) for one, why in zip(decisions, reasons, strict=True)]
-    return decisions, sharp
+    return decisions
+
+
+def _kept_light(lit: Lit) -> str | None:
+    return None if lit.is_new else KEPT_LIGHT
 
 
 def _kept(decision: Decision, why: str | None, moved_m: float) -> Decision:
@@ -125,9 +126,10 @@ def _lamps(shares: np.ndarray, weight: np.ndarray, count: int) -> Decision:
 
 
 def _lamp_shadows(
-    shares: np.ndarray, weight: np.ndarray, has_shadow: np.ndarray, shade: np.ndarray, count: int, choice: Choice
+    light: SceneLight, shares: np.ndarray, weight: np.ndarray, count: int, choice: Choice, limit: float
 ) -> Decision:
-    casts = (weight > 0) & has_shadow
+    casts = (weight > 0) & _shadows(light)
+    shade = fade(shares, limit) * casts
     drawn, figures = int((shade > 0).sum()), (100 * float((shares * casts) @ (1 - shade)),)
     out, lost = int(casts.sum()) - drawn, "shadows in the light of lamps"
     if not choice.allows(Effect.LAMP_SHADOW):
@@ -141,47 +143,63 @@ def _lamp_shadows(
     return Decision(Effect.LAMP_SHADOW, True, why, lost, None, drawn * count * LAMP_SHADOW_MS, figures)
 
 
-def _sharp_shadows(
-    light: SceneLight,
-    shares: np.ndarray,
-    shade: np.ndarray,
+def _shadows(light: SceneLight) -> np.ndarray:
+    return np.array([lamp.has_shadow for lamp in light.lamps], bool)
+
+
+def sharp_shadows(
+    lit: Lit,
+    moved_m: float | None,
     bones: Sequence[Bones],
     hands: Sequence[HandFacts],
+    seen: Sequence[bool],
     settings: RenderSettings,
-) -> tuple[tuple[float, ...], Decision]:
-    """Which shadows have the edges of the surface. shade: (lamps,) how much of each is drawn"""
-    choice, lost = settings.effects, "edges of shadows up to 4 mm elsewhere"
+) -> tuple[tuple[Sharp, ...], Decision]:
+    """`EffectPlan.sharp` of all hands, each by itself: none that comes or goes changes another's edges. seen: per hand
+    whether it can be in the image"""
+    choice, light = settings.effects, lit.light
+    limits, lost = limits_of(choice), "edges of shadows up to 4 mm elsewhere"
 
-    def skipped(why: str, cost: float = 0.0) -> tuple[tuple[float, ...], Decision]:
-        return (), Decision(Effect.SHARP_SHADOW, False, why, lost, None, cost)
+    def skipped(why: str) -> tuple[tuple[Sharp, ...], Decision]:
+        return (), Decision(Effect.SHARP_SHADOW, False, why, lost, None)
 
-    if not choice.allows(Effect.SHARP_SHADOW):
+    if all(hand.learned is None or hand.learned.response is None for hand in hands):
+        return skipped(PAINTED)
+    if not (choice.allows(Effect.SHARP_SHADOW) and choice.allows(Effect.LAMP_SHADOW)):
         return skipped(NOT_CHOSEN)
-    if not shade.any():
-        return skipped("no lamp casts a shadow")
     if not settings.sharp_shadows:
         return skipped("presets final and reference ask for it")
-    if not all(hand.avatar.detail is not None and hand.avatar.detail.ends_hand for hand in hands):
-        return skipped("a hand has no surface")
-    limit = 0.0 if choice.forces(Effect.SHARP_SHADOW) else SHARP_LIMIT
-    sine = np.max([_sines(light, one.root_m) for one in bones], axis=0, initial=0.0)
-    narrow = np.clip((BLUNT_SINE - sine) / (BLUNT_SINE - SHARP_SINE), 0, 1)
-    weight = fade(shares, limit) * narrow * (shade > 0)
-    drawn, casts = int((weight > 0).sum()), int((shade > 0).sum())
-    cost = PICTURE_MS + sum(hand.count for hand in hands) * SHARP_MS
+    found, casts, cost_ms = [], np.zeros(len(light.lamps), bool), 0.0
+    for one, hand, is_seen in zip(bones, hands, seen, strict=True):
+        ball = hand.ball(one)
+        if ball is None or hand.learned is None or hand.learned.response is None:
+            return skipped("a hand has no surface")
+        shares, points_m = shares_on(light, one, hand.joints_m)
+        shaded = fade(shares[:-1], limits.lamp_shadow) * (lamp_weights(shares, limits) > 0) * _shadows(light) > 0
+        limit = 0.0 if choice.forces(Effect.SHARP_SHADOW) else SHARP_LIMIT
+        weights = fade(shares[:-1], limit) * _suits_picture(light, points_m + one.root_m, ball) * shaded
+        found.append(Sharp(tuple(weights.tolist()), ball))
+        casts |= shaded & is_seen
+        cost_ms += is_seen * (weights > 0).sum() * (PICTURE_MS + hand.count * SHARP_MS)
+    drawn = int(np.any([np.array(one.weights) > 0 for one in found], axis=0).sum())
     if not drawn:
-        return skipped("lamps are too large or too faint")
-    why = f"of {_counted(drawn)}" + (f", {_counted(casts - drawn)} too large or too faint" if casts > drawn else "")
-    return tuple(weight.tolist()), Decision(Effect.SHARP_SHADOW, True, why, lost, None, drawn * cost)
+        return skipped("lamps are too large, too near or too faint" if casts.any() else "no lamp casts a shadow")
+    out = int(casts.sum()) - drawn
+    why = f"of {_counted(drawn)}" + (f", {_counted(out)} too large, too near or too faint" if out > 0 else "")
+    decision = Decision(Effect.SHARP_SHADOW, True, why, lost, None, float(cost_ms))
+    kept = None if moved_m is None else _kept_light(lit)
+    return tuple(found), _kept(decision, kept, moved_m or 0.0)
 
 
-def _sines(light: SceneLight, place_m: np.ndarray) -> np.ndarray:
-    """(lamps,) sines of half the angle of each, as a place (3,) sees them."""
+def _suits_picture(light: SceneLight, points_m: np.ndarray, ball: Ball) -> np.ndarray:
+    """(lamps,) 0..1: small as the nearest of a hand's points (K, 3) sees them, and not in the hand's ball."""
     rows = light.lamp_numbers
-    radius2, sun_sine = rows[:, NUMBER["radius2"]], rows[:, NUMBER["sun_sine"]]
-    distance2 = np.square(rows[:, :3] - place_m).sum(1)
-    of_lamp = np.sqrt(radius2 / np.maximum(distance2 + radius2, TINY))
-    return np.where(rows[:, NUMBER["kind"]] == LampKind.SUN, sun_sine, of_lamp)
+    is_sun, radius2 = rows[:, NUMBER["kind"]] == LampKind.SUN, rows[:, NUMBER["radius2"]]
+    nearest2 = np.square(rows[:, None, :3] - points_m).sum(-1).min(1)
+    sine = np.where(is_sun, rows[:, NUMBER["sun_sine"]], np.sqrt(radius2 / np.maximum(nearest2 + radius2, TINY)))
+    apart = np.linalg.norm(rows[:, :3] - ball.middle_m, axis=1) / ball.radius_m
+    small = np.clip((BLUNT_SINE - sine) / (BLUNT_SINE - SHARP_SINE), 0, 1)
+    return small * np.where(is_sun, 1, np.clip((apart - APART_LEAST) / (APART_WHOLE - APART_LEAST), 0, 1))
 
 
 def _world_shadow(shade: float, most: float, count: int, choice: Choice) -> Decision:

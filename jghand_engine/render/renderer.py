@@ -341,7 +341,7 @@ class SceneRenderer:
         # normals are those of the depth
         depth = settings.depth or settings.normals
         canvas = self._canvas(posed, camera, plan.strength, settings.alpha_min)
-        canvas = replace(canvas, depth=depth, detail=plan.detail, sharp=plan.sharp)
+        canvas = replace(canvas, depth=depth, seen=plan.seen, detail=plan.detail, sharp=plan.sharp)
         poses = None if posed.moved_m is not None else posed.poses
         keeps = poses is None and not settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # an image that fails half way may leave the backend with half of these Gaussians: then the next one poses anew

@@ -9,6 +9,7 @@ from small_avatars import coarse_builtin, trained_avatar
 from test_effects import plan_of
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.forearm import ended
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
@@ -17,7 +18,9 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand
 from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.framing import framing_camera
-from jghand_engine.render.lamp_depth import APART_LEAST, APART_WHOLE, skin_above
+from jghand_engine.render.hand_facts import HandFacts
+from jghand_engine.render.lamp_depth import skin_above
+from jghand_engine.render.light_effects import APART_LEAST, APART_WHOLE
 from jghand_engine.render.renderer import Frame, SceneRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.template.closest import Surface
@@ -188,22 +191,35 @@ def test_a_hand_before_the_lamp_hides_it_from_the_other(posed):
     assert np.isclose(before, alone, rtol=0.05)
 
 
+def weights_of(frame: Frame, hand: int = 0) -> tuple[float, ...]:
+    """Per lamp how much of a picture counts."""
+    return plan_of(frame).sharp[hand].weights if plan_of(frame).sharp else ()
+
+
 def test_a_lamp_that_comes_near_fades_to_capsules():
-    """No step of a millimeter changes much where its picture begins to see too little, and inside the hand's ball there
-    is none."""
-    radius_m = 0.12
-    ways_m = np.linspace(APART_LEAST - 0.1, APART_WHOLE + 0.1, 12) * radius_m
-    pictures = [drawn(point(way_m)).rgba for way_m in ways_m]
+    """No step changes much where its picture begins to see too little, and inside the hand's ball there is none."""
+    ball = HandFacts(AVATAR).ball(AVATAR.skeleton().bones(FIST))
+    assert ball is not None
+    way = TO_SUN / np.linalg.norm(TO_SUN)
+    frames = []
+    for radii in np.linspace(APART_LEAST - 0.1, APART_WHOLE + 0.1, 14):
+        place_m = ball.middle_m + radii * ball.radius_m * way
+        frames.append(drawn(replace(point(0.3), place_m=tuple(place_m), radius_m=0.0005)))
+    weights = [weights_of(frame)[0] if weights_of(frame) else 0.0 for frame in frames]
+    assert weights[:2] == [0.0, 0.0]
+    assert weights[-2:] == [1.0, 1.0]
+    assert np.diff(weights).min() >= 0
+    pictures = [frame.rgba for frame in frames]
     steps = [np.abs(b - a).mean() / a.mean() for a, b in pairwise(pictures)]
     assert max(steps) < 2 * np.median(steps)
 
 
 def test_large_faint_and_shadowless_lamps_have_edges_of_capsules():
     far = point(1.0)
-    for lamps in ((replace(far, radius_m=0.5),), (SUN, replace(far, rgb=(0.01, 0.01, 0.01)))):
-        frame = drawn(*lamps)
-        assert plan_of(frame).sharp[1:] == (0.0,) * (len(lamps) - 1)
-        assert plan_of(frame).runs(Effect.SHARP_SHADOW) == (len(lamps) == 2)
+    large, faint = replace(far, radius_m=0.5), replace(far, rgb=(0.01, 0.01, 0.01))
+    assert weights_of(drawn(SUN, faint, large)) == (1.0, 0.0, 0.0)
+    assert plan_of(drawn(SUN, faint, large))[Effect.SHARP_SHADOW].reason.startswith("of 1 lamp, 1 lamp too large")
+    assert plan_of(drawn(large))[Effect.SHARP_SHADOW].reason == "lamps are too large, too near or too faint"
     assert plan_of(drawn(replace(SUN, has_shadow=False)))[Effect.SHARP_SHADOW].reason == "no lamp casts a shadow"
 
 
@@ -217,6 +233,70 @@ def test_who_asks_for_less_gets_capsules_and_is_told_why():
         frame = drawn(SUN, settings=settings, avatar=avatar)
         assert plan_of(frame)[Effect.SHARP_SHADOW].reason == why
         assert "lamp pictures" not in frame.report.stages
+
+
+def test_a_hand_that_comes_into_the_image_leaves_the_edges_on_the_other_as_they_are():
+    """And one that leaves it: bits of an animation do not depend on what was drawn before."""
+    joints_m = [FIST, FIST + np.array([0.8, 0.0, 0.1])]
+    light, settings = SceneLight(DIM, (SUN, point(0.35))), replace(FINAL, repeatable=True)
+    both, one = (
+        Camera.looking_at((x_m, 0, 1.2), (x_m, MIDDLE_M[1], 0), (0, 1, 0), width=260, height=260, focal_px=focal_px)
+        for x_m, focal_px in ((0.4, 180), (0.0, 500))
+    )
+    renderer = SceneRenderer([AVATAR, AVATAR], settings, light)
+    frames = [renderer.render(joints_m, camera) for camera in (one, both, one)]
+    assert [plan_of(frame).seen for frame in frames] == [(True, False), (True, True), (True, False)]
+    assert len({weights_of(frame) for frame in frames}) == 1
+    assert np.array_equal(frames[0].rgba, frames[2].rgba)
+    fresh = SceneRenderer([AVATAR, AVATAR], settings, light).render(joints_m, both)
+    assert np.array_equal(frames[1].rgba, fresh.rgba)
+
+
+def test_light_does_not_come_in_at_the_wrist_of_a_hand_without_its_forearm():
+    """The surface is open there: it is drawn from within, too."""
+    hand = ended(AVATAR, forearm=False)
+    way = FIST[0] - FIST[9]
+    behind = Lamp(LampKind.SUN, WHITE, tuple(way + np.array([0, 0, 0.2 * np.linalg.norm(way)])), angle_rad=0.002)
+    renderer = SceneRenderer([hand], FINAL, SceneLight(DIM, (behind,)))
+    renderer.render([FIST], view())
+    palm = np.flatnonzero(hand.bone_weights[:, 9:].sum(1) > 0.5)
+    assert skin_seen(renderer)[palm].mean() < 0.5
+
+
+@pytest.mark.parametrize("handedness", Handedness)
+def test_left_hands_and_forearms_that_are_hidden_have_the_shadows_of_others(handedness):
+    avatar = AVATAR.for_hand(handedness)
+    mirror = np.array([1.0 if handedness is Handedness.RIGHT else -1.0, 1, 1])
+    lamp = replace(SUN, place_m=tuple(TO_SUN * mirror))
+    renderer = SceneRenderer([avatar], FINAL, SceneLight(DIM, (lamp,)))
+    camera = framing_camera((FIST * mirror)[None], handedness, "front", width=240, height=300)
+    renderer.render([FIST * mirror], camera)
+    right = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,)))
+    right.render([FIST], view())
+    assert np.abs(skin_seen(renderer) - skin_seen(right)).mean() < 0.01
+
+
+def test_hands_without_size_or_outside_the_image_are_no_hard_cases():
+    everything = replace(FINAL, effects=Choice.parse("all"))
+    assert np.isfinite(drawn(SUN, point(0.5), joints_m=np.full((21, 3), 0.1) + 1e-12 * FIST).rgba).all()
+    for lamp in (SUN, point(0.5), point(0.0)):
+        renderer = SceneRenderer([AVATAR], everything, SceneLight(DIM, (lamp,)))
+        assert np.isfinite(renderer.render([np.zeros((21, 3))], view()).rgba).all()
+        assert not renderer.render([FIST + np.array([3.0, 0, 0])], view()).rgba.any()
+
+
+def test_light_begins_softly_at_an_edge_that_is_wider_than_pictures_are_searched():
+    """That of a hand far before another: skin that sees most of the sun is about as common as skin that sees little."""
+    to_sun, seen = TO_SUN / np.linalg.norm(TO_SUN), []
+    renderer = SceneRenderer([AVATAR, AVATAR], FINAL, SceneLight(DIM, (replace(SUN, angle_rad=0.2),)))
+    camera = Camera.looking_at((0, 0, 3.0), MIDDLE_M, (0, 1, 0), width=300, height=300, focal_px=300)
+    for aside_m in np.linspace(-0.05, 0.05, 5):
+        renderer.render([FIST, FIST + 0.6 * to_sun + np.array([aside_m, -aside_m, 0])], camera)
+        seen.append(skin_seen(renderer, 0))
+    seen = np.concatenate(seen)
+    most, little = ((seen > 0.75) & (seen < 0.995)).sum(), ((seen > 0.005) & (seen < 0.25)).sum()
+    assert little > 500
+    assert most > 0.45 * little
 
 
 def test_a_large_picture_with_finer_faces_leaves_the_next_shadows_as_they_are():

@@ -54,7 +54,12 @@ def test_each_light_has_effects_of_its_own():
         (
             SceneLight(),
             TRAINED,
-            ("the scene has no lamps", *["no lamp casts a shadow"] * 2, *["no light is on the hand"] * 2),
+            (
+                "the scene has no lamps",
+                "no lamp casts a shadow",
+                "presets final and reference ask for it",
+                *["no light is on the hand"] * 2,
+            ),
         ),
         (LIGHT_OF_DAY, RIGHT, ("a painted hand shines with its own colors",) * 5),
     ],
