@@ -330,12 +330,11 @@ void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end) {
     for (int b = 0; b < count; b++) {
       float* row = s.reached + columns * LANES * (int64_t)(first + b) + OF_WORLD + each * j;
       seen[j][b] = sights.each[b].seen;
-      store_column(row, columns, seen[j][b]), store_column(row + 1, columns, sights.each[b].wide);
-      // what of it skin throws back
       if (s.depth && s.depth[j].part > 0) {
         for (int i = 0; i < 3; i++) normal[i] = load(posed(b) + LANES * (3 + i));
         seen[j][b] = past_surface(s.depth[j], s.depth[j].anchors, first + b, normal, sights.each[b].sine, seen[j][b]);
       }
+      store_column(row, columns, seen[j][b]), store_column(row + 1, columns, sights.each[b].wide);
       if (!s.left) continue;
       const vf left = load(s.left + LANES * (c.blocks * (int64_t)j + first + b));
       store_column(row + 2, columns, left);
