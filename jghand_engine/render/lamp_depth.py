@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.blocks import Blocks
+from jghand_engine.avatar.blocks import Blocks, compact_order
 from jghand_engine.avatar.cast_task import anchor_blocks
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.scene_light import Lamp
@@ -30,8 +30,10 @@ SIDE_PX = 512
 PARALLEL_FROM_M = 1.0
 # radii of the ball from which on rays from a lamp are parallel: single precision measures depth worse from there
 PARALLEL_RADII = 1000.0
-# Gaussians that look for their vertex together: 120 MB
-NEAREST_TOGETHER = 2048
+# neighboring Gaussians that look for their vertices together
+NEAREST_TOGETHER = 128
+# that distances in single precision are good for
+ROUNDING_M = 1e-6
 # square of an area, m4, as a divisor
 AREA2_MIN = 1e-20
 
@@ -139,23 +141,30 @@ def _blocked(blocks: Blocks, corner: np.ndarray, share: np.ndarray) -> _Above:
 def skin_above(detail: Detail, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the vertices (N, 3) of the surface around canonical places (N, 3), meters, and the shares of each: of
     the faces at the nearest vertex the one that is nearest."""
-    parts = np.array_split(position_m.astype(np.float32), 1 + len(position_m) // NEAREST_TOGETHER)
+    places_m, order_of_places = position_m.astype(np.float32), compact_order(position_m)
     drawn = np.unique(detail.faces)
     vertices_m = detail.position_m[drawn].astype(np.float32)
+    square_m2 = np.square(vertices_m).sum(1)
     # faces by vertex: each stands three times in `order`
     at = detail.faces.ravel()
     order, begin = at.argsort(kind="stable"), np.searchsorted(np.sort(at), np.arange(len(detail.position_m) + 1))
     of_nearest = np.arange(np.diff(begin).max())
-    found = []
-    for part in parts:
-        nearest = drawn[(np.square(vertices_m).sum(1) - 2 * part @ vertices_m.T).argmin(1)]
+    vertex, shares = np.empty((len(places_m), 3), np.int64), np.empty((len(places_m), 3), np.float32)
+    for rows in np.array_split(order_of_places, 1 + len(places_m) // NEAREST_TOGETHER):
+        part = places_m[rows]
+        # vertices that can be the nearest of any place in the ball around these
+        middle_m = part.mean(0)
+        radius_m, from_middle_m = (np.linalg.norm(of - middle_m, axis=1) for of in (part, vertices_m))
+        near = np.flatnonzero(from_middle_m <= from_middle_m.min() + 2 * radius_m.max(initial=0.0) + ROUNDING_M)
+        from_places_m2 = square_m2[near] - 2 * part @ vertices_m[near].T
+        nearest = drawn[near[from_places_m2.argmin(1)]]
         place = begin[nearest, None] + of_nearest
         face = detail.faces[order[np.minimum(place, len(order) - 1)] // 3]
         share, apart2_m2 = _on_faces(detail.position_m[face].astype(np.float32), part)
         best = np.where(place < begin[nearest + 1, None], apart2_m2, np.inf).argmin(1)
-        found.append((face[np.arange(len(part)), best], share[np.arange(len(part)), best]))
-    vertex, share = (np.concatenate(each) for each in zip(*found, strict=True))
-    return vertex, share
+        of_part = np.arange(len(rows))
+        vertex[rows], shares[rows] = face[of_part, best], share[of_part, best]
+    return vertex, shares
 
 
 def _on_faces(corners_m: np.ndarray, places_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
