@@ -139,7 +139,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         with safetensors.safe_open(file, framework="numpy") as content:
             about = _Description(thing, (content.metadata() or {}).get(METADATA_KEY))
             packed = _read_arrays(thing, content, about)
-            is_damaged = about.checksum not in (None, _checksum(packed))
+            is_damaged = about.checksum is not None and about.checksum != _checksum(packed)
             check_finite(packed, thing)
     except safetensors.SafetensorError as error:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error

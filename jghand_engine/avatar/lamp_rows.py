@@ -39,11 +39,13 @@ class Limits:
 
     lamp:        light of a lamp
     lamp_shadow: light of a lamp whose shadow is
+    sharp_shadow: light of a lamp whose shadow has the edges of surfaces
     world_shadow: what skin hides of the world and throws back itself
     """
 
     lamp: float = 0.002
     lamp_shadow: float = 0.005
+    sharp_shadow: float = 0.02
     world_shadow: float = 0.02
 
 

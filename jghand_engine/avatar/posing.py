@@ -282,7 +282,7 @@ class _Light:
         self,
         light: SceneLight | None,
         bones: Bones,
-        depths: Mapping[int, LampDepth] = NO_DEPTHS,
+        depths: Mapping[int, LampDepth],
         *,
         keep_pose: bool = False,
     ) -> None:

@@ -107,10 +107,17 @@ class SceneLightStep:
         self.arrays["lamp"][: len(rows)], self.arrays["casting"][: len(casting)] = rows, casting
         self.task.lamps, self.task.slots = len(rows), len(casting)
         self.task.shade, _ = world_shade(shares, self._response.bounce, self._limits)
-        self._depths = (LampDepth * len(sources))(*(depths.get(number, LampDepth()) for number in sources))
-        self.task.depth = ctypes.addressof(self._depths) if depths and sources else None
+        self._set_depths(depths, sources)
         self._set_left(None if light.shades is None else light.shades.left[0], sources)
         self._set_baked(None if light.baked is None else light.baked.field[0])
+
+    def _set_depths(self, depths: Mapping[int, LampDepth], sources: list[int]) -> None:
+        """Sets what stands before lamps; sources: the lamps by slot."""
+        self.task.depth = None
+        if depths:
+            # the task points to it
+            self._depths = (LampDepth * len(sources))(*(depths.get(number, LampDepth()) for number in sources))
+            self.task.depth = ctypes.addressof(self._depths)
 
     def _set_baked(self, field: np.ndarray | None) -> None:
         """Sets what lights matt skin in place of the lamps, (N, 4, 3) as `Baked` has it, and of the world."""

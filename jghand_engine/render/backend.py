@@ -226,7 +226,9 @@ class Backend:
         if self._pictures is None or canvas.light is None or not canvas.sharp:
             return [NO_DEPTHS] * len(self._hands)
         started = time.perf_counter()
-        sharp = [one if stands else Sharp() for one, stands in zip(canvas.sharp, canvas.posed, strict=True)]
+        sharp = [
+            one if stands else replace(one, weights=()) for one, stands in zip(canvas.sharp, canvas.posed, strict=True)
+        ]
         taken = self._pictures.take(canvas.light.lamps, sharp, *self._stand, shared_pool(self.threads))
         report.ran(LAMP_DEPTH, 1e3 * (time.perf_counter() - started))
         return taken

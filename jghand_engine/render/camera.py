@@ -117,6 +117,12 @@ class Camera:
         """It without its lens."""
         return self if self.lens is None else replace(self, lens=None)
 
+    def about(self, origin_m: np.ndarray) -> Camera:
+        """It for positions relative to an origin (3,), world meters."""
+        matrix = self.camera_from_world.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ origin_m
+        return replace(self, camera_from_world=matrix)
+
     def px_per_meter(self, depth_m: float) -> float:
         """How large a meter is on the image at a depth, pixels, along the axis on which it is larger."""
         return max(self.fx, self.fy) / (1.0 if self.orthographic else depth_m)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -128,10 +128,11 @@ class NativeDetail:
         *,
         ends_hands: bool = False,
         seen: Sequence[bool] | None = None,
+        from_within: bool = False,
     ) -> None:
         """Sets the next image, (5, H, W) as the rasterizer leaves it, which is changed in place.
         strengths: 0..1 per hand · ends_hands: whether nothing is drawn that is not on one of the surfaces · seen: per
-        hand whether it can be in the image; None: all"""
+        hand whether it can be in the image; None: all · from_within: whether faces are drawn from both sides"""
         task, self._keep = self._task, planes
         task.picture = address(planes, np.float32, "planes", (5, camera.height, camera.width), writable=True)
         task.width, task.height, task.orthographic = camera.width, camera.height, camera.orthographic
@@ -142,6 +143,7 @@ class NativeDetail:
         task.outline = least if ends_hands else 0.0
         for hand, own, strength, is_seen in zip(self._hands, self._tasks, strengths, in_image, strict=True):
             own.strength, own.exponent = strength, hand.power * _LOG2_PER_CHANNEL
+            own.facing = 0.0 if from_within else hand.facing
             # one that only hides others needs no light
             own.rise = hand.rise_m if strength > 0 else 0.0
             hand.set_faces(own, fine=is_seen and task.outline > 0 and hand.corner_px(camera) > self._outline_px)
@@ -156,12 +158,12 @@ class NativeDetail:
             depth_m = -near if camera.orthographic else 1 / near
         return face, np.where(row < 0, np.float32(np.inf), depth_m)
 
-    def surfaces(self, camera: Camera, pool: WorkerPool) -> tuple[np.ndarray, list[np.ndarray]]:
+    def surfaces(self, camera: Camera, hand: int, pool: WorkerPool) -> tuple[np.ndarray, np.ndarray]:
         """Of the pose that stands: (H, W) float32 how near the nearest surface is, from within, too, 1/z or, of
-        parallel rays, -z, and where nothing is, below all; and per hand (3, rows) x, y and near of its vertices. The
+        parallel rays, -z, and where nothing is, below all; and (3, rows) x, y and near of the vertices of one hand. The
         camera is of the origin of the positions."""
         _, near = self._nearest(camera, pool, from_within=True)
-        return near, [hand.vertices.copy() for hand in self._hands]
+        return near, self._hands[hand].vertices.copy()
 
     def rows_of_vertices(self, hand: int) -> np.ndarray:
         """(V,) in which row of `surfaces` each vertex of a hand stands."""
@@ -172,18 +174,14 @@ class NativeDetail:
         are."""
         task, shape = self._task, (camera.height, camera.width)
         face, near = np.empty(shape, np.int32), np.empty(shape, np.float32)
-        self.prepare(np.empty((5, *shape), np.float32), camera, [0.0] * len(self._hands))
+        unshaded = [0.0] * len(self._hands)
+        self.prepare(np.empty((5, *shape), np.float32), camera, unshaded, from_within=from_within)
         task.hit, task.hit_near = face.ctypes.data, near.ctypes.data
-        outside = [hand.facing for hand in self._tasks]
         try:
-            for hand in self._tasks:
-                hand.facing *= not from_within
             pool.run(lambda _thread: self.run())
         finally:
             # the arrays are their owner's
             task.hit = task.hit_near = None
-            for hand, facing in zip(self._tasks, outside, strict=True):
-                hand.facing = facing
         return face, near
 
     def run(self) -> None:
@@ -200,10 +198,8 @@ class SurfaceHits:
     def __call__(self, bones: Bones, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """(H, W) int32 number of the nearest face, -1 where there is none; (H, W) float32 depth along the camera's
         axis, meters, infinite there."""
-        root = np.eye(4)
-        root[:3, 3] = bones.root_m
         self._drawn.pose([bones], [np.zeros(3)])
-        return self._drawn.hits(replace(camera, camera_from_world=camera.camera_from_world @ root))
+        return self._drawn.hits(camera.about(bones.root_m))
 
 
 class _Faces:
@@ -265,11 +261,10 @@ class _Hand:
             "texels": np.ascontiguousarray(detail.mips.texels) if slopes is None else detail.texels,
         }
         # a face seen from outside turns left; on the image, whose rows go down, its area is negative
-        facing = -1.0 if hand.handedness is Handedness.RIGHT else 1.0
+        self.facing = -1.0 if hand.handedness is Handedness.RIGHT else 1.0
         self.task = DetailHand(
             surface=ctypes.addressof(self._surface),
             size_log2=detail.size.bit_length() - 1,
-            facing=facing,
         )
         self.range_m, self.rise_m, self._bend = 0.0, 0.0, None
         if hand.light is not None and slopes is not None:

@@ -132,8 +132,8 @@ class Sharp:
     ball:    around the hand's surface
     """
 
-    weights: tuple[float, ...] = ()
-    ball: Ball | None = None
+    weights: tuple[float, ...]
+    ball: Ball
 
 
 @dataclass(frozen=True)

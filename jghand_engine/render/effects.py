@@ -171,9 +171,9 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         light, sharp = [shadow], ()
     else:
         strength = 0.0
-        light = light_decisions(scene.lit, scene.moved_m, bones, drawn, settings.effects)
+        lamps, shadows, *others = light_decisions(scene.lit, scene.moved_m, bones, drawn, settings.effects)
         sharp, edges = sharp_shadows(scene.lit, scene.moved_m, scene.bones, hands, seen, settings)
-        light.insert(2, edges)
+        light = [lamps, shadows, edges, *others]
     enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)
     if crop.runs and enlarged == 1:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import CorrectiveChange, LinearCorrectives
-from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.avatar.learned import ShadowLook, SkinResponse
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, SIGMA_STRETCH_MAX
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library
@@ -81,6 +81,11 @@ class HandFacts:
         if self.learned is not None and self.learned.ellipsoid is not None:
             longest_m = avatar.sigma_m * np.exp(self.learned.ellipsoid.log_stretch.max(1, initial=-np.inf))
             self._sigma_max_m = 2 * float(longest_m.max(initial=0.0))
+
+    @property
+    def response(self) -> SkinResponse | None:
+        """What answers the light of a scene; None for a hand that shines with its own colors."""
+        return None if self.learned is None else self.learned.response
 
     def before(self, camera: Camera, joints_m: np.ndarray, bones: Bones) -> list[float]:
         """Where a pose is before a camera, as native/view.cpp has it: 14 numbers. joints_m: (21, 3) float64, world"""

@@ -88,7 +88,7 @@ class LampPictures:
             {
                 number: self._picture(hand, lamps[number], weight, one.ball, scale, origin_m, pool)
                 for number, weight in enumerate(one.weights)
-                if weight > 0 and one.ball is not None
+                if weight > 0
             }
             for hand, (one, scale) in enumerate(zip(sharp, scales, strict=True))
         ]
@@ -97,24 +97,22 @@ class LampPictures:
         self, hand: int, lamp: Lamp, weight: float, ball: Ball, scale: float, origin_m: np.ndarray, pool: WorkerPool
     ) -> LampDepth:
         camera = seen_from(lamp, ball)
-        from_origin = camera.camera_from_world.copy()
-        from_origin[:3, 3] += from_origin[:3, :3] @ origin_m
-        near, vertices = self._detail.surfaces(replace(camera, camera_from_world=from_origin), pool)
-        self._taken += [near, vertices[hand]]
+        near, vertices = self._detail.surfaces(camera.about(origin_m), hand, pool)
+        self._taken += [near, vertices]
         skin, anchors = self._above_hand(hand)
         return LampDepth(
             near=near.ctypes.data,
             disc=self._disc.ctypes.data,
-            vertex=vertices[hand].ctypes.data,
+            vertex=vertices.ctypes.data,
             skin=Above(*(array.ctypes.data for array in skin)),
             anchors=Above(*(array.ctypes.data for array in anchors)),
-            axes=tuple(from_origin[:3, :3].ravel().tolist()),
+            axes=tuple(camera.camera_from_world[:3, :3].ravel().tolist()),
             focal=camera.fx,
             part=weight,
             scale=scale,
             size=SIDE_PX,
             orthographic=camera.orthographic,
-            rows=vertices[hand].shape[1],
+            rows=vertices.shape[1],
         )
 
     def _above_hand(self, hand: int) -> tuple[_Above, _Above]:

@@ -21,8 +21,6 @@ from jghand_engine.render.settings import RenderSettings
 LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
 # ... of a shadow with sharp edges, per Gaussian, and of the picture that it asks
 SHARP_MS, PICTURE_MS = 2e-5, 1.3
-# part of all light from which on the edges of a lamp's shadow are sharp ones; fades in up to twice that
-SHARP_LIMIT = 0.02
 # lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
 # one its picture sees other skin than its rim does
 SHARP_SINE, BLUNT_SINE = 0.16, 0.20
@@ -30,8 +28,9 @@ SHARP_SINE, BLUNT_SINE = 0.16, 0.20
 APART_LEAST, APART_WHOLE = 1.3, 1.6
 # what the world's reflections cost, in lamps
 LOBES_AS_LAMPS = 6
-# why something stays as it was drawn last
+# why nothing is decided about a hand
 PAINTED = "a painted hand shines with its own colors"
+# why something stays as it was drawn last
 KEPT_LIGHT, KEPT_WORLD = "pose and light are kept", "pose and world are kept"
 
 
@@ -61,6 +60,7 @@ def limits_of(choice: Choice) -> Limits:
         # a lamp is no effect that anybody chooses
         0.0 if choice.forces(Effect.LAMPS) else LIMITS.lamp,
         limit(Effect.LAMP_SHADOW, LIMITS.lamp_shadow),
+        limit(Effect.SHARP_SHADOW, LIMITS.sharp_shadow),
         limit(Effect.WORLD_SHADOW, LIMITS.world_shadow),
     )
 
@@ -70,9 +70,9 @@ def light_decisions(
 ) -> list[Decision]:
     """About lamps, their shadows, that of the world, and gloss. moved_m, bones: see `effects.Scene`"""
     lit_hands = [
-        (one, hand.joints_m, hand.learned.response, hand.count)
+        (one, hand.joints_m, hand.response, hand.count)
         for one, hand in zip(bones, hands, strict=True)
-        if hand.learned is not None and hand.learned.response is not None
+        if hand.response is not None
     ]
     names = (Effect.LAMPS, Effect.LAMP_SHADOW, Effect.WORLD_SHADOW, Effect.GLOSS)
     if not lit_hands:
@@ -128,7 +128,7 @@ def _lamps(shares: np.ndarray, weight: np.ndarray, count: int) -> Decision:
 def _lamp_shadows(
     light: SceneLight, shares: np.ndarray, weight: np.ndarray, count: int, choice: Choice, limit: float
 ) -> Decision:
-    casts = (weight > 0) & _shadows(light)
+    casts = (weight > 0) & _have_shadows(light)
     shade = fade(shares, limit) * casts
     drawn, figures = int((shade > 0).sum()), (100 * float((shares * casts) @ (1 - shade)),)
     out, lost = int(casts.sum()) - drawn, "shadows in the light of lamps"
@@ -143,7 +143,8 @@ def _lamp_shadows(
     return Decision(Effect.LAMP_SHADOW, True, why, lost, None, drawn * count * LAMP_SHADOW_MS, figures)
 
 
-def _shadows(light: SceneLight) -> np.ndarray:
+def _have_shadows(light: SceneLight) -> np.ndarray:
+    """(lamps,) bool"""
     return np.array([lamp.has_shadow for lamp in light.lamps], bool)
 
 
@@ -163,21 +164,20 @@ def sharp_shadows(
     def skipped(why: str) -> tuple[tuple[Sharp, ...], Decision]:
         return (), Decision(Effect.SHARP_SHADOW, False, why, lost, None)
 
-    if all(hand.learned is None or hand.learned.response is None for hand in hands):
+    if all(hand.response is None for hand in hands):
         return skipped(PAINTED)
     if not (choice.allows(Effect.SHARP_SHADOW) and choice.allows(Effect.LAMP_SHADOW)):
         return skipped(NOT_CHOSEN)
     if not settings.sharp_shadows:
         return skipped("presets final and reference ask for it")
-    found, casts, cost_ms = [], np.zeros(len(light.lamps), bool), 0.0
+    have_shadows, found, casts, cost_ms = _have_shadows(light), [], np.zeros(len(light.lamps), bool), 0.0
     for one, hand, is_seen in zip(bones, hands, seen, strict=True):
         ball = hand.ball(one)
-        if ball is None or hand.learned is None or hand.learned.response is None:
+        if ball is None or hand.response is None:
             return skipped("a hand has no surface")
         shares, points_m = shares_on(light, one, hand.joints_m)
-        shaded = fade(shares[:-1], limits.lamp_shadow) * (lamp_weights(shares, limits) > 0) * _shadows(light) > 0
-        limit = 0.0 if choice.forces(Effect.SHARP_SHADOW) else SHARP_LIMIT
-        weights = fade(shares[:-1], limit) * _suits_picture(light, points_m + one.root_m, ball) * shaded
+        shaded = fade(shares[:-1], limits.lamp_shadow) * (lamp_weights(shares, limits) > 0) * have_shadows > 0
+        weights = fade(shares[:-1], limits.sharp_shadow) * _suits_picture(light, points_m + one.root_m, ball) * shaded
         found.append(Sharp(tuple(weights.tolist()), ball))
         casts |= shaded & is_seen
         cost_ms += is_seen * (weights > 0).sum() * (PICTURE_MS + hand.count * SHARP_MS)

@@ -418,9 +418,7 @@ def _rays(camera: Camera) -> list[Camera]:
 def _at_origin(posed: _Posed, camera: Camera) -> Camera:
     """The camera in the frame of the Gaussians: its origin is that of what was posed, also when the hand has moved by
     less than the limit since."""
-    from_origin = camera.camera_from_world.copy()
-    from_origin[:3, 3] += from_origin[:3, :3] @ posed.joints_m[0][0]
-    return replace(camera, camera_from_world=from_origin)
+    return camera.about(posed.joints_m[0][0])
 
 
 @dataclass(frozen=True)

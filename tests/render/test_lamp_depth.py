@@ -30,14 +30,16 @@ FINAL = preset("final")
 FIST = named_pose("fist", AVATAR.rest_joints_m, handedness=Handedness.RIGHT)
 DIM = World(np.full((2, 4, 3), 0.02, np.float32))
 WHITE = (3.0, 3.0, 3.0)
-TO_SUN = np.array([0.8, 0.7, 0.6])
+TO_SUN = np.array([0.8, 0.7, 0.6]) / np.linalg.norm([0.8, 0.7, 0.6])
 SUN = Lamp(LampKind.SUN, WHITE, tuple(TO_SUN), angle_rad=0.002)
 MIDDLE_M = FIST.mean(0)
+# sees two hands that are half a meter apart
+FROM_AFAR = Camera.looking_at((0, 0, 3.0), MIDDLE_M, (0, 1, 0), width=300, height=300, focal_px=300)
 
 
 def point(away_m: float, radius_m: float = 0.0005) -> Lamp:
     """As bright as the sun at the middle of the fist, in its direction."""
-    place_m = MIDDLE_M + away_m * TO_SUN / np.linalg.norm(TO_SUN)
+    place_m = MIDDLE_M + away_m * TO_SUN
     return Lamp(LampKind.POINT, tuple(away_m**2 * np.array(WHITE)), tuple(place_m), radius_m=radius_m, is_soft=False)
 
 
@@ -55,6 +57,13 @@ def skin_seen(renderer: SceneRenderer, hand: int = 0) -> np.ndarray:
     assert poser._light is not None
     assert poser._light._scene is not None
     return poser._light._scene.arrays["skin_seen"][0][np.argsort(poser.blocks.order)]
+
+
+def seen_in(lamp: Lamp, avatar: HandAvatar = AVATAR) -> np.ndarray:
+    """(N,) what of a lamp reaches the Gaussians of the fist."""
+    renderer = SceneRenderer([avatar], FINAL, SceneLight(DIM, (lamp,)))
+    renderer.render([FIST], view())
+    return skin_seen(renderer)
 
 
 def hidden_by_faces(corners_m: np.ndarray, places_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -125,16 +134,14 @@ def test_light_reaches_skin_where_no_face_stands_before_it(posed, lamp):
 
 def facing(posed) -> np.ndarray:
     """(N,) whether the sun falls on a Gaussian well."""
-    return posed[2] @ TO_SUN > 0.4 * np.linalg.norm(TO_SUN)
+    return posed[2] @ TO_SUN > 0.4
 
 
 def test_edges_are_as_wide_as_the_lamp_makes_them(posed):
     """Skin that is in part in the shadow grows with the lamp."""
     parts = []
     for radius_m in (0.0, 0.035, 0.068):
-        renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (point(0.5, radius_m),)))
-        renderer.render([FIST], view())
-        seen = skin_seen(renderer)[facing(posed)]
+        seen = seen_in(point(0.5, radius_m))[facing(posed)]
         parts.append(float(((seen > 0.1) & (seen < 0.9)).mean()))
     assert parts[0] < 0.8 * parts[1] < 0.8 * 0.8 * parts[2], parts
 
@@ -143,9 +150,7 @@ def test_skin_that_sees_all_of_a_wide_lamp_is_not_darkened_by_its_own_slope(pose
     """And none of it reaches skin that sees nothing of it: by rays to its middle and its rim."""
     corners_m, places_m, _ = posed
     lamp = point(0.5, 0.068)
-    renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (lamp,)))
-    renderer.render([FIST], view())
-    seen = skin_seen(renderer)
+    seen = seen_in(lamp)
     chosen = np.flatnonzero(facing(posed))[::4]
     across = np.cross(TO_SUN, [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
     on_lamp_m = lamp.place_m + np.vstack([[0.0, 0, 0], 0.068 * across / np.linalg.norm(across, axis=1, keepdims=True)])
@@ -176,16 +181,10 @@ def test_a_hand_of_another_size_in_a_scene_of_that_size_looks_the_same():
 
 def test_a_hand_before_the_lamp_hides_it_from_the_other(posed):
     """Where capsules of a hand farther than 30 cm are not asked."""
-    to_sun = TO_SUN / np.linalg.norm(TO_SUN)
-    joints_m = [FIST, FIST + 0.6 * to_sun]
-    avatars = [AVATAR, AVATAR]
-    renderer = SceneRenderer(avatars, FINAL, SceneLight(DIM, (SUN,)))
-    camera = Camera.looking_at((0, 0, 3.0), MIDDLE_M, (0, 1, 0), width=300, height=300, focal_px=300)
-    renderer.render(joints_m, camera)
-    lone = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,)))
-    lone.render([FIST], view())
+    renderer = SceneRenderer([AVATAR, AVATAR], FINAL, SceneLight(DIM, (SUN,)))
+    renderer.render([FIST, FIST + 0.6 * TO_SUN], FROM_AFAR)
     behind, before, alone = (
-        one[facing(posed)].mean() for one in (skin_seen(renderer, 0), skin_seen(renderer, 1), skin_seen(lone))
+        one[facing(posed)].mean() for one in (skin_seen(renderer, 0), skin_seen(renderer, 1), seen_in(SUN))
     )
     assert behind < 0.1 * alone
     assert np.isclose(before, alone, rtol=0.05)
@@ -200,10 +199,9 @@ def test_a_lamp_that_comes_near_fades_to_capsules():
     """No step changes much where its picture begins to see too little, and inside the hand's ball there is none."""
     ball = HandFacts(AVATAR).ball(AVATAR.skeleton().bones(FIST))
     assert ball is not None
-    way = TO_SUN / np.linalg.norm(TO_SUN)
     frames = []
     for radii in np.linspace(APART_LEAST - 0.1, APART_WHOLE + 0.1, 14):
-        place_m = ball.middle_m + radii * ball.radius_m * way
+        place_m = ball.middle_m + radii * ball.radius_m * TO_SUN
         frames.append(drawn(replace(point(0.3), place_m=tuple(place_m), radius_m=0.0005)))
     weights = [weights_of(frame)[0] if weights_of(frame) else 0.0 for frame in frames]
     assert weights[:2] == [0.0, 0.0]
@@ -256,24 +254,20 @@ def test_light_does_not_come_in_at_the_wrist_of_a_hand_without_its_forearm():
     """The surface is open there: it is drawn from within, too. Light comes up the arm, and the arm hides some."""
     lamp, parts = Lamp(LampKind.SUN, WHITE, tuple(FIST[0] - FIST[9]), angle_rad=0.002), []
     for avatar in (AVATAR, ended(AVATAR, forearm=False)):
-        renderer = SceneRenderer([avatar], FINAL, SceneLight(DIM, (lamp,)))
-        renderer.render([FIST], view())
         fingers = avatar.bone_weights[:, 5:].sum(1) > 0.9
-        parts.append(float(skin_seen(renderer)[fingers].mean()))
+        parts.append(float(seen_in(lamp, avatar)[fingers].mean()))
     assert parts[1] < parts[0] + 0.08
 
 
 @pytest.mark.parametrize("handedness", Handedness)
-def test_left_hands_and_forearms_that_are_hidden_have_the_shadows_of_others(handedness):
+def test_a_hand_of_either_side_has_the_shadows_of_its_mirror_image(handedness):
     avatar = AVATAR.for_hand(handedness)
     mirror = np.array([1.0 if handedness is Handedness.RIGHT else -1.0, 1, 1])
     lamp = replace(SUN, place_m=tuple(TO_SUN * mirror))
     renderer = SceneRenderer([avatar], FINAL, SceneLight(DIM, (lamp,)))
     camera = framing_camera((FIST * mirror)[None], handedness, "front", width=240, height=300)
     renderer.render([FIST * mirror], camera)
-    right = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,)))
-    right.render([FIST], view())
-    assert np.abs(skin_seen(renderer) - skin_seen(right)).mean() < 0.01
+    assert np.abs(skin_seen(renderer) - seen_in(SUN)).mean() < 0.01
 
 
 def test_hands_without_size_or_outside_the_image_are_no_hard_cases():
@@ -287,11 +281,10 @@ def test_hands_without_size_or_outside_the_image_are_no_hard_cases():
 
 def test_light_begins_softly_at_an_edge_that_is_wider_than_pictures_are_searched():
     """That of a hand far before another: skin that sees most of the sun is about as common as skin that sees little."""
-    to_sun, seen = TO_SUN / np.linalg.norm(TO_SUN), []
+    seen = []
     renderer = SceneRenderer([AVATAR, AVATAR], FINAL, SceneLight(DIM, (replace(SUN, angle_rad=0.2),)))
-    camera = Camera.looking_at((0, 0, 3.0), MIDDLE_M, (0, 1, 0), width=300, height=300, focal_px=300)
     for aside_m in np.linspace(-0.05, 0.05, 5):
-        renderer.render([FIST, FIST + 0.6 * to_sun + np.array([aside_m, -aside_m, 0])], camera)
+        renderer.render([FIST, FIST + 0.6 * TO_SUN + np.array([aside_m, -aside_m, 0])], FROM_AFAR)
         seen.append(skin_seen(renderer, 0))
     seen = np.concatenate(seen)
     most, little = ((seen > 0.75) & (seen < 0.995)).sum(), ((seen > 0.005) & (seen < 0.25)).sum()
