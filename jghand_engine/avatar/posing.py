@@ -22,7 +22,7 @@ from jghand_engine.avatar.lamp_rows import LIMITS, Limits
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, Learned, anchors_around
 from jghand_engine.avatar.relighting import in_studio, relightable
 from jghand_engine.avatar.scene_light import SceneLight
-from jghand_engine.avatar.scene_light_step import NO_DEPTHS, SceneLightStep
+from jghand_engine.avatar.scene_light_step import NO_DEPTHS, Apart, SceneLightStep
 from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.color import linear_to_srgb
 from jghand_engine.errors import InputError, RetryError
@@ -142,7 +142,8 @@ class Poser:
         self._light = None if learned is None else _Light(library, avatar, learned, blocks, limits)
         # what the task points to, and the pose that stands
         self._stands: tuple[np.ndarray, Bones, Capsules | None] | None = None
-        self._eye_m: np.ndarray | None = None
+        # from where, and with which light apart
+        self._seen: tuple[float, ...] | None = None
 
     def prepare(
         self,
@@ -172,7 +173,7 @@ class Poser:
             self._light.task.skin = task
             self._light.prepare_scene(light, bones, depths)
             self._light.prepare(bones, self.into, others, keep_correctives=keep_correctives)
-        self._stands, self._eye_m = (linear_offset, bones, others), None
+        self._stands, self._seen = (linear_offset, bones, others), None
         self._team.fill(0)
 
     def hide(self) -> None:
@@ -188,7 +189,7 @@ class Poser:
         _, bones, others = self._stands
         self._light.prepare_scene(light, bones, depths, keep_pose=True)
         self._light.prepare_shadows(bones, others)
-        self._eye_m = None
+        self._seen = None
         self._team.fill(0)
         return True
 
@@ -210,14 +211,15 @@ class Poser:
         """Around canonical places (V, 3), meters; None for an avatar that was not learned."""
         return None if self._light is None else self._light.around(position_m, self.blocks)
 
-    def prepare_gloss(self, eye_m: np.ndarray) -> bool:
-        """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
-        without a pose, or when nothing is reflected or the pose was seen from there last."""
-        light, is_known = self._light, self._eye_m is not None and np.array_equal(eye_m, self._eye_m)
-        if self._stands is None or light is None or not light.reflects or is_known:
+    def prepare_gloss(self, eye_m: np.ndarray, apart: Apart | None = None) -> bool:
+        """Sets where the camera stands (3,), in the frame of the positions, and which light is drawn by itself. Whether
+        there is anything to be run: not without a pose, or when nothing is reflected or the pose was seen so last."""
+        light, parts = self._light, () if apart is None else tuple(apart.parts.tolist())
+        if self._stands is None or light is None or not light.reflects or self._seen == (*eye_m, *parts):
             return False
-        self._eye_m = np.array(eye_m, np.float64)
-        light.task.eye = tuple(self._eye_m)
+        self._seen = (*eye_m, *parts)
+        light.task.eye = tuple(eye_m)
+        light.draw_apart(apart)
         self._gloss_team.fill(0)
         return True
 
@@ -288,6 +290,10 @@ class _Light:
     ) -> None:
         if self._scene is not None:
             self._scene.prepare(light or SceneLight(), bones, depths, keep_pose=keep_pose)
+
+    def draw_apart(self, apart: Apart | None) -> None:
+        if self._scene is not None:
+            self._scene.draw_apart(apart)
 
     def prepare(self, bones: Bones, into: GaussianArrays, others: Capsules | None, *, keep_correctives: bool) -> None:
         task, front = self.task, into.front if self._fades else None

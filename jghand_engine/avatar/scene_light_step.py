@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -22,9 +23,17 @@ from jghand_engine.avatar.scene_light import (
 )
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.skeleton import Bones
-from jghand_engine.native.binding import aligned_zeros
+from jghand_engine.native.binding import address, aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
-from jghand_engine.native.scene_light_task import LAMP_NUMBERS, NUMBER, THROWN, LampDepth, SceneLightTask
+from jghand_engine.native.scene_light_task import (
+    APART,
+    LAMP_NUMBERS,
+    LAYERS_MAX,
+    NUMBER,
+    THROWN,
+    LampDepth,
+    SceneLightTask,
+)
 from jghand_engine.native.tasks import LANES
 
 # edge of a lamp's shadow on skin, as a part of the capsule's radius
@@ -39,7 +48,20 @@ WHOLLY = 1e-6
 # without a world its cells are black
 BLACK = World(np.zeros((2, 4, 3)))
 # capsules say what stands before all lamps
-NO_DEPTHS: Mapping[int, LampDepth] = {}
+NO_DEPTH, NO_DEPTHS = LampDepth(layer=-1), dict[int, LampDepth]()
+
+
+@dataclass(frozen=True)
+class Apart:
+    """Light of lamps on a hand that is drawn by itself, a layer each, to be shadowed at each pixel.
+
+    parts: (layers,) float32, how much of it, 0..1; Gaussians keep the rest, shadowed as at them
+    rows:  (layers, rows, 4) float32, what of it Gaussians have: rgb, and the sum of these as far as it reaches them; is
+           written
+    """
+
+    parts: np.ndarray
+    rows: np.ndarray
 
 
 class SceneLightStep:
@@ -62,6 +84,7 @@ class SceneLightStep:
             "reflecting": aligned_zeros((blocks.rows // LANES, 3, LANES)),
             **_standing_before(cast),
             "skin_seen": aligned_zeros((LAMPS_MAX, blocks.rows)),
+            "apart": aligned_zeros((0, blocks.count, APART, LANES)),
             "thrown": aligned_zeros((rows // PATCH, THROWN)),
             "beside": _evened(cast),
             "bounced": aligned_zeros((rows, 4)),
@@ -82,6 +105,8 @@ class SceneLightStep:
         )
         set_pointers(self.task, self.arrays)
         task.scene = ctypes.addressof(self.task)
+        self._slot_of_layer = [-1] * LAYERS_MAX
+        self._apart: Apart | None = None
         self._world: World | None = None
         self._set_world(None)
 
@@ -113,11 +138,29 @@ class SceneLightStep:
 
     def _set_depths(self, depths: Mapping[int, LampDepth], sources: list[int]) -> None:
         """Sets what stands before lamps; sources: the lamps by slot."""
-        self.task.depth = None
-        if depths:
-            # the task points to it
-            self._depths = (LampDepth * len(sources))(*(depths.get(number, LampDepth()) for number in sources))
-            self.task.depth = ctypes.addressof(self._depths)
+        self.task.depth, self._slot_of_layer = None, [-1] * LAYERS_MAX
+        if not depths:
+            return
+        # the task points to it
+        self._depths = (LampDepth * len(sources))(*(depths.get(number, NO_DEPTH) for number in sources))
+        self.task.depth = ctypes.addressof(self._depths)
+        for slot, depth in enumerate(self._depths):
+            if depth.layer >= 0:
+                self._slot_of_layer[depth.layer] = slot
+        layers = 1 + max(depth.layer for depth in self._depths)
+        if layers > len(self.arrays["apart"]):
+            self.arrays["apart"] = aligned_zeros((layers, self._blocks.count, APART, LANES))
+            set_pointers(self.task, {"apart": self.arrays["apart"]})
+
+    def draw_apart(self, apart: Apart | None) -> None:
+        """Sets which light is drawn by itself of what was prepared; None: none."""
+        task, self._apart = self.task, apart
+        task.layers = 0 if apart is None else len(apart.parts)
+        if apart is None:
+            return
+        task.slot_of_layer = tuple(self._slot_of_layer)
+        task.at_pixels = address(apart.parts, np.float32, "parts", (task.layers,))
+        task.layer, task.layer_stride = apart.rows.ctypes.data, apart.rows.strides[0] // apart.rows.itemsize
 
     def _set_baked(self, field: np.ndarray | None) -> None:
         """Sets what lights matt skin in place of the lamps, (N, 4, 3) as `Baked` has it, and of the world."""

@@ -36,11 +36,22 @@ constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far 
 constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
 constexpr int PICTURE_PLANES = 5, ALPHA = 3, DEPTH = 4;
 constexpr float FILLED_FROM = 1.f / 64;  // alpha from which on a pixel is the hand's wholly: enough to know its color
+constexpr float SHARE2_MIN = 1e-6f;      // squared length of a mean of unit normals, as a divisor
+constexpr float EDGE_PART = 0.004f;      // of light: shadows that differ by less from all or none of it have no edge there
+constexpr float LAYER_UNSEEN = 1e-6f;    // W/(m2 sr) of all colors, below which nobody asks what of it is hidden
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
 JG_INLINE vi to_int(vf x) { return __builtin_convertvector(x, vi); }
 JG_INLINE vi least(vi a, vi b) { return a < b ? a : b; }
 JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
+
+// Stores what points along v in the camera's axes, rows apart.
+JG_INLINE void store_in_camera(const DetailTask& t, const vf v[3], float* out, int64_t rows) {
+  for (int i = 0; i < 3; i++) {
+    const double* axis = t.camera_from_position + 4 * i;
+    store(out + i * rows, v[0] * (float)axis[0] + v[1] * (float)axis[1] + v[2] * (float)axis[2]);
+  }
+}
 
 void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   const LearnedTask& surface = *hand.surface;
@@ -49,7 +60,7 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   blend(s, block, m);
   posed_center(s, block, m, p);
   const bool moves = surface.correctives == LINEAR;
-  if (moves || hand.rise > 0) turning(s, surface.volume_min, m, volume(s, m), turn);
+  if (moves || hand.rise > 0 || t.layers) turning(s, surface.volume_min, m, volume(s, m), turn);
   if (moves) {
     vf correction[CORRECTION], moved[3];
     linear_correction(surface, block, correction);
@@ -66,19 +77,18 @@ void skin_vertices(const DetailTask& t, const DetailHand& hand, int32_t block) {
   store(hand.vertex + row, select(z > t.z_near, x, all(__builtin_nanf(""))));
   store(hand.vertex + rows + row, y);
   store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
-  if (!(hand.rise > 0)) return;
+  if (!(hand.rise > 0) && !t.layers) return;
   const float* at_rest = hand.normal + 3 * row;
   vf n[3], slope[3];
   for (int i = 0; i < 3; i++) n[i] = load(at_rest + LANES * i), p[i] -= s.shift[i];
   vf normal[3];
   turn_by(turn, n, normal);
   make_unit(normal, surface.length2_min);
+  if (t.layers) store_in_camera(t, normal, hand.turned + row, rows);
+  if (!(hand.rise > 0)) return;
   const int64_t around = ANCHORS_AROUND * row;
   light_slope(*hand.learned, hand.nearest + around, hand.beside + around, hand.share + around, p, normal, slope);
-  for (int i = 0; i < 3; i++) {
-    const double* axis = t.camera_from_position + 4 * i;
-    store(hand.slope + i * rows + row, slope[0] * (float)axis[0] + slope[1] * (float)axis[1] + slope[2] * (float)axis[2]);
-  }
+  store_in_camera(t, slope, hand.slope + row, rows);
   store(hand.slope + 3 * rows + row, dot(slope, normal));
 }
 
@@ -99,8 +109,9 @@ void round_sides(const DetailTask& t, const DetailHand& hand, int32_t block) {
   store(hand.vertex + row, select(z > t.z_near, x * iz + t.cx, all(__builtin_nanf(""))));
   store(hand.vertex + rows + row, y * iz + t.cy);
   store(hand.vertex + 2 * rows + row, t.orthographic ? -z : iz);
-  if (!(hand.rise > 0)) return;
   const auto mean = [&](float* p) { store(p + row, 0.5f * (gather(p, from[0]) + gather(p, from[1]))); };
+  for (int i = 0; t.layers && i < 3; i++) mean(hand.turned + i * rows);
+  if (!(hand.rise > 0)) return;
   for (int i = 0; i < 4; i++) mean(hand.slope + i * rows);
   mean(hand.bend);
 }
@@ -405,6 +416,86 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpol
   for (int i = 0; i < 3; i++) color[i] *= light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
 }
 
+// From the camera's axes to those of a lamp's picture.
+struct Towards {
+  float axes[9], place[3];
+};
+Towards towards(const DetailTask& t, const LampDepth& d) {
+  Towards out;
+  const double* camera = t.camera_from_position;
+  for (int i = 0; i < 3; i++) {
+    double place = d.place[i];
+    for (int j = 0; j < 3; j++) {
+      double turned = 0;
+      for (int k = 0; k < 3; k++) turned += d.axes[3 * i + k] * camera[4 * j + k];
+      out.axes[3 * i + j] = (float)turned, place -= turned * camera[4 * j + 3];
+    }
+    out.place[i] = (float)place;
+  }
+  return out;
+}
+
+// The surface at sixteen pixels of a row, in the camera's axes: places, m, and unit normals.
+struct Skin {
+  vf p[3], n[3];
+};
+Skin skin_at(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, const Interpolated& of, vf x, float y) {
+  const vf near = of.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
+  Skin skin = {{(x - t.cx) * over * (1.f / t.fx), (y - t.cy) * over * (1.f / t.fy), z}, {}};
+  const int64_t rows = rows_of(hand);
+  vi number;
+  memcpy(&number, face, sizeof number);
+  number = mine ? number & ((1 << FACE_BITS) - 1) : all(0);
+  const vi first = (number / LANES) * (3 * LANES) + number % LANES, plane = number * FACE_NUMBERS;
+  const vf dx = x - gather(hand.planes + X, plane), dy = y - gather(hand.planes + Y, plane);
+  for (int k = 0; k < 3; k++) {
+    const float* share = hand.planes + SHARE_0 + k;
+    const vf part = gather(share, plane) + dx * gather(share + BY_X, plane) + dy * gather(share + BY_Y, plane);
+    const vi row = gather_bits(hand.corner, first + k * LANES);
+    for (int i = 0; i < 3; i++) skin.n[i] += part * gather(hand.turned + i * rows, row);
+  }
+  make_unit(skin.n, SHARE2_MIN);
+  return skin;
+}
+
+// What of a lamp's light reaches it.
+vf reaching_skin(const LampDepth& d, const Towards& to, const Skin& skin) {
+  Pictured at;
+  vf q[3];
+  for (int i = 0; i < 3; i++) {
+    const float* axis = to.axes + 3 * i;
+    q[i] = axis[0] * skin.p[0] + axis[1] * skin.p[1] + axis[2] * skin.p[2] + to.place[i];
+    at.n[i] = axis[0] * skin.n[0] + axis[1] * skin.n[1] + axis[2] * skin.n[2];
+  }
+  const float middle = 0.5f * (float)d.size;
+  const vf shrinks = d.orthographic ? all(d.focal) : d.focal / max(q[2], all(DEPTH_MIN_M));
+  at.x = q[0] * shrinks + middle, at.y = q[1] * shrinks + middle, at.z = q[2];
+  const vf sine2 = d.orthographic ? all(d.radius2) : d.radius2 / (dot(q, q) + d.radius2);
+  return reaching<true>(d, at, slant_of(d, at), sqrt(sine2));
+}
+
+// Adds light that was drawn apart to sixteen pixels of a row, as far as it reaches them.
+void add_layers(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, const Interpolated& at,
+                const Towards* to, vf x, int32_t row, int32_t left, vf color[3]) {
+  const int64_t pixels = (int64_t)t.width * t.height;
+  Skin skin;
+  bool has_skin = false;
+  for (int32_t layer = 0; layer < t.layers; layer++) {
+    const float* p = t.layer[layer] + (int64_t)row * t.width + left;
+    vf light[3], whole = {};
+    for (int k = 0; k < 3; k++) light[k] = load_first(p + k * pixels, t.width - left), whole += light[k];
+    const vi asked = mine & (whole > LAYER_UNSEEN);
+    if (!(hand.lamps[layer].part > 0) || !bit_mask(asked)) continue;
+    vf part = load_first(p + 3 * pixels, t.width - left) / max(whole, all(LAYER_UNSEEN));
+    // edges are where Gaussians see a part
+    if (bit_mask(asked & (part > EDGE_PART) & (part < 1.f - EDGE_PART))) {
+      if (!has_skin) skin = skin_at(t, hand, face, mine, at, x, (float)row + 0.5f), has_skin = true;
+      part = reaching_skin(hand.lamps[layer], to[layer], skin);
+    }
+    for (int k = 0; k < 3; k++) color[k] += select(mine, part * light[k], vf{});
+  }
+}
+
 // What of a hand is the nearest in a tile.
 template <bool has_relief>
 void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
@@ -412,6 +503,8 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
   const DetailTask t = task;
   const DetailHand hand = t.hands[number];
   const int64_t pixels = (int64_t)t.width * t.height;
+  Towards to[LAYERS_MAX];
+  for (int32_t layer = 0; layer < t.layers; layer++) to[layer] = towards(t, hand.lamps[layer]);
   for (int32_t row = 0; row < TILE_Y && tile.y + row < t.height; row++) {
     for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
       vi face;
@@ -430,6 +523,7 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       const vf depth = load_first(p + DEPTH * pixels, n) * inverse(max(alpha, all(FILLED_FROM)));
       vf color[3];
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
+      if (t.layers) add_layers(t, hand, &tile.face[row][x], mine, at, to, at_x, tile.y + row, left, color);
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), depth, color);
       if (t.outline > 0) {
         const vi solid = ((all((int32_t)(tile.solid[row] >> x)) >> LANE_NUMBER) & 1) != 0;

@@ -41,6 +41,9 @@ struct DetailHand {
   const int32_t* around;     // (side_blocks, AROUND_SIDE, 16): rows of the vertices around each: see `round_sides`
   const float* side_share;   // (side_blocks, AROUND_SIDE, 16): how much each of them counts
   int32_t side_blocks;
+  // shadows at pixels
+  float* turned;             // (3, rows): unit normals of the vertices in the camera's axes
+  const LampDepth* lamps;    // (layers): the pictures of the lamps of the layers; without a part where one is not this hand's
 };
 constexpr int AROUND_SIDE = 8;
 
@@ -57,7 +60,9 @@ struct DetailTask {
   float alpha_from, alpha_to;  // detail fades in between them: at the outline there is none
   float graze_max;             // lengths along a ray that grazes the surface are longer by this factor at most
   float outline;               // 0..1: how much of alpha is what the surfaces cover
-  int32_t hand_count, width, height, orthographic;
+  const float* const* layer;   // (layers): (4, H, W) each, light to be shadowed at each pixel: rgb, and the sum of these as
+                               // far as Gaussians say that it reaches them
+  int32_t hand_count, width, height, orthographic, layers;
 };
 
 constexpr int TILE_X = 64, TILE_Y = 32;

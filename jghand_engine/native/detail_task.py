@@ -27,6 +27,8 @@ class DetailHand(ctypes.Structure):
         ("around", _P),
         ("side_share", _P),
         ("side_blocks", _I32),
+        ("turned", _P),
+        ("lamps", _P),
     )
 
 
@@ -40,7 +42,8 @@ class DetailTask(ctypes.Structure):
             (name, _F32)
             for name in ("fx", "fy", "cx", "cy", "z_near", "alpha_from", "alpha_to", "graze_max", "outline")
         ),
-        *((name, _I32) for name in ("hand_count", "width", "height", "orthographic")),
+        ("layer", _P),
+        *((name, _I32) for name in ("hand_count", "width", "height", "orthographic", "layers")),
     )
 
 

@@ -24,7 +24,7 @@ struct alignas(64) Record {
   float z;                   // camera depth, m
   float radius2;             // beyond this squared distance (px^2) alpha is below the cut
   float front;
-  float unused[4];
+  float layer[4];
 };
 
 // Gradients of one Gaussian's record, summed over pixels; the moments are of g = dL/d(alpha) alpha.
@@ -59,6 +59,8 @@ struct RasterJob {
                           // the color that these parts have, as if none were seen from inside, through gaps between
                           // others, nor what stands beneath a layer; and outlines are sharper, see store_block. null:
                           // all of all, as blended. There is no backward pass of such a picture
+  const float* layer;       // (count, 4) colors that are drawn beside rgb, in the same way; null: none, as without `front`
+  float* layer_planes;      // (4, height, width) of these
   // scratch that forward leaves for backward
   Record* records;          // (count)
   TileRect* rects;          // (count): of culled ones x1 is -1

@@ -6,23 +6,30 @@ namespace {
 
 constexpr int UNROLL = 4;  // Gaussians between two tests whether all pixels of a block are covered
 
+// What pixels get of Gaussians: their colors; and FRONT: the color of what is seen from outside and stands in front, and a
+// sharper outline, as coverage goes up from COVER_FROM on; LAYER: with colors that are drawn beside, too.
+enum Kind { PLAIN, FRONT, LAYER };
+
 // One 4 x 4 block on its way through the list.
 struct Block {
-  vf transmittance, r, g, b, depth, front;
+  vf transmittance, r, g, b, depth, front, layer[4];
 };
 
-template <int SQUARINGS, bool FRONT>
+template <int SQUARINGS, Kind KIND>
 JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, const Hits& hits, Block& block) {
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
   const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
   vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth, front = block.front;
+  vf layer[4];
+  for (int k = 0; k < 4; k++) layer[k] = block.layer[k];
   auto add = [&](int hit) __attribute__((always_inline)) {
     const Record& record = chunk.records[hit];
     const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
-    const vf shown = FRONT ? weight * clamped((T - BENEATH_FROM) * (1.0f / (BENEATH_WHOLE - BENEATH_FROM))) : weight;
+    const vf shown = KIND != PLAIN ? weight * clamped((T - BENEATH_FROM) * (1.0f / (BENEATH_WHOLE - BENEATH_FROM))) : weight;
     T -= weight;
     r += shown * record.r, g += shown * record.g, b += shown * record.b, depth += weight * record.z;
-    if (FRONT) front += shown * record.front;
+    if (KIND != PLAIN) front += shown * record.front;
+    for (int k = 0; KIND == LAYER && k < 4; k++) layer[k] += shown * record.layer[k];
   };
   int i = 0, n = hits.count;
   for (; i + UNROLL <= n; i += UNROLL) {
@@ -30,25 +37,24 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
     if (!bit_mask(T > t_stop)) n = 0;
   }
   for (; i < n; i++) add(hits.index[i]);
-  block = {T, r, g, b, depth, front};
+  block = {T, r, g, b, depth, front, {layer[0], layer[1], layer[2], layer[3]}};
 }
 
-// FRONT: with the color of what is seen from outside and stands in front, and a sharper outline: coverage goes up from
-// COVER_FROM on.
-template <bool FRONT>
+template <Kind KIND>
 JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
   const vf alpha = 1.0f - block.transmittance;
   vf gain = all(1.0f), cover = alpha, nearer = gain;
-  if (FRONT) {
+  if (KIND != PLAIN) {
     cover = smooth((alpha - COVER_FROM) / (1.0f - COVER_FROM));
     gain = select(alpha > 0, cover / max(block.front, FRONT_MIN * alpha), vf{});
     nearer = select(alpha > 0, cover / alpha, vf{});
   }
   const vf planes[5] = {block.r * gain, block.g * gain, block.b * gain, cover, block.depth * nearer};
   for (int plane = 0; plane < 5; plane++) store_pixels(job, job.planes, plane, x, y, planes[plane]);
+  for (int k = 0; KIND == LAYER && k < 4; k++) store_pixels(job, job.layer_planes, k, x, y, block.layer[k] * gain);
 }
 
-template <int SQUARINGS, bool FRONT>
+template <int SQUARINGS, Kind KIND>
 void blend_with(const RasterJob& job, int32_t index) {
   const Tile tile = tile_at(job, index);
   if (!tile.length && job.keeps_empty && !job.tile_work[index]) return;
@@ -57,7 +63,7 @@ void blend_with(const RasterJob& job, int32_t index) {
   Block blocks[BLOCKS];
   uint32_t live = 0;  // blocks on the picture with a pixel that still lets light through
   for (int b = 0; b < BLOCKS; b++) {
-    blocks[b] = {all(1.0f), vf{}, vf{}, vf{}, vf{}, vf{}};
+    blocks[b] = {all(1.0f)};
     if (tile.x + block_x(b) < job.width && tile.y + block_y(b) < job.height) live |= 1u << b;
   }
   const uint32_t on_picture = live;
@@ -70,31 +76,31 @@ void blend_with(const RasterJob& job, int32_t index) {
       find_hits(chunk, b, hits);
       if (!hits.count) continue;
       work += hits.count;
-      blend_hits<SQUARINGS, FRONT>(job, chunk, b, hits, blocks[b]);
+      blend_hits<SQUARINGS, KIND>(job, chunk, b, hits, blocks[b]);
       if (!bit_mask(blocks[b].transmittance > job.t_stop)) live &= ~(1u << b);
     }
   }
   job.tile_work[index] = work;
   for (uint32_t rest = on_picture; rest; rest &= rest - 1) {
     const int b = __builtin_ctz(rest);
-    store_block<FRONT>(job, blocks[b], tile.x + block_x(b), tile.y + block_y(b));
+    store_block<KIND>(job, blocks[b], tile.x + block_x(b), tile.y + block_y(b));
   }
 }
 
-template <bool FRONT>
+template <Kind KIND>
 void blend(const RasterJob& job, int32_t tile) {
   switch (squarings_for(job.log2_alpha_min)) {
-    case 3: return blend_with<3, FRONT>(job, tile);
-    case 4: return blend_with<4, FRONT>(job, tile);
-    default: return blend_with<5, FRONT>(job, tile);
+    case 3: return blend_with<3, KIND>(job, tile);
+    case 4: return blend_with<4, KIND>(job, tile);
+    default: return blend_with<5, KIND>(job, tile);
   }
 }
 
 }  // namespace
 
 void blend_tile(const RasterJob& job, int32_t tile) {
-  if (job.front) return blend<true>(job, tile);
-  blend<false>(job, tile);
+  if (!job.front) return blend<PLAIN>(job, tile);
+  job.layer ? blend<LAYER>(job, tile) : blend<FRONT>(job, tile);
 }
 
 }  // namespace jg

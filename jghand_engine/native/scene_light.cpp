@@ -227,6 +227,17 @@ JG_INLINE vi add_lamp(const SceneLightTask& s, const float* lamp, const vf norma
   return falls;
 }
 
+JG_INLINE float* apart_of(const LearnedTask& t, int layer, int32_t block) {
+  return t.scene->apart + APART * LANES * ((int64_t)t.skin.blocks * layer + block);
+}
+
+// Keeps what of a lamp's light is drawn apart. own: W/m2, as if nothing stood before it
+JG_INLINE void set_apart(const LearnedTask& t, int layer, int32_t block, vf counts, vf reaches, const vf own[3]) {
+  float* to = apart_of(t, layer, block);
+  for (int i = 0; i < 3; i++) store(to + LANES * i, counts * own[i]);
+  store(to + LANES * 3, reaches), store(to + LANES * 4, counts);
+}
+
 // The matt color of `count` blocks, lamp by lamp.
 void light_some(const LearnedTask& t, int32_t first, int32_t count) {
   const SceneLightTask& s = *t.scene;
@@ -280,9 +291,15 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
       if (slot >= 0) {
         const vf* of_slot = lit[b].reached + OF_WORLD + columns_per_slot(s) * slot;
         vf part = of_slot[0] + near[b] * (sights.each[b].seen - of_slot[0]);
-        if (depth && lit_by[b]) part = past_surface(*depth, depth->skin, first + b, lit[b].normal, sights.each[b].sine, part);
-        if (s.left) part *= of_slot[2];
-        reaches = 1.f - casting[SHADE] * (1.f - part);
+        const vf left = s.left ? of_slot[2] : all(1.f);
+        if (depth && lit_by[b]) {
+          const Past past = past_surface(*depth, depth->skin, first + b, lit[b].normal, sights.each[b].sine);
+          part += past.counts * (past.reaches - part);
+          if (depth->layer >= 0) set_apart(t, depth->layer, first + b, casting[SHADE] * left * past.counts, past.reaches, own[b]);
+        } else if (depth && depth->layer >= 0) {
+          set_apart(t, depth->layer, first + b, vf{}, vf{}, own[b]);
+        }
+        reaches = 1.f - casting[SHADE] * (1.f - part * left);
         store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + first + b), reaches);
       }
       for (int i = 0; i < 3; i++) lit[b].light[i] += reaches * own[b][i];
@@ -332,7 +349,8 @@ void anchor_lamps(const LearnedTask& t, int32_t first, int32_t end) {
       seen[j][b] = sights.each[b].seen;
       if (s.depth && s.depth[j].part > 0) {
         for (int i = 0; i < 3; i++) normal[i] = load(posed(b) + LANES * (3 + i));
-        seen[j][b] = past_surface(s.depth[j], s.depth[j].anchors, first + b, normal, sights.each[b].sine, seen[j][b]);
+        const Past past = past_surface(s.depth[j], s.depth[j].anchors, first + b, normal, sights.each[b].sine);
+        seen[j][b] += past.counts * (past.reaches - seen[j][b]);
       }
       store_column(row, columns, seen[j][b]), store_column(row + 1, columns, sights.each[b].wide);
       if (!s.left) continue;
@@ -485,7 +503,17 @@ void seen_block(const LearnedTask& t, int32_t block) {
   make_unit(eye, t.length2_min);
   const vf facing = dot(n, eye), cosine_eye = max(facing, all(FACING_MIN)), k = 0.5f * alpha;
   const vf fade = seen_from_outside(t, row, facing);
-  if (!bit_mask(fade > 0)) return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
+  vf rows[LANES] = {};
+  const auto store_layer = [&](int layer) {
+    transpose(rows);
+    float* to = s.layer + s.layer_stride * (int64_t)layer + 4 * row;
+    for (int lane = 0; lane < LANES; lane++) memcpy(to + 4 * lane, &rows[lane], 4 * sizeof(float));
+  };
+  vf apart[LAYERS_MAX][3] = {};
+  if (!bit_mask(fade > 0)) {
+    for (int layer = 0; layer < s.layers; layer++) store_layer(layer);
+    return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
+  }
   for (int j = 0; j < s.lamps; j++) {
     const float* lamp = s.lamp + LAMP * j;
     if (!(lamp[ON_GLOSS] > 0)) continue;
@@ -500,8 +528,12 @@ void seen_block(const LearnedTask& t, int32_t block) {
     const vf bell = middle * middle * (wide2 - 1.f) + 1.f, square = grazing * grazing;
     const vf fresnel = reflectance + (1.f - reflectance) * (rise * square * square * grazing);
     const vf masked = max((cosine * (1.f - k) + k) * (cosine_eye * (1.f - k) + k), all(MASKED_MIN));
-    const vf shine = wide2 * fresnel * got * slot_seen(t, s, block, lamp) * inverse(4.f * PI * bell * bell * masked);
+    const vf whole = wide2 * fresnel * got * inverse(4.f * PI * bell * bell * masked), shine = whole * slot_seen(t, s, block, lamp);
     for (int i = 0; i < 3; i++) rgb[i] += shine * lamp[LAMP_RGB + i];
+    for (int layer = 0; layer < s.layers; layer++) {
+      if (s.slot_of_layer[layer] != (int)lamp[SLOT]) continue;
+      for (int i = 0; i < 3; i++) apart[layer][i] += whole * lamp[LAMP_RGB + i];
+    }
   }
   if (s.lobes) {
     for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
@@ -512,6 +544,20 @@ void seen_block(const LearnedTask& t, int32_t block) {
     const vf base = min(r0 * r0, exp2(-9.28f * cosine_eye)) * r0 + r1;
     const vf gain = (reflectance * (r2 - 1.04f * base) + rise * (r3 + 1.04f * base)) * load(s.sky + row);
     for (int i = 0; i < 3; i++) rgb[i] += lobes[i] * gain;
+  }
+  for (int layer = 0; layer < s.layers; layer++) {
+    for (vf& column : rows) column = vf{};
+    if (s.slot_of_layer[layer] >= 0) {
+      const float* of = apart_of(t, layer, block);
+      const vf reaches = load(of + LANES * 3), counts = load(of + LANES * 4);
+      for (int i = 0; i < 3; i++) {
+        const vf matt_light = load(s.reflecting + 3 * row + LANES * i) * load(of + LANES * i);
+        const vf light = s.at_pixels[layer] * (apart[layer][i] * counts + matt_light);
+        rgb[i] -= reaches * light;
+        rows[i] = fade * light, rows[3] += rows[i] * reaches;
+      }
+    }
+    store_layer(layer);
   }
   for (int i = 0; i < 3; i++) rgb[i] *= fade;
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);

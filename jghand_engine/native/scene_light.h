@@ -25,6 +25,8 @@ enum LampNumber {
   LAMP = 21
 };
 constexpr int SLOTS_MAX = 32;  // LAMPS_MAX of avatar/lamp_rows.py
+constexpr int LAYERS_MAX = 8;  // of native/scene_light_task.py
+constexpr int APART = 5;       // numbers of light that is drawn apart
 constexpr int PATCH = 4;       // neighboring anchors that throw light as one: PATCH of avatar/cast_task.py
 constexpr int THROWN = 10;     // numbers of a patch
 constexpr int EVENED = 8;      // anchors whose mean is taken of the skin that they see: EVENED of avatar/cast_task.py
@@ -47,6 +49,11 @@ struct SceneLightTask {
   float* posed;              // (anchor blocks, 9, 16): place and unit normal of the anchors, W/m2 that lamps give them
   float* visible;            // (anchor blocks, 16 groups, 16): part of each cell of the world that an anchor sees
   float* skin_seen;          // (slots, 16 blocks): what of it reaches a Gaussian
+  float* apart;              // (layers, blocks, APART, 16): of light that is drawn apart W/m2 rgb of skin, as far as the
+                             // lamp's picture counts there; what of it reaches the Gaussian; and how far it counts
+  float* layer;              // (layers, layer_stride), (16 blocks, 4) of each: rgb that this light adds, and the sum of these
+                             // as far as it reaches the Gaussian
+  const float* at_pixels;    // (layers): how much of it is drawn apart, 0..1
   float* thrown;             // (16 / PATCH anchor blocks, THROWN): of patches mean place, normal, W/m2 that they throw
                              // back, and mean squared distance of their anchors from their middle; of padding zeros
   const int32_t* beside;     // (16 anchor blocks, EVENED): rows of anchors whose mean is taken of the skin that they see
@@ -64,7 +71,10 @@ struct SceneLightTask {
   float wide_softness;       // the same for `wide_seen`
   float sine2_min;           // floor of a squared sine between ray and capsule
   float shade;               // how much of what skin hides of the world, and throws back, is drawn, 0..1
+  int32_t layer_stride;      // floats
+  int32_t slot_of_layer[LAYERS_MAX];  // -1: it does not light this hand
   int32_t lamps, slots, lobes;
+  int32_t layers;            // of light that is drawn apart, to be shadowed at each pixel
   int32_t keeps_pose;        // whether the light alone is new
   int32_t keeps_visible;     // and the world is not
 };

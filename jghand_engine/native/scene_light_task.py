@@ -30,6 +30,8 @@ NUMBER = {name: place for place, name in enumerate(LAMP_NUMBERS)}
 
 # places of the picture of a lamp that a point is compared with
 LAMP_TAPS = 16
+# lamps whose light can be drawn apart, and numbers that are kept of it (native/scene_light.h)
+LAYERS_MAX, APART = 8, 5
 
 
 class Above(ctypes.Structure):
@@ -46,8 +48,9 @@ class LampDepth(ctypes.Structure):
         ("skin", Above),
         ("anchors", Above),
         ("axes", _F32 * 9),
-        *((name, _F32) for name in ("focal", "part", "scale")),
-        *((name, _I32) for name in ("size", "orthographic", "rows")),
+        ("place", _F32 * 3),
+        *((name, _F32) for name in ("focal", "part", "scale", "radius2")),
+        *((name, _I32) for name in ("size", "orthographic", "rows", "layer")),
     )
 
 
@@ -57,9 +60,12 @@ class SceneLightTask(ctypes.Structure):
     _fields_ = (
         *((name, _P) for name in ("material", "own", "partly", "hides_start", "hides", "lamp", "casting")),
         *((name, _P) for name in ("irradiance", "left", "baked", "depth", "lobe")),
-        *((name, _P) for name in ("posed", "visible", "skin_seen", "thrown", "beside", "bounced")),
+        *((name, _P) for name in ("posed", "visible", "skin_seen", "apart", "layer", "at_pixels")),
+        *((name, _P) for name in ("thrown", "beside", "bounced")),
         *((name, _P) for name in ("reflecting", "sky", "reached")),
         *((name, _F32 * 3) for name in ("softness", "bounce", "least")),
         *((name, _F32) for name in ("shade_gain", "flesh_softness", "wide_softness", "sine2_min", "shade")),
-        *((name, _I32) for name in ("lamps", "slots", "lobes", "keeps_pose", "keeps_visible")),
+        ("layer_stride", _I32),
+        ("slot_of_layer", _I32 * LAYERS_MAX),
+        *((name, _I32) for name in ("lamps", "slots", "lobes", "layers", "keeps_pose", "keeps_visible")),
     )

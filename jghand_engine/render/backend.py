@@ -17,13 +17,13 @@ from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.cast_task import Capsules
 from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.avatar.scene_light import SceneLight
-from jghand_engine.avatar.scene_light_step import NO_DEPTHS
+from jghand_engine.avatar.scene_light_step import NO_DEPTHS, Apart
 from jghand_engine.gpu.choice import device_for, new_rasterizer
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
-from jghand_engine.native.scene_light_task import LampDepth
+from jghand_engine.native.scene_light_task import LAYERS_MAX, LampDepth
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
@@ -92,6 +92,12 @@ class Canvas:
     detail: tuple[float, ...] = ()
     sharp: tuple[Sharp, ...] = ()
 
+    @property
+    def layers(self) -> tuple[int, ...]:
+        """Numbers of the lamps whose light is drawn apart, to be shadowed at each pixel."""
+        of_seen = itertools.compress((one.at_pixels for one in self.sharp), self.seen)
+        return tuple(lamp for lamp, parts in enumerate(zip(*of_seen, strict=True)) if any(parts))[:LAYERS_MAX]
+
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
         if other is None or self.alpha_min != other.alpha_min or self.light != other.light:
@@ -117,6 +123,7 @@ class Backend:
     variant: of the kernels, and the graphics card if one draws
     threads: how many draw
     light:   of the scene, in which the Gaussians stand
+    draws_layers: whether light can be drawn apart
     """
 
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings, detail_powers: Sequence[float]) -> None:
@@ -124,7 +131,7 @@ class Backend:
         library = native_library.load(settings.backend)
         self._device, self.threads = device_for(settings.backend, library), thread_count(settings.threads)
         self.variant = library.variant if self._device is None else f"{library.variant}, {self._device.name}"
-        self._library, self._settings = library, settings
+        self._library, self._settings, self.draws_layers = library, settings, self._device is None
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
         self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)), fades=any(map(_fades, avatars)))
         self._hands: list[Poser] = []
@@ -149,6 +156,10 @@ class Backend:
         self._pictures = LampPictures(self._detail, avatars) if self._detail and self._ends_hands else None
         # scales of the hands as they are posed, and the origin of their positions
         self._stand: tuple[list[float], np.ndarray] = [], np.zeros(3)
+        # of the light that is drawn apart: numbers of the lamps, per hand their pictures, and what it makes of colors
+        self._layers: tuple[int, ...] = ()
+        self._depths: Sequence[Mapping[int, LampDepth]] = [NO_DEPTHS] * len(avatars)
+        self._layer_rows = aligned_zeros((0, rows, 4))
         self.light: SceneLight | None = None
         self.rest()
 
@@ -160,7 +171,7 @@ class Backend:
         poses: one per avatar; None keeps the Gaussians of the last call · keep_image: also what was drawn of them, in
         the same view
         """
-        camera, settings, light = canvas.camera, self._settings, canvas.light
+        camera, light, layers = canvas.camera, canvas.light, canvas.layers
         skins: list[Poser] = []
         if poses is not None:
             skins = [hand for hand, stands in zip(self._hands, canvas.posed, strict=True) if stands]
@@ -171,7 +182,7 @@ class Backend:
                 posed = [poses[place] for place in self._detailed]
                 self._detail.pose([pose.bones for pose in posed], [pose.shift_m for pose in posed])
             self._stand = [pose.bones.scale for pose in poses], poses[0].bones.root_m - poses[0].shift_m
-            depths = self._depths(canvas, report)
+            depths = self._take_depths(canvas, report)
             for place, (hand, pose) in enumerate(zip(self._hands, poses, strict=True)):
                 if not canvas.posed[place]:
                     hand.hide()
@@ -185,20 +196,19 @@ class Backend:
                     light=mine,
                     depths=depths[place],
                 )
-        elif light is not None and light != self.light:
-            lit = zip(self._hands, self._depths(canvas, report), strict=True)
+        elif light is not None and (light != self.light or layers != self._layers):
+            lit = zip(self._hands, self._take_depths(canvas, report), strict=True)
             skins = [hand for place, (hand, own) in enumerate(lit) if hand.prepare_light(light.on_hand(place), own)]
-        self.light = light
+        self.light, self._layers = light, layers
         if not keep_image:
-            self._planes = self._rasterizer.prepare(
-                self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
-            )
+            self._planes = self._prepare_raster(canvas)
         # an image that is kept has its own
         detail = self._detail if canvas.detail and not keep_image else None
         if detail is not None:
             strengths = [canvas.detail[place] for place in self._detailed]
             seen = [canvas.seen[place] for place in self._detailed]
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
+            detail.shadow_pixels([one.layer_planes for one in self._rasterizers[: len(layers)]], self._depths)
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
@@ -206,36 +216,66 @@ class Backend:
         work = _Work(
             skins=skins,
             # an image that is kept is of the same camera
-            shining=[] if keep_image else [hand for hand in self._hands if hand.prepare_gloss(canvas.camera.eye_m)],
-            rasterizer=None if keep_image else self._rasterizer,
+            shining=[] if keep_image else self._prepare_gloss(canvas),
+            rasterizers=[] if keep_image else self._rasterizers,
             detail=detail,
             shade=shade,
         )
         work.run(shared_pool(self.threads))
         work.report_to(report, LIGHT if poses is None else SKIN, COMPOSE if canvas.style is None else SHADOW)
-        report.visible_gaussians = self._rasterizer.visible
+        report.visible_gaussians = self._rasterizers[0].visible
         hidden = sum(count for count, stands in zip(self._counts, canvas.posed, strict=True) if not stands)
-        report.invalid_gaussians = self._rasterizer.invalid - self._padding - hidden
-        if self._rasterizer.fell_back:
+        report.invalid_gaussians = self._rasterizers[0].invalid - self._padding - hidden
+        if self._rasterizers[0].fell_back:
             report.backend = self._library.variant
-            report.notes.append(self._rasterizer.fell_back)
+            report.notes.append(self._rasterizers[0].fell_back)
         return rgba, depth_m
 
-    def _depths(self, canvas: Canvas, report: FrameReport) -> Sequence[Mapping[int, LampDepth]]:
+    def _prepare_raster(self, canvas: Canvas) -> np.ndarray:
+        """Planes of the image. Each layer is drawn beside one, those after the first beside one that nobody sees."""
+        count = len(canvas.layers)
+        while len(self._rasterizers) < count:
+            self._rasterizers.append(self._new_rasterizer())
+        del self._rasterizers[max(count, 1) :]
+        if len(self._layer_rows) < count:
+            self._layer_rows = aligned_zeros((count, len(self._gaussians), 4))
+        planes = []
+        for rasterizer, layer in zip(self._rasterizers, [*self._layer_rows[:count]] or [None], strict=True):
+            gaussians = replace(self._gaussians, layer=layer)
+            view, alpha_min = view_of(canvas.camera), canvas.alpha_min
+            planes.append(rasterizer.prepare(gaussians, view, alpha_min=alpha_min, t_stop=self._settings.t_stop))
+        return planes[0]
+
+    def _prepare_gloss(self, canvas: Canvas) -> list[Poser]:
+        """The hands that are seen from elsewhere, or with other light apart."""
+        shining, first = [], 0
+        for place, hand in enumerate(self._hands):
+            apart, rows = None, slice(first, first + hand.blocks.rows)
+            if canvas.layers:
+                parts = np.array([canvas.sharp[place].at_pixels[lamp] for lamp in canvas.layers], np.float32)
+                apart = Apart(parts, self._layer_rows[: len(canvas.layers), rows])
+            if hand.prepare_gloss(canvas.camera.eye_m, apart):
+                shining.append(hand)
+            first = rows.stop
+        return shining
+
+    def _take_depths(self, canvas: Canvas, report: FrameReport) -> Sequence[Mapping[int, LampDepth]]:
         """Per hand what stands before lamps, as it is posed."""
+        self._depths = [NO_DEPTHS] * len(self._hands)
         if self._pictures is None or canvas.light is None or not canvas.sharp:
-            return [NO_DEPTHS] * len(self._hands)
+            return self._depths
         started = time.perf_counter()
         sharp = [
             one if stands else replace(one, weights=()) for one, stands in zip(canvas.sharp, canvas.posed, strict=True)
         ]
-        taken = self._pictures.take(canvas.light.lamps, sharp, *self._stand, shared_pool(self.threads))
+        pool = shared_pool(self.threads)
+        self._depths = self._pictures.take(canvas.light.lamps, sharp, *self._stand, pool, canvas.layers)
         report.ran(LAMP_DEPTH, 1e3 * (time.perf_counter() - started))
-        return taken
+        return self._depths
 
     def rest(self) -> None:
         """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""
-        self._rasterizer = self._new_rasterizer()
+        self._rasterizers = [self._new_rasterizer()]
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
 
@@ -299,30 +339,36 @@ class _Work:
         self,
         skins: Sequence[Poser],
         shining: Sequence[Poser],
-        rasterizer: NativeRasterizer | None,
+        rasterizers: Sequence[NativeRasterizer],
         detail: NativeDetail | None,
         shade: NativeShade,
     ) -> None:
-        self._skins, self._shining, self._rasterizer, self._shade = skins, shining, rasterizer, shade
+        self._skins, self._shining, self._rasterizers, self._shade = skins, shining, rasterizers, shade
         self._detail, self._times = detail, [0.0] * 6
 
     def run(self, pool: WorkerPool) -> None:
-        if self._rasterizer is not None and self._rasterizer.finishes_elsewhere:
-            self._run_in_two(pool, self._rasterizer)
+        if any(rasterizer.finishes_elsewhere for rasterizer in self._rasterizers):
+            self._run_in_two(pool)
             return
         pool.run(self._walk)
-        while self._rasterizer is not None and not self._rasterizer.finished():
+        while not self._finished():
             # the lists of the tiles had no room: everything again, which costs least where it never happens
             after = [self._shade.team, *([] if self._detail is None else [self._detail.team])]
             for team in (*after, *(team for hand in (*self._skins, *self._shining) for team in hand.teams)):
                 team.fill(0)
             pool.run(self._walk)
 
-    def _run_in_two(self, pool: WorkerPool, rasterizer: NativeRasterizer) -> None:
+    def _finished(self) -> bool:
+        # each makes room for its lists
+        finished = [rasterizer.finished() for rasterizer in self._rasterizers]
+        return all(finished)
+
+    def _run_in_two(self, pool: WorkerPool) -> None:
         """The threads wait while another device draws."""
         pool.run(self._walk_to_lists)
-        while not rasterizer.finished():
-            pool.run(rasterizer.run)
+        for rasterizer in self._rasterizers:
+            while not rasterizer.finished():
+                pool.run(rasterizer.run)
         pool.run(self._walk_from_planes)
 
     def _walk(self, thread: int) -> None:
@@ -338,8 +384,8 @@ class _Work:
         for hand in self._shining:
             hand.run_gloss()
         times[2] = time.perf_counter()
-        if self._rasterizer is not None:
-            self._rasterizer.run()
+        for rasterizer in self._rasterizers:
+            rasterizer.run()
 
     def _walk_from_planes(self, thread: int) -> None:
         times = self._times if thread == 0 else [0.0] * 6
@@ -358,7 +404,7 @@ class _Work:
             report.ran(first, skin_ms)
         if self._shining:
             report.ran(GLOSS, gloss_ms)
-        if self._rasterizer is not None:
+        if self._rasterizers:
             report.ran(RASTER, raster_ms)
         if self._detail is not None:
             report.ran(DETAIL, detail_ms)

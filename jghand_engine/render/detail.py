@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from jghand_engine.avatar.detail_correctives import NUMBERS, angle_numbers
 from jghand_engine.avatar.detail_mips import STEPS_PER_BYTE
 from jghand_engine.avatar.posing import LightAround, Poser
 from jghand_engine.avatar.relief import Bend, finger_shares
+from jghand_engine.avatar.scene_light_step import NO_DEPTH
 from jghand_engine.avatar.skin_task import BLEND_DET_MIN, surface_task
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
@@ -32,6 +33,7 @@ from jghand_engine.native import contract
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.detail_task import FACE_BOUNDS, FACE_VECTORS, TEXEL_BITS, DetailHand, DetailTask
 from jghand_engine.native.learned_tasks import CorrectiveKind
+from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.tasks import LANES
 from jghand_engine.native.threads import WorkerPool, shared_pool
 from jghand_engine.render.camera import Camera
@@ -109,7 +111,9 @@ class NativeDetail:
             graze_max=GRAZE_MAX,
         )
         self.team = new_team()
+        # what the task points to
         self._keep: np.ndarray | None = None
+        self._lit: list[object] = []
 
     def pose(self, bones: Sequence[Bones], shifts_m: Sequence[np.ndarray]) -> None:
         """Sets the next pose; shifts_m: (3,) of each hand's root from the origin of the positions, meters."""
@@ -148,7 +152,22 @@ class NativeDetail:
             own.rise = hand.rise_m if strength > 0 else 0.0
             hand.set_faces(own, fine=is_seen and task.outline > 0 and hand.corner_px(camera) > self._outline_px)
             own.groups *= is_seen
+        task.layers = 0
         self.team.fill(0)
+
+    def shadow_pixels(self, layers: Sequence[np.ndarray], lamps: Sequence[Mapping[int, LampDepth]]) -> None:
+        """Sets which light of the image that was prepared is shadowed at each pixel. layers: planes (4, H, W) of each,
+        without shadows · lamps: per hand the pictures of the lamps, of which each says which layer is its own."""
+        self._task.layers = len(layers)
+        if not layers:
+            return
+        pointers = (ctypes.c_void_p * len(layers))(*(layer.ctypes.data for layer in layers))
+        self._task.layer, self._lit = ctypes.addressof(pointers), [layers, pointers]
+        for task, own in zip(self._tasks, lamps, strict=True):
+            of_layer = {depth.layer: depth for depth in own.values()}
+            pictures = (LampDepth * len(layers))(*(of_layer.get(place, NO_DEPTH) for place in range(len(layers))))
+            task.lamps = ctypes.addressof(pictures)
+            self._lit.append(pictures)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Of the pose that stands and one hand: see `SurfaceHits`. The camera is of the origin of the positions."""
@@ -258,6 +277,8 @@ class _Hand:
         self._arrays = {
             "vertex": aligned_zeros((3, blocks.rows)),
             "whole": blocks.in_rows(detail.shown),
+            "normal": blocks.blocked(detail.normals),
+            "turned": aligned_zeros((3, blocks.rows)),
             "texels": np.ascontiguousarray(detail.mips.texels) if slopes is None else detail.texels,
         }
         # a face seen from outside turns left; on the image, whose rows go down, its area is negative
@@ -275,7 +296,6 @@ class _Hand:
             self._joints_m = hand.joints_m - hand.joints_m[0]
             self._near = np.ascontiguousarray(blocks.in_rows(self._bend.near).T)
             self._arrays |= {
-                "normal": blocks.blocked(detail.normals),
                 "nearest": blocks.blocked(hand.light.nearest, np.int32),
                 "beside": blocks.blocked(hand.light.beside, np.int32),
                 "share": blocks.blocked(hand.light.share),
@@ -323,7 +343,7 @@ class _Hand:
         sides = Blocks(np.argsort(self.row_of_vertex[parted.around[:, 0]]))
         in_sides = (sides.count, LANES, AROUND_SIDE)
         around = sides.in_rows(self.row_of_vertex[parted.around], np.int32).reshape(in_sides)
-        for name in self._arrays.keys() & {"vertex", "whole", "bend", "slope"}:
+        for name in self._arrays.keys() & {"vertex", "whole", "turned", "bend", "slope"}:
             before = self._arrays[name]
             self._arrays[name] = aligned_zeros((*before.shape[:-1], rows + sides.rows))
             self._arrays[name][..., :rows] = before

@@ -128,12 +128,14 @@ class Decision(NamedTuple):
 class Sharp:
     """Shadows on a hand with the edges of surfaces.
 
-    weights: per lamp how much they count beside those of capsules, 0..1; empty for none
-    ball:    around the hand's surface
+    weights:   per lamp how much they count beside those of capsules, 0..1; empty for none
+    ball:      around the hand's surface
+    at_pixels: per lamp how much of them is found at pixels instead of at Gaussians, 0..1; empty for none
     """
 
     weights: tuple[float, ...]
     ball: Ball
+    at_pixels: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -172,7 +172,7 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     else:
         strength = 0.0
         lamps, shadows, *others = light_decisions(scene.lit, scene.moved_m, bones, drawn, settings.effects)
-        sharp, edges = sharp_shadows(scene.lit, scene.moved_m, scene.bones, hands, seen, settings)
+        sharp, edges = sharp_shadows(scene.lit, scene.moved_m, scene.bones, hands, seen, scene.camera, settings)
         light = [lamps, shadows, edges, *others]
     enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)

@@ -16,7 +16,7 @@ from jghand_engine.avatar.cast_task import anchor_blocks
 from jghand_engine.avatar.detail import Detail
 from jghand_engine.avatar.scene_light import Lamp
 from jghand_engine.native.binding import aligned_zeros
-from jghand_engine.native.scene_light_task import LAMP_TAPS, Above, LampDepth, LampKind
+from jghand_engine.native.scene_light_task import LAMP_TAPS, NUMBER, Above, LampDepth, LampKind
 from jghand_engine.native.threads import WorkerPool
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import NativeDetail
@@ -24,8 +24,8 @@ from jghand_engine.render.effect_plan import Sharp
 from jghand_engine.render.hand_facts import Ball
 from jghand_engine.render.shadow import vogel_disc
 
-# pixels along a side, 0.8 mm each of a hand with its forearm: Gaussians are 1 mm apart, more pixels show no more
-SIDE_PX = 512
+# pixels along a side, 0.4 mm each of a hand with its forearm, between which pixels of an image ask
+SIDE_PX = 1024
 # parallel rays begin so far before the hands, meters: what stands still farther away is left out
 PARALLEL_FROM_M = 1.0
 # radii of the ball from which on rays from a lamp are parallel: single precision measures depth worse from there
@@ -56,6 +56,15 @@ def seen_from(lamp: Lamp, ball: Ball) -> Camera:
     return replace(camera, orthographic=is_parallel)
 
 
+def _radius2(lamp: Lamp, ball: Ball, *, is_parallel: bool) -> float:
+    """Of what shines, m2; of parallel rays the squared sine of half its angle."""
+    sun_sine, radius2 = (float(lamp.numbers[NUMBER[name]]) for name in ("sun_sine", "radius2"))
+    if lamp.kind is LampKind.SUN:
+        return sun_sine**2
+    apart2 = float(np.square(lamp.place_m - ball.middle_m).sum())
+    return radius2 / (apart2 + radius2) if is_parallel else radius2
+
+
 class LampPictures:
     """Takes the pictures for hands whose surfaces `detail` draws, all of them."""
 
@@ -75,6 +84,7 @@ class LampPictures:
         scales: Sequence[float],
         origin_m: np.ndarray,
         pool: WorkerPool,
+        layers: Sequence[int] = (),
     ) -> list[dict[int, LampDepth]]:
         """Per hand what the kernel needs of each lamp that has a weight, by the lamp's number; it points to arrays that
         stand until the next call. The pose is that in which `detail` has the hands.
@@ -82,11 +92,21 @@ class LampPictures:
         sharp:    per hand; each has pictures of its own, in which the others stand, too
         scales:   of the hands
         origin_m: (3,) of the positions, in the frame of the lamps
+        layers:   numbers of the lamps whose light is drawn apart
         """
         self._taken = []
         return [
             {
-                number: self._picture(hand, lamps[number], weight, one.ball, scale, origin_m, pool)
+                number: self._picture(
+                    hand,
+                    lamps[number],
+                    one.ball,
+                    origin_m,
+                    pool,
+                    part=weight,
+                    scale=scale,
+                    layer=layers.index(number) if number in layers else -1,
+                )
                 for number, weight in enumerate(one.weights)
                 if weight > 0
             }
@@ -94,10 +114,19 @@ class LampPictures:
         ]
 
     def _picture(
-        self, hand: int, lamp: Lamp, weight: float, ball: Ball, scale: float, origin_m: np.ndarray, pool: WorkerPool
+        self,
+        hand: int,
+        lamp: Lamp,
+        ball: Ball,
+        origin_m: np.ndarray,
+        pool: WorkerPool,
+        *,
+        part: float,
+        scale: float,
+        layer: int,
     ) -> LampDepth:
-        camera = seen_from(lamp, ball)
-        near, vertices = self._detail.surfaces(camera.about(origin_m), hand, pool)
+        camera = seen_from(lamp, ball).about(origin_m)
+        near, vertices = self._detail.surfaces(camera, hand, pool)
         self._taken += [near, vertices]
         skin, anchors = self._above_hand(hand)
         return LampDepth(
@@ -107,12 +136,15 @@ class LampPictures:
             skin=Above(*(array.ctypes.data for array in skin)),
             anchors=Above(*(array.ctypes.data for array in anchors)),
             axes=tuple(camera.camera_from_world[:3, :3].ravel().tolist()),
+            place=tuple(camera.camera_from_world[:3, 3].tolist()),
             focal=camera.fx,
-            part=weight,
+            part=part,
             scale=scale,
-            size=SIDE_PX,
+            radius2=_radius2(lamp, ball, is_parallel=camera.orthographic),
+            size=camera.width,
             orthographic=camera.orthographic,
             rows=vertices.shape[1],
+            layer=layer,
         )
 
     def _above_hand(self, hand: int) -> tuple[_Above, _Above]:

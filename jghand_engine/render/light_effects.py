@@ -11,7 +11,9 @@ import numpy as np
 from jghand_engine.avatar.lamp_rows import LIMITS, TINY, Limits, fade, lamp_weights, shares_on, world_shade
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
+from jghand_engine.native.contract import Z_NEAR_M
 from jghand_engine.native.scene_light_task import NUMBER, LampKind
+from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effect, Sharp
 from jghand_engine.render.hand_facts import Ball, HandFacts
 from jghand_engine.render.settings import RenderSettings
@@ -21,9 +23,14 @@ from jghand_engine.render.settings import RenderSettings
 LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
 # ... of a shadow with sharp edges, per Gaussian, and of the picture that it asks
 SHARP_MS, PICTURE_MS = 2e-5, 1.3
+# ... and at pixels: per Gaussian, whose light is drawn once more, and per pixel
+LAYER_MS, PIXEL_MS = 1.3e-4, 5e-5
 # lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
 # one its picture sees other skin than its rim does
 SHARP_SINE, BLUNT_SINE = 0.16, 0.20
+# of lamps from that part of the light on they fade in at pixels, which are so large on the hand, m: Gaussians are 1 mm
+# apart, and neither fainter shadows nor coarser pixels show that they fray edges
+PIXEL_LIGHT, PIXEL_FROM_M, PIXEL_WHOLE_M = 0.125, 8e-4, 5e-4
 # radii of the ball around a hand, between which a lamp that comes nearer loses its picture: it sees less of the hand
 APART_LEAST, APART_WHOLE = 1.3, 1.6
 # what the world's reflections cost, in lamps
@@ -42,12 +49,14 @@ class Lit:
     is_new:       whether the skin stands in another one
     has_new_world: whether in another world
     is_seen_anew: whether the last image was seen from elsewhere
+    has_layers:   whether light can be drawn apart, to be shadowed at each pixel
     """
 
     light: SceneLight
     is_new: bool = True
     has_new_world: bool = True
     is_seen_anew: bool = True
+    has_layers: bool = True
 
 
 def limits_of(choice: Choice) -> Limits:
@@ -154,6 +163,7 @@ def sharp_shadows(
     bones: Sequence[Bones],
     hands: Sequence[HandFacts],
     seen: Sequence[bool],
+    camera: Camera,
     settings: RenderSettings,
 ) -> tuple[tuple[Sharp, ...], Decision]:
     """`EffectPlan.sharp` of all hands, each by itself: none that comes or goes changes another's edges. seen: per hand
@@ -178,17 +188,34 @@ def sharp_shadows(
         shares, points_m = shares_on(light, one, hand.joints_m)
         shaded = fade(shares[:-1], limits.lamp_shadow) * (lamp_weights(shares, limits) > 0) * have_shadows > 0
         weights = fade(shares[:-1], limits.sharp_shadow) * _suits_picture(light, points_m + one.root_m, ball) * shaded
-        found.append(Sharp(tuple(weights.tolist()), ball))
+        px_per_m = _px_per_m(camera, ball) * max(one.scale, TINY)
+        at_pixels = fade(shares[:-1], PIXEL_LIGHT) * (weights > 0) * _by_size(px_per_m) * lit.has_layers
+        found.append(Sharp(tuple(weights.tolist()), ball, tuple(at_pixels.tolist())))
         casts |= shaded & is_seen
         cost_ms += is_seen * (weights > 0).sum() * (PICTURE_MS + hand.count * SHARP_MS)
+        pixels = min((px_per_m * ball.radius_m) ** 2, camera.width * camera.height)
+        cost_ms += is_seen * (at_pixels > 0).sum() * (hand.count * LAYER_MS + pixels * PIXEL_MS)
+    fine = int(np.any([np.array(one.at_pixels) > 0 for one in found], axis=0).sum())
     drawn = int(np.any([np.array(one.weights) > 0 for one in found], axis=0).sum())
     if not drawn:
         return skipped("lamps are too large, too near or too faint" if casts.any() else "no lamp casts a shadow")
     out = int(casts.sum()) - drawn
-    why = f"of {_counted(drawn)}" + (f", {_counted(out)} too large, too near or too faint" if out > 0 else "")
+    why = f"of {_counted(drawn)}" + (f", of {fine} at each pixel" if fine else "")
+    why += f", {_counted(out)} too large, too near or too faint" if out > 0 else ""
     decision = Decision(Effect.SHARP_SHADOW, True, why, lost, None, float(cost_ms))
     kept = None if moved_m is None else _kept_light(lit)
     return tuple(found), _kept(decision, kept, moved_m or 0.0)
+
+
+def _px_per_m(camera: Camera, ball: Ball) -> float:
+    """How large a ball is drawn, where it is the nearest; infinite where the camera is in it."""
+    nearest_m = float(camera.camera_from_world[2] @ (*ball.middle_m, 1.0)) - ball.radius_m
+    return camera.px_per_meter(nearest_m) if nearest_m > Z_NEAR_M or camera.orthographic else math.inf
+
+
+def _by_size(px_per_m: float) -> float:
+    """How much of shadows is found at pixels, 0..1."""
+    return min(max((PIXEL_FROM_M - 1 / max(px_per_m, TINY)) / (PIXEL_FROM_M - PIXEL_WHOLE_M), 0.0), 1.0)
 
 
 def _suits_picture(light: SceneLight, points_m: np.ndarray, ball: Ball) -> np.ndarray:

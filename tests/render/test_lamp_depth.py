@@ -13,9 +13,11 @@ from jghand_engine.avatar.forearm import ended
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.native import library
 from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.render import light_effects
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.detail import DetailedHand
+from jghand_engine.render.detail import DetailedHand, NativeDetail
 from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.framing import framing_camera
 from jghand_engine.render.hand_facts import HandFacts
@@ -216,7 +218,8 @@ def test_large_faint_and_shadowless_lamps_have_edges_of_capsules():
     far = point(1.0)
     large, faint = replace(far, radius_m=0.5), replace(far, rgb=(0.01, 0.01, 0.01))
     assert weights_of(drawn(SUN, faint, large)) == (1.0, 0.0, 0.0)
-    assert plan_of(drawn(SUN, faint, large))[Effect.SHARP_SHADOW].reason.startswith("of 1 lamp, 1 lamp too large")
+    reason = plan_of(drawn(SUN, faint, large))[Effect.SHARP_SHADOW].reason
+    assert reason.endswith(", 1 lamp too large, too near or too faint")
     assert plan_of(drawn(large))[Effect.SHARP_SHADOW].reason == "lamps are too large, too near or too faint"
     assert plan_of(drawn(replace(SUN, has_shadow=False)))[Effect.SHARP_SHADOW].reason == "no lamp casts a shadow"
 
@@ -317,3 +320,144 @@ def test_a_lamp_that_is_dragged_takes_its_picture_anew_and_one_that_stays_does_n
     again = renderer.render([FIST], view())
     assert "lamp pictures" not in again.report.stages
     assert np.array_equal(again.rgba, fresh.rgba)
+
+
+# ---- at pixels ------------------------------------------------------------------------------------------------------
+
+LARGE = view().scaled(2.5)
+
+
+def large(*lamps: Lamp, camera: Camera = LARGE, **settings) -> np.ndarray:
+    """(H, W, 4) the fist in the light of lamps alone, so large that shadows are found at pixels."""
+    return SceneRenderer([AVATAR], replace(FINAL, **settings), SceneLight(None, lamps)).render([FIST], camera).rgba
+
+
+@pytest.fixture
+def at_gaussians(monkeypatch):
+    """The same as `large`, with shadows that are found at Gaussians."""
+
+    def draw(*lamps: Lamp) -> np.ndarray:
+        with monkeypatch.context() as patched:
+            patched.setattr(light_effects, "PIXEL_LIGHT", np.inf)
+            return large(*lamps)
+
+    return draw
+
+
+def test_shadows_at_pixels_are_where_faces_stand_before_the_sun(posed, at_gaussians):
+    """By rays past every face, from the surface at each pixel, and much better than at Gaussians."""
+    corners_m, _, _ = posed
+    detail = NativeDetail(library.load(), [DetailedHand.of(AVATAR, 1.0)])
+    detail.pose([AVATAR.skeleton().bones(FIST)], [np.zeros(3)])
+    face, depth_m = detail.hits(LARGE.about(FIST[0]))
+    normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    open_sky = large(replace(SUN, has_shadow=False))[..., :3].sum(-1)
+    seen, before = (draw(SUN)[..., :3].sum(-1) / np.maximum(open_sky, 1e-6) for draw in (large, at_gaussians))
+    lit = (face >= 0) & (open_sky > 0.2) & (normal[face] @ TO_SUN > 0.4)
+    rows, columns = np.nonzero(lit)
+    chosen = np.random.default_rng(2).permutation(len(rows))[:1500]
+    rows, columns = rows[chosen], columns[chosen]
+    over = depth_m[rows, columns, None]
+    ways = np.stack([(columns + 0.5 - LARGE.cx) / LARGE.fx, (rows + 0.5 - LARGE.cy) / LARGE.fy, np.ones(len(rows))], 1)
+    rotation = LARGE.camera_from_world[:3, :3]
+    hidden = hidden_by_faces(corners_m, (ways * over) @ rotation + LARGE.eye_m, TO_SUN)
+    seen, before = seen[rows, columns], before[rows, columns]
+    assert 0.1 < hidden.mean() < 0.9
+    wrong, wrong_before = ((hidden != (of < 0.5)).mean() for of in (seen, before))
+    assert wrong < 0.03
+    assert wrong < 0.6 * wrong_before
+
+
+def test_light_apart_and_the_rest_are_the_colors_that_gaussians_have(monkeypatch):
+    """As far as it reaches them."""
+    colors = []
+    for limit in (np.inf, light_effects.PIXEL_LIGHT):
+        monkeypatch.setattr(light_effects, "PIXEL_LIGHT", limit)
+        renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN, point(0.5))))
+        frame = renderer.render([FIST], LARGE)
+        backend = renderer._backend
+        layers = backend._layer_rows[: len(backend._layers)]
+        assert len(layers) == 2 * (limit < np.inf), plan_of(frame).sharp
+        assert not layers.size or layers[..., 3].max() > 0.5
+        colors.append(backend._gaussians.rgb.sum(1) + layers[..., 3].sum(0))
+    assert np.allclose(colors[0], colors[1], atol=1e-5)
+
+
+def test_half_of_it_at_pixels_is_the_mean_of_all_and_none(at_gaussians, monkeypatch):
+    """So what fades in between does not pop."""
+    whole, none = large(SUN), at_gaussians(SUN)
+    monkeypatch.setattr(light_effects, "PIXEL_LIGHT", 1 / 1.5)
+    half = large(SUN)
+    assert np.abs(whole - none).max() > 0.2
+    assert np.abs(half - (whole + none) / 2).max() < 0.002
+
+
+def test_lights_of_several_lamps_add_up_at_pixels():
+    """Each has a picture of its own, and a layer."""
+    other = replace(point(0.6), place_m=(-0.3, 0.4, 0.5))
+    both = large(SUN, other)[..., :3]
+    assert np.abs(both - large(SUN)[..., :3] - large(other)[..., :3]).mean() < 0.002 * both.mean()
+
+
+def test_they_fade_in_as_a_hand_grows_and_with_its_light():
+    parts = []
+    for times in np.linspace(0.3, 2.5, 12):
+        plan = plan_of(SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,))).render([FIST], view().scaled(times)))
+        parts.append(plan.sharp[0].at_pixels[0])
+    assert parts[0] == 0
+    assert parts[-1] == 1
+    assert np.diff(parts).min() >= 0
+    faint = replace(SUN, rgb=(0.2, 0.2, 0.2), place_m=(-0.5, 0.4, 0.8))
+    sharp = plan_of(SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN, faint))).render([FIST], LARGE)).sharp[0]
+    assert (sharp.weights, sharp.at_pixels) == ((1.0, 1.0), (1.0, 0.0))
+
+
+def test_a_camera_that_comes_nearer_to_a_pose_lights_it_anew_where_it_has_to():
+    light = SceneLight(DIM, (SUN,))
+    renderer = SceneRenderer([AVATAR], FINAL, light)
+    small = renderer.render([FIST], view().scaled(0.3)).rgba
+    near = renderer.render([FIST], LARGE)
+    assert np.array_equal(near.rgba, SceneRenderer([AVATAR], FINAL, light).render([FIST], LARGE).rgba)
+    turned = replace(LARGE, fx=LARGE.fx * 1.1, fy=LARGE.fy * 1.1)
+    closer = renderer.render([FIST], turned)
+    assert "light" not in closer.report.stages
+    assert np.array_equal(closer.rgba, SceneRenderer([AVATAR], FINAL, light).render([FIST], turned).rgba)
+    assert np.array_equal(renderer.render([FIST], view().scaled(0.3)).rgba, small)
+
+
+@pytest.mark.parametrize(("aside_m", "width"), [(0.25, 900), (-1.4, 2600)], ids=["near", "far"])
+def test_each_hand_asks_its_own_pictures_and_threads_agree(aside_m, width):
+    """Two hands look as each alone, also where a lamp gives one of them hardly any light; bits are those of one
+    thread."""
+    small = replace(point(0.3), rgb=tuple(0.3 * np.array(point(0.3).rgb)))
+    joints_m, light = [FIST, FIST + np.array([aside_m, 0.0, 0.05])], SceneLight(None, (SUN, small))
+    middle_m = MIDDLE_M + np.array([aside_m / 2, 0, 0])
+    eye_m = middle_m + np.array([0, 0, 0.6])
+    camera = Camera.looking_at(eye_m, middle_m, (0, 1, 0), width=width, height=500, focal_px=900)
+    frame, other = (
+        SceneRenderer([AVATAR, AVATAR], replace(FINAL, threads=threads), light).render(joints_m, camera)
+        for threads in (1, 2)
+    )
+    one, two = frame.rgba, other.rgba
+    assert np.array_equal(one, two)
+    assert (weights_of(frame, 1)[1] > 0) == (aside_m > 0)
+    alone = np.sum([SceneRenderer([AVATAR], FINAL, light).render([hand], camera).rgba for hand in joints_m], 0)
+    assert np.abs(one - alone).mean() < 0.01 * alone.mean()
+
+
+def test_a_left_hand_has_the_picture_of_its_mirror_image():
+    mirror = np.array([-1.0, 1, 1])
+    camera = framing_camera((FIST * mirror)[None], Handedness.LEFT, "front", width=240, height=300).scaled(2.5)
+    light = SceneLight(None, (replace(SUN, place_m=tuple(TO_SUN * mirror)),))
+    left = SceneRenderer([AVATAR.for_hand(Handedness.LEFT)], FINAL, light).render([FIST * mirror], camera).rgba
+    right = large(SUN)
+    assert np.abs(left[:, ::-1] - right).mean() < 0.02 * right.mean()
+
+
+def test_a_card_that_draws_no_layers_leaves_shadows_at_gaussians():
+    renderer = SceneRenderer([AVATAR], FINAL, SceneLight(DIM, (SUN,)))
+    renderer._backend.draws_layers = False
+    plan = plan_of(renderer.render([FIST], LARGE))
+    assert plan.sharp[0].at_pixels == (0.0,)
+    assert plan[Effect.SHARP_SHADOW].reason == "of 1 lamp"
