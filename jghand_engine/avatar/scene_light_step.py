@@ -147,7 +147,7 @@ class SceneLightStep:
         for slot, depth in enumerate(self._depths):
             if depth.layer >= 0:
                 self._slot_of_layer[depth.layer] = slot
-        layers = 1 + max(depth.layer for depth in self._depths)
+        layers = 1 + max((depth.layer for depth in self._depths), default=-1)
         if layers > len(self.arrays["apart"]):
             self.arrays["apart"] = aligned_zeros((layers, self._blocks.count, APART, LANES))
             set_pointers(self.task, {"apart": self.arrays["apart"]})

@@ -25,7 +25,7 @@ VAR_MAX_PX2 = 1e9
 # colors beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
 # part of a pixel's alpha, at least, that is taken for seen from outside: from below on its color goes to black
-FRONT_MIN = 0.04
+FRONT_MIN = 0.005
 # coverage from which such a picture shows anything: Gaussians are round, and wider at an outline than skin ends
 COVER_FROM = 0.15
 # transmittance below which a Gaussian gives such a picture none of its color, and above which all: between those of one

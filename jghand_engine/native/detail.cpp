@@ -376,18 +376,23 @@ JG_INLINE vf relief_light(const DetailHand& hand, const vf at[LANES], const vf r
   return min(max(light, all(LIGHT_LEAST)), all(LIGHT_MOST));
 }
 
-// Multiplies the colors of sixteen pixels of a row where the face of `mine` is the nearest.
-template <bool has_relief>
-JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpolated& n, vi mine, vf alpha, vf depth,
-                     vf color[3]) {
+// How much the Gaussians at this depth are those below the face of `mine`, at sixteen pixels of a row.
+JG_INLINE vf below(const DetailTask& t, const DetailHand& hand, const Interpolated& n, vi mine, vf depth) {
   const vf near = n.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
   // what lies below a surface is farther along a ray that grazes it
   const vf slope_x = n.by_x[NEAR] * t.fx * over, slope_y = n.by_y[NEAR] * t.fy * over;
   const vf upright = max(inverse_sqrt(1.f + slope_x * slope_x + slope_y * slope_y), all(1.f / t.graze_max));
   const vf apart = abs(depth - z - hand.depth) * upright;
-  vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * (1.f - smooth(apart, hand.fade_from, hand.fade_to));
-  weight = select(mine & (apart < hand.fade_to), weight, vf{}) * hand.strength;
+  return select(mine & (apart < hand.fade_to), 1.f - smooth(apart, hand.fade_from, hand.fade_to), vf{});
+}
+
+// Multiplies the colors of sixteen pixels of a row. skin: how much they are those of what is below their faces
+template <bool has_relief>
+JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpolated& n, vi mine, vf alpha, vf skin,
+                     vf color[3]) {
+  const vf weight = smooth(alpha, t.alpha_from, t.alpha_to) * skin * hand.strength;
   if (!bit_mask(weight > 0)) return;
+  const vf near = n.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
   const vf u = n.at[U] * over, v = n.at[V] * over;
   // how many texels a pixel spans: the mean square of its two sides
   const vf turn = t.orthographic ? vf{} : all(1.f), nu = u * turn, nv = v * turn;
@@ -435,37 +440,35 @@ Towards towards(const DetailTask& t, const LampDepth& d) {
   return out;
 }
 
-// The surface at sixteen pixels of a row, in the camera's axes: places, m, and unit normals.
-struct Skin {
+// Of the surface at sixteen pixels of a row, in the camera's axes: places, m, and unit normals.
+struct Spot {
   vf p[3], n[3];
 };
-Skin skin_at(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, const Interpolated& of, vf x, float y) {
+Spot spot_of(const DetailTask& t, const DetailHand& hand, vi face, vi mine, const Interpolated& of, vf x, float y) {
   const vf near = of.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
-  Skin skin = {{(x - t.cx) * over * (1.f / t.fx), (y - t.cy) * over * (1.f / t.fy), z}, {}};
+  Spot spot = {{(x - t.cx) * over * (1.f / t.fx), (y - t.cy) * over * (1.f / t.fy), z}, {}};
   const int64_t rows = rows_of(hand);
-  vi number;
-  memcpy(&number, face, sizeof number);
-  number = mine ? number & ((1 << FACE_BITS) - 1) : all(0);
+  const vi number = mine ? face & ((1 << FACE_BITS) - 1) : all(0);
   const vi first = (number / LANES) * (3 * LANES) + number % LANES, plane = number * FACE_NUMBERS;
   const vf dx = x - gather(hand.planes + X, plane), dy = y - gather(hand.planes + Y, plane);
   for (int k = 0; k < 3; k++) {
     const float* share = hand.planes + SHARE_0 + k;
     const vf part = gather(share, plane) + dx * gather(share + BY_X, plane) + dy * gather(share + BY_Y, plane);
     const vi row = gather_bits(hand.corner, first + k * LANES);
-    for (int i = 0; i < 3; i++) skin.n[i] += part * gather(hand.turned + i * rows, row);
+    for (int i = 0; i < 3; i++) spot.n[i] += part * gather(hand.turned + i * rows, row);
   }
-  make_unit(skin.n, SHARE2_MIN);
-  return skin;
+  make_unit(spot.n, SHARE2_MIN);
+  return spot;
 }
 
 // What of a lamp's light reaches it.
-vf reaching_skin(const LampDepth& d, const Towards& to, const Skin& skin) {
+vf reaching_spot(const LampDepth& d, const Towards& to, const Spot& spot) {
   Pictured at;
   vf q[3];
   for (int i = 0; i < 3; i++) {
     const float* axis = to.axes + 3 * i;
-    q[i] = axis[0] * skin.p[0] + axis[1] * skin.p[1] + axis[2] * skin.p[2] + to.place[i];
-    at.n[i] = axis[0] * skin.n[0] + axis[1] * skin.n[1] + axis[2] * skin.n[2];
+    q[i] = axis[0] * spot.p[0] + axis[1] * spot.p[1] + axis[2] * spot.p[2] + to.place[i];
+    at.n[i] = axis[0] * spot.n[0] + axis[1] * spot.n[1] + axis[2] * spot.n[2];
   }
   const float middle = 0.5f * (float)d.size;
   const vf shrinks = d.orthographic ? all(d.focal) : d.focal / max(q[2], all(DEPTH_MIN_M));
@@ -474,23 +477,56 @@ vf reaching_skin(const LampDepth& d, const Towards& to, const Skin& skin) {
   return reaching<true>(d, at, slant_of(d, at), sqrt(sine2));
 }
 
+// The surface of a hand at sixteen pixels of a row and beside them.
+struct Spots {
+  Spot at[5];
+  vi there[5];
+  int count;
+};
+Spots spots_of(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t row, int32_t x,
+               bool beside) {
+  constexpr int STEPS[5][2] = {{0, 0}, {-1, 0}, {1, 0}, {0, -1}, {0, 1}};
+  Spots spots = {};
+  for (const int(&step)[2] : STEPS) {
+    const int32_t column = x + step[0], line = row + step[1];
+    if (column < 0 || line < 0 || line >= TILE_Y) continue;
+    vi face;
+    memcpy(&face, &tile.face[line][column], sizeof face);
+    const vi there = (face >> FACE_BITS == all(number)) & (LANE_NUMBER < TILE_X - column);
+    const vf at_x = LANE + ((float)(tile.x + column) + 0.5f);
+    const float at_y = (float)(tile.y + line) + 0.5f;
+    const Interpolated near = interpolate<false>(hand, &tile.face[line][column], there, at_x, at_y);
+    spots.at[spots.count] = spot_of(t, hand, face, there, near, at_x, at_y), spots.there[spots.count++] = there;
+    if (!beside) break;
+  }
+  return spots;
+}
+
 // Adds light that was drawn apart to sixteen pixels of a row, as far as it reaches them.
-void add_layers(const DetailTask& t, const DetailHand& hand, const int32_t* face, vi mine, const Interpolated& at,
-                const Towards* to, vf x, int32_t row, int32_t left, vf color[3]) {
+// skin: how much their Gaussians are those below their faces; where those of something behind are mixed with them, an
+// edge between the two would be as sharp as pixels are
+void add_layers(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t row, int32_t x,
+                vi mine, vf skin, const Towards* to, vf color[3]) {
   const int64_t pixels = (int64_t)t.width * t.height;
-  Skin skin;
-  bool has_skin = false;
+  const int32_t n = t.width - tile.x - x;
+  Spots spots = {};
   for (int32_t layer = 0; layer < t.layers; layer++) {
-    const float* p = t.layer[layer] + (int64_t)row * t.width + left;
+    const float* p = t.layer[layer] + (int64_t)(tile.y + row) * t.width + tile.x + x;
     vf light[3], whole = {};
-    for (int k = 0; k < 3; k++) light[k] = load_first(p + k * pixels, t.width - left), whole += light[k];
+    for (int k = 0; k < 3; k++) light[k] = load_first(p + k * pixels, n), whole += light[k];
     const vi asked = mine & (whole > LAYER_UNSEEN);
     if (!(hand.lamps[layer].part > 0) || !bit_mask(asked)) continue;
-    vf part = load_first(p + 3 * pixels, t.width - left) / max(whole, all(LAYER_UNSEEN));
+    vf part = load_first(p + 3 * pixels, n) / max(whole, all(LAYER_UNSEEN));
     // edges are where Gaussians see a part
     if (bit_mask(asked & (part > EDGE_PART) & (part < 1.f - EDGE_PART))) {
-      if (!has_skin) skin = skin_at(t, hand, face, mine, at, x, (float)row + 0.5f), has_skin = true;
-      part = reaching_skin(hand.lamps[layer], to[layer], skin);
+      if (!spots.count) spots = spots_of(t, hand, number, tile, row, x, bit_mask(mine & (skin < 1)));
+      vf sum = {}, count = {}, own = {};
+      for (int k = 0; k < spots.count; k++) {
+        const vf reaches = reaching_spot(hand.lamps[layer], to[layer], spots.at[k]);
+        if (k == 0) own = reaches;
+        sum += select(spots.there[k], reaches, vf{}), count += select(spots.there[k], all(1.f), vf{});
+      }
+      part = select(skin < 1, sum / max(count, all(1.f)), own);
     }
     for (int k = 0; k < 3; k++) color[k] += select(mine, part * light[k], vf{});
   }
@@ -523,8 +559,9 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       const vf depth = load_first(p + DEPTH * pixels, n) * inverse(max(alpha, all(FILLED_FROM)));
       vf color[3];
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
-      if (t.layers) add_layers(t, hand, &tile.face[row][x], mine, at, to, at_x, tile.y + row, left, color);
-      shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), depth, color);
+      const vf skin = below(t, hand, at, mine, depth);
+      if (t.layers) add_layers(t, hand, number, tile, row, x, mine, skin, to, color);
+      shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), skin, color);
       if (t.outline > 0) {
         const vi solid = ((all((int32_t)(tile.solid[row] >> x)) >> LANE_NUMBER) & 1) != 0;
         const vf whole = select(solid, all(1.f), clamped(at.at[WHOLE]));
