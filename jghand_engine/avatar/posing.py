@@ -214,7 +214,7 @@ class Poser:
     def prepare_gloss(self, eye_m: np.ndarray, apart: Apart | None = None) -> bool:
         """Sets where the camera stands (3,), in the frame of the positions, and which light is drawn by itself. Whether
         there is anything to be run: not without a pose, or when nothing is reflected or the pose was seen so last."""
-        light, parts = self._light, () if apart is None else tuple(apart.parts.tolist())
+        light, parts = self._light, () if apart is None else tuple(apart.at_pixels.tolist())
         if self._stands is None or light is None or not light.reflects or self._seen == (*eye_m, *parts):
             return False
         self._seen = (*eye_m, *parts)

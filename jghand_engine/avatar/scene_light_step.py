@@ -28,7 +28,6 @@ from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.scene_light_task import (
     APART,
     LAMP_NUMBERS,
-    LAYERS_MAX,
     NUMBER,
     THROWN,
     LampDepth,
@@ -48,19 +47,21 @@ WHOLLY = 1e-6
 # without a world its cells are black
 BLACK = World(np.zeros((2, 4, 3)))
 # capsules say what stands before all lamps
-NO_DEPTH, NO_DEPTHS = LampDepth(layer=-1), dict[int, LampDepth]()
+NO_DEPTHS: Mapping[int, LampDepth] = {}
+# of a lamp without a picture: it has no part, and no layer
+NO_DEPTH = LampDepth(layer=-1)
 
 
 @dataclass(frozen=True)
 class Apart:
     """Light of lamps on a hand that is drawn by itself, a layer each, to be shadowed at each pixel.
 
-    parts: (layers,) float32, how much of it, 0..1; Gaussians keep the rest, shadowed as at them
-    rows:  (layers, rows, 4) float32, what of it Gaussians have: rgb, and the sum of these as far as it reaches them; is
-           written
+    at_pixels: (layers,) float32, how much of it, 0..1; Gaussians keep the rest, shadowed as at them
+    rows:      (layers, rows, 4) float32, what of it Gaussians have: rgb, and the sum of these as far as it reaches
+               them; is written
     """
 
-    parts: np.ndarray
+    at_pixels: np.ndarray
     rows: np.ndarray
 
 
@@ -105,7 +106,6 @@ class SceneLightStep:
         )
         set_pointers(self.task, self.arrays)
         task.scene = ctypes.addressof(self.task)
-        self._slot_of_layer = [-1] * LAYERS_MAX
         self._apart: Apart | None = None
         self._world: World | None = None
         self._set_world(None)
@@ -138,15 +138,12 @@ class SceneLightStep:
 
     def _set_depths(self, depths: Mapping[int, LampDepth], sources: list[int]) -> None:
         """Sets what stands before lamps; sources: the lamps by slot."""
-        self.task.depth, self._slot_of_layer = None, [-1] * LAYERS_MAX
+        self.task.depth = None
         if not depths:
             return
         # the task points to it
         self._depths = (LampDepth * len(sources))(*(depths.get(number, NO_DEPTH) for number in sources))
         self.task.depth = ctypes.addressof(self._depths)
-        for slot, depth in enumerate(self._depths):
-            if depth.layer >= 0:
-                self._slot_of_layer[depth.layer] = slot
         layers = 1 + max((depth.layer for depth in self._depths), default=-1)
         if layers > len(self.arrays["apart"]):
             self.arrays["apart"] = aligned_zeros((layers, self._blocks.count, APART, LANES))
@@ -155,11 +152,10 @@ class SceneLightStep:
     def draw_apart(self, apart: Apart | None) -> None:
         """Sets which light is drawn by itself of what was prepared; None: none."""
         task, self._apart = self.task, apart
-        task.layers = 0 if apart is None else len(apart.parts)
+        task.layers = 0 if apart is None else len(apart.at_pixels)
         if apart is None:
             return
-        task.slot_of_layer = tuple(self._slot_of_layer)
-        task.at_pixels = address(apart.parts, np.float32, "parts", (task.layers,))
+        task.at_pixels = address(apart.at_pixels, np.float32, "at_pixels", (task.layers,))
         task.layer, task.layer_stride = apart.rows.ctypes.data, apart.rows.strides[0] // apart.rows.itemsize
 
     def _set_baked(self, field: np.ndarray | None) -> None:

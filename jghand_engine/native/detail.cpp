@@ -1,4 +1,5 @@
-// Detail: a textured surface that follows the bones, found at each pixel, multiplies the colors of drawn Gaussians.
+// Detail: a textured surface that follows the bones, found at each pixel, multiplies the colors of drawn Gaussians; and
+// light of lamps that was drawn apart is added as far as it reaches that surface (pixel_shadow.h).
 //
 //   skin     vertices of all hands to pixels
 //   round    of large hands vertices in the middles of sides, so that outlines have no corners
@@ -13,8 +14,8 @@
 //
 // What is nearer is a larger `near`, 1/z or, of parallel rays, -z: it is linear on the image, and so are the texture's
 // coordinates times it (of parallel rays: by themselves).
-#include "detail_surface.h"
 #include "export.h"
+#include "pixel_shadow.h"
 #include "projection.h"
 #include "team.h"
 
@@ -36,14 +37,10 @@ constexpr float BEFORE_LAST = 1.f + 1.f / 2048;  // texels: look-ups end so far 
 constexpr int FLOAT_BIAS = 127, FLOAT_FRACTION_BITS = 23, FLOAT_ONE = FLOAT_BIAS << FLOAT_FRACTION_BITS;
 constexpr int PICTURE_PLANES = 5, ALPHA = 3, DEPTH = 4;
 constexpr float FILLED_FROM = 1.f / 64;  // alpha from which on a pixel is the hand's wholly: enough to know its color
-constexpr float SHARE2_MIN = 1e-6f;      // squared length of a mean of unit normals, as a divisor
-constexpr float EDGE_PART = 0.004f;      // of light: shadows that differ by less from all or none of it have no edge there
-constexpr float LAYER_UNSEEN = 1e-6f;    // W/(m2 sr) of all colors, below which nobody asks what of it is hidden
 constexpr float LIGHT_LEAST = 0.4f, LIGHT_MOST = 2.5f;  // of what relief makes of light: a slope is no first order there
 
 JG_INLINE vi to_int(vf x) { return __builtin_convertvector(x, vi); }
 JG_INLINE vi least(vi a, vi b) { return a < b ? a : b; }
-JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
 
 // Stores what points along v in the camera's axes, rows apart.
 JG_INLINE void store_in_camera(const DetailTask& t, const vf v[3], float* out, int64_t rows) {
@@ -325,38 +322,6 @@ JG_INLINE vf smooth(vf x, float none, float full) {
   return s * s * (3.f - 2.f * s);
 }
 
-// What is known of sixteen pixels by their faces. See `Plane`.
-struct Interpolated {
-  vf at[LANES];         // at each pixel
-  vf by_x[3], by_y[3];  // of the first three planes
-};
-
-// face: (16) as `Surface` has them
-template <bool has_relief>
-JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, vi mine, vf x, float y) {
-  Interpolated out = {};
-  out.at[NEAR] = all(1.f);
-  vi faces;
-  memcpy(&faces, face, sizeof faces);
-  const vi before = JG_SHUFFLE(faces, faces, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
-  // few faces share sixteen pixels: where another one begins
-  for (uint32_t first = bit_mask(mine) & (bit_mask(faces != before) | 1); first; first &= first - 1) {
-    const int32_t number = face[__builtin_ctz(first)];
-    const float *f = hand.planes + (int64_t)FACE_NUMBERS * (number & ((1 << FACE_BITS) - 1)), *by_x = f + BY_X;
-    const vi same = faces == all(number);
-    const vf dx = x - f[X];
-    alignas(64) float at[LANES];
-    store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
-    for (int k = NEAR; k <= (has_relief ? BEND : WHOLE); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
-    for (int k = NEAR; k <= V; k++) {
-      out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]);
-      out.by_y[k] = select(same, all(f[BY_Y + k]), out.by_y[k]);
-    }
-    if (has_relief) for (int k = UU; k <= VV; k++) out.at[k] = select(same, all(f[k]), out.at[k]);
-  }
-  return out;
-}
-
 // The level for texels of which a pixel spans the root of spans2, and the part of the next one.
 struct Chosen {
   vi fine;
@@ -421,117 +386,6 @@ JG_INLINE void shade(const DetailTask& t, const DetailHand& hand, const Interpol
   for (int i = 0; i < 3; i++) color[i] *= light * exp2(exponent * (texel[RED + i] - FIELD_MIDDLE));
 }
 
-// From the camera's axes to those of a lamp's picture.
-struct Towards {
-  float axes[9], place[3];
-};
-Towards towards(const DetailTask& t, const LampDepth& d) {
-  Towards out;
-  const double* camera = t.camera_from_position;
-  for (int i = 0; i < 3; i++) {
-    double place = d.place[i];
-    for (int j = 0; j < 3; j++) {
-      double turned = 0;
-      for (int k = 0; k < 3; k++) turned += d.axes[3 * i + k] * camera[4 * j + k];
-      out.axes[3 * i + j] = (float)turned, place -= turned * camera[4 * j + 3];
-    }
-    out.place[i] = (float)place;
-  }
-  return out;
-}
-
-// Of the surface at sixteen pixels of a row, in the camera's axes: places, m, and unit normals.
-struct Spot {
-  vf p[3], n[3];
-};
-Spot spot_of(const DetailTask& t, const DetailHand& hand, vi face, vi mine, const Interpolated& of, vf x, float y) {
-  const vf near = of.at[NEAR], z = t.orthographic ? -near : inverse(near), over = t.orthographic ? all(1.f) : z;
-  Spot spot = {{(x - t.cx) * over * (1.f / t.fx), (y - t.cy) * over * (1.f / t.fy), z}, {}};
-  const int64_t rows = rows_of(hand);
-  const vi number = mine ? face & ((1 << FACE_BITS) - 1) : all(0);
-  const vi first = (number / LANES) * (3 * LANES) + number % LANES, plane = number * FACE_NUMBERS;
-  const vf dx = x - gather(hand.planes + X, plane), dy = y - gather(hand.planes + Y, plane);
-  for (int k = 0; k < 3; k++) {
-    const float* share = hand.planes + SHARE_0 + k;
-    const vf part = gather(share, plane) + dx * gather(share + BY_X, plane) + dy * gather(share + BY_Y, plane);
-    const vi row = gather_bits(hand.corner, first + k * LANES);
-    for (int i = 0; i < 3; i++) spot.n[i] += part * gather(hand.turned + i * rows, row);
-  }
-  make_unit(spot.n, SHARE2_MIN);
-  return spot;
-}
-
-// What of a lamp's light reaches it.
-vf reaching_spot(const LampDepth& d, const Towards& to, const Spot& spot) {
-  Pictured at;
-  vf q[3];
-  for (int i = 0; i < 3; i++) {
-    const float* axis = to.axes + 3 * i;
-    q[i] = axis[0] * spot.p[0] + axis[1] * spot.p[1] + axis[2] * spot.p[2] + to.place[i];
-    at.n[i] = axis[0] * spot.n[0] + axis[1] * spot.n[1] + axis[2] * spot.n[2];
-  }
-  const float middle = 0.5f * (float)d.size;
-  const vf shrinks = d.orthographic ? all(d.focal) : d.focal / max(q[2], all(DEPTH_MIN_M));
-  at.x = q[0] * shrinks + middle, at.y = q[1] * shrinks + middle, at.z = q[2];
-  const vf sine2 = d.orthographic ? all(d.radius2) : d.radius2 / (dot(q, q) + d.radius2);
-  return reaching<true>(d, at, slant_of(d, at), sqrt(sine2));
-}
-
-// The surface of a hand at sixteen pixels of a row and beside them.
-struct Spots {
-  Spot at[5];
-  vi there[5];
-  int count;
-};
-Spots spots_of(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t row, int32_t x,
-               bool beside) {
-  constexpr int STEPS[5][2] = {{0, 0}, {-1, 0}, {1, 0}, {0, -1}, {0, 1}};
-  Spots spots = {};
-  for (const int(&step)[2] : STEPS) {
-    const int32_t column = x + step[0], line = row + step[1];
-    if (column < 0 || line < 0 || line >= TILE_Y) continue;
-    vi face;
-    memcpy(&face, &tile.face[line][column], sizeof face);
-    const vi there = (face >> FACE_BITS == all(number)) & (LANE_NUMBER < TILE_X - column);
-    const vf at_x = LANE + ((float)(tile.x + column) + 0.5f);
-    const float at_y = (float)(tile.y + line) + 0.5f;
-    const Interpolated near = interpolate<false>(hand, &tile.face[line][column], there, at_x, at_y);
-    spots.at[spots.count] = spot_of(t, hand, face, there, near, at_x, at_y), spots.there[spots.count++] = there;
-    if (!beside) break;
-  }
-  return spots;
-}
-
-// Adds light that was drawn apart to sixteen pixels of a row, as far as it reaches them.
-// skin: how much their Gaussians are those below their faces; where those of something behind are mixed with them, an
-// edge between the two would be as sharp as pixels are
-void add_layers(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t row, int32_t x,
-                vi mine, vf skin, const Towards* to, vf color[3]) {
-  const int64_t pixels = (int64_t)t.width * t.height;
-  const int32_t n = t.width - tile.x - x;
-  Spots spots = {};
-  for (int32_t layer = 0; layer < t.layers; layer++) {
-    const float* p = t.layer[layer] + (int64_t)(tile.y + row) * t.width + tile.x + x;
-    vf light[3], whole = {};
-    for (int k = 0; k < 3; k++) light[k] = load_first(p + k * pixels, n), whole += light[k];
-    const vi asked = mine & (whole > LAYER_UNSEEN);
-    if (!(hand.lamps[layer].part > 0) || !bit_mask(asked)) continue;
-    vf part = load_first(p + 3 * pixels, n) / max(whole, all(LAYER_UNSEEN));
-    // edges are where Gaussians see a part
-    if (bit_mask(asked & (part > EDGE_PART) & (part < 1.f - EDGE_PART))) {
-      if (!spots.count) spots = spots_of(t, hand, number, tile, row, x, bit_mask(mine & (skin < 1)));
-      vf sum = {}, count = {}, own = {};
-      for (int k = 0; k < spots.count; k++) {
-        const vf reaches = reaching_spot(hand.lamps[layer], to[layer], spots.at[k]);
-        if (k == 0) own = reaches;
-        sum += select(spots.there[k], reaches, vf{}), count += select(spots.there[k], all(1.f), vf{});
-      }
-      part = select(skin < 1, sum / max(count, all(1.f)), own);
-    }
-    for (int k = 0; k < 3; k++) color[k] += select(mine, part * light[k], vf{});
-  }
-}
-
 // What of a hand is the nearest in a tile.
 template <bool has_relief>
 void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
@@ -540,9 +394,10 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
   const DetailHand hand = t.hands[number];
   const int64_t pixels = (int64_t)t.width * t.height;
   Towards to[LAYERS_MAX];
-  for (int32_t layer = 0; layer < t.layers; layer++) to[layer] = towards(t, hand.lamps[layer]);
-  for (int32_t row = 0; row < TILE_Y && tile.y + row < t.height; row++) {
-    for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
+  for (int32_t layer = 0; layer < t.layers; layer++) to[layer] = towards(t, hand.pictures[layer]);
+  const Apron apron = apron_of(t);
+  for (int32_t row = apron.y; row < TILE_Y - apron.y && tile.y + row < t.height; row++) {
+    for (int32_t x = apron.x; x < TILE_X - apron.x && tile.x + x < t.width; x += LANES) {
       vi face;
       memcpy(&face, &tile.face[row][x], sizeof face);
       const vi mine = face >> FACE_BITS == all(number);
@@ -560,7 +415,7 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       vf color[3];
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
       const vf skin = below(t, hand, at, mine, depth);
-      if (t.layers) add_layers(t, hand, number, tile, row, x, mine, skin, to, color);
+      if (t.layers) add_layers(t, hand, number, tile, row, x, n, mine, skin, to, color);
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), skin, color);
       if (t.outline > 0) {
         const vi solid = ((all((int32_t)(tile.solid[row] >> x)) >> LANE_NUMBER) & 1) != 0;
@@ -581,8 +436,9 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
 // Takes away what no surface covers.
 void cut_outside(const DetailTask& t, const Surface& tile) {
   const int64_t pixels = (int64_t)t.width * t.height;
-  for (int32_t row = 0; row < TILE_Y && tile.y + row < t.height; row++) {
-    for (int32_t x = 0; x < TILE_X && tile.x + x < t.width; x += LANES) {
+  const Apron apron = apron_of(t);
+  for (int32_t row = apron.y; row < TILE_Y - apron.y && tile.y + row < t.height; row++) {
+    for (int32_t x = apron.x; x < TILE_X - apron.x && tile.x + x < t.width; x += LANES) {
       vi outside = all(-1);
       if (tile.is_clear) memcpy(&outside, &tile.face[row][x], sizeof outside);
       outside = outside < 0;
@@ -611,7 +467,9 @@ void keep_hits(const DetailTask& t, Surface& tile) {
 
 void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
   Surface tile;
-  tile.x = item % tiles_x * TILE_X, tile.y = item / tiles_x * TILE_Y, tile.is_clear = tile.fades = false;
+  const Apron apron = apron_of(t);
+  tile.x = item % tiles_x * (TILE_X - 2 * apron.x) - apron.x, tile.y = item / tiles_x * (TILE_Y - 2 * apron.y) - apron.y;
+  tile.is_clear = tile.fades = false;
   // one that is not drawn hides others all the same
   for (int32_t hand = 0; hand < t.hand_count; hand++) cover_hand(tile, t.hands[hand], hand);
   if (t.hit) return keep_hits(t, tile);
@@ -634,7 +492,8 @@ void shade_tile(const DetailTask& t, int32_t item, int32_t tiles_x) {
 JG_API int32_t jg_detail_hand_bytes() { return sizeof(jg::DetailHand); }
 JG_API int32_t jg_detail_task_bytes() { return sizeof(jg::DetailTask); }
 
-// Multiplies the colors of a drawn picture by detail, and ends its hands, together with the other threads of the team.
+// Adds light that was drawn apart, multiplies the colors of a drawn picture by detail, and ends its hands, together with
+// the other threads of the team.
 JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
   const jg::DetailTask t = *task;
   const auto parts = [&](int step, auto count, auto work) {
@@ -647,7 +506,8 @@ JG_API void jg_detail(jg::Team* team, const jg::DetailTask* task) {
   parts(0, [](const jg::DetailHand& hand) { return (int64_t)hand.surface->skin.blocks; }, jg::skin_vertices);
   parts(1, [](const jg::DetailHand& hand) { return (int64_t)hand.side_blocks; }, jg::round_sides);
   parts(2, [](const jg::DetailHand& hand) { return (int64_t)hand.groups; }, jg::set_up_group);
-  const int32_t tiles_x = (t.width + jg::TILE_X - 1) / jg::TILE_X, tiles_y = (t.height + jg::TILE_Y - 1) / jg::TILE_Y;
+  const int32_t step_x = jg::TILE_X - 2 * jg::apron_of(t).x, step_y = jg::TILE_Y - 2 * jg::apron_of(t).y;
+  const int32_t tiles_x = (t.width + step_x - 1) / step_x, tiles_y = (t.height + step_y - 1) / step_y;
   jg::share(*team, 3, tiles_x * tiles_y, [&](int32_t tile) { jg::shade_tile(t, tile, tiles_x); });
 }
 

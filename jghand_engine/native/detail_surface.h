@@ -43,7 +43,7 @@ struct DetailHand {
   int32_t side_blocks;
   // shadows at pixels
   float* turned;             // (3, rows): unit normals of the vertices in the camera's axes
-  const LampDepth* lamps;    // (layers): the pictures of the lamps of the layers; without a part where one is not this hand's
+  const LampDepth* pictures; // (layers): of the lamps of the layers; without a part where one is not this hand's
 };
 constexpr int AROUND_SIDE = 8;
 
@@ -65,7 +65,15 @@ struct DetailTask {
   int32_t hand_count, width, height, orthographic, layers;
 };
 
+JG_INLINE vi gather_bits(const void* p, vi index) { return bits_of(gather((const float*)p, index)); }
+
 constexpr int TILE_X = 64, TILE_Y = 32;
+// Columns and rows around what is drawn of a tile of which the nearest face is known, too: pixels beside its own may be
+// asked. So many columns that vectors of the picture begin where they do without them.
+struct Apron {
+  int32_t x, y;
+};
+inline Apron apron_of(const DetailTask& t) { return t.layers > 0 ? Apron{LANES / 2, 1} : Apron{0, 0}; }
 constexpr int FACE_BITS = 20;        // of a number of a face; the hand's stands above
 constexpr int BOUNDS = 5, FACE_KIND = 4;
 constexpr int FADES = 8;  // bit of a face, beside those of its sides: the hand ends there
@@ -259,6 +267,38 @@ JG_INLINE vf covered_part(const Surface& tile, int32_t row, int32_t x) {
     part[i] = (1.f / LANES) * (float)__builtin_popcount(tile.samples[row][x + i]);
   }
   return load(part);
+}
+
+// What is known of sixteen pixels by their faces. See `Plane`.
+struct Interpolated {
+  vf at[LANES];         // at each pixel
+  vf by_x[3], by_y[3];  // of the first three planes
+};
+
+// face: (16) as `Surface` has them
+template <bool has_relief>
+JG_INLINE Interpolated interpolate(const DetailHand& hand, const int32_t* face, vi mine, vf x, float y) {
+  Interpolated out = {};
+  out.at[NEAR] = all(1.f);
+  vi faces;
+  memcpy(&faces, face, sizeof faces);
+  const vi before = JG_SHUFFLE(faces, faces, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
+  // few faces share sixteen pixels: where another one begins
+  for (uint32_t first = bit_mask(mine) & (bit_mask(faces != before) | 1); first; first &= first - 1) {
+    const int32_t number = face[__builtin_ctz(first)];
+    const float *f = hand.planes + (int64_t)FACE_NUMBERS * (number & ((1 << FACE_BITS) - 1)), *by_x = f + BY_X;
+    const vi same = faces == all(number);
+    const vf dx = x - f[X];
+    alignas(64) float at[LANES];
+    store(at, load(f) + (y - f[Y]) * load(f + BY_Y));
+    for (int k = NEAR; k <= (has_relief ? BEND : WHOLE); k++) out.at[k] = select(same, dx * by_x[k] + at[k], out.at[k]);
+    for (int k = NEAR; k <= V; k++) {
+      out.by_x[k] = select(same, all(by_x[k]), out.by_x[k]);
+      out.by_y[k] = select(same, all(f[BY_Y + k]), out.by_y[k]);
+    }
+    if (has_relief) for (int k = UU; k <= VV; k++) out.at[k] = select(same, all(f[k]), out.at[k]);
+  }
+  return out;
 }
 
 }  // namespace jg

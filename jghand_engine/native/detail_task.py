@@ -28,7 +28,7 @@ class DetailHand(ctypes.Structure):
         ("side_share", _P),
         ("side_blocks", _I32),
         ("turned", _P),
-        ("lamps", _P),
+        ("pictures", _P),
     )
 
 

@@ -24,7 +24,7 @@ struct alignas(64) Record {
   float z;                   // camera depth, m
   float radius2;             // beyond this squared distance (px^2) alpha is below the cut
   float front;
-  float layer[4];
+  float layer[4];            // of the layer that is blended; set in a chunk
 };
 
 // Gradients of one Gaussian's record, summed over pixels; the moments are of g = dL/d(alpha) alpha.
@@ -59,8 +59,8 @@ struct RasterJob {
                           // the color that these parts have, as if none were seen from inside, through gaps between
                           // others, nor what stands beneath a layer; and outlines are sharper, see store_block. null:
                           // all of all, as blended. There is no backward pass of such a picture
-  const float* layer;       // (count, 4) colors that are drawn beside rgb, in the same way; null: none, as without `front`
-  float* layer_planes;      // (4, height, width) of these
+  const float* layer;       // (layers, count, 4) colors that are drawn beside rgb, in the same way, where there is a `front`
+  float* layer_planes;      // (layers, 4, height, width) of these
   // scratch that forward leaves for backward
   Record* records;          // (count)
   TileRect* rects;          // (count): of culled ones x1 is -1
@@ -95,6 +95,7 @@ struct RasterJob {
   int32_t status;                     // out
   int32_t orthographic;               // 1: parallel rays; fx and fy are px per meter then
   int32_t keeps_empty;                // 1: planes and tile_work are those of the last picture, or zeros
+  int32_t layers;
 };
 
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.

@@ -41,7 +41,7 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
 }
 
 template <Kind KIND>
-JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
+JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t layer, int32_t x, int32_t y) {
   const vf alpha = 1.0f - block.transmittance;
   vf gain = all(1.0f), cover = alpha, nearer = gain;
   if (KIND != PLAIN) {
@@ -51,13 +51,13 @@ JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, 
   }
   const vf planes[5] = {block.r * gain, block.g * gain, block.b * gain, cover, block.depth * nearer};
   for (int plane = 0; plane < 5; plane++) store_pixels(job, job.planes, plane, x, y, planes[plane]);
-  for (int k = 0; KIND == LAYER && k < 4; k++) store_pixels(job, job.layer_planes, k, x, y, block.layer[k] * gain);
+  for (int k = 0; KIND == LAYER && k < 4; k++)
+    store_pixels(job, job.layer_planes, 4 * layer + k, x, y, block.layer[k] * gain);
 }
 
 template <int SQUARINGS, Kind KIND>
-void blend_with(const RasterJob& job, int32_t index) {
+void blend_with(const RasterJob& job, int32_t index, int32_t layer) {
   const Tile tile = tile_at(job, index);
-  if (!tile.length && job.keeps_empty && !job.tile_work[index]) return;
   Chunk chunk;
   Hits hits;
   Block blocks[BLOCKS];
@@ -69,7 +69,7 @@ void blend_with(const RasterJob& job, int32_t index) {
   const uint32_t on_picture = live;
   int32_t work = 0;
   for (int32_t begin = 0; begin < tile.length && live; begin += CHUNK) {
-    load_chunk(chunk, job, tile, begin);
+    load_chunk(chunk, job, tile, begin, KIND == LAYER ? job.layer + 4 * job.count * (int64_t)layer : nullptr);
     work += chunk.length;
     for (uint32_t rest = live; rest; rest &= rest - 1) {
       const int b = __builtin_ctz(rest);
@@ -83,24 +83,27 @@ void blend_with(const RasterJob& job, int32_t index) {
   job.tile_work[index] = work;
   for (uint32_t rest = on_picture; rest; rest &= rest - 1) {
     const int b = __builtin_ctz(rest);
-    store_block<KIND>(job, blocks[b], tile.x + block_x(b), tile.y + block_y(b));
+    store_block<KIND>(job, blocks[b], layer, tile.x + block_x(b), tile.y + block_y(b));
   }
 }
 
 template <Kind KIND>
-void blend(const RasterJob& job, int32_t tile) {
+void blend(const RasterJob& job, int32_t tile, int32_t layer = 0) {
   switch (squarings_for(job.log2_alpha_min)) {
-    case 3: return blend_with<3, KIND>(job, tile);
-    case 4: return blend_with<4, KIND>(job, tile);
-    default: return blend_with<5, KIND>(job, tile);
+    case 3: return blend_with<3, KIND>(job, tile, layer);
+    case 4: return blend_with<4, KIND>(job, tile, layer);
+    default: return blend_with<5, KIND>(job, tile, layer);
   }
 }
 
 }  // namespace
 
 void blend_tile(const RasterJob& job, int32_t tile) {
-  if (!job.front) return blend<PLAIN>(job, tile);
-  job.layer ? blend<LAYER>(job, tile) : blend<FRONT>(job, tile);
+  if (job.tile_start[tile] == job.tile_start[tile + 1] && job.keeps_empty && !job.tile_work[tile]) return;
+  // each with the rest anew: there is hardly ever more than one
+  for (int32_t layer = 0; layer < job.layers; layer++) blend<LAYER>(job, tile, layer);
+  if (job.layers) return;
+  job.front ? blend<FRONT>(job, tile) : blend<PLAIN>(job, tile);
 }
 
 }  // namespace jg

@@ -35,7 +35,7 @@ JG_INLINE vi valid_shapes(const Ellipsoids& shapes) {
 }
 
 JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inputs& in, vf u, vf v, vf log2_opacity,
-                             vf radius2, const float* layer) {
+                             vf radius2) {
   const float half_log2e = 0.5f * LOG2E;
   vf rows[LANES] = {u,
                     v,
@@ -51,7 +51,6 @@ JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inpu
                     in.front};
   transpose(rows);
   memcpy((void*)out, rows, n * sizeof(Record));
-  for (int i = 0; layer && i < n; i++) memcpy(out[i].layer, layer + 4 * i, sizeof out[i].layer);
 }
 
 // The tiles that the box u +- rx, v +- ry of a visible Gaussian reaches. Clamped before the conversion: floats beyond
@@ -93,8 +92,7 @@ void project_range(const RasterJob& job, int32_t part) {
     const vi seen = present & valid & in_front & sized & (k > 0) & on_picture;
     summary.invalid += __builtin_popcount(bit_mask(present & (~valid | (in_front & ~sized))));
 
-    store_records(job.records + i, n, p, in, u, v, log2_opacity, reach * (max(p.a, p.c) + abs(p.b)),
-                  job.layer ? job.layer + 4 * i : nullptr);
+    store_records(job.records + i, n, p, in, u, v, log2_opacity, reach * (max(p.a, p.c) + abs(p.b)));
     store_rects(job.rects + i, n, job, seen, u, v, rx, ry);
     uint32_t depth_bits[LANES];  // z > 0: the bit pattern orders like the value
     memcpy(depth_bits, &p.z, sizeof depth_bits);

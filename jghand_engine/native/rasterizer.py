@@ -62,7 +62,7 @@ class _Job(ctypes.Structure):
         *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
         *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status", "orthographic")),
-        ("keeps_empty", ctypes.c_int32),
+        *((name, ctypes.c_int32) for name in ("keeps_empty", "layers")),
     )
 
 
@@ -79,7 +79,7 @@ class GaussianArrays:
     front:         (N,) 0..1 part of each that is seen from outside, see native/raster.h; None: all of all. There is no
                    backward pass with it
     pixel_m:       of the pictures that they were learned from: see `learn.gaussians.Gaussians`
-    layer:         (N, 4) colors that are drawn beside rgb in the same way, where there is a `front`; None: none
+    layers:        (L, N, 4) colors that are drawn beside rgb in the same way, where there is a `front`; None: none
     """
 
     position_m: np.ndarray
@@ -89,7 +89,7 @@ class GaussianArrays:
     covariance_m2: np.ndarray | None = None
     front: np.ndarray | None = None
     pixel_m: float = 0.0
-    layer: np.ndarray | None = None
+    layers: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.position_m)
@@ -133,7 +133,7 @@ class NativeRasterizer:
     After `forward`: `visible`, `invalid` (Gaussians) and `pairs` (entries of all tile lists).
 
     finishes_elsewhere: whether the planes are drawn by `finished`, not by `run`: see `gpu.rasterizer`
-    layer_planes:       (4, H, W) of the layer of the last Gaussians that had one
+    layer_planes:       (L, 4, H, W) of the layers of the last Gaussians that had any
     fell_back:          why the last image was drawn by another backend than the one asked for; empty where it was not
     """
 
@@ -152,7 +152,7 @@ class NativeRasterizer:
         self._prepared: GaussianArrays | None = None  # what is being drawn
         self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
         self._planes: np.ndarray | None = None
-        self.layer_planes = np.zeros((4, 0, 0), np.float32)
+        self.layer_planes = np.zeros((0, 4, 0, 0), np.float32)
         # whether the last image was drawn into this object's own memory, which is empty when it is new
         self._own_planes = self._drew_own = True
 
@@ -212,7 +212,7 @@ class NativeRasterizer:
         shape = (PLANES, view.height, view.width)
         # tiles that were empty in this object's own memory need not be cleared again
         self._own_planes, self._job.keeps_empty = planes is None, planes is None and self._drew_own
-        self._prepare_layer(gaussians, view)
+        self._prepare_layers(gaussians, view)
         self._drew_own = False
         self._planes = self._array("planes", shape, np.float32) if planes is None else planes
         self._job.planes = address(self._planes, np.float32, "planes", shape, writable=True)
@@ -220,18 +220,18 @@ class NativeRasterizer:
         self._team.fill(0)
         return self._planes
 
-    def _prepare_layer(self, gaussians: GaussianArrays, view: View) -> None:
-        job, had_one, layer = self._job, bool(self._job.layer), gaussians.layer
-        if layer is None:
-            job.layer = None
+    def _prepare_layers(self, gaussians: GaussianArrays, view: View) -> None:
+        job, had, layers = self._job, self._job.layers, gaussians.layers
+        job.layers = 0 if layers is None else len(layers)
+        if layers is None:
             return
         if gaussians.front is None:
-            raise InputError("layer of Gaussians", wanted="Gaussians with `front`", came="none")
-        job.layer = address(layer, np.float32, "layer", (len(gaussians), 4))
-        self.layer_planes = self._array("layer_planes", (4, view.height, view.width), np.float32)
+            raise InputError("layers of Gaussians", wanted="Gaussians with `front`", came="none")
+        job.layer = address(layers, np.float32, "layers", (job.layers, len(gaussians), 4))
+        self.layer_planes = self._array("layer_planes", (job.layers, 4, view.height, view.width), np.float32)
         job.layer_planes = self.layer_planes.ctypes.data
         # what was drawn there is older than the last image
-        job.keeps_empty &= had_one
+        job.keeps_empty &= had == job.layers
 
     def run(self, _thread: int = 0) -> None:
         """Draws what was prepared, together with the other threads of a pool."""

@@ -227,6 +227,11 @@ JG_INLINE vi add_lamp(const SceneLightTask& s, const float* lamp, const vf norma
   return falls;
 }
 
+// In which a lamp's light is drawn apart; -1: in none.
+JG_INLINE int layer_of(const SceneLightTask& s, int slot) {
+  return s.layers && slot >= 0 && s.depth ? s.depth[slot].layer : -1;
+}
+
 JG_INLINE float* apart_of(const LearnedTask& t, int layer, int32_t block) {
   return t.scene->apart + APART * LANES * ((int64_t)t.skin.blocks * layer + block);
 }
@@ -292,13 +297,11 @@ void light_some(const LearnedTask& t, int32_t first, int32_t count) {
         const vf* of_slot = lit[b].reached + OF_WORLD + columns_per_slot(s) * slot;
         vf part = of_slot[0] + near[b] * (sights.each[b].seen - of_slot[0]);
         const vf left = s.left ? of_slot[2] : all(1.f);
-        if (depth && lit_by[b]) {
-          const Past past = past_surface(*depth, depth->skin, first + b, lit[b].normal, sights.each[b].sine);
-          part += past.counts * (past.reaches - part);
-          if (depth->layer >= 0) set_apart(t, depth->layer, first + b, casting[SHADE] * left * past.counts, past.reaches, own[b]);
-        } else if (depth && depth->layer >= 0) {
-          set_apart(t, depth->layer, first + b, vf{}, vf{}, own[b]);
-        }
+        Past past = {};
+        if (depth && lit_by[b]) past = past_surface(*depth, depth->skin, first + b, lit[b].normal, sights.each[b].sine);
+        if (depth && depth->layer >= 0)
+          set_apart(t, depth->layer, first + b, casting[SHADE] * left * past.counts, past.reaches, own[b]);
+        part += past.counts * (past.reaches - part);
         reaches = 1.f - casting[SHADE] * (1.f - part * left);
         store(s.skin_seen + LANES * ((int64_t)t.skin.blocks * slot + first + b), reaches);
       }
@@ -503,15 +506,21 @@ void seen_block(const LearnedTask& t, int32_t block) {
   make_unit(eye, t.length2_min);
   const vf facing = dot(n, eye), cosine_eye = max(facing, all(FACING_MIN)), k = 0.5f * alpha;
   const vf fade = seen_from_outside(t, row, facing);
-  vf rows[LANES] = {};
-  const auto store_layer = [&](int layer) {
-    transpose(rows);
-    float* to = s.layer + s.layer_stride * (int64_t)layer + 4 * row;
-    for (int lane = 0; lane < LANES; lane++) memcpy(to + 4 * lane, &rows[lane], 4 * sizeof(float));
+  // of light that is drawn apart
+  vf glossy[LAYERS_MAX][3], rows[LAYERS_MAX][LANES];
+  for (int layer = 0; layer < s.layers; layer++) {
+    for (vf& sum : glossy[layer]) sum = vf{};
+    for (vf& column : rows[layer]) column = vf{};
+  }
+  const auto store_layers = [&]() {
+    for (int layer = 0; layer < s.layers; layer++) {
+      transpose(rows[layer]);
+      float* to = s.layer + s.layer_stride * (int64_t)layer + 4 * row;
+      for (int lane = 0; lane < LANES; lane++) memcpy(to + 4 * lane, &rows[layer][lane], 4 * sizeof(float));
+    }
   };
-  vf apart[LAYERS_MAX][3] = {};
   if (!bit_mask(fade > 0)) {
-    for (int layer = 0; layer < s.layers; layer++) store_layer(layer);
+    store_layers();
     return store_triples(t.rgb + 3 * row, vf{}, vf{}, vf{});
   }
   for (int j = 0; j < s.lamps; j++) {
@@ -528,12 +537,11 @@ void seen_block(const LearnedTask& t, int32_t block) {
     const vf bell = middle * middle * (wide2 - 1.f) + 1.f, square = grazing * grazing;
     const vf fresnel = reflectance + (1.f - reflectance) * (rise * square * square * grazing);
     const vf masked = max((cosine * (1.f - k) + k) * (cosine_eye * (1.f - k) + k), all(MASKED_MIN));
-    const vf whole = wide2 * fresnel * got * inverse(4.f * PI * bell * bell * masked), shine = whole * slot_seen(t, s, block, lamp);
+    const vf open_shine = wide2 * fresnel * got * inverse(4.f * PI * bell * bell * masked);
+    const vf shine = open_shine * slot_seen(t, s, block, lamp);
     for (int i = 0; i < 3; i++) rgb[i] += shine * lamp[LAMP_RGB + i];
-    for (int layer = 0; layer < s.layers; layer++) {
-      if (s.slot_of_layer[layer] != (int)lamp[SLOT]) continue;
-      for (int i = 0; i < 3; i++) apart[layer][i] += whole * lamp[LAMP_RGB + i];
-    }
+    const int layer = layer_of(s, (int)lamp[SLOT]);
+    for (int i = 0; layer >= 0 && i < 3; i++) glossy[layer][i] += open_shine * lamp[LAMP_RGB + i];
   }
   if (s.lobes) {
     for (int i = 0; i < 3; i++) mirrored[i] = 2.f * facing * n[i] - eye[i];
@@ -545,20 +553,19 @@ void seen_block(const LearnedTask& t, int32_t block) {
     const vf gain = (reflectance * (r2 - 1.04f * base) + rise * (r3 + 1.04f * base)) * load(s.sky + row);
     for (int i = 0; i < 3; i++) rgb[i] += lobes[i] * gain;
   }
-  for (int layer = 0; layer < s.layers; layer++) {
-    for (vf& column : rows) column = vf{};
-    if (s.slot_of_layer[layer] >= 0) {
-      const float* of = apart_of(t, layer, block);
-      const vf reaches = load(of + LANES * 3), counts = load(of + LANES * 4);
-      for (int i = 0; i < 3; i++) {
-        const vf matt_light = load(s.reflecting + 3 * row + LANES * i) * load(of + LANES * i);
-        const vf light = s.at_pixels[layer] * (apart[layer][i] * counts + matt_light);
-        rgb[i] -= reaches * light;
-        rows[i] = fade * light, rows[3] += rows[i] * reaches;
-      }
+  for (int slot = 0; s.layers && slot < s.slots; slot++) {
+    const int layer = layer_of(s, slot);
+    if (layer < 0) continue;
+    const float* of = apart_of(t, layer, block);
+    const vf reaches = load(of + LANES * 3), counts = load(of + LANES * 4);
+    for (int i = 0; i < 3; i++) {
+      const vf matt_light = load(s.reflecting + 3 * row + LANES * i) * load(of + LANES * i);
+      const vf light = s.at_pixels[layer] * (glossy[layer][i] * counts + matt_light);
+      rgb[i] -= reaches * light;
+      rows[layer][i] = fade * light, rows[layer][3] += rows[layer][i] * reaches;
     }
-    store_layer(layer);
   }
+  if (s.layers) store_layers();
   for (int i = 0; i < 3; i++) rgb[i] *= fade;
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
 }

@@ -72,7 +72,6 @@ struct SceneLightTask {
   float sine2_min;           // floor of a squared sine between ray and capsule
   float shade;               // how much of what skin hides of the world, and throws back, is drawn, 0..1
   int32_t layer_stride;      // floats
-  int32_t slot_of_layer[LAYERS_MAX];  // -1: it does not light this hand
   int32_t lamps, slots, lobes;
   int32_t layers;            // of light that is drawn apart, to be shadowed at each pixel
   int32_t keeps_pose;        // whether the light alone is new

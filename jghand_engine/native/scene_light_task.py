@@ -66,6 +66,5 @@ class SceneLightTask(ctypes.Structure):
         *((name, _F32 * 3) for name in ("softness", "bounce", "least")),
         *((name, _F32) for name in ("shade_gain", "flesh_softness", "wide_softness", "sine2_min", "shade")),
         ("layer_stride", _I32),
-        ("slot_of_layer", _I32 * LAYERS_MAX),
         *((name, _I32) for name in ("lamps", "slots", "lobes", "layers", "keeps_pose", "keeps_visible")),
     )

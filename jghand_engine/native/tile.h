@@ -66,7 +66,9 @@ struct Chunk {
   int32_t length;
 };
 
-JG_INLINE void load_chunk(Chunk& chunk, const RasterJob& job, const Tile& tile, int32_t begin) {
+// layer: (count, 4) of these Gaussians; null: none
+JG_INLINE void load_chunk(Chunk& chunk, const RasterJob& job, const Tile& tile, int32_t begin,
+                          const float* layer = nullptr) {
   chunk.length = tile.length - begin < CHUNK ? tile.length - begin : CHUNK;
   const float x = (float)tile.x, y = (float)tile.y;
   // asked for all at once, the records arrive together instead of one after the other
@@ -74,6 +76,7 @@ JG_INLINE void load_chunk(Chunk& chunk, const RasterJob& job, const Tile& tile, 
   for (int k = 0; k < chunk.length; k++) {
     Record& record = chunk.records[k];
     memcpy((void*)&record, job.records + tile.list[begin + k], sizeof record);
+    if (layer) memcpy(record.layer, layer + 4 * (int64_t)tile.list[begin + k], sizeof record.layer);
     record.u -= x, record.v -= y;
     chunk.u[k] = record.u, chunk.v[k] = record.v, chunk.radius2[k] = record.radius2;
   }

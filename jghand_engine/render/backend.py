@@ -23,19 +23,21 @@ from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
-from jghand_engine.native.scene_light_task import LAYERS_MAX, LampDepth
+from jghand_engine.native.scene_light_task import LampDepth
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.blur import LinearMean
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
 from jghand_engine.render.effect_plan import Sharp
 from jghand_engine.render.lamp_depth import LampPictures
-from jghand_engine.render.light_effects import limits_of
+from jghand_engine.render.light_effects import layers_of, limits_of
 from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
+# planes of an image without layers
+NO_LAYERS = np.zeros((0, 4, 0, 0), np.float32)
 # names of the stages
 LAMP_DEPTH, SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE, DETAIL = (
     "lamp pictures",
@@ -95,8 +97,7 @@ class Canvas:
     @property
     def layers(self) -> tuple[int, ...]:
         """Numbers of the lamps whose light is drawn apart, to be shadowed at each pixel."""
-        of_seen = itertools.compress((one.at_pixels for one in self.sharp), self.seen)
-        return tuple(lamp for lamp, parts in enumerate(zip(*of_seen, strict=True)) if any(parts))[:LAYERS_MAX]
+        return layers_of(self.sharp, self.seen)
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
@@ -208,7 +209,8 @@ class Backend:
             strengths = [canvas.detail[place] for place in self._detailed]
             seen = [canvas.seen[place] for place in self._detailed]
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
-            detail.shadow_pixels([one.layer_planes for one in self._rasterizers[: len(layers)]], self._depths)
+            detail.shadow_pixels(self._rasterizer.layer_planes if layers else NO_LAYERS, self._depths)
+        assert not layers or detail is not None or keep_image, "light that is drawn apart is added with the detail"
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
@@ -217,34 +219,29 @@ class Backend:
             skins=skins,
             # an image that is kept is of the same camera
             shining=[] if keep_image else self._prepare_gloss(canvas),
-            rasterizers=[] if keep_image else self._rasterizers,
+            rasterizer=None if keep_image else self._rasterizer,
             detail=detail,
             shade=shade,
         )
         work.run(shared_pool(self.threads))
         work.report_to(report, LIGHT if poses is None else SKIN, COMPOSE if canvas.style is None else SHADOW)
-        report.visible_gaussians = self._rasterizers[0].visible
+        report.visible_gaussians = self._rasterizer.visible
         hidden = sum(count for count, stands in zip(self._counts, canvas.posed, strict=True) if not stands)
-        report.invalid_gaussians = self._rasterizers[0].invalid - self._padding - hidden
-        if self._rasterizers[0].fell_back:
+        report.invalid_gaussians = self._rasterizer.invalid - self._padding - hidden
+        if self._rasterizer.fell_back:
             report.backend = self._library.variant
-            report.notes.append(self._rasterizers[0].fell_back)
+            report.notes.append(self._rasterizer.fell_back)
         return rgba, depth_m
 
     def _prepare_raster(self, canvas: Canvas) -> np.ndarray:
-        """Planes of the image. Each layer is drawn beside one, those after the first beside one that nobody sees."""
-        count = len(canvas.layers)
-        while len(self._rasterizers) < count:
-            self._rasterizers.append(self._new_rasterizer())
-        del self._rasterizers[max(count, 1) :]
-        if len(self._layer_rows) < count:
-            self._layer_rows = aligned_zeros((count, len(self._gaussians), 4))
-        planes = []
-        for rasterizer, layer in zip(self._rasterizers, [*self._layer_rows[:count]] or [None], strict=True):
-            gaussians = replace(self._gaussians, layer=layer)
-            view, alpha_min = view_of(canvas.camera), canvas.alpha_min
-            planes.append(rasterizer.prepare(gaussians, view, alpha_min=alpha_min, t_stop=self._settings.t_stop))
-        return planes[0]
+        """Planes of the image."""
+        count, gaussians = len(canvas.layers), self._gaussians
+        if count:
+            if len(self._layer_rows) < count:
+                self._layer_rows = aligned_zeros((count, len(gaussians), 4))
+            gaussians = replace(gaussians, layers=self._layer_rows[:count])
+        view, alpha_min = view_of(canvas.camera), canvas.alpha_min
+        return self._rasterizer.prepare(gaussians, view, alpha_min=alpha_min, t_stop=self._settings.t_stop)
 
     def _prepare_gloss(self, canvas: Canvas) -> list[Poser]:
         """The hands that are seen from elsewhere, or with other light apart."""
@@ -252,8 +249,8 @@ class Backend:
         for place, hand in enumerate(self._hands):
             apart, rows = None, slice(first, first + hand.blocks.rows)
             if canvas.layers:
-                parts = np.array([canvas.sharp[place].at_pixels[lamp] for lamp in canvas.layers], np.float32)
-                apart = Apart(parts, self._layer_rows[: len(canvas.layers), rows])
+                at_pixels = np.array([canvas.sharp[place].at_pixels[lamp] for lamp in canvas.layers], np.float32)
+                apart = Apart(at_pixels, self._layer_rows[: len(canvas.layers), rows])
             if hand.prepare_gloss(canvas.camera.eye_m, apart):
                 shining.append(hand)
             first = rows.stop
@@ -275,9 +272,11 @@ class Backend:
 
     def rest(self) -> None:
         """Lets go of the buffers of the last image; those of the Gaussians stay. The next one is drawn anew."""
-        self._rasterizers = [self._new_rasterizer()]
+        self._rasterizer = self._new_rasterizer()
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
+        if self._detail is not None:
+            self._detail.rest()
 
     def mean(self, width: int, height: int, *, linear: bool) -> LinearMean:
         """A mean of images of that size, empty. linear: whether they are scene-linear"""
@@ -339,36 +338,30 @@ class _Work:
         self,
         skins: Sequence[Poser],
         shining: Sequence[Poser],
-        rasterizers: Sequence[NativeRasterizer],
+        rasterizer: NativeRasterizer | None,
         detail: NativeDetail | None,
         shade: NativeShade,
     ) -> None:
-        self._skins, self._shining, self._rasterizers, self._shade = skins, shining, rasterizers, shade
+        self._skins, self._shining, self._rasterizer, self._shade = skins, shining, rasterizer, shade
         self._detail, self._times = detail, [0.0] * 6
 
     def run(self, pool: WorkerPool) -> None:
-        if any(rasterizer.finishes_elsewhere for rasterizer in self._rasterizers):
-            self._run_in_two(pool)
+        if self._rasterizer is not None and self._rasterizer.finishes_elsewhere:
+            self._run_in_two(pool, self._rasterizer)
             return
         pool.run(self._walk)
-        while not self._finished():
+        while self._rasterizer is not None and not self._rasterizer.finished():
             # the lists of the tiles had no room: everything again, which costs least where it never happens
             after = [self._shade.team, *([] if self._detail is None else [self._detail.team])]
             for team in (*after, *(team for hand in (*self._skins, *self._shining) for team in hand.teams)):
                 team.fill(0)
             pool.run(self._walk)
 
-    def _finished(self) -> bool:
-        # each makes room for its lists
-        finished = [rasterizer.finished() for rasterizer in self._rasterizers]
-        return all(finished)
-
-    def _run_in_two(self, pool: WorkerPool) -> None:
+    def _run_in_two(self, pool: WorkerPool, rasterizer: NativeRasterizer) -> None:
         """The threads wait while another device draws."""
         pool.run(self._walk_to_lists)
-        for rasterizer in self._rasterizers:
-            while not rasterizer.finished():
-                pool.run(rasterizer.run)
+        while not rasterizer.finished():
+            pool.run(rasterizer.run)
         pool.run(self._walk_from_planes)
 
     def _walk(self, thread: int) -> None:
@@ -384,8 +377,8 @@ class _Work:
         for hand in self._shining:
             hand.run_gloss()
         times[2] = time.perf_counter()
-        for rasterizer in self._rasterizers:
-            rasterizer.run()
+        if self._rasterizer is not None:
+            self._rasterizer.run()
 
     def _walk_from_planes(self, thread: int) -> None:
         times = self._times if thread == 0 else [0.0] * 6
@@ -404,7 +397,7 @@ class _Work:
             report.ran(first, skin_ms)
         if self._shining:
             report.ran(GLOSS, gloss_ms)
-        if self._rasterizers:
+        if self._rasterizer is not None:
             report.ran(RASTER, raster_ms)
         if self._detail is not None:
             report.ran(DETAIL, detail_ms)

@@ -1,5 +1,6 @@
 """Detail on drawn Gaussians, by the compiled kernel (native/detail.cpp): the texture of each hand's skin, found at each
-pixel, multiplies the color there, and so does what its relief makes of the light.
+pixel, multiplies the color there, and so does what its relief makes of the light. Before that light of lamps that was
+drawn apart is added as far as it reaches the surface there (native/pixel_shadow.h).
 
 The surface is skinned as Gaussians are, with correctives of its own, and of several hands the nearest counts. A pixel
 gets the level of the texture whose texels are as large as it is, and a mean of two levels between. Detail fades out
@@ -152,21 +153,20 @@ class NativeDetail:
             own.rise = hand.rise_m if strength > 0 else 0.0
             hand.set_faces(own, fine=is_seen and task.outline > 0 and hand.corner_px(camera) > self._outline_px)
             own.groups *= is_seen
-        task.layers = 0
+        task.layers, self._lit = 0, []
         self.team.fill(0)
 
-    def shadow_pixels(self, layers: Sequence[np.ndarray], lamps: Sequence[Mapping[int, LampDepth]]) -> None:
-        """Sets which light of the image that was prepared is shadowed at each pixel. layers: planes (4, H, W) of each,
-        without shadows · lamps: per hand the pictures of the lamps, of which each says which layer is its own."""
+    def shadow_pixels(self, layers: np.ndarray, lamps: Sequence[Mapping[int, LampDepth]]) -> None:
+        """Sets which light is added to the image that was prepared as far as it reaches each pixel.
+        layers: (L, 4, H, W), see native/detail_surface.h · lamps: per hand their pictures, which say what their layers
+        are"""
         self._task.layers = len(layers)
-        if not layers:
-            return
         pointers = (ctypes.c_void_p * len(layers))(*(layer.ctypes.data for layer in layers))
         self._task.layer, self._lit = ctypes.addressof(pointers), [layers, pointers]
         for task, own in zip(self._tasks, lamps, strict=True):
             of_layer = {depth.layer: depth for depth in own.values()}
             pictures = (LampDepth * len(layers))(*(of_layer.get(place, NO_DEPTH) for place in range(len(layers))))
-            task.lamps = ctypes.addressof(pictures)
+            task.pictures = ctypes.addressof(pictures)
             self._lit.append(pictures)
 
     def hits(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -183,6 +183,10 @@ class NativeDetail:
         camera is of the origin of the positions."""
         _, near = self._nearest(camera, pool, from_within=True)
         return near, self._hands[hand].vertices.copy()
+
+    def rest(self) -> None:
+        """Lets go of the last image."""
+        self._keep, self._lit = None, []
 
     def rows_of_vertices(self, hand: int) -> np.ndarray:
         """(V,) in which row of `surfaces` each vertex of a hand stands."""

@@ -36,7 +36,7 @@ from jghand_engine.render.effect_plan import NOT_CHOSEN, OF_CAPTURE, OF_SCENE, D
 from jghand_engine.render.gate import GATE_RADIUS_M, contact_between, fade, fade_with_size, gap_between
 from jghand_engine.render.hand_facts import HandFacts
 from jghand_engine.render.image import Box
-from jghand_engine.render.light_effects import Lit, light_decisions, sharp_shadows
+from jghand_engine.render.light_effects import Lit, light_decisions, sharp_shadows, with_layers
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
 # a skin is reused when no point of it can have moved farther, and the correctives of a hand that moved as a whole when
@@ -171,8 +171,9 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         light, sharp = [shadow], ()
     else:
         strength = 0.0
-        lamps, shadows, *others = light_decisions(scene.lit, scene.moved_m, bones, drawn, settings.effects)
         sharp, edges = sharp_shadows(scene.lit, scene.moved_m, scene.bones, hands, seen, scene.camera, settings)
+        lit = with_layers(scene.lit, sharp, seen)
+        lamps, shadows, *others = light_decisions(lit, scene.moved_m, bones, drawn, settings.effects)
         light = [lamps, shadows, edges, *others]
     enlarged, plain, smooth = _filter(views, settings, box)
     crop = _crop(scene, settings, box, strength > 0)

@@ -1,5 +1,6 @@
-"""Pictures of the surface of hands that are taken from lamps. The kernel asks them at every Gaussian what of the lamp's
-light reaches the skin above it (native/lamp_depth.h): edges of shadows are those of the surface then, not of capsules.
+"""Pictures of the surface of hands that are taken from lamps. Kernels ask them at every Gaussian what of the lamp's
+light reaches the skin above it (native/lamp_depth.h), and at pixels (native/pixel_shadow.h): edges of shadows are those
+of the surface then, not of capsules.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from jghand_engine.avatar.lamp_rows import LIMITS, TINY, Limits, fade, lamp_weig
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.contract import Z_NEAR_M
-from jghand_engine.native.scene_light_task import NUMBER, LampKind
+from jghand_engine.native.scene_light_task import LAYERS_MAX, NUMBER, LampKind
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import NOT_CHOSEN, Choice, Decision, Effect, Sharp
 from jghand_engine.render.hand_facts import Ball, HandFacts
@@ -22,9 +23,9 @@ from jghand_engine.render.settings import RenderSettings
 # mirrored of it, of the world's shadow
 LAMP_MS, LAMP_SHADOW_MS, MIRROR_MS, WORLD_SHADOW_MS = 2e-6, 8e-6, 1.4e-6, 3e-5
 # ... of a shadow with sharp edges, per Gaussian, and of the picture that it asks
-SHARP_MS, PICTURE_MS = 2e-5, 1.3
-# ... and at pixels: per Gaussian, whose light is drawn once more, and per pixel
-LAYER_MS, PIXEL_MS = 1.3e-4, 5e-5
+SHARP_MS, PICTURE_MS = 2e-5, 2.4
+# ... and at pixels: per Gaussian, whose light is drawn beside its color, and per pixel
+LAYER_MS, PIXEL_MS = 5e-5, 3e-5
 # lamps of which hands see half of an angle with this sine have them, larger ones fade out: from the middle of a large
 # one its picture sees other skin than its rim does
 SHARP_SINE, BLUNT_SINE = 0.16, 0.20
@@ -49,14 +50,16 @@ class Lit:
     is_new:       whether the skin stands in another one
     has_new_world: whether in another world
     is_seen_anew: whether the last image was seen from elsewhere
-    has_layers:   whether light can be drawn apart, to be shadowed at each pixel
+    draws_layers: whether light can be drawn apart, to be shadowed at each pixel
+    sharp:        `EffectPlan.sharp` of the last image
     """
 
     light: SceneLight
     is_new: bool = True
     has_new_world: bool = True
     is_seen_anew: bool = True
-    has_layers: bool = True
+    draws_layers: bool = True
+    sharp: tuple[Sharp, ...] = ()
 
 
 def limits_of(choice: Choice) -> Limits:
@@ -181,40 +184,66 @@ def sharp_shadows(
     if not settings.sharp_shadows:
         return skipped("presets final and reference ask for it")
     have_shadows, found, casts, cost_ms = _have_shadows(light), [], np.zeros(len(light.lamps), bool), 0.0
-    for one, hand, is_seen in zip(bones, hands, seen, strict=True):
+    each = [shares_on(light, one, hand.joints_m) for one, hand in zip(bones, hands, strict=True)]
+    limit = _pixel_light([shares[:-1] for (shares, _), is_seen in zip(each, seen, strict=True) if is_seen])
+    # baked light has its shadows
+    at_all = lit.draws_layers and light.baked is None
+    for one, hand, (shares, points_m), is_seen in zip(bones, hands, each, seen, strict=True):
         ball = hand.ball(one)
         if ball is None or hand.response is None:
             return skipped("a hand has no surface")
-        shares, points_m = shares_on(light, one, hand.joints_m)
         shaded = fade(shares[:-1], limits.lamp_shadow) * (lamp_weights(shares, limits) > 0) * have_shadows > 0
         weights = fade(shares[:-1], limits.sharp_shadow) * _suits_picture(light, points_m + one.root_m, ball) * shaded
-        px_per_m = _px_per_m(camera, ball) * max(one.scale, TINY)
-        at_pixels = fade(shares[:-1], PIXEL_LIGHT) * (weights > 0) * _by_size(px_per_m) * lit.has_layers
+        px_per_m = _px_per_m(camera, ball)
+        by_size = _by_size(px_per_m * max(one.scale, TINY)) if at_all else 0.0
+        at_pixels = fade(shares[:-1], limit) * (weights > 0) * by_size
         found.append(Sharp(tuple(weights.tolist()), ball, tuple(at_pixels.tolist())))
         casts |= shaded & is_seen
         cost_ms += is_seen * (weights > 0).sum() * (PICTURE_MS + hand.count * SHARP_MS)
         pixels = min((px_per_m * ball.radius_m) ** 2, camera.width * camera.height)
         cost_ms += is_seen * (at_pixels > 0).sum() * (hand.count * LAYER_MS + pixels * PIXEL_MS)
-    fine = int(np.any([np.array(one.at_pixels) > 0 for one in found], axis=0).sum())
     drawn = int(np.any([np.array(one.weights) > 0 for one in found], axis=0).sum())
     if not drawn:
         return skipped("lamps are too large, too near or too faint" if casts.any() else "no lamp casts a shadow")
+    sharp, fine = tuple(found), len(layers_of(found, seen))
     out = int(casts.sum()) - drawn
     why = f"of {_counted(drawn)}" + (f", of {fine} at each pixel" if fine else "")
     why += f", {_counted(out)} too large, too near or too faint" if out > 0 else ""
     decision = Decision(Effect.SHARP_SHADOW, True, why, lost, None, float(cost_ms))
-    kept = None if moved_m is None else _kept_light(lit)
-    return tuple(found), _kept(decision, kept, moved_m or 0.0)
+    # what is shadowed at pixels is so in each image
+    kept = None if moved_m is None or fine else _kept_light(lit)
+    return sharp, _kept(decision, kept, moved_m or 0.0)
+
+
+def layers_of(sharp: Sequence[Sharp], seen: Sequence[bool]) -> tuple[int, ...]:
+    """Numbers of the lamps whose light is drawn apart, to be shadowed at each pixel. seen: per hand whether it can be
+    in the image"""
+    of_seen = itertools.compress((one.at_pixels for one in sharp), seen)
+    return tuple(lamp for lamp, parts in enumerate(zip(*of_seen, strict=True)) if any(parts))
+
+
+def with_layers(lit: Lit, sharp: Sequence[Sharp], seen: Sequence[bool]) -> Lit:
+    """What is lit, or seen, anew where other light is drawn apart than in the last image."""
+    parts, before = ([one.at_pixels for one in each] for each in (sharp, lit.sharp))
+    other = layers_of(sharp, seen) != layers_of(lit.sharp, seen)
+    return replace(lit, is_new=lit.is_new or other, is_seen_anew=lit.is_seen_anew or parts != before)
+
+
+def _pixel_light(shares: Sequence[np.ndarray]) -> float:
+    """From which part of a hand's light on shadows fade in at pixels: no more lamps give more than there can be layers.
+    shares: (lamps,) per hand"""
+    most = np.sort(np.max(shares, axis=0))[::-1] if shares else np.zeros(0)
+    return max(PIXEL_LIGHT, float(most[LAYERS_MAX])) if len(most) > LAYERS_MAX else PIXEL_LIGHT
 
 
 def _px_per_m(camera: Camera, ball: Ball) -> float:
-    """How large a ball is drawn, where it is the nearest; infinite where the camera is in it."""
+    """How large a meter is drawn where a ball is the nearest; infinite where the camera is in it."""
     nearest_m = float(camera.camera_from_world[2] @ (*ball.middle_m, 1.0)) - ball.radius_m
     return camera.px_per_meter(nearest_m) if nearest_m > Z_NEAR_M or camera.orthographic else math.inf
 
 
 def _by_size(px_per_m: float) -> float:
-    """How much of shadows is found at pixels, 0..1."""
+    """How much of shadows is found at pixels, 0..1, of so many on a meter of a hand of scale 1."""
     return min(max((PIXEL_FROM_M - 1 / max(px_per_m, TINY)) / (PIXEL_FROM_M - PIXEL_WHOLE_M), 0.0), 1.0)
 
 

@@ -287,7 +287,8 @@ class SceneRenderer:
         seen_anew = True
         if posed.moved_m is not None and drawn is not None:
             seen_anew = not np.array_equal(drawn.camera.eye_m, _at_origin(posed, camera).eye_m)
-        return Lit(self.light, before != self.light, new_world, seen_anew, self._backend.draws_layers)
+        sharp = () if drawn is None else drawn.sharp
+        return Lit(self.light, before != self.light, new_world, seen_anew, self._backend.draws_layers, sharp)
 
     def _seen_hands(self, moments: Sequence[Moment]) -> list[int]:
         """Numbers of the hands that are in the image at some of the moments, or pass it between them."""

@@ -1,8 +1,11 @@
 """Pictures to learn from: cut to the hand, made coarser, kept; every time with the camera that belongs to them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from lit_samples import known_light
 from painted_samples import camera_at, discs, sample_of, write_rgba
 from small_hands import joints_of
 
@@ -43,6 +46,18 @@ def test_a_picture_is_cut_to_the_hand_with_a_margin(tmp_path):
     assert corner_of(sample, view) == (40 - CROP_MARGIN_PX, 30 - CROP_MARGIN_PX)
     assert tuple(view.rgb.shape) == (view.camera.height, view.camera.width, 3)
     assert tuple(view.mask.shape) == (view.camera.height, view.camera.width)
+
+
+def test_a_picture_of_known_light_is_cut_like_any_other(tmp_path):
+    mask, light = boxed(slice(30, 61), slice(40, 81)), replace(known_light(0), file=tmp_path / "picture.npz")
+    groups, box_px = np.ones((light.groups, 31, 41, 3), np.float16), np.array([40, 30, 81, 61])
+    np.savez(light.file, groups=groups, alpha=mask[30:61, 40:81], box_px=box_px, stamp=np.array("test"))
+    sample = replace(sample_with(tmp_path, mask), light=light)
+    plain, lit = (Pictures(known_light=known).view(sample) for known in (False, True))
+    assert torch.equal(lit.mask, plain.mask)
+    assert torch.equal(lit.rgb.amax(-1) > 0, lit.mask > 0)
+    for name in ("width", "height", "fx", "fy", "cx", "cy"):
+        assert getattr(lit.camera, name) == getattr(plain.camera, name), name
 
 
 def test_a_cut_has_the_pixels_of_the_picture_on_black(tmp_path):

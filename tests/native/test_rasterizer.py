@@ -53,20 +53,23 @@ def test_one_rasterizer_draws_pictures_of_any_size_one_after_the_other():
         assert one.visible <= count
 
 
-def test_a_layer_is_drawn_as_colors_are_and_nothing_of_an_older_one_stays():
+def test_layers_are_drawn_as_colors_are_and_nothing_of_older_ones_stays():
     one, random_ = rasterizer(2), np.random.default_rng(3)
-    for count, has_layer in ((2000, True), (20, True), (2000, True), (2000, False), (20, False), (20, True)):
-        arrays, view = hand_arrays(count), view_for(120, 80)
+    cases = ((2000, 2, 120), (20, 2, 120), (2000, 1, 120), (2000, 0, 120), (20, 0, 120), (20, 2, 120), (20, 2, 70))
+    for count, layers, width in cases:
+        arrays, view = hand_arrays(count), view_for(width, 80)
         front = random_.choice(np.array([0, 0.3, 1], np.float32), count)
         arrays = replace(arrays, rgb=arrays.rgb * front[:, None], front=front)
-        layer = np.concatenate([arrays.rgb[:, ::-1], 0.5 * arrays.rgb[:, :1]], 1) if has_layer else None
-        planes = one.forward(replace(arrays, layer=layer), view)
+        turned = np.concatenate([arrays.rgb[:, ::-1], 0.5 * arrays.rgb[:, :1]], 1)
+        every = np.stack([turned, 2 * turned])[:layers] if layers else None
+        planes = one.forward(replace(arrays, layers=every), view)
         assert np.array_equal(planes, rasterizer().forward(arrays, view))
-        if has_layer:
-            assert np.allclose(one.layer_planes[:3], planes[2::-1], atol=1e-6)
-            assert np.allclose(one.layer_planes[3], 0.5 * planes[0], atol=1e-6)
+        for layer in range(layers):
+            drawn = one.layer_planes[layer] / (1 + layer)
+            assert np.allclose(drawn[:3], planes[2::-1], atol=1e-6)
+            assert np.allclose(drawn[3], 0.5 * planes[0], atol=1e-6)
     with pytest.raises(InputError, match="with `front`"):
-        one.forward(replace(arrays, front=None, layer=layer), view)
+        one.forward(replace(arrays, front=None, layers=every), view)
 
 
 def test_planes_can_be_drawn_into_memory_of_the_caller():

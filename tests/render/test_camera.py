@@ -63,6 +63,14 @@ def test_points_are_projected_by_the_matrix_of_the_pinhole() -> None:
     assert view.project(points.reshape(4, 5, 3))[0].shape == (4, 5, 2)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_point_in_the_plane_of_the_camera_is_nowhere_and_the_others_stay() -> None:
+    view, others = replace(oblong(), camera_from_world=np.eye(4)), points_m(3) + np.array([0, 0, 1])
+    pixels, depth = view.project(np.concatenate([[[0.1, 0, 0]], others]))
+    assert (pixels[0, 0], depth[0]) == (math.inf, 0)
+    np.testing.assert_array_equal(pixels[1:], view.project(others)[0])
+
+
 def test_the_eye_is_where_it_was_put() -> None:
     np.testing.assert_allclose(oblong().eye_m, EYE_M)
 

@@ -10,11 +10,12 @@ from test_effects import plan_of
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.forearm import ended
+from jghand_engine.avatar.lamp_rows import fade
 from jghand_engine.avatar.scene_light import Lamp, SceneLight, World
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.native import library
-from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.native.scene_light_task import LAYERS_MAX, LampKind
 from jghand_engine.render import light_effects
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.detail import DetailedHand, NativeDetail
@@ -336,37 +337,101 @@ def large(*lamps: Lamp, camera: Camera = LARGE, **settings) -> np.ndarray:
 def at_gaussians(monkeypatch):
     """The same as `large`, with shadows that are found at Gaussians."""
 
-    def draw(*lamps: Lamp) -> np.ndarray:
+    def draw(*lamps: Lamp, **how) -> np.ndarray:
         with monkeypatch.context() as patched:
             patched.setattr(light_effects, "PIXEL_LIGHT", np.inf)
-            return large(*lamps)
+            return large(*lamps, **how)
 
     return draw
 
 
-def test_shadows_at_pixels_are_where_faces_stand_before_the_sun(posed, at_gaussians):
+PARALLEL = replace(LARGE, fx=2500.0, fy=2500.0, orthographic=True)
+
+
+@pytest.mark.parametrize(
+    ("lamp", "camera"),
+    [(SUN, LARGE), (SUN, PARALLEL), (point(0.4), LARGE), (point(20.0), LARGE)],
+    ids=["sun", "parallel rays", "near point", "far point"],
+)
+def test_shadows_at_pixels_are_where_faces_stand_before_a_lamp(posed, at_gaussians, lamp, camera):
     """By rays past every face, from the surface at each pixel, and much better than at Gaussians."""
     corners_m, _, _ = posed
     detail = NativeDetail(library.load(), [DetailedHand.of(AVATAR, 1.0)])
     detail.pose([AVATAR.skeleton().bones(FIST)], [np.zeros(3)])
-    face, depth_m = detail.hits(LARGE.about(FIST[0]))
+    face, depth_m = detail.hits(camera.about(FIST[0]))
     normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    open_sky = large(replace(SUN, has_shadow=False))[..., :3].sum(-1)
-    seen, before = (draw(SUN)[..., :3].sum(-1) / np.maximum(open_sky, 1e-6) for draw in (large, at_gaussians))
+    open_sky = large(replace(lamp, has_shadow=False), camera=camera)[..., :3].sum(-1)
+    seen, before = (
+        draw(lamp, camera=camera)[..., :3].sum(-1) / np.maximum(open_sky, 1e-6) for draw in (large, at_gaussians)
+    )
     lit = (face >= 0) & (open_sky > 0.2) & (normal[face] @ TO_SUN > 0.4)
     rows, columns = np.nonzero(lit)
     chosen = np.random.default_rng(2).permutation(len(rows))[:1500]
     rows, columns = rows[chosen], columns[chosen]
-    over = depth_m[rows, columns, None]
-    ways = np.stack([(columns + 0.5 - LARGE.cx) / LARGE.fx, (rows + 0.5 - LARGE.cy) / LARGE.fy, np.ones(len(rows))], 1)
-    rotation = LARGE.camera_from_world[:3, :3]
-    hidden = hidden_by_faces(corners_m, (ways * over) @ rotation + LARGE.eye_m, TO_SUN)
+    over = depth_m[rows, columns]
+    flat = over if not camera.orthographic else np.ones(len(over))
+    across = ((columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy)
+    in_camera_m = np.stack([flat * across[0], flat * across[1], over], 1)
+    places_m = (in_camera_m - camera.camera_from_world[:3, 3]) @ camera.camera_from_world[:3, :3]
+    ways = np.broadcast_to(TO_SUN, places_m.shape)
+    if lamp.kind is LampKind.POINT:
+        ways = np.array(lamp.place_m) - places_m
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    hidden = np.concatenate(
+        [hidden_by_faces(corners_m, place_m[None], way) for place_m, way in zip(places_m, ways, strict=True)]
+    )
     seen, before = seen[rows, columns], before[rows, columns]
     assert 0.1 < hidden.mean() < 0.9
     wrong, wrong_before = ((hidden != (of < 0.5)).mean() for of in (seen, before))
     assert wrong < 0.03
-    assert wrong < 0.6 * wrong_before
+    assert wrong < 0.7 * wrong_before
+
+
+def test_an_image_does_not_depend_on_where_tiles_begin():
+    """Of the kernel that shadows pixels, and of vectors of sixteen of them."""
+    picture = large(SUN)
+    for right, down in ((1, 0), (8, 0), (0, 1), (16, 5)):
+        camera = replace(LARGE, cx=LARGE.cx + right, cy=LARGE.cy + down)
+        moved = large(SUN, camera=camera)[down:, right:]
+        apart = np.abs(moved - picture[: moved.shape[0], : moved.shape[1]])
+        assert (apart > 0.01).sum() <= 3
+        assert apart.mean() < 1e-5
+
+
+def test_skin_that_sees_all_of_a_lamp_has_the_colors_that_it_has_without_shadows():
+    """In each channel."""
+    colored = replace(SUN, rgb=(3.0, 1.5, 0.5))
+    shaded, whole = large(colored)[..., :3], large(replace(colored, has_shadow=False))[..., :3]
+    reached = shaded.sum(-1) > 0.97 * whole.sum(-1)
+    reached &= whole.sum(-1) > 0.2
+    assert reached.sum() > 10_000
+    assert np.abs(shaded - whole)[reached].max() < 0.05 * whole.max()
+
+
+def test_light_on_a_hand_stays_where_one_without_a_picture_of_the_lamp_is_behind(monkeypatch):
+    """Its Gaussians reach beyond its surface, onto that of the other."""
+    frames, light = [], SceneLight(None, (SUN,))
+    behind = FIST - np.array([0.06, 0.0, 0.1])
+    for of_behind in (1.0, 1e-6, 0.0):
+        left = iter((1.0, of_behind))
+        monkeypatch.setattr(light_effects, "_suits_picture", lambda *_, left=left: np.array([next(left)]))
+        frames.append(SceneRenderer([AVATAR, AVATAR], FINAL, light).render([FIST, behind], LARGE).rgba)
+    assert np.abs(frames[0] - frames[1]).max() > 0.05
+    # capsules shade the one behind: near the first, nothing of it differs
+    assert np.abs(frames[1] - frames[2]).max() < 0.01
+
+
+def test_no_more_lamps_have_layers_than_there_are_and_none_is_switched():
+    shares = np.linspace(0.5, 0.2, 12)
+    for swapped in np.linspace(-0.05, 0.05, 11):
+        # the ninth overtakes the eighth
+        shares[8] = shares[7] + swapped
+        limit = light_effects._pixel_light([shares, np.zeros(12)])
+        parts = fade(shares, limit)
+        assert np.count_nonzero(parts) <= LAYERS_MAX
+        assert parts[7:9].max() <= abs(swapped) / 0.2
+    assert light_effects._pixel_light([shares[:8]]) == light_effects.PIXEL_LIGHT
 
 
 def test_light_apart_and_the_rest_are_the_colors_that_gaussians_have(monkeypatch):
@@ -420,8 +485,12 @@ def test_a_camera_that_comes_nearer_to_a_pose_lights_it_anew_where_it_has_to():
     near = renderer.render([FIST], LARGE)
     assert np.array_equal(near.rgba, SceneRenderer([AVATAR], FINAL, light).render([FIST], LARGE).rgba)
     turned = replace(LARGE, fx=LARGE.fx * 1.1, fy=LARGE.fy * 1.1)
+    assert plan_of(near).runs(Effect.LAMPS)
+    assert plan_of(near).runs(Effect.SHARP_SHADOW)
     closer = renderer.render([FIST], turned)
     assert "light" not in closer.report.stages
+    assert not plan_of(closer).runs(Effect.LAMPS)
+    assert plan_of(closer).runs(Effect.SHARP_SHADOW)
     assert np.array_equal(closer.rgba, SceneRenderer([AVATAR], FINAL, light).render([FIST], turned).rgba)
     assert np.array_equal(renderer.render([FIST], view().scaled(0.3)).rgba, small)
 

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES
 from jghand_engine.hand.orders import bone_lengths, check_order, implausibilities
 from jghand_engine.template import builtin
@@ -119,6 +120,12 @@ def test_the_shared_template_cannot_be_changed(template):
     with pytest.raises(ValueError, match="read-only"):
         template.vertices_m[0] = 0
     assert load_template() is template
+
+
+def test_a_damaged_installation_is_to_be_made_again(monkeypatch, tmp_path):
+    monkeypatch.setattr(builtin, "load_fields", lambda: load_fields(tmp_path / "none.npz"))
+    with pytest.raises(InputError, match=r"built-in hand: got .*none\.npz.* Install JGHand again"):
+        load_template.__wrapped__()
 
 
 def test_every_finger_has_its_nail_on_the_back_of_its_tip(template):

@@ -3,11 +3,15 @@
 import itertools
 
 import numpy as np
+import pytest
+import trimesh
 
 from jghand_engine.template import closest
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface, closest_on_triangle
 
+HAND = load_template()
+TETRAHEDRON = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 OCTAHEDRON_M = 0.01 * np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]])
 
 
@@ -112,14 +116,34 @@ def test_the_distance_to_an_octahedron_is_that_to_its_planes_inside_and_to_its_c
 # ---- the search -----------------------------------------------------------------------------------------------------
 
 
-def test_a_rough_distance_is_too_large_by_a_piece_at_most():
-    hand = load_template()
-    surface = Surface(hand.vertices_m, hand.faces)
-    points = hand.vertices_m[::8] + np.random.default_rng(10).normal(scale=0.01, size=(202, 3))
+def splinter() -> Surface:
+    """Long and thin, askew to all axes."""
+    along, side = np.array([1.0, 1, 1]) / np.sqrt(3), np.array([1.0, -1, 0]) / np.sqrt(2)
+    end = 0.0054 * along + 1e-5 * np.array([np.zeros(3), np.cross(along, side), side])
+    return Surface(np.concatenate([np.zeros((1, 3)), end]), TETRAHEDRON)
+
+
+@pytest.mark.parametrize("surface", [Surface(HAND.vertices_m, HAND.faces), splinter()], ids=["hand", "splinter"])
+def test_a_rough_distance_is_too_large_by_a_piece_at_most(surface):
+    corners = surface.corners_m[::8, 0]
+    away = np.random.default_rng(10).normal(scale=0.01, size=corners.shape)
+    points = np.concatenate([corners, corners + away])
     face, rough = surface.rough(points)
     exact = np.abs(surface.closest(points).signed_m)
     assert (rough >= exact - 1e-15).all()
-    assert (rough <= exact + surface.piece_radius_m).all()
+    assert (rough <= exact + surface.piece_radius_m + 1e-15).all()
     assert surface.piece_radius_m <= closest.CLOSEST_PIECE_RADIUS_M
     _, squared = closest_on_triangle(points, surface.corners_m[face])
     assert (np.sqrt(squared) <= rough + 1e-15).all()
+
+
+def test_a_large_face_is_found_behind_many_small_ones_whose_middles_are_nearer():
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=5e-5)
+    wedge_m = np.array([[0.0, 0, 0], [2.4e-3, 0, 0], [0, 2.4e-3, 0], [0, 0, -1e-3]]) - np.array([1e-4, 1e-4, 0])
+    surface = Surface(
+        np.concatenate([ball.vertices + np.array([0, 0, 2.15e-3]), wedge_m]),
+        np.concatenate([ball.faces, TETRAHEDRON + len(ball.vertices)]),
+    )
+    near = surface.closest(np.array([[0, 0, 1e-3]]))
+    np.testing.assert_allclose(near.point_m, [[0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(near.signed_m, 1e-3)

@@ -12,7 +12,7 @@ from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.mesh import posed_vertices
-from jghand_engine.template.reshape import pulled_back, reshaped
+from jghand_engine.template.reshape import places_after, pulled_back, reshaped
 from jghand_engine.template.surface import vertex_normals
 from tests.detail_samples import detail_of, noise
 
@@ -50,6 +50,10 @@ def test_what_lies_under_the_skin_goes_with_it_as_deep_as_it_is_wide(avatar):
     error_m = np.abs(now - thicker.sigma_m / avatar.sigma_m * before)[avatar.position_m[:, 1] > 0.02]
     assert np.median(error_m) < 5e-5
     assert np.percentile(error_m, 95) < 6e-4
+    # where only the places are wanted, of several changes
+    surfaces_m = np.stack([TEMPLATE.vertices_m, after_m])
+    places_m = places_after(avatar.position_m, TEMPLATE.faces, TEMPLATE.vertices_m, surfaces_m)
+    np.testing.assert_array_equal(places_m, [avatar.position_m, thicker.position_m])
 
 
 def test_a_hand_that_is_turned_and_smaller_has_smaller_gaussians_and_turned_normals(avatar):

@@ -8,15 +8,19 @@ from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import UVD_RANGE_M
 from jghand_engine.errors import InputError
+from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.sampling import (
     SHELL_DEPTH_M,
+    _draws,
+    _shell_cells,
     bone_distances,
     farthest_point_order,
     sample_shell,
     uvd_coordinates,
 )
+from jghand_engine.template.surface import vertex_normals
 
 PER_BONE = 150
 
@@ -78,6 +82,13 @@ def test_depth_has_a_fixed_range(template):
     assert depth[2] == pytest.approx(0.5 + near.signed_m[2] / (2 * UVD_RANGE_M))
 
 
+def test_depth_may_go_from_the_deepest_point_to_the_shallowest(template):
+    sample = sample_shell(template, per_bone=5, depth_m=0.012, depth_of_points=True)
+    signed_m = Surface(template.vertices_m, template.faces).closest(sample.position_m).signed_m
+    assert signed_m.min() < -UVD_RANGE_M
+    np.testing.assert_allclose(sample.uvd[:, 2], (signed_m - signed_m.min()) / np.ptp(signed_m), atol=1e-12)
+
+
 def test_normals_point_out_of_the_skin(template, sample):
     np.testing.assert_allclose(np.linalg.norm(sample.normal, axis=1), 1, atol=1e-12)
     foot = np.einsum("nk,nkc->nc", sample.barycentric, template.vertices_m[template.faces[sample.face]])
@@ -92,6 +103,7 @@ def test_normals_point_out_of_the_skin(template, sample):
 
 def test_farthest_point_order_takes_the_farthest_next():
     points = np.random.default_rng(0).normal(size=(2, 40, 3))
+    points[1, 30:] = points[1, 3]  # each comes once, too
     order = farthest_point_order(points)
     for group, ranks in zip(points, order, strict=True):
         assert sorted(ranks) == list(range(40))
@@ -120,9 +132,30 @@ def test_numbers_out_of_range_are_refused(template, arguments):
         sample_shell(template, **arguments)
 
 
+def test_all_of_the_shell_lies_in_the_cells_that_points_are_drawn_from(template):
+    surface = Surface(template.vertices_m, template.faces)
+    cells_m, half_m = _shell_cells(template, surface, SHELL_DEPTH_M)
+    inwards = np.random.default_rng(0).random((5, len(template.vertices_m), 1)) * SHELL_DEPTH_M
+    points = (template.vertices_m - inwards * vertex_normals(template.vertices_m, template.faces)).reshape(-1, 3)
+    signed = surface.closest(points).signed_m
+    points = points[(signed <= 0) & (signed >= -SHELL_DEPTH_M)]
+    assert KDTree(cells_m).query(points, p=np.inf)[0].max() <= half_m + 1e-12
+
+
+def test_as_many_are_drawn_as_are_missing_at_the_rate_so_far_and_a_tenth_more():
+    count, drawn = np.array([0, 40, 99, 0]), np.array([0, 80, 100, 500])
+    np.testing.assert_array_equal(_draws(100, count, drawn), [440, 132, 16, 2016])
+
+
 def test_a_bone_without_skin_is_named(template):
     joints = template.joints_m.copy()
     # the little finger's tip lies on its last joint and the whole bone outside the hand
     joints[[15, 20]] = [[-0.3, 0.5, 0.0], [-0.3, 0.6, 0.0]]
     with pytest.raises(InputError, match="pinky4"):
         sample_shell(replace(template, joints_m=joints), per_bone=5)
+
+
+def test_a_bone_that_is_hardly_ever_met_is_given_up(template, monkeypatch):
+    monkeypatch.setattr(sampling, "SHELL_DRAWS_MAX", 1)
+    with pytest.raises(InputError, match="wanted skin around every bone"):
+        sample_shell(template, per_bone=50)

@@ -6,10 +6,11 @@ import pytest
 from jghand_engine.hand.rotations import unit
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.subdivision import Subdivision
-from jghand_engine.template.surface import enclosed_volume, is_closed
+from jghand_engine.template.surface import directed_edges, enclosed_volume, is_closed
 
 OCTAHEDRON = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
 FACES = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
+TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +40,22 @@ def test_an_octahedron_becomes_round_and_no_face_turns_over():
     assert radius.max() / radius.min() < 1.2
     a, b, c = (vertices[fine.faces[:, k]] for k in range(3))
     assert ((unit(np.cross(b - a, c - a)) * unit(a + b + c)).sum(1) > 0.9).all()
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "shrunk", "of_ends"),
+    [
+        (OCTAHEDRON, FACES, 33 / 64, 3 / 8),
+        (np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]), TETRAHEDRON, 1 / 4, 1 / 4),
+    ],
+)
+def test_vertices_and_edges_go_where_loop_has_them(vertices, faces, shrunk, of_ends):
+    """By hand: of n neighbors a vertex takes 5/8 - (3/8 + cos(2 pi / n) / 4)^2, an edge 1/8 of each corner across."""
+    fine, count = Subdivision.of(faces, np.zeros((len(faces), 3, 2)), 1).matrix @ vertices, len(vertices)
+    np.testing.assert_allclose(fine[:count], shrunk * vertices, atol=1e-15)
+    ends = np.unique(np.sort(directed_edges(faces), axis=1), axis=0)
+    expected = of_ends * vertices[ends].sum(axis=1)
+    np.testing.assert_allclose(np.unique(fine[count:], axis=0), np.unique(expected, axis=0), atol=1e-15)
 
 
 def test_texture_coordinates_stay_within_their_coarse_face_and_keep_their_turn(hand):

@@ -7,13 +7,14 @@ import trimesh
 from jghand_engine.errors import InputError
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface, closest_on_triangle
-from jghand_engine.template.layout import room_for_disk
 from jghand_engine.template.surface import (
     boundary_loop,
+    disk_uv,
     enclosed_volume,
     face_normals,
     fan_faces,
     is_closed,
+    one_uv_each,
     vertex_normals,
 )
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
@@ -81,10 +82,28 @@ def test_an_opening_is_found_and_closed_in_the_faces_direction(hand):
 
 
 def test_surfaces_without_exactly_one_opening_are_refused(hand):
-    with pytest.raises(InputError):
-        boundary_loop(hand.faces)
-    with pytest.raises(InputError):
-        boundary_loop(np.delete(hand.faces, [0, 1500], axis=0))
+    beside = np.flatnonzero((hand.faces == hand.faces[0, 0]).any(axis=1))
+    # none, one, two that are apart, and two that touch at a vertex
+    for gone in ([], [0, 1500], beside[[0, len(beside) // 2]]):
+        with pytest.raises(InputError, match="one loop"):
+            boundary_loop(np.delete(hand.faces, gone, axis=0))
+
+
+def test_a_fan_is_laid_out_as_a_disk():
+    uv = disk_uv(7, (0.3, 0.6), 0.2)
+    after, ring, center = (uv - (0.3, 0.6)).transpose(1, 0, 2)
+    np.testing.assert_allclose(np.linalg.norm(ring, axis=1), 0.2)
+    np.testing.assert_array_equal(after, np.roll(ring, -1, axis=0))
+    np.testing.assert_array_equal(center, 0)
+    # each spans a seventh of the circle, all turned alike
+    np.testing.assert_allclose(np.linalg.det(np.stack([ring, after], axis=1)), 0.2**2 * np.sin(2 * np.pi / 7))
+
+
+def test_vertices_at_seams_of_the_texture_are_doubled_and_no_others(hand):
+    vertex, uv, faces = one_uv_each(hand.faces, hand.face_uv)
+    np.testing.assert_array_equal(vertex[faces], hand.faces)
+    np.testing.assert_array_equal(uv[faces], hand.face_uv)
+    assert len(np.unique(np.column_stack([vertex, uv]), axis=0)) == len(vertex)
 
 
 def test_closed_means_every_edge_once_in_each_direction():
@@ -133,17 +152,3 @@ def test_texture_rows_run_from_the_top():
     assert covered[:2].any()
     assert not covered[2:].any()
     assert values.max() == pytest.approx(1)
-
-
-def test_room_for_the_cap_touches_nothing():
-    uv = np.array([[[0, 0], [0.8, 0], [0, 0.8]], [[0.8, 0], [0.8, 0.4], [0.3, 0.5]]])
-    (u, v), radius = room_for_disk(uv)
-    assert radius > 0
-    edge = [(u + radius * np.cos(a), v + radius * np.sin(a)) for a in np.linspace(0, 6.3, 30)]
-    assert all(0 <= x <= 1 and 0 <= y <= 1 and x + y > 0.8 for x, y in edge)
-
-
-def test_a_full_layout_has_no_room():
-    full = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]]], dtype=float)
-    with pytest.raises(InputError, match="room"):
-        room_for_disk(full)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from jghand_engine.captures.making.rig import identity_names, load_identity
 from jghand_engine.cli.learning import hand_template
@@ -107,6 +108,10 @@ def test_points_of_the_forearm_lie_under_its_skin_and_those_of_bones_do_not(arm)
     # none where it is cut
     assert near.face.max() < arm.skin_face_count
     assert np.array_equal(np.bincount(sample.bone), [0, *[40] * 21])
+    # everywhere under it: worst observed 5 mm
+    corners = arm.vertices_m[arm.faces[arm.is_forearm]]
+    middle_m = np.average(corners.mean(axis=1), axis=0, weights=trimesh.triangles.area(corners))
+    np.testing.assert_allclose(sample.position_m[sample.bone == FOREARM].mean(axis=0), middle_m, atol=0.008)
 
 
 def test_a_file_without_its_last_ring_is_no_hand():

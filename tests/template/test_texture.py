@@ -25,11 +25,12 @@ def slow_layout(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tu
 
 @pytest.mark.parametrize("seed", range(4))
 def test_values_are_laid_out_as_texel_by_texel(seed: int):
-    """Triangles of both orientations, over each other, over the border and without area."""
+    """Triangles of both orientations, over each other, over the border, beyond it and without area."""
     random = np.random.default_rng(seed)
     middle = random.uniform(0, 1, (12, 1, 2))
     face_uv = middle + random.normal(scale=0.15, size=(12, 3, 2))
     face_uv[5, 2] = face_uv[5, 0]
+    face_uv[6:8] += np.array([[[2.0, 0.0]], [[0.0, -2.0]]])
     corner_values = random.normal(size=(12, 3, 2))
     got, want = (layout(face_uv, corner_values, 24) for layout in (rasterize_uv, slow_layout))
     assert np.array_equal(got[1], want[1])
