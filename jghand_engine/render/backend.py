@@ -209,7 +209,8 @@ class Backend:
             strengths = [canvas.detail[place] for place in self._detailed]
             seen = [canvas.seen[place] for place in self._detailed]
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
-            detail.shadow_pixels(self._rasterizer.layer_planes if layers else NO_LAYERS, self._depths)
+            depths = [self._depths[place] for place in self._detailed]
+            detail.shadow_pixels(self._rasterizer.layer_planes if layers else NO_LAYERS, depths)
         assert not layers or detail is not None or keep_image, "light that is drawn apart is added with the detail"
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None

@@ -145,8 +145,7 @@ def closest_on_triangle(points: np.ndarray, corners: np.ndarray) -> tuple[np.nda
     v, w = (d22 * d1p - d12 * d2p) / safe, (d11 * d2p - d12 * d1p) / safe
     inside = has_area & (v > 0) & (w > 0) & (v + w < 1)
     bary = np.stack([1 - v - w, v, w], axis=1)
-    squared = np.where(inside, _dot(ap, ap) - v * d1p - w * d2p, np.inf)
-    squared = np.where(inside, np.maximum(squared, 0), np.inf)
+    squared = np.full(len(points), np.inf)
     for k in range(3):
         start, edge = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
         length = _dot(edge, edge)
@@ -158,7 +157,6 @@ def closest_on_triangle(points: np.ndarray, corners: np.ndarray) -> tuple[np.nda
         on_edge = np.zeros_like(bary)
         on_edge[:, k], on_edge[:, (k + 1) % 3] = 1 - along, along
         bary = np.where(better[:, None], on_edge, bary)
-    # the difference of squares above loses digits close to the surface
     gap = points - np.einsum("nk,nkc->nc", bary, corners)
     return bary, _dot(gap, gap)
 

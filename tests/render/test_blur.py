@@ -48,12 +48,13 @@ def test_a_shutter_is_open_for_half_of_its_time_before_a_frame_and_half_after_it
 
 def test_exposures_are_evenly_spread_over_the_time_that_the_shutter_is_open():
     opened = shutter_at(np.stack([HAND_M - STEP_M, HAND_M, HAND_M + STEP_M]), 1, 1.0, CAMERA)
-    between, shares = filled(opened, [1.0, 1.0, 1.0], [0])
+    between, shares = filled(opened, [1.0, 2.0, 3.0], [0])
     places = [moment.joints_m[0] - HAND_M for moment in between]
     wanted = ((np.arange(len(between)) + 0.5) / len(between) - 0.5)[:, None, None] * STEP_M
     assert len(between) > 3
     np.testing.assert_allclose(places, np.repeat(wanted, JOINT_COUNT, axis=1), atol=1e-12)
-    np.testing.assert_allclose(shares, 1 / len(between))
+    weights = 0.5 + 3 * (np.arange(len(between)) + 0.5) / len(between)
+    np.testing.assert_allclose(shares, weights / weights.sum())
 
 
 def test_moments_that_are_far_apart_get_others_between_them_in_even_steps():

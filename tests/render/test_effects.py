@@ -335,7 +335,8 @@ def test_a_hand_that_moves_as_a_whole_keeps_its_correctives(monkeypatch):
     moved = joints @ turn.T + np.array([0.01, 0.0, 0.02])
     kept = renderer.render(moved, view)
     assert corrected == [1]
-    assert plan_of(kept)[Effect.CORRECTIVES].reason == "the hand moved as a whole"
+    decision = plan_of(kept)[Effect.CORRECTIVES]
+    assert (decision.reason, decision.bound) == ("the hand moved as a whole", "0.05 mm of skin")
     fresh = HandRenderer(TRAINED, SMALL).render(moved, view)
     assert difference(kept, fresh) < 2e-4
     renderer.render(pose("fist", TRAINED), view)
