@@ -13,7 +13,7 @@ struct Picture {
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;  // premultiplied R G B, alpha, sum of weight times depth
 
 // as in native/constants.h
-const FRONT_MIN = 0.005;
+const FRONT_MIN = 0.04;
 const COVER_FROM = 0.15;
 const BENEATH_FROM = 0.1;
 const BENEATH_WHOLE = 0.5;

@@ -24,9 +24,10 @@ DEPTH_ALPHA_MIN = 0.05
 VAR_MAX_PX2 = 1e9
 # colors beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
-# part of a pixel's alpha, at least, that is taken for seen from outside: from below on its color goes to black. Small:
-# the surface of a hand ends up to a millimeter beyond its Gaussians, of which little is seen from outside there
-FRONT_MIN = 0.005
+# part of a pixel's alpha, at least, that is taken for seen from outside: from below on its color goes to black. Less
+# (0.005) would leave rims of surfaces, up to a millimeter beyond the Gaussians, their color, but show the
+# cut of the blend by its inverse
+FRONT_MIN = 0.04
 # coverage from which such a picture shows anything: Gaussians are round, and wider at an outline than skin ends
 COVER_FROM = 0.15
 # transmittance below which a Gaussian gives such a picture none of its color, and above which all: between those of one
