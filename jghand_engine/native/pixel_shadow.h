@@ -106,11 +106,12 @@ inline void add_layers(const DetailTask& t, const DetailHand& hand, int32_t numb
     const float* p = t.layer[layer] + (int64_t)(tile.y + row) * t.width + tile.x + x;
     vf light[3], sum = {};
     for (int k = 0; k < 3; k++) light[k] = load_first(p + k * pixels, n), sum += light[k];
-    if (!bit_mask(mine & (sum > LAYER_UNSEEN))) continue;
+    const vi lit = mine & (sum > LAYER_UNSEEN);
+    if (!bit_mask(lit)) continue;
     vf part = load_first(p + 3 * pixels, n) / max(sum, all(LAYER_UNSEEN));
     // where a lamp has no picture for this hand Gaussians of another one reach here
     const vf asked = hand.pictures[layer].part * clamped(min(part, 1.f - part) * (1.f / EDGE_PART) - 1.f);
-    if (bit_mask(mine & (sum > LAYER_UNSEEN) & (asked > 0))) {
+    if (bit_mask(lit & (asked > 0))) {
       if (!spots.count) spots = spots_of(t, hand, number, tile, row, x, bit_mask(mine & (skin < 1)));
       vf own = {}, all_around = {}, count = {};
       for (int k = 0; k < spots.count; k++) {

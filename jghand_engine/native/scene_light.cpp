@@ -565,7 +565,7 @@ void seen_block(const LearnedTask& t, int32_t block) {
       rows[layer][i] = fade * light, rows[layer][3] += rows[layer][i] * reaches;
     }
   }
-  if (s.layers) store_layers();
+  store_layers();
   for (int i = 0; i < 3; i++) rgb[i] *= fade;
   store_triples(t.rgb + 3 * row, rgb[0], rgb[1], rgb[2]);
 }

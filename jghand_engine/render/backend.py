@@ -9,6 +9,7 @@ import itertools
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,8 +37,6 @@ from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
-# planes of an image without layers
-NO_LAYERS = np.zeros((0, 4, 0, 0), np.float32)
 # names of the stages
 LAMP_DEPTH, SKIN, LIGHT, GLOSS, RASTER, SHADOW, COMPOSE, DETAIL = (
     "lamp pictures",
@@ -94,7 +93,7 @@ class Canvas:
     detail: tuple[float, ...] = ()
     sharp: tuple[Sharp, ...] = ()
 
-    @property
+    @cached_property
     def layers(self) -> tuple[int, ...]:
         """Numbers of the lamps whose light is drawn apart, to be shadowed at each pixel."""
         return layers_of(self.sharp, self.seen)
@@ -210,7 +209,7 @@ class Backend:
             seen = [canvas.seen[place] for place in self._detailed]
             detail.prepare(self._planes, camera, strengths, ends_hands=self._ends_hands, seen=seen)
             depths = [self._depths[place] for place in self._detailed]
-            detail.shadow_pixels(self._rasterizer.layer_planes if layers else NO_LAYERS, depths)
+            detail.shadow_pixels(self._rasterizer.layer_planes[: len(layers)], depths)
         assert not layers or detail is not None or keep_image, "light that is drawn apart is added with the detail"
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None

@@ -130,12 +130,12 @@ class Sharp:
 
     weights:   per lamp how much they count beside those of capsules, 0..1; empty for none
     ball:      around the hand's surface
-    at_pixels: per lamp how much of them is found at pixels instead of at Gaussians, 0..1; empty for none
+    at_pixels: per lamp how much of them is found at pixels instead of at Gaussians, 0..1
     """
 
     weights: tuple[float, ...]
     ball: Ball
-    at_pixels: tuple[float, ...] = ()
+    at_pixels: tuple[float, ...]
 
 
 @dataclass(frozen=True)

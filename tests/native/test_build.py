@@ -11,7 +11,7 @@ import pytest
 from jghand_engine import gpu
 from jghand_engine.avatar import lamp_rows
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.native import binding, build, contract, library, selftest, tasks
+from jghand_engine.native import binding, build, contract, library, scene_light_task, selftest, tasks
 
 
 def test_the_kernels_constants_are_those_of_python():
@@ -46,6 +46,9 @@ def test_the_shaders_constants_are_those_of_python():
 def test_a_scene_has_as_many_lamps_as_the_kernel_has_room_for_shadows():
     text = (build.SOURCE_FOLDER / "scene_light.h").read_text()
     assert re.findall(r"constexpr int SLOTS_MAX = (\d+);", text) == [str(lamp_rows.LAMPS_MAX)]
+    # and what is kept of those that are drawn apart
+    for name in ("LAYERS_MAX", "APART"):
+        assert re.findall(rf"constexpr int {name} = (\d+);", text) == [str(getattr(scene_light_task, name))]
 
 
 @pytest.fixture
