@@ -17,6 +17,7 @@ const FRONT_MIN = 0.04;
 const COVER_FROM = 0.15;
 const BENEATH_FROM = 0.1;
 const BENEATH_WHOLE = 0.5;
+const COVER_WHOLE = 0.9;
 // 12 KiB of the 16 that every WebGPU device has
 const CHUNK = 256u;
 var<workgroup> shapes: array<vec4f, CHUNK>;
@@ -34,6 +35,9 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
   let center = vec2f(at) + 0.5;
   let on_picture = at.x < picture.width && at.y < picture.height;
   var open = on_picture;
+  // with `front` a pixel is covered once nothing beneath adds to its color
+  let least = select(0.0, BENEATH_FROM, picture.fills != 0u);
+  let stop = select(picture.t_stop, BENEATH_FROM, picture.fills != 0u);
   var T = 1.0;
   var color = vec3f(0.0);
   var depth = 0.0;
@@ -63,11 +67,12 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
         let weight = min(exp2(exponent), picture.alpha_max) * T;
         let part = saturate((T - BENEATH_FROM) / (BENEATH_WHOLE - BENEATH_FROM));
         let shown = select(weight, weight * part, picture.fills != 0u);
-        T -= weight;
+        let beneath = max(T - weight, least);
         color += shown * vec3f(rest.zw, other.x);
-        depth += weight * other.y;
+        depth += (T - beneath) * other.y;
         front += shown * other.z;
-        if (!(T > picture.t_stop)) { open = false; break; }
+        T = beneath;
+        if (!(T > stop)) { open = false; break; }
       }
     }
     workgroupBarrier();
@@ -75,7 +80,7 @@ fn main(@builtin(workgroup_id) tile_at: vec3u, @builtin(local_invocation_id) in_
   if (!on_picture) { return; }
   var alpha = 1.0 - T;
   if (picture.fills != 0u && alpha > 0.0) {
-    let cover = smoothstep(COVER_FROM, 1.0, alpha);
+    let cover = smoothstep(COVER_FROM, COVER_WHOLE, alpha);
     color *= cover / max(front, FRONT_MIN * alpha);
     depth *= cover / alpha;
     alpha = cover;

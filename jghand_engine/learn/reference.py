@@ -102,7 +102,7 @@ def rasterize_reference(
     parts = gaussians.front[kept, None].expand(-1, 3)
     front = draw(replace(ellipses, features=torch.cat([parts, ellipses.features[:, 3:]], 1)))[0, ..., None]
     alpha, tiny = picture.alpha, torch.finfo(picture.alpha.dtype).tiny
-    cover = smoothstep((alpha - contract.COVER_FROM) / (1 - contract.COVER_FROM))
+    cover = smoothstep((alpha - contract.COVER_FROM) / (contract.COVER_WHOLE - contract.COVER_FROM))
     gain = cover[..., None] / torch.maximum(front, (contract.FRONT_MIN * alpha[..., None]).clamp_min(tiny))
     depth_sum = picture.depth_sum * cover / alpha.clamp_min(tiny)
     return replace(picture, rgb=picture.rgb * gain, alpha=cover, depth_sum=depth_sum)
@@ -303,7 +303,7 @@ def _draw_pixels(
 
 def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool, fills: bool) -> torch.Tensor:
     """(P, 5) sums of weight times features, front to back; column 3 is 1 - transmittance. fills: what stands beneath
-    gives a part of its color alone, as the contract has it for Gaussians with `front`"""
+    gives a part of its color alone, and at last nothing, as the contract has it for Gaussians with `front`"""
     e = ellipses
     dx, dy = pixels[:, :1] - e.u, pixels[:, 1:] - e.v
     q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / e.det
@@ -317,7 +317,9 @@ def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smoot
         return weight @ e.features
     span = contract.BENEATH_WHOLE - contract.BENEATH_FROM
     shown = weight * ((transmittance - contract.BENEATH_FROM) / span).clamp(0, 1)
-    return torch.cat([shown @ e.features[:, :3], weight @ e.features[:, 3:]], 1)
+    least = contract.BENEATH_FROM
+    counted = transmittance.clamp_min(least) - behind.clamp_min(least)
+    return torch.cat([shown @ e.features[:, :3], counted @ e.features[:, 3:]], 1)
 
 
 def _cut(alpha: torch.Tensor, alpha_min: float, *, smooth: bool) -> torch.Tensor:

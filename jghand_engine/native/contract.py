@@ -33,6 +33,8 @@ COVER_FROM = 0.15
 # transmittance below which a Gaussian gives such a picture none of its color, and above which all: between those of one
 # layer an eighth of what is right beneath is seen, which in back light is brighter by ten times and more
 BENEATH_FROM, BENEATH_WHOLE = 0.1, 0.5
+# coverage from which on all of a pixel is covered: nothing beneath would add to its color
+COVER_WHOLE = 1 - BENEATH_FROM
 # coordinates beyond this are counted as invalid, meters: depth is blended like a color, and has the same limit
 POSITION_MAX_M = 1e6
 # a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32

@@ -10,6 +10,12 @@ constexpr int UNROLL = 4;  // Gaussians between two tests whether all pixels of 
 // sharper outline, as coverage goes up from COVER_FROM on; LAYER: with colors that are drawn beside, too.
 enum Kind { PLAIN, FRONT, LAYER };
 
+// Transmittance from which on a pixel may stop. Of FRONT it goes no lower: what comes after would add nothing.
+template <Kind KIND>
+JG_INLINE float stop_of(const RasterJob& job) {
+  return KIND == PLAIN ? job.t_stop : BENEATH_FROM;
+}
+
 // One 4 x 4 block on its way through the list.
 struct Block {
   vf transmittance, r, g, b, depth, front, layer[4];
@@ -18,7 +24,7 @@ struct Block {
 template <int SQUARINGS, Kind KIND>
 JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, const Hits& hits, Block& block) {
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
-  const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
+  const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = stop_of<KIND>(job);
   vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth, front = block.front;
   vf layer[4];
   for (int k = 0; k < 4; k++) layer[k] = block.layer[k];
@@ -26,8 +32,10 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
     const Record& record = chunk.records[hit];
     const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
     const vf shown = KIND != PLAIN ? weight * clamped((T - BENEATH_FROM) * (1.0f / (BENEATH_WHOLE - BENEATH_FROM))) : weight;
-    T -= weight;
-    r += shown * record.r, g += shown * record.g, b += shown * record.b, depth += weight * record.z;
+    const vf beneath = KIND != PLAIN ? max(T - weight, all(BENEATH_FROM)) : T - weight;
+    const vf counted = KIND != PLAIN ? T - beneath : weight;
+    T = beneath;
+    r += shown * record.r, g += shown * record.g, b += shown * record.b, depth += counted * record.z;
     if (KIND != PLAIN) front += shown * record.front;
     for (int k = 0; KIND == LAYER && k < 4; k++) layer[k] += shown * record.layer[k];
   };
@@ -45,7 +53,7 @@ JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t lay
   const vf alpha = 1.0f - block.transmittance;
   vf gain = all(1.0f), cover = alpha, nearer = gain;
   if (KIND != PLAIN) {
-    cover = smooth((alpha - COVER_FROM) / (1.0f - COVER_FROM));
+    cover = smooth((alpha - COVER_FROM) / (COVER_WHOLE - COVER_FROM));
     gain = select(alpha > 0, cover / max(block.front, FRONT_MIN * alpha), vf{});
     nearer = select(alpha > 0, cover / alpha, vf{});
   }
@@ -77,7 +85,7 @@ void blend_with(const RasterJob& job, int32_t index, int32_t layer) {
       if (!hits.count) continue;
       work += hits.count;
       blend_hits<SQUARINGS, KIND>(job, chunk, b, hits, blocks[b]);
-      if (!bit_mask(blocks[b].transmittance > job.t_stop)) live &= ~(1u << b);
+      if (!bit_mask(blocks[b].transmittance > stop_of<KIND>(job))) live &= ~(1u << b);
     }
   }
   job.tile_work[index] = work;

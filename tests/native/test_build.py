@@ -39,7 +39,7 @@ def test_the_kernels_constants_are_those_of_python():
 
 def test_the_shaders_constants_are_those_of_python():
     text = (Path(gpu.__file__).parent / "blend.wgsl").read_text()
-    for name in ("FRONT_MIN", "COVER_FROM", "BENEATH_FROM", "BENEATH_WHOLE"):
+    for name in ("FRONT_MIN", "COVER_FROM", "BENEATH_FROM", "BENEATH_WHOLE", "COVER_WHOLE"):
         assert re.findall(rf"const {name} = ([\d.]+);", text) == [f"{getattr(contract, name):g}"]
 
 

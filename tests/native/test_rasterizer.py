@@ -134,6 +134,32 @@ def test_what_stands_beneath_a_thin_layer_gives_it_no_color():
     assert drawn(0.7) == pytest.approx((0.7 * 0.1 + 0.15 * 0.99 * 3) / (0.7 + 0.15 * 0.99), rel=2e-2)
 
 
+def test_what_is_covered_depends_on_nothing_beneath():
+    """Nor does where a block of pixels stops show: beside it there is a hole, whose pixels go on."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-0.02, 0.02, 41)]))
+    holed = np.hypot(x, y) > 0.006
+    count, behind = holed.sum(), 3
+
+    def drawn(sheets: int) -> np.ndarray:
+        whole = np.concatenate([holed, np.ones((sheets - 1) * len(x), bool)])
+        depth_m = np.repeat(0.3 + 0.02 * np.arange(sheets), len(x))
+        position_m = np.stack([np.tile(x, sheets), np.tile(y, sheets), depth_m], 1).astype(np.float32)[whole]
+        n = len(position_m)
+        rgb = np.ones((n, 3), np.float32)
+        rgb[count:] = 5
+        sizes = np.full(n, 1e-3, np.float32), np.full(n, 0.95, np.float32)
+        gaussians = GaussianArrays(position_m, *sizes, rgb, front=np.ones(n, np.float32))
+        return rasterizer().forward(gaussians, View(41, 41, 300.0, 300.0, 20.5, 20.5, np.eye(3, 4))).copy()
+
+    alone, before = drawn(1), drawn(1 + behind)
+    covered = alone[3] == 1
+    assert 0.8 < covered.mean() < 0.97
+    assert np.array_equal(before[:, covered], alone[:, covered])
+    assert before[0, 20, 20] > 3
+    # what covers a pixel is as deep as what is seen of it
+    assert np.allclose(alone[4, covered], 0.3, atol=1e-4)
+
+
 def test_what_is_little_seen_from_outside_has_its_color_and_what_is_not_is_black():
     color, view = np.array([[0.8, 0.5, 0.4]], np.float32), View(5, 5, 300.0, 300.0, 2.5, 2.5, np.eye(3, 4))
     one = np.ones(1, np.float32)

@@ -174,7 +174,7 @@ def asset(name: str) -> str:
 def _contract(pixel_m: float) -> dict[str, float]:
     """How the rasterizer draws (RENDERING 3): its low pass, at least and where the hand is, and its limits."""
     blur = {"blur_px2": contract.BLUR_PX2, "low_pass_m2": contract.BLUR_PX2 * pixel_m**2}
-    limits = ("alpha_min", "alpha_max", "front_min", "cover_from", "z_near_m")
+    limits = ("alpha_min", "alpha_max", "front_min", "cover_from", "cover_whole", "z_near_m")
     return blur | {name: getattr(contract, name.upper()) for name in limits}
 
 

@@ -29,7 +29,7 @@ const FRAGMENT = `
   uniform mat4 projectionMatrix;
   uniform sampler2D picture, more, ratios;
   uniform vec2 size, alphas, fades, mixes, logRatiosMax;
-  uniform float texels, depth, grazeMax, middle, scale, coverFrom, filledFrom;
+  uniform float texels, depth, grazeMax, middle, scale, coverFrom, coverWhole, filledFrom;
   uniform bool fills, linear;
   out vec4 change;
 #ifdef RELIEF
@@ -59,7 +59,7 @@ const FRAGMENT = `
     // what lies below a surface is farther along a ray that grazes it
     vec2 focal = 0.5 * size * vec2(projectionMatrix[0][0], projectionMatrix[1][1]), slope = vec2(dFdx(z), dFdy(z)) * focal / z;
     float apart = abs(drawn - z - scale * depth) / min(sqrt(1.0 + dot(slope, slope)), grazeMax);
-    float cover = fills ? smoothstep(coverFrom, 1.0, alpha) : alpha;
+    float cover = fills ? smoothstep(coverFrom, coverWhole, alpha) : alpha;
 #ifdef ENDS
     cover = min(cover / filledFrom, 1.0);
 #endif

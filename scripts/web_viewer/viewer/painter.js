@@ -12,14 +12,14 @@ const VERTEX = `
   void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 const FRAGMENT = `
   uniform sampler2D picture, more, changes, parts;
-  uniform float frontMin, coverFrom, filledFrom;
+  uniform float frontMin, coverFrom, coverWhole, filledFrom;
   uniform bool linear, fills;
   out vec4 shown;
   void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
     vec4 sum = texelFetch(picture, at, 0);
     vec3 rgb = sum.rgb / max(texelFetch(more, at, 0).r, max(frontMin * sum.a, 1e-6));
-    float alpha = fills ? smoothstep(coverFrom, 1.0, sum.a) : sum.a;
+    float alpha = fills ? smoothstep(coverFrom, coverWhole, sum.a) : sum.a;
 #ifdef DETAIL
     rgb *= 1.0 + texelFetch(changes, at, 0).rgb;
 #endif
@@ -42,7 +42,7 @@ export class Painter {
     const [picture, more] = this.target.textures.map((value) => ({ value }));
     this.fills = { value: false };
     this.linear = { value: false };
-    const cover = { fills: this.fills, coverFrom: { value: contract.cover_from }, linear: this.linear };
+    const cover = { fills: this.fills, coverFrom: { value: contract.cover_from }, coverWhole: { value: contract.cover_whole }, linear: this.linear };
     this.common = { size: { value: new THREE.Vector2() }, middle: { value: 0 }, ...cover };
     this.splats = new Splats(hand, contract, this.common);
     this.detail = hand.detail && new Detail(hand, { ...this.common, picture, more });
