@@ -393,8 +393,7 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
   const DetailTask t = task;
   const DetailHand hand = t.hands[number];
   const int64_t pixels = (int64_t)t.width * t.height;
-  Towards to[LAYERS_MAX];
-  for (int32_t layer = 0; layer < t.layers; layer++) to[layer] = towards(t, hand.pictures[layer]);
+  add_layers(t, hand, number, tile);
   const Apron apron = apron_of(t);
   for (int32_t row = apron.y; row < TILE_Y - apron.y && tile.y + row < t.height; row++) {
     for (int32_t x = apron.x; x < TILE_X - apron.x && tile.x + x < t.width; x += LANES) {
@@ -415,7 +414,6 @@ void shade_hand(const DetailTask& task, int32_t number, const Surface& tile) {
       vf color[3];
       for (int k = 0; k < 3; k++) color[k] = load_first(p + k * pixels, n);
       const vf skin = below(t, hand, at, mine, depth);
-      if (t.layers) add_layers(t, hand, number, tile, row, x, n, mine, skin, to, color);
       shade<has_relief>(t, hand, at, mine, alpha + t.outline * (filled - alpha), skin, color);
       if (t.outline > 0) {
         const vi solid = ((all((int32_t)(tile.solid[row] >> x)) >> LANE_NUMBER) & 1) != 0;

@@ -13,6 +13,10 @@ constexpr float EDGE_PART = 0.004f;
 // cosines to the lamp over which pixels begin to be asked: light that grazes faces finds them before each other
 constexpr float GRAZES_NONE = 0.0f, GRAZES_WHOLE = 0.1f;
 
+// a pixel and those beside it: rows and columns; and how much itself counts where each of the others is one
+constexpr int BESIDE[5][2] = {{0, 0}, {0, -1}, {0, 1}, {-1, 0}, {1, 0}};
+constexpr float OWN_SHARE = 4.0f;
+
 // From the camera's axes to those of a lamp's picture.
 struct Towards {
   float axes[9], place[3];
@@ -71,58 +75,83 @@ JG_INLINE vf reaching_spot(const LampDepth& d, const Towards& to, const Spot& sp
   return seen + asked * (reaching<true>(d, at, slant, sqrt(sine2)) - seen);
 }
 
-// The surface of a hand at sixteen pixels of a row and beside them.
-struct Spots {
-  Spot at[5];
-  vi there[5];
-  int count;
+// How much of a layer's light reaches the pixels of a tile; below 0 where there is none, or not this hand.
+struct Reached {
+  alignas(64) float part[TILE_Y][TILE_X + LANES];
 };
-inline Spots spots_of(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t row, int32_t x,
-                      bool beside) {
-  constexpr int STEPS[5][2] = {{0, 0}, {-1, 0}, {1, 0}, {0, -1}, {0, 1}};
-  Spots spots = {};
-  for (const int(&step)[2] : STEPS) {
-    const int32_t column = x + step[0], line = row + step[1];
-    const vf at_x = LANE + ((float)(tile.x + column) + 0.5f);
-    const float at_y = (float)(tile.y + line) + 0.5f;
-    vi face;
-    memcpy(&face, &tile.face[line][column], sizeof face);
-    const vi there = (face >> FACE_BITS == all(number)) & (LANE_NUMBER < TILE_X - column);
-    const Interpolated near = interpolate<false>(hand, &tile.face[line][column], there, at_x, at_y);
-    spots.at[spots.count] = spot_of(t, hand, face, there, near, at_x, at_y), spots.there[spots.count++] = there;
-    if (!beside) break;
-  }
-  return spots;
+
+// Sixteen pixels of a row of the picture, which may begin before it by half of them, as tiles with an apron do.
+JG_INLINE vf load_across(const float* row, int32_t left, int32_t width) {
+  if (left >= 0) return load_first(row + left, width - left);
+  return JG_SHUFFLE(vf{}, load_first(row, width), 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23);
 }
 
-// Adds the layers to n pixels of a row of a hand.
-// skin: how much their Gaussians are those below their faces. Where they are not, those of two skins mix: the mean of what
-// a pixel and the four beside it say keeps the edge between the skins from being a staircase.
-inline void add_layers(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t row, int32_t x,
-                       int32_t n, vi mine, vf skin, const Towards* to, vf color[3]) {
+// Asks the picture of a layer's lamp at the pixels of a hand; false where none of its light is seen.
+inline bool ask_pixels(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile, int32_t layer,
+                       const Towards& to, Reached& reached) {
   const int64_t pixels = (int64_t)t.width * t.height;
-  Spots spots = {};
-  for (int32_t layer = 0; layer < t.layers; layer++) {
-    const float* p = t.layer[layer] + (int64_t)(tile.y + row) * t.width + tile.x + x;
-    vf light[3], sum = {};
-    for (int k = 0; k < 3; k++) light[k] = load_first(p + k * pixels, n), sum += light[k];
-    const vi lit = mine & (sum > LAYER_UNSEEN);
-    if (!bit_mask(lit)) continue;
-    vf part = load_first(p + 3 * pixels, n) / max(sum, all(LAYER_UNSEEN));
-    // where a lamp has no picture for this hand Gaussians of another one reach here
-    const vf asked = hand.pictures[layer].part * clamped(min(part, 1.f - part) * (1.f / EDGE_PART) - 1.f);
-    if (bit_mask(lit & (asked > 0))) {
-      if (!spots.count) spots = spots_of(t, hand, number, tile, row, x, bit_mask(mine & (skin < 1)));
-      vf own = {}, all_around = {}, count = {};
-      for (int k = 0; k < spots.count; k++) {
-        const vf reaches = reaching_spot(hand.pictures[layer], to[layer], spots.at[k], part);
-        if (k == 0) own = reaches;
-        all_around += select(spots.there[k], reaches, vf{}), count += select(spots.there[k], all(1.f), vf{});
+  bool any = false;
+  for (int32_t row = 0; row < TILE_Y; row++) {
+    for (int32_t x = 0; x < TILE_X; x += LANES) {
+      store(&reached.part[row][x], all(-1.f));
+      const int32_t left = tile.x + x, y = tile.y + row;
+      // faces may reach beyond the image
+      if (y < 0 || y >= t.height || left >= t.width) continue;
+      vi face;
+      memcpy(&face, &tile.face[row][x], sizeof face);
+      const vi mine = face >> FACE_BITS == all(number);
+      if (!bit_mask(mine)) continue;
+      const float* light = t.layer[layer] + (int64_t)y * t.width;
+      vf sum = {};
+      for (int k = 0; k < 3; k++) sum += load_across(light + k * pixels, left, t.width);
+      const vi lit = mine & (sum > LAYER_UNSEEN);
+      if (!bit_mask(lit)) continue;
+      any = true;
+      vf part = load_across(light + 3 * pixels, left, t.width) / max(sum, all(LAYER_UNSEEN));
+      // where a lamp has no picture for this hand Gaussians of another one reach here
+      const vf asked = hand.pictures[layer].part * clamped(min(part, 1.f - part) * (1.f / EDGE_PART) - 1.f);
+      if (bit_mask(lit & (asked > 0))) {
+        const vf at_x = LANE + ((float)left + 0.5f);
+        const float at_y = (float)y + 0.5f;
+        const Interpolated near = interpolate<false>(hand, &tile.face[row][x], mine, at_x, at_y);
+        const Spot spot = spot_of(t, hand, face, mine, near, at_x, at_y);
+        part += asked * (reaching_spot(hand.pictures[layer], to, spot, part) - part);
       }
-      const vf mixed = all_around / max(count, all(1.f));
-      part += asked * (mixed + skin * (own - mixed) - part);
+      store(&reached.part[row][x], select(lit, part, all(-1.f)));
     }
-    for (int k = 0; k < 3; k++) color[k] += select(mine, part * light[k], vf{});
+  }
+  return any;
+}
+
+// Adds the layers to the pixels of a hand, as far as they reach each and those beside it: or edges of shadows, and of skin
+// before other skin, would be staircases.
+inline void add_layers(const DetailTask& t, const DetailHand& hand, int32_t number, const Surface& tile) {
+  const int64_t pixels = (int64_t)t.width * t.height;
+  const Apron apron = apron_of(t);
+  Reached reached;
+  for (int32_t layer = 0; layer < t.layers; layer++) {
+    if (!ask_pixels(t, hand, number, tile, layer, towards(t, hand.pictures[layer]), reached)) continue;
+    for (int32_t row = apron.y; row < TILE_Y - apron.y && tile.y + row < t.height; row++) {
+      for (int32_t x = apron.x; x < TILE_X - apron.x && tile.x + x < t.width; x += LANES) {
+        vf own, sum = {}, shares = {};
+        memcpy(&own, &reached.part[row][x], sizeof own);
+        if (!bit_mask(own >= 0)) continue;
+        for (int k = 0; k < 5; k++) {
+          vf part;
+          memcpy(&part, &reached.part[row + BESIDE[k][0]][x + BESIDE[k][1]], sizeof part);
+          const vf share = select(part >= 0, all(k ? 1.f : OWN_SHARE), vf{});
+          sum += share * part, shares += share;
+        }
+        const int32_t n = t.width - tile.x - x;
+        const int64_t at = (int64_t)(tile.y + row) * t.width + tile.x + x;
+        const vf reaches = sum / max(shares, all(1.f));
+        for (int k = 0; k < 3; k++) {
+          float* color = t.picture + at + k * pixels;
+          const vf more = reaches * load_first(t.layer[layer] + at + k * pixels, n);
+          store_first(color, load_first(color, n) + select(own >= 0, more, vf{}), n);
+        }
+      }
+    }
   }
 }
 
