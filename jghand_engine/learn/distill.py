@@ -78,7 +78,8 @@ def distill(
         for start in range(0, total, DISTIL_GAUSSIANS_AT_ONCE):
             rows = slice(start, start + DISTIL_GAUSSIANS_AT_ONCE)
             part = net.part(rows)
-            wanted = torch.stack([_correction(part, pose) for pose in poses], 1)
+            corrections = [part(Angles.of(pose)) for pose in poses]
+            wanted = torch.stack([torch.cat([one.offset_m, one.shade], -1) for one in corrections], 1)
             fit = _Fit(torch.einsum("ni,mik->nmk", part.bone_weights, numbers), wanted)
             for basis in bases:
                 found[basis].append(fit.solved(basis))
@@ -102,12 +103,6 @@ def _components(features: Tensor, bone_weights: Tensor) -> tuple[Tensor, Tensor]
     variance, direction = variance.flip(0), direction.flip(1)
     spread = variance.clamp_min(DISTIL_VARIANCE_MIN * float(variance[0].clamp_min(1e-30))).sqrt()
     return mean, (direction / spread).float()
-
-
-def _correction(net: PoseNet, pose: Tensor) -> Tensor:
-    """(n, 6) offset and shade."""
-    correction = net(Angles.of(pose))
-    return torch.cat([correction.offset_m, correction.shade], -1)
 
 
 class _Fit:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import torch
 
 from jghand_engine.errors import JGHandError
-from jghand_engine.learn.checkpoint import LoopState, Snapshot
+from jghand_engine.learn.checkpoint import Snapshot
 from jghand_engine.learn.trainable import Trainable
 
 # steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
@@ -46,24 +46,17 @@ def _in_tensors(kind: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[str]
             yield f"{kind} {name} ({text})"
 
 
-class Guard:
-    """Goes back to `good`, the last good state of a training."""
+def recovered(good: Snapshot, number: int, findings: list[str], trainable: Trainable) -> Snapshot:
+    """Puts `trainable` back into its last good state; that state with step `number` among those left out.
 
-    def __init__(self, good: Snapshot) -> None:
-        self.good = good
-
-    def recover(self, number: int, findings: list[str], trainable: Trainable) -> LoopState:
-        """Puts `trainable` back; returns where the loop then stands, with step `number` among those left out.
-
-        JGHandError when that happened too often.
-        """
-        state = self.good.restore(trainable)
-        state.skipped = sorted({*state.skipped, number})
-        if len(state.skipped) > GUARD_RECOVERIES_MAX:
-            raise JGHandError(
-                f"{len(state.skipped)} steps of the training gave values that are not finite, "
-                f"at last step {number}: {findings[0]}",
-                remedy="Look at the pictures with `jghand check-data`.",
-            )
-        self.good = replace(self.good, state=state)
-        return self.good.restore(trainable)
+    JGHandError when that happened too often.
+    """
+    state = good.restore(trainable)
+    state.skipped = sorted({*state.skipped, number})
+    if len(state.skipped) > GUARD_RECOVERIES_MAX:
+        raise JGHandError(
+            f"{len(state.skipped)} steps of the training gave values that are not finite, "
+            f"at last step {number}: {findings[0]}",
+            remedy="Look at the pictures with `jghand check-data`.",
+        )
+    return replace(good, state=state)

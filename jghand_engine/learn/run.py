@@ -9,6 +9,7 @@ the finished avatar
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections import deque
@@ -22,7 +23,7 @@ from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import write_png
 from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fits
-from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, Guard, find_non_finite
+from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, find_non_finite, recovered
 from jghand_engine.learn.log import Log, add_figures, take_means
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
@@ -149,7 +150,7 @@ class Loop:
         self._preview_timer = Timer(self._options.preview, self.state.step, now_s)
         self._log.cut_after(self.state.step)
         self._plan()
-        self._guard = Guard(self._snapshot())
+        self._good = self._snapshot()
         if self.state.step == 0:
             self._checkpoint()
         while not (finished := self._options.budget.is_spent(self.state)) and not stop.is_set():
@@ -177,7 +178,8 @@ class Loop:
 
     def _recover(self, number: int, findings: list[str]) -> None:
         best = self.state.best_step, self.state.best_psnr
-        self.state = self._guard.recover(number, findings, self._trainable)
+        self._good = recovered(self._good, number, findings, self._trainable)
+        self.state = copy.deepcopy(self._good.state)
         self.state.best_step, self.state.best_psnr = best
         self._take_time()
         self._log.cut_after(self.state.step)
@@ -194,7 +196,7 @@ class Loop:
         step, now_s = self.state.step, self._options.clock()
         if step % GUARD_KEEP_STEPS == 0 or step in GUARD_KEEPS_AT_FIRST:
             self._plan()
-            self._guard.good = self._snapshot()
+            self._good = self._snapshot()
         if step % self._options.log_steps == 0:
             self._write_line()
         if self._checkpoint_timer.is_due(step, now_s):

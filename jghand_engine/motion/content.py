@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.errors import InputError, MemoryLimitError, first_line
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
@@ -113,10 +113,6 @@ class HandTrack:
     labeled: bool = False
     notes: tuple[str, ...] = ()
     times: Sequence[float | None] = ()
-
-    @property
-    def frames_seen(self) -> int:
-        return int(np.isfinite(self.joints).all(axis=-1).any(axis=-1).sum())
 
 
 @dataclass(frozen=True)
@@ -254,10 +250,8 @@ def damage_as_input_error(file: Path) -> Iterator[None]:
 
 def _one_line(error: BaseException) -> str:
     """The first line of an error; Python's name for it only where its text alone says nothing."""
-    text = str(error).strip().splitlines()
-    if not text:
-        return type(error).__name__
-    return text[0][:200] if isinstance(error, ValueError) else f"{type(error).__name__}: {text[0][:200]}"
+    is_clear = isinstance(error, ValueError) or not str(error).strip()
+    return first_line(error) if is_clear else f"{type(error).__name__}: {first_line(error)}"
 
 
 def check_size(file: Path, *, text: bool) -> None:

@@ -125,15 +125,22 @@ def straight_error() -> Curve:
     )  # fmt: skip
 
 
+def _jumps(
+    beside_deg: np.ndarray, turned: Callable[[Tensor, int, float], Tensor], finger: int
+) -> tuple[np.ndarray, ...]:
+    """How far the skin jumps, mm, of a relaxed hand whose finger is `turned` so far (radians) beside the trouble."""
+    base, nudges = posed("relaxed"), random_nudges()
+
+    def jump_mm(way: Formulation, degrees: float) -> float:
+        return moved_mm(way, HandCase("turned", turned(base, finger, math.radians(degrees))), nudges)
+
+    return _both(beside_deg.tolist(), jump_mm)
+
+
 def sideways() -> Curve:
     """A finger turns sideways to 90 degrees: how far does the skin jump when the joints are 0.5 mm off?"""
     beside_deg = np.geomspace(60, 0.01, 20)
-    base = posed("relaxed")
-
-    def jump_mm(way: Formulation, degrees: float) -> float:
-        return moved_mm(way, HandCase("sideways", abducted(base, _MIDDLE, math.radians(degrees))), random_nudges())
-
-    mine, theirs = _both(beside_deg.tolist(), jump_mm)
+    mine, theirs = _jumps(beside_deg, abducted, _MIDDLE)
     return Curve(
         "sideways", "A finger turns sideways", "How far the skin jumps, joints 0.5 mm off",
         "degrees short of 90 sideways", "jump of the skin, mm",
@@ -162,13 +169,7 @@ def flat_palm() -> Curve:
 def folded() -> Curve:
     """A finger turns backwards and sideways, which no joint can do: ours has to lose its twist somewhere."""
     beside_deg = np.geomspace(60, 0.01, 20)
-    base = posed("relaxed")
-
-    def jump_mm(way: Formulation, degrees: float) -> float:
-        hand = backwards_sideways(base, _INDEX, math.radians(degrees))
-        return moved_mm(way, HandCase("folded", hand), random_nudges())
-
-    mine, theirs = _both(beside_deg.tolist(), jump_mm)
+    mine, theirs = _jumps(beside_deg, backwards_sideways, _INDEX)
     return Curve(
         "folded", "A finger folds back, sideways", "The price: how far its skin jumps",
         "degrees beside the worst direction", "jump of the skin, mm",
