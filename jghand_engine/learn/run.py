@@ -10,6 +10,7 @@ the finished avatar
 from __future__ import annotations
 
 import copy
+import json
 import math
 import time
 from collections import deque
@@ -17,14 +18,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.color import to_bytes
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import write_png
+from jghand_engine.files import file_error, write_file
 from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fits
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, find_non_finite, recovered
-from jghand_engine.learn.log import Log, add_figures, take_means
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
@@ -254,3 +256,59 @@ class Loop:
         if len(self._ends_s) < 2 or self._ends_s[-1] <= self._ends_s[0]:
             return None
         return (len(self._ends_s) - 1) / (self._ends_s[-1] - self._ends_s[0])
+
+
+# ---- the log --------------------------------------------------------------------------------------------------------
+
+
+def add_figures(state: LoopState, figures: Mapping[str, float]) -> None:
+    """Adds a step's figures to those that the next line will average."""
+    for name, value in figures.items():
+        state.sums[name] = state.sums.get(name, 0.0) + value
+    state.summed += 1
+
+
+def take_means(state: LoopState) -> dict[str, float]:
+    """The means since the last time, which are forgotten; empty when there was no step."""
+    means = {name: total / state.summed for name, total in state.sums.items()}
+    state.sums, state.summed = {}, 0
+    return means
+
+
+class Log:
+    """The file `path`: one JSON object per line (JSONL). `step` is the number of steps done, the figures are means over
+    those since the line before."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def write(self, step: int, figures: Mapping[str, float], **more: Any) -> None:
+        """Appends one line. InputError or RetryError when it cannot be written."""
+        line = json.dumps({"step": step, **{name: _number(value) for name, value in figures.items()}, **more})
+        try:
+            with open(self._path, "a", encoding="utf-8") as stream:
+                stream.write(line + "\n")
+        except OSError as error:
+            raise file_error(self._path, error) from error
+
+    def cut_after(self, step: int) -> None:
+        """Removes the lines of steps after `step`, and one that a kill left half-written."""
+        if not self._path.exists():
+            return
+        lines = self._path.read_text(encoding="utf-8", errors="replace").splitlines()
+        kept = [line for line in lines if (number := _step_of(line)) is not None and number <= step]
+        if kept != lines:
+            write_file(self._path, "".join(line + "\n" for line in kept))
+
+
+def _step_of(line: str) -> int | None:
+    try:
+        step = json.loads(line)["step"]
+    except (ValueError, TypeError, KeyError):
+        return None
+    return step if isinstance(step, int) else None
+
+
+def _number(value: float) -> float | None:
+    """JSON has neither NaN nor infinity: the PSNR of a perfect picture is infinite."""
+    return value if math.isfinite(value) else None
