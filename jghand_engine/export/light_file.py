@@ -9,6 +9,7 @@ turned by `env_from_world`.
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ def read_world_picture(path: Path) -> np.ndarray:
 
     InputError where the file is no such picture, is damaged, or its package is missing.
     """
-    readers = {".hdr": _read_hdr, ".npy": _read_npy, ".exr": _read_exr}
+    readers = {".hdr": _read_hdr, ".npy": partial(np.load, allow_pickle=False), ".exr": _read_exr}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(f"{path}", wanted="a picture in .hdr, .exr or .npy", came=path.suffix or "no ending")
@@ -86,10 +87,6 @@ def read_world_picture(path: Path) -> np.ndarray:
     # resampled pictures swing below zero beside their suns
     finite = np.nan_to_num(picture[..., :3].astype(np.float32), copy=False, nan=0, posinf=0, neginf=0)
     return averaged(np.maximum(finite, 0), ROWS_MAX, COLUMNS_MAX)
-
-
-def _read_npy(path: Path) -> np.ndarray:
-    return np.load(path, allow_pickle=False)
 
 
 def _read_exr(path: Path) -> np.ndarray:

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
-from jghand_engine.errors import InputError
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.pose_net import PoseNet, numbers_of
 from jghand_engine.learn.tensors import HandTensors
@@ -61,13 +60,12 @@ def poses_near(known: Tensor, count: int, seed: int) -> Tensor:
 def distill(
     avatar: HandAvatar, poses: Tensor, bases: Sequence[int], *, tick: Callable[[float], None] = lambda _: None
 ) -> dict[int, LinearCorrectives]:
-    """The linear tiers of sizes `bases`, fitted to the avatar's network on poses (M, 37). tick: called with the part
-    that is done. InputError for an avatar without a network."""
+    """The linear tiers of sizes `bases`, fitted to the network of a trained avatar on poses (M, 37). tick: called with
+    the part that is done."""
     learned = HandTensors.of(avatar).learned
-    net = None if learned is None else learned.correctives
-    if not isinstance(net, PoseNet):
-        wanted = "correctives that depend on the pose"
-        raise InputError(f"avatar {avatar.info.name}", wanted=wanted, came="none", remedy="Give a trained avatar.")
+    assert learned is not None
+    net = learned.correctives
+    assert isinstance(net, PoseNet)
     with torch.no_grad():
         features = torch.stack([net.angles(Angles.of(pose)) for pose in poses])
         mean, projection = _components(features, net.bone_weights)

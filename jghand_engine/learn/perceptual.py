@@ -21,7 +21,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from jghand_engine.errors import InputError, first_line, install_extra
-from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
 
 # floor of the length of a feature vector, as both networks were trained with it
 PERCEPTUAL_NORM_EPS = 1e-10
@@ -49,16 +48,8 @@ class PerceptualMetric:
     heads: tuple[Tensor, ...]
 
     def distance(self, rgb: Tensor, truth: Tensor) -> Tensor:
-        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1.
-
-        InputError for unlike shapes or a side below METRIC_BOX_MIN_PX.
-        """
-        if rgb.shape != truth.shape or rgb.dim() != 3 or rgb.shape[2] != 3:
-            raise InputError(f"pictures for {self.name}", wanted="two of one shape (height, width, 3)",
-                             came=f"{tuple(rgb.shape)} and {tuple(truth.shape)}")  # fmt: skip
-        if min(rgb.shape[:2]) < METRIC_BOX_MIN_PX:
-            raise InputError(f"pictures for {self.name}", came=f"{rgb.shape[1]} x {rgb.shape[0]} pixels",
-                             wanted=f"at least {METRIC_BOX_MIN_PX} along each side")  # fmt: skip
+        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1, each side METRIC_BOX_MIN_PX or
+        more."""
         ours = self.features(_network_input(rgb))
         with torch.no_grad():
             theirs = self.features(_network_input(truth))

@@ -29,7 +29,7 @@ from jghand_engine.learn.checkpoint import LoopState, Snapshot, Stamp, check_fit
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, GUARD_KEEPS_AT_FIRST, find_non_finite, recovered
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, Timer, stop_requests
-from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
+from jghand_engine.learn.step import HandTraining
 from jghand_engine.learn.work_folder import Start, WorkFolder, check_folder, check_output, write_output
 
 # seconds between two checkpoints: what kill -9 may lose. Writing one of 40 MB takes some 40 ms
@@ -84,7 +84,7 @@ class Outcome:
     psnr: float
 
 
-def train(build: Callable[[], Trainable], options: RunOptions, display: Display | None = None) -> Outcome:
+def train(build: Callable[[], HandTraining], options: RunOptions, display: Display | None = None) -> Outcome:
     """Trains what `build` makes, and writes the avatar when it is finished.
 
     Everything that can be refused is refused before `build` is called. Raises InputError and RetryError for files and
@@ -94,14 +94,14 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
     check_places(options)
     work = WorkFolder(options.work, options.stamp, options.budget)
     with work.opened(options.start):
-        trainable = build()
-        loop = Loop(trainable, options, work, Log(work.log), display)
+        training = build()
+        loop = Loop(training, options, work, Log(work.log), display)
         if options.start is Start.RESUME:
             work.remember_budget()
         with stop_requests() as stop:
             finished = loop.run(stop)
         if finished:
-            _finish(trainable, options)
+            _finish(training, options)
         return Outcome(finished, loop.state, loop.psnr)
 
 
@@ -111,11 +111,11 @@ def check_places(options: RunOptions) -> None:
     check_output(options.out, options.work, overwrite=options.overwrite)
 
 
-def _finish(trainable: Trainable, options: RunOptions) -> None:
+def _finish(training: HandTraining, options: RunOptions) -> None:
     try:
         # again: hours may have passed
         check_output(options.out, options.work, overwrite=options.overwrite)
-        write_output(options.out, options.work, trainable.avatar())
+        write_output(options.out, options.work, training.avatar())
     except InputError as error:
         remedy = f"The training is safe: --resume --work {options.work} with another --out writes its avatar."
         raise InputError(error.thing, wanted=error.wanted, came=error.came, remedy=remedy) from error
@@ -124,22 +124,24 @@ def _finish(trainable: Trainable, options: RunOptions) -> None:
 class Loop:
     """One session of a training: from its newest checkpoint to the end of the budget, or to a stop."""
 
-    def __init__(self, trainable: Trainable, options: RunOptions, work: WorkFolder, log: Log, display: Display) -> None:
-        self._trainable, self._options, self._work = trainable, options, work
+    def __init__(
+        self, training: HandTraining, options: RunOptions, work: WorkFolder, log: Log, display: Display
+    ) -> None:
+        self._training, self._options, self._work = training, options, work
         self._log, self._display = log, display
         self._figures: Mapping[str, float] = {}
         self._ends_s: deque[float] = deque(maxlen=LOG_EVERY_STEPS + 1)
         self.psnr, self.state = math.nan, self._restored()
 
     def _restored(self) -> LoopState:
-        """Where the newest checkpoint stands, put into the trainable; the beginning without one."""
+        """Where the newest checkpoint stands, put into the training; the beginning without one."""
         found, damaged = self._work.checkpoints.newest()
         for error in damaged:
             self._display.note(f"Passed over: {error}")
         if found is not None:
-            check_fits(found.tensors, self._trainable, str(self._options.work))
+            check_fits(found.tensors, self._training, str(self._options.work))
             self._display.note(f"Resuming at step {found.state.step}.")
-            return found.restore(self._trainable)
+            return found.restore(self._training)
         if self._options.start is Start.RESUME:
             self._display.note("There is no checkpoint yet: beginning at step 0.")
         return LoopState()
@@ -168,8 +170,8 @@ class Loop:
     def _one_step(self) -> None:
         number = self.state.step
         if number not in self.state.skipped:
-            self._figures = self._trainable.step(number)
-            if findings := find_non_finite(self._figures, self._trainable):
+            self._figures = self._training.step(number)
+            if findings := find_non_finite(self._figures, self._training):
                 self._recover(number, findings)
                 return
             add_figures(self.state, self._figures)
@@ -180,7 +182,7 @@ class Loop:
 
     def _recover(self, number: int, findings: list[str]) -> None:
         best = self.state.best_step, self.state.best_psnr
-        self._good = recovered(self._good, number, findings, self._trainable)
+        self._good = recovered(self._good, number, findings, self._training)
         self.state = copy.deepcopy(self._good.state)
         self.state.best_step, self.state.best_psnr = best
         self._take_time()
@@ -205,22 +207,22 @@ class Loop:
             self._checkpoint()
         if self._preview_timer.is_due(step, now_s):
             picture = self._write_preview_picture()
-            save_avatar(self._work.preview, self._trainable.avatar())
+            save_avatar(self._work.preview, self._training.avatar())
             self._display.note(f"Preview: {picture} and {self._work.preview}")
 
     def _plan(self) -> None:
         self.state.planned_steps = self._options.budget.planned_steps(self.state)
-        self._trainable.plan(self.state.planned_steps)
+        self._training.plan(self.state.planned_steps)
 
     def _snapshot(self) -> Snapshot:
-        return Snapshot.of(self._trainable, self.state)
+        return Snapshot.of(self._training, self.state)
 
     def _write_line(self) -> None:
         if means := take_means(self.state):
             self._log.write(self.state.step, means, seconds=round(self.state.seconds, 3), steps_per_s=self._speed())
 
     def _checkpoint(self) -> None:
-        self.psnr = self._trainable.fixed_psnr()
+        self.psnr = self._training.fixed_psnr()
         if math.isfinite(self.psnr) and self.psnr > (self.state.best_psnr or -math.inf):
             self.state.best_step, self.state.best_psnr = self.state.step, self.psnr
         self._log.write(self.state.step, {"psnr": self.psnr})
@@ -228,17 +230,17 @@ class Loop:
 
     def _write_preview_picture(self) -> Path:
         path = self._work.pictures / f"step_{self.state.step:08d}.png"
-        write_png(path, to_bytes(self._trainable.preview()))
+        write_png(path, to_bytes(self._training.preview()))
         return path
 
     def _show(self) -> None:
         state, speed = self.state, self._speed()
-        gaussians = self._figures.get(GAUSSIANS)
+        gaussians = self._figures.get("gaussians")
         self._display.update(
             Status(
                 step=state.step,
                 steps=state.planned_steps,
-                loss=self._figures.get(LOSS),
+                loss=self._figures.get("loss"),
                 psnr=self.psnr if math.isfinite(self.psnr) else None,
                 gaussians=None if gaussians is None else round(gaussians),
                 steps_per_s=speed,

@@ -286,13 +286,8 @@ class HandFit:
                 adam.zero_grad()
                 cost(pictures, self.joints(pictures)).backward()
                 adam.step()
-                self._hold_sides()
-
-    @torch.no_grad()
-    def _hold_sides(self) -> None:
-        turn = self.unknowns.turn_rad
-        length = turn.norm(dim=-1, keepdim=True)
-        turn.mul_(TURN_MAX_RAD / length.clamp_min(TURN_MAX_RAD))
+                turn = self.unknowns.turn_rad.detach()
+                turn.mul_(TURN_MAX_RAD / turn.norm(dim=-1, keepdim=True).clamp_min(TURN_MAX_RAD))
 
     @torch.no_grad()
     def _shown(

@@ -72,18 +72,10 @@ class ImageSettings:
         return cls(**value)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and 0 < len(value) <= SETTING_TEXT_MAX
-
-
 _CHECKS = {
-    "preset": (_is_text, "the name of a preset"),
+    "preset": (lambda v: isinstance(v, str) and 0 < len(v) <= SETTING_TEXT_MAX, "the name of a preset"),
     "budget_ms": (
-        lambda v: v is None or (_is_number(v) and 0 < v <= BUDGET_MAX_MS),
+        lambda v: v is None or (type(v) in (int, float) and 0 < v <= BUDGET_MAX_MS),
         f"null, or milliseconds above 0, at most {BUDGET_MAX_MS:g}",
     ),
 }

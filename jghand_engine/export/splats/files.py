@@ -98,46 +98,27 @@ class FrameFiles:
 
 
 @dataclass(frozen=True)
-class SplatOptions:
-    """What files are written.
+class SplatOptions(FrameFiles):
+    """What files are written; their suffix is a key of FORMATS.
 
-    format: a key of FORMATS
-    axes:   of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
-    up:     the axis of the motion's world that points up
-    light:  of a scene, that falls on the hand; None: what the avatar carries
-    name, first_frame, overwrite: as of FrameFiles
+    axes:  of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
+    up:    the axis of the motion's world that points up
+    light: of a scene, that falls on the hand; None: what the avatar carries
     """
 
-    format: str = "ply"
-    name: str = "hand"
     axes: str | None = None
-    first_frame: int = 0
     up: str = "y"
-    overwrite: bool = False
     light: SceneLight | None = None
 
     def __post_init__(self) -> None:
-        choices = (("format", self.format, FORMATS), ("up", self.up, RUB_FROM_UP))
-        for option, value, wanted in choices:
+        super().__post_init__()
+        for option, value, wanted in (("format", self.suffix, FORMATS), ("up", self.up, RUB_FROM_UP)):
             if value not in wanted:
                 raise InputError(option, wanted=" or ".join(wanted), came=repr(value))
-        if self.axes is not None and self.axes not in self._format.axes:
-            wanted = " or ".join(self._format.axes if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
-            raise InputError(f"axes of {self.format} files", wanted=wanted, came=repr(self.axes))
-        _ = self.names
-
-    @property
-    def _format(self) -> SplatFormat:
-        return FORMATS[self.format]
-
-    @property
-    def names(self) -> FrameFiles:
-        """Those of the files. InputError for a name that no file should have."""
-        return FrameFiles(self.name, self.format, self.first_frame, self.overwrite)
-
-    @property
-    def written_axes(self) -> str:
-        return self.axes or self._format.axes[0]
+        known = FORMATS[self.suffix].axes
+        if self.axes is not None and self.axes not in known:
+            wanted = " or ".join(known if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
+            raise InputError(f"axes of {self.suffix} files", wanted=wanted, came=repr(self.axes))
 
 
 @dataclass(frozen=True)
@@ -176,20 +157,21 @@ def export_splats(
     and for a package that is missing; RetryError for a full disk.
     """
     options = options or SplatOptions()
-    kind = FORMATS[options.format]
+    kind = FORMATS[options.suffix]
     kind.check()
-    clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up, light=options.light)
+    axes = options.axes or kind.axes[0]
+    clouds = SplatMotion(avatar, sequence, axes=axes, up=options.up, light=options.light)
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
-    files = tuple(options.names.path(target, index) for index in frames)
-    kept = options.names.refuse_others(target, files, len(sequence))
+    files = tuple(options.path(target, index) for index in frames)
+    kept = options.refuse_others(target, files, len(sequence))
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
         write_file(path, content)
         size += len(content)
         if progress:
             progress(done, len(files))
-    return SplatReport(files, options.written_axes, clouds.light, len(avatar), size, kept)
+    return SplatReport(files, axes, clouds.light, len(avatar), size, kept)
 
 
 class SplatMotion:
