@@ -48,34 +48,27 @@ _LEARN, _SHOW = "ROM04_RT_Occlusion", "ROM03_RT_No_Occlusion"
 @dataclass(frozen=True)
 class Protocol:
     """layout: the data set · choice: its images · train, test: sequences to learn from and to be judged by; both
-    empty: the fixed rule · papers: which figures it stands for"""
+    empty: the fixed rule"""
 
     name: str
     layout: Layout
     choice: CaptureChoice
     train: tuple[str, ...]
     test: tuple[str, ...]
-    papers: str
 
 
 def _avatar_papers(split: str, capture: str) -> Protocol:
+    """Of HandAvatar and the papers after it."""
     choice = CaptureChoice(split, capture, (_LEARN, _SHOW), Handedness.RIGHT, some=True)
-    papers = f"{split}/{capture} of HandAvatar and the papers after it"
-    return Protocol(f"{split}-{capture}".lower(), Layout.INTERHAND, choice, (_LEARN,), (_SHOW,), papers)
+    return Protocol(f"{split}-{capture}".lower(), Layout.INTERHAND, choice, (_LEARN,), (_SHOW,))
 
 
 PROTOCOLS = {
     protocol.name: protocol
     for protocol in (
         *(_avatar_papers(*of) for of in (("test", "Capture0"), ("test", "Capture1"), ("val", "Capture0"))),
-        Protocol(
-            "hanco-0191",
-            Layout.HANCO,
-            CaptureChoice(sequences=("0191",)),
-            (),
-            (),
-            "HanCo/0191; the papers do not state their split, ours holds out every n-th pose and camera",
-        ),
+        # the papers do not state their split, ours holds out every n-th pose and camera
+        Protocol("hanco-0191", Layout.HANCO, CaptureChoice(sequences=("0191",)), (), ()),
     )
 }
 

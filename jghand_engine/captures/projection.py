@@ -149,10 +149,6 @@ def _fitted_to_size(camera: Camera) -> Camera:
     return replace(camera, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y)
 
 
-def _axes_exchanged(camera: Camera) -> Camera:
-    return replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx)
-
-
 def _moved(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Callable[[Camera], Camera]:
     """Gives a camera the rotation and translation (meters) that `change` makes of its own."""
 
@@ -184,5 +180,8 @@ _REPAIRS: tuple[tuple[str, Callable[[Camera], Camera]], ...] = (
     ),
     ("The camera's position and its translation t look mistaken for each other.", _moved(lambda r, t: (r, -r.T @ t))),
     ("Focal length and principal point look like those of images of another size.", _fitted_to_size),
-    ("x and y of focal length and principal point look exchanged, or the images turned.", _axes_exchanged),
+    (
+        "x and y of focal length and principal point look exchanged, or the images turned.",
+        lambda camera: replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx),
+    ),
 )

@@ -362,7 +362,9 @@ class HandTraining:
                 terms["perceptual"].append(weights.perceptual * unlike.cpu())
         mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
         moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
-        mean["offset"] = weights.offset * offset_loss(moved_m, correction.offset_m, hand_size_m=self._hand_size_m())
+        wrist_m, middle_tip_m = self.hand.points.joints_m[[0, 18]]
+        size_m = float((middle_tip_m - wrist_m).norm())
+        mean["offset"] = weights.offset * offset_loss(moved_m, correction.offset_m, hand_size_m=size_m)
         mean["tone"] = weights.tone * tone_loss(correction.shade)
         if weights.roughness:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
@@ -457,11 +459,6 @@ class HandTraining:
     def _joints_m(self) -> Tensor:
         """(P, 21, 3) joints of all poses that are learned from."""
         return torch.from_numpy(np.stack([self._poses[name][0].joints_m for name in self._names]))
-
-    def _hand_size_m(self) -> float:
-        """Canonical wrist to the tip of the middle finger."""
-        joints_m = self.hand.points.joints_m
-        return float((joints_m[18] - joints_m[0]).norm())
 
     def _started(self, optimizer: torch.optim.Adam, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
         """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""

@@ -245,13 +245,10 @@ def damage_as_input_error(file: Path) -> Iterator[None]:
     except NoMotionError as error:
         raise InputError(f"motion file {file}: {error}") from error
     except _DAMAGE as error:
-        raise InputError(f"motion file {file}", wanted="an undamaged file", came=_one_line(error)) from error
-
-
-def _one_line(error: BaseException) -> str:
-    """The first line of an error; Python's name for it only where its text alone says nothing."""
-    is_clear = isinstance(error, ValueError) or not str(error).strip()
-    return first_line(error) if is_clear else f"{type(error).__name__}: {first_line(error)}"
+        # Python's name for it only where its text alone says nothing
+        is_clear = isinstance(error, ValueError) or not str(error).strip()
+        came = first_line(error) if is_clear else f"{type(error).__name__}: {first_line(error)}"
+        raise InputError(f"motion file {file}", wanted="an undamaged file", came=came) from error
 
 
 def check_size(file: Path, *, text: bool) -> None:

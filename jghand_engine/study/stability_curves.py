@@ -126,26 +126,26 @@ def straight_error() -> Curve:
 
 
 def _jumps(
-    beside_deg: np.ndarray, turned: Callable[[Tensor, int, float], Tensor], finger: int
-) -> tuple[np.ndarray, ...]:
-    """How far the skin jumps, mm, of a relaxed hand whose finger is `turned` so far (radians) beside the trouble."""
+    name: str, title: str, below: str, x: str, turned: Callable[[Tensor, int, float], Tensor], finger: int
+) -> Curve:
+    """How far the skin jumps of a relaxed hand whose finger is `turned` so far (radians) beside the trouble."""
+    beside_deg = np.geomspace(60, 0.01, 20)
     base, nudges = posed("relaxed"), random_nudges()
 
     def jump_mm(way: Formulation, degrees: float) -> float:
         return moved_mm(way, HandCase("turned", turned(base, finger, math.radians(degrees))), nudges)
 
-    return _both(beside_deg.tolist(), jump_mm)
+    mine, theirs = _both(beside_deg.tolist(), jump_mm)
+    return Curve(
+        name, title, below, x, "jump of the skin, mm", "flexion, then abduction (Euler angles)",
+        beside_deg, mine, theirs, visible=2.0,
+    )  # fmt: skip
 
 
 def sideways() -> Curve:
     """A finger turns sideways to 90 degrees: how far does the skin jump when the joints are 0.5 mm off?"""
-    beside_deg = np.geomspace(60, 0.01, 20)
-    mine, theirs = _jumps(beside_deg, abducted, _MIDDLE)
-    return Curve(
-        "sideways", "A finger turns sideways", "How far the skin jumps, joints 0.5 mm off",
-        "degrees short of 90 sideways", "jump of the skin, mm",
-        "flexion, then abduction (Euler angles)", beside_deg, mine, theirs, visible=2.0,
-    )  # fmt: skip
+    below = "How far the skin jumps, joints 0.5 mm off"
+    return _jumps("sideways", "A finger turns sideways", below, "degrees short of 90 sideways", abducted, _MIDDLE)
 
 
 def flat_palm() -> Curve:
@@ -168,13 +168,8 @@ def flat_palm() -> Curve:
 
 def folded() -> Curve:
     """A finger turns backwards and sideways, which no joint can do: ours has to lose its twist somewhere."""
-    beside_deg = np.geomspace(60, 0.01, 20)
-    mine, theirs = _jumps(beside_deg, backwards_sideways, _INDEX)
-    return Curve(
-        "folded", "A finger folds back, sideways", "The price: how far its skin jumps",
-        "degrees beside the worst direction", "jump of the skin, mm",
-        "flexion, then abduction (Euler angles)", beside_deg, mine, theirs, visible=2.0,
-    )  # fmt: skip
+    below, x = "The price: how far its skin jumps", "degrees beside the worst direction"
+    return _jumps("folded", "A finger folds back, sideways", below, x, backwards_sideways, _INDEX)
 
 
 def short_bone() -> Curve:

@@ -6,7 +6,7 @@ Needs matplotlib.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.export.pictures import flatten
@@ -147,23 +146,19 @@ def _pair(title: str, joints_m: Tensor, *, crossed: bool = False) -> ViewPair:
     # what the pose changes beyond the bones is the same in both pictures
     bones = transform_of(avatar).bones((joints_m - joints_m[:1]).float())
 
-    def ours() -> Gaussians:
-        return pose_gaussians(avatar, bones, frames=bones.frames)
-
-    def usual() -> Gaussians:
-        gaussians = pose_gaussians(avatar, way.bones(joints_m.float()), frames=bones.frames)
-        return replace(gaussians, position_m=gaussians.position_m - joints_m[0].float())
-
-    return ViewPair(title, _drawn(usual, avatar), _drawn(ours, avatar))
+    ours = pose_gaussians(avatar, bones, frames=bones.frames)
+    usual = pose_gaussians(avatar, way.bones(joints_m.float()), frames=bones.frames)
+    usual = replace(usual, position_m=usual.position_m - joints_m[0].float())
+    return ViewPair(title, _drawn(usual), _drawn(ours))
 
 
-def _drawn(make: Callable[[], Gaussians], avatar: HandAvatar) -> np.ndarray:
+def _drawn(gaussians: Gaussians) -> np.ndarray:
     """(H, W, 3) uint8 of a hand with its wrist at the origin, from the back, where the nails are."""
     side_px = VIEW_PX
     middle = np.array([0.01, 0.085, 0.0])
     eye = middle + np.array([-0.12, 0.1, -0.6])
     camera = Camera.looking_at(eye, middle, (0.0, 1.0, 0.0), width=side_px, height=side_px, focal_px=2.9 * side_px)
     with torch.no_grad():
-        picture = rasterize(converted(make(), torch.float32), camera)
+        picture = rasterize(converted(gaussians, torch.float32), camera)
     rgba = torch.cat([picture.rgb, picture.alpha[..., None]], -1).numpy()
     return flatten(rgba, _GROUND)

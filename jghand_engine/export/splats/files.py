@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.errors import InputError
@@ -174,8 +176,8 @@ def export_splats(
     return SplatReport(files, axes, clouds.light, len(avatar), size, kept)
 
 
-class SplatMotion:
-    """An avatar driven by a sequence, as clouds.
+class SplatMotion(HandMotion):
+    """An avatar whose Gaussians are balls, driven by a sequence, as clouds.
 
     axes:  a key of AXES_FROM_RUB
     up:    the motion's axis upwards
@@ -192,9 +194,19 @@ class SplatMotion:
         light: SceneLight | None = None,
     ) -> None:
         check_balls(avatar)
-        self._motion, self._axes, self._up = HandMotion(with_detail_in_colors(avatar), sequence, light, up), axes, up
-        self.light = self._motion.light
+        super().__init__(with_detail_in_colors(avatar), sequence, light, up)
+        self._axes, self._axes_from_world = axes, AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
 
     def cloud(self, index: int) -> SplatCloud:
-        posed, avatar = self._motion.frame(index), self._motion.avatar
-        return SplatCloud.of_frame(posed, avatar, axes=self._axes, up=self._up, light=self.light)
+        """The Gaussians of a frame."""
+        posed, count = self.frame(index), len(self.avatar)
+        rgb = np.asarray(self.avatar.rgb, np.float32) if posed.rgb is None else posed.rgb
+        return SplatCloud(
+            posed.position_m @ self._axes_from_world.T,
+            np.broadcast_to(posed.sigma_m[:, None], (count, 3)),
+            np.broadcast_to([1.0, 0.0, 0.0, 0.0], (count, 4)),
+            np.asarray(self.avatar.opacity, np.float32),
+            np.clip(rgb, 0, 1),
+            self._axes,
+            self.light,
+        )
