@@ -24,6 +24,7 @@ from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.avatar.learned import no_light
 from jghand_engine.captures.captures import by_pose
 from jghand_engine.captures.sample import Sample
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton, Transform
@@ -117,6 +118,7 @@ class HandTraining:
     """
 
     def __init__(self, material: Material, options: TrainOptions, device: torch.device = CPU) -> None:
+        _check_joints(material)
         self.options, self._material, self._device = options, material, device
         self._handedness = material.train[0].handedness
         model = options.model
@@ -467,6 +469,14 @@ class HandTraining:
             state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         return state
+
+
+def _check_joints(material: Material) -> None:
+    """One joint that is not known would make a whole step's gradients unknown."""
+    for sample in (*material.train, *material.judged):
+        if not np.isfinite(sample.joints_m).all():
+            raise InputError(f"joints of {sample.image}", wanted="21 known joints", came="NaN or infinity",
+                             remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip
 
 
 def _with_detail(picture: Picture, camera: Camera, detail: Ratio | None) -> Tensor:
