@@ -77,6 +77,11 @@ def install_extra(name: str) -> str:
     return f"Install the extra: {shlex.quote(sys.executable)} -m pip install 'jghand[{name}]'."
 
 
+def first_line(error: BaseException) -> str:
+    """The first line of what a library says, at most 200 letters; the name of its error where it says nothing."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+
+
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether `error` says that memory ran out: Python's own, torch's, and torch's on the CPU, which is a plain
     RuntimeError that only its text tells apart."""

@@ -48,12 +48,11 @@ from jghand_engine.track.track import (
     TrackOptions,
     angles_between_deg,
     camera_of,
-    detect,
     jitter_deg,
     track,
     track_hand,
 )
-from jghand_engine.track.video import open_video, read_frames
+from jghand_engine.track.video import open_video
 
 FPS, SIZE_PX, ANGLE_DEG, DISTANCE_M = 30.0, (640, 480), 60.0, 0.45
 # angle of view of the camera that sees hands at its border
@@ -254,7 +253,7 @@ def rows_of_video(truth: Truth, canonical_m: np.ndarray, model: Path | None) -> 
         write_video(path, film(truth), FPS)
         video = open_video(path)
         with video_detector(model) as detector:
-            sightings = detect(read_frames(video), video.fps, detector)
+            sightings = look(source_of(video), detector).sightings
     yield from rows_of_sightings(truth, sightings, canonical_m)
 
 

@@ -48,44 +48,29 @@ _LEARN, _SHOW = "ROM04_RT_Occlusion", "ROM03_RT_No_Occlusion"
 @dataclass(frozen=True)
 class Protocol:
     """layout: the data set · choice: its images · train, test: sequences to learn from and to be judged by; both
-    empty: the fixed rule · papers: which figures it stands for"""
+    empty: the fixed rule"""
 
     name: str
     layout: Layout
     choice: CaptureChoice
     train: tuple[str, ...]
     test: tuple[str, ...]
-    papers: str
 
 
 def _avatar_papers(split: str, capture: str) -> Protocol:
+    """Of HandAvatar and the papers after it."""
     choice = CaptureChoice(split, capture, (_LEARN, _SHOW), Handedness.RIGHT, some=True)
-    papers = f"{split}/{capture} of HandAvatar and the papers after it"
-    return Protocol(f"{split}-{capture}".lower(), Layout.INTERHAND, choice, (_LEARN,), (_SHOW,), papers)
+    return Protocol(f"{split}-{capture}".lower(), Layout.INTERHAND, choice, (_LEARN,), (_SHOW,))
 
 
-_HANCO = Protocol(
-    "hanco-0191",
-    Layout.HANCO,
-    CaptureChoice(sequences=("0191",)),
-    (),
-    (),
-    "HanCo/0191; the papers do not state their split, ours holds out every n-th pose and camera",
-)
 PROTOCOLS = {
     protocol.name: protocol
     for protocol in (
         *(_avatar_papers(*of) for of in (("test", "Capture0"), ("test", "Capture1"), ("val", "Capture0"))),
-        _HANCO,
+        # the papers do not state their split, ours holds out every n-th pose and camera
+        Protocol("hanco-0191", Layout.HANCO, CaptureChoice(sequences=("0191",)), (), ()),
     )
 }
-
-
-def find_protocol(name: str) -> Protocol:
-    """The protocol called `name`. InputError lists the known ones."""
-    if name.lower() not in PROTOCOLS:
-        raise InputError("protocol", wanted=f"one of {', '.join(PROTOCOLS)}", came=repr(name))
-    return PROTOCOLS[name.lower()]
 
 
 def open_capture(
@@ -109,7 +94,9 @@ def open_capture(
     if protocol is not None:
         if choice is not None:
             raise InputError("choice of images", wanted="a protocol or a choice", came="both", remedy="Drop one.")
-        capture = _by_protocol(place, find_protocol(protocol), report, template)
+        if protocol.lower() not in PROTOCOLS:
+            raise InputError("protocol", wanted=f"one of {', '.join(PROTOCOLS)}", came=repr(protocol))
+        capture = _by_protocol(place, PROTOCOLS[protocol.lower()], report, template)
     elif layout_of(place) is Layout.HANCO:
         capture = read_hanco(place, choice, report=report)
     else:

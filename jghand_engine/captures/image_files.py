@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, first_line
 
 # gray value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
 MASK_THRESHOLD = 128
@@ -98,7 +98,7 @@ def _opened(path: Path, what: str) -> Iterator[Image.Image]:
     except FileNotFoundError as error:
         raise InputError(f"{what} {path}", came="no such file", remedy=_REMEDY) from error
     except _DAMAGE as error:
-        raise InputError(f"cannot read the {what} {path}", came=_reason(error), remedy=_REMEDY) from error
+        raise InputError(f"cannot read the {what} {path}", came=first_line(error), remedy=_REMEDY) from error
 
 
 def _has_alpha(image: Image.Image) -> bool:
@@ -110,8 +110,3 @@ def _tail(path: Path) -> bytes:
         stream.seek(0, os.SEEK_END)
         stream.seek(max(0, stream.tell() - IMAGE_TAIL_BYTES))
         return stream.read()
-
-
-def _reason(error: BaseException) -> str:
-    text = str(error).strip().splitlines()
-    return text[0][:200] if text else type(error).__name__

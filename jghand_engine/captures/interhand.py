@@ -159,8 +159,12 @@ class _Reader:
         file = self.files.images / image.file_name
         facts = probe_sized(file, (image.width, image.height), self.files.data.name)
         mask = self._mask_file(image)
-        if self.drop_rule and mask is None and self._person_has_masks(image):
+        # of a person without any the template's silhouette is taken
+        masks = self.files.masks
+        if self.drop_rule and mask is None and masks and (masks / Path(image.file_name).parts[0]).is_dir():
             return None, "no mask"
+        # alpha would hold both hands
+        drawn = MaskSource.ALPHA if facts.has_alpha else MaskSource.TEMPLATE
         sample = Sample(
             image=file,
             camera=tables.camera(image),
@@ -170,26 +174,16 @@ class _Reader:
             sequence=image.sequence,
             frame=image.frame,
             camera_name=image.camera,
-            mask_source=_mask_source(image, mask, facts.has_alpha),
+            mask_source=drawn if mask is None else MaskSource.FILE,
             mask=mask,
         )
         return sample, self.drop_rule(sample, image) if self.drop_rule else None
-
-    def _person_has_masks(self, image: InterHandImage) -> bool:
-        return self.files.masks is not None and (self.files.masks / Path(image.file_name).parts[0]).is_dir()
 
     def _mask_file(self, image: InterHandImage) -> Path | None:
         if self.files.masks is None:
             return None
         named = self.files.masks / image.file_name
         return next((file for file in (named.with_suffix(".png"), named) if file.is_file()), None)
-
-
-def _mask_source(image: InterHandImage, mask: Path | None, has_alpha: bool) -> MaskSource:
-    if mask is not None:
-        return MaskSource.FILE
-    # alpha would hold both hands
-    return MaskSource.ALPHA if has_alpha else MaskSource.TEMPLATE
 
 
 def _unknown(kind: str, name: str, present: list[str], file: Path) -> InputError:

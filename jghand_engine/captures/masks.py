@@ -75,12 +75,9 @@ def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.
     visible = (depth_m[faces] > contract.Z_NEAR_M).all(axis=1)
     canvas = Image.new("L", (camera.width * fine, camera.height * fine))
     draw = ImageDraw.Draw(canvas)
-    for triangle in corners[visible & _touches(corners, canvas.size)].reshape(-1, 6).tolist():
+    # those whose box does not overlap the canvas need not be drawn
+    near = ((corners.max(axis=1) >= 0) & (corners.min(axis=1) <= np.array(canvas.size))).all(axis=1)
+    for triangle in corners[visible & near].reshape(-1, 6).tolist():
         draw.polygon(triangle, fill=1)
     covered = np.asarray(canvas).reshape(camera.height, fine, camera.width, fine)
     return covered.mean(axis=(1, 3), dtype=np.float32)
-
-
-def _touches(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(F,) whether a triangle's box overlaps the canvas; the others need not be drawn."""
-    return ((corners.max(axis=1) >= 0) & (corners.min(axis=1) <= np.array(size))).all(axis=1)

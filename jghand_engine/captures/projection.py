@@ -141,43 +141,6 @@ def _color(joint: int) -> tuple[int, int, int]:
 # ---- what people get wrong ------------------------------------------------------------------------------------------
 
 
-def _placed(camera: Camera, rotation: np.ndarray, translation_m: np.ndarray) -> Camera:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, translation_m
-    return replace(camera, camera_from_world=matrix)
-
-
-def _parts(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation, translation, and where the camera stands, meters."""
-    rotation, translation_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-    return rotation, translation_m, -rotation.T @ translation_m
-
-
-def _scaled_position(factor: float) -> Callable[[Camera], Camera]:
-    return lambda camera: _placed(camera, _parts(camera)[0], factor * _parts(camera)[1])
-
-
-def _turned_over(camera: Camera) -> Camera:
-    rotation, translation_m, _ = _parts(camera)
-    flip = np.array([1.0, -1.0, -1.0])
-    return _placed(camera, flip[:, None] * rotation, flip * translation_m)
-
-
-def _transposed(camera: Camera) -> Camera:
-    rotation, _, position_m = _parts(camera)
-    return _placed(camera, rotation.T, -rotation.T @ position_m)
-
-
-def _inverted(camera: Camera) -> Camera:
-    rotation, _, position_m = _parts(camera)
-    return _placed(camera, rotation.T, position_m)
-
-
-def _position_is_translation(camera: Camera) -> Camera:
-    rotation, _, position_m = _parts(camera)
-    return _placed(camera, rotation, position_m)
-
-
 def _fitted_to_size(camera: Camera) -> Camera:
     """As if K were that of a larger or smaller image of the same view: the principal point tells which."""
     x, y = camera.width / (2 * camera.cx), camera.height / (2 * camera.cy)
@@ -186,18 +149,39 @@ def _fitted_to_size(camera: Camera) -> Camera:
     return replace(camera, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y)
 
 
-def _axes_exchanged(camera: Camera) -> Camera:
-    return replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx)
+def _moved(change: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Callable[[Camera], Camera]:
+    """Gives a camera the rotation and translation (meters) that `change` makes of its own."""
+
+    def repair(camera: Camera) -> Camera:
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = change(camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3])
+        return replace(camera, camera_from_world=matrix)
+
+    return repair
 
 
+_FLIP = np.array([1.0, -1.0, -1.0])
+# a camera stands at -R' t
 _REPAIRS: tuple[tuple[str, Callable[[Camera], Camera]], ...] = (
-    ("Camera positions look like meters where millimeters are due.", _scaled_position(1000.0)),
-    ("Camera positions look like centimeters where millimeters are due.", _scaled_position(10.0)),
-    ("Camera positions look like millimeters where meters are due.", _scaled_position(0.001)),
-    ("Camera axes look like OpenGL's or Blender's (y up, z backwards) instead of OpenCV's.", _turned_over),
-    ("Camera rotations look transposed (camera to world instead of world to camera).", _transposed),
-    ("Camera matrices look inverted (camera to world instead of world to camera).", _inverted),
-    ("The camera's position and its translation t look mistaken for each other.", _position_is_translation),
+    ("Camera positions look like meters where millimeters are due.", _moved(lambda r, t: (r, 1000.0 * t))),
+    ("Camera positions look like centimeters where millimeters are due.", _moved(lambda r, t: (r, 10.0 * t))),
+    ("Camera positions look like millimeters where meters are due.", _moved(lambda r, t: (r, 0.001 * t))),
+    (
+        "Camera axes look like OpenGL's or Blender's (y up, z backwards) instead of OpenCV's.",
+        _moved(lambda r, t: (_FLIP[:, None] * r, _FLIP * t)),
+    ),
+    (
+        "Camera rotations look transposed (camera to world instead of world to camera).",
+        _moved(lambda r, t: (r.T, r.T @ r.T @ t)),
+    ),
+    (
+        "Camera matrices look inverted (camera to world instead of world to camera).",
+        _moved(lambda r, t: (r.T, -r.T @ t)),
+    ),
+    ("The camera's position and its translation t look mistaken for each other.", _moved(lambda r, t: (r, -r.T @ t))),
     ("Focal length and principal point look like those of images of another size.", _fitted_to_size),
-    ("x and y of focal length and principal point look exchanged, or the images turned.", _axes_exchanged),
+    (
+        "x and y of focal length and principal point look exchanged, or the images turned.",
+        lambda camera: replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx),
+    ),
 )

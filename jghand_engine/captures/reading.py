@@ -116,20 +116,6 @@ def _finite(what: str, part: str, values: Any, shape: tuple[int, ...]) -> np.nda
     return array
 
 
-def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str) -> None:
-    """Raises InputError when the joints of a data set cannot be a hand. METHOD 2.1, on medians over the poses.
-
-    joints_m: (P, 21, 3) level order, meters · order, unit: as the data set's layout has them · source: the file to name
-    """
-    try:
-        check_hand_size(joints_m, unit)
-        check_order(joints_m, order)
-    except InputError as error:
-        raise InputError(
-            f"joints in {source} ({error.thing})", wanted=error.wanted, came=error.came, remedy=error.remedy
-        ) from error
-
-
 class Sieve:
     """Counts dropped images by reason; raises what is broken, or hands it to `report` and goes on."""
 
@@ -154,11 +140,17 @@ class Sieve:
         self._report(error)
 
     def check_joints(self, joints_m: np.ndarray, order: JointOrder, unit: str, source: str) -> None:
-        """As the function of that name; what it raises is `wrong` with the whole."""
+        """Joints of a data set that cannot be a hand are `wrong` with the whole. METHOD 2.1, medians over the poses.
+
+        joints_m: (P, 21, 3) level order, meters · order, unit: as the data set's layout has them · source: the file to
+        name
+        """
         try:
-            check_joints(joints_m, order, unit, source)
+            check_hand_size(joints_m, unit)
+            check_order(joints_m, order)
         except InputError as error:
-            self.wrong(error)
+            thing = f"joints in {source} ({error.thing})"
+            self.wrong(InputError(thing, wanted=error.wanted, came=error.came, remedy=error.remedy))
 
     @property
     def dropped(self) -> tuple[tuple[str, int], ...]:

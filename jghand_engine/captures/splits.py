@@ -7,10 +7,8 @@ a protocol, or a fixed rule.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from jghand_engine.captures.captures import Capture, sorted_samples
 from jghand_engine.captures.sample import Sample
@@ -69,8 +67,11 @@ def split_capture(capture: Capture, *, to_learn: bool = True) -> Split:
     """
     file = capture.folder / SPLITS_FILE
     if capture.train_sequences:
-        origin = f"protocol {capture.protocol}"
-        split = split_by_sequence(capture, capture.train_sequences, capture.test_sequences, origin)
+        # whole sequences, all with the same cameras, as the papers do
+        held_out = {pose for pose in capture.poses if pose[0] in capture.test_sequences}
+        sequences = {*capture.train_sequences, *capture.test_sequences}
+        kept = capture.only(sample for sample in capture.samples if sample.sequence in sequences)
+        split = _split(kept, held_out, set(), f"protocol {capture.protocol}")
     else:
         split = split_from_file(capture, file) if file.exists() else split_by_rule(capture)
     if to_learn and not split.train:
@@ -87,21 +88,14 @@ def split_by_rule(
     capture: Capture, every_pose: int = SPLIT_EVERY_POSE, every_camera: int = SPLIT_EVERY_CAMERA
 ) -> Split:
     """Every n-th pose of a sequence and every n-th camera are for the test, in the order of their names and numbers.
-
-    The same images give the same split on any machine. With fewer poses, or cameras, than n none is held out. 0:
-    hold out none. InputError for n = 1, which would leave nothing to learn from, and for negative numbers.
+    The same images give the same split on any machine. With fewer poses, or cameras, than n none is held out.
     """
-    for what, every in (("every_pose", every_pose), ("every_camera", every_camera)):
-        if every < 0 or every == 1:
-            raise InputError(what, wanted="0 or at least 2", came=str(every))
-    poses = [
-        pose
-        for sequence in capture.sequences
-        for pose in _nth((pose for pose in capture.poses if pose[0] == sequence), every_pose)
-    ]
-    cameras = _nth(capture.cameras, every_camera)
+    poses: set[tuple[str, int]] = set()
+    for sequence in capture.sequences:
+        poses.update([pose for pose in capture.poses if pose[0] == sequence][every_pose - 1 :: every_pose])
+    cameras = set(capture.cameras[every_camera - 1 :: every_camera])
     origin = f"every {every_pose}th pose and every {every_camera}th camera held out"
-    return _split(capture, set(poses), set(cameras), origin)
+    return _split(capture, poses, cameras, origin)
 
 
 def split_from_file(capture: Capture, file: Path) -> Split:
@@ -137,13 +131,6 @@ def _is_list_of(value: object, kind: type) -> bool:
     return isinstance(value, list) and all(isinstance(entry, kind) and not isinstance(entry, bool) for entry in value)
 
 
-def split_by_sequence(capture: Capture, train: Collection[str], test: Collection[str], origin: str) -> Split:
-    """Whole sequences to learn from and to be judged by, all with the same cameras, as the papers do."""
-    held_out = {pose for pose in capture.poses if pose[0] in test}
-    kept = capture.only(sample for sample in capture.samples if sample.sequence in {*train, *test})
-    return _split(kept, held_out, set(), origin)
-
-
 def _split(capture: Capture, test_poses: set[tuple[str, int]], test_cameras: set[str], origin: str) -> Split:
     def images(pose_is_new: bool, camera_is_new: bool) -> tuple[Sample, ...]:
         return tuple(
@@ -153,7 +140,3 @@ def _split(capture: Capture, test_poses: set[tuple[str, int]], test_cameras: set
         )
 
     return Split(images(False, False), images(True, False), images(False, True), images(True, True), origin)
-
-
-def _nth(names: Iterable[Any], every: int) -> list[Any]:
-    return list(names)[every - 1 :: every] if every else []

@@ -211,10 +211,11 @@ class Export:
         from jghand_engine.export.made_from import made_from
         from jghand_engine.export.splats.files import SplatOptions, export_splats
 
-        axes, start = self.splats.axes, self.first_frame
         light = None if self.splats.light is None else read_light(self.splats.light)
-        options = SplatOptions(self.format, self.name, axes, start, self.up, self.overwrite, light)
-        with progress(f"Writing {options.format}", len(motion.frames)) as bar:
+        options = SplatOptions(
+            self.name, self.format, self.first_frame, self.overwrite, self.splats.axes, self.up, light
+        )
+        with progress(f"Writing {self.format}", len(motion.frames)) as bar:
             report = export_splats(self.out, avatar, motion.whole, options, frames=motion.frames, progress=bar.reach)
         figures = {"axes": report.axes, "light": report.light, "gaussians": report.gaussians}
         about = f"axes {report.axes}, light: {report.light}"

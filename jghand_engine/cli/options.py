@@ -185,9 +185,7 @@ class PictureOptions:
 
     def background_rgb(self) -> tuple[float, float, float] | None:
         """sRGB 0..1, None for transparent. Raises InputError."""
-        if self.background == "transparent":
-            return None
-        return color(self.background)
+        return None if self.background == "transparent" else color(self.background)
 
 
 @dataclass(frozen=True)

@@ -75,13 +75,12 @@ class Study:
         return Report("accuracy", study.headline, study.tables(), study, draw_figure(study))
 
     def _stability(self) -> Report:
-        from jghand_engine.study import stability, stability_views
+        from jghand_engine.study import stability, stability_plot
         from jghand_engine.study.report import Report
-        from jghand_engine.study.stability_plot import draw_figure
 
         with progress("Measuring", stability.COUNT) as bar:
             study = stability.measure_stability(bar.advance)
-        figure = draw_figure(study.curves, stability_views.view_pairs())
+        figure = stability_plot.draw_figure(study.curves, stability_plot.view_pairs())
         return Report("stability", study.headline, study.tables(), study, figure)
 
     def _effects(self) -> Report:

@@ -197,8 +197,10 @@ class TrainingJob:
         with (self.out / f"{self.name}.log").open("ab") as log:
             # a session of its own: Ctrl-C in a terminal reaches this process alone, which stops the training once
             self._child = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True, preexec_fn=_deaf
-            )
+                command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True,
+                # the signal of preemption is meant for the job, which stops its training by closing its standard input
+                preexec_fn=lambda: signal.signal(signal.SIGUSR2, signal.SIG_IGN),
+            )  # fmt: skip
         try:
             while self._child.poll() is None and not stop.wait(POLL_S):
                 pass
@@ -235,11 +237,6 @@ class TrainingJob:
 
         self._stop()
         return DelayedSubmission(replace(self, _child=None))
-
-
-def _deaf() -> None:
-    """The signal of preemption is meant for the job, which stops its training by closing its standard input."""
-    signal.signal(signal.SIGUSR2, signal.SIG_IGN)
 
 
 # ---- all of them -----------------------------------------------------------------------------------------------------

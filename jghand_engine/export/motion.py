@@ -68,11 +68,6 @@ class HandMotion:
     def __len__(self) -> int:
         return len(self._joints_m)
 
-    @property
-    def mean_scale(self) -> float:
-        """Scale of the whole hand against the canonical one, mean over the frames."""
-        return sum(self._skeleton.bones(joints_m).scale for joints_m in self._joints_m) / len(self)
-
     def frame(self, index: int) -> PosedHand:
         pose, turn = self.sequence.pose(index), self._light_from_world
         posed = self._posing(pose.joints_m @ turn.T, pose.forearm)
@@ -87,9 +82,10 @@ class HandMotion:
         """The Gaussians at rest, float32: canonical centers (N, 3), mirrored for a left hand, and radii (N,) at the
         mean scale of the motion, meters; opacity (N,); colors (N, 3), where they change those of the first frame."""
         avatar, rgb = self.avatar, self.frame(0).rgb
+        mean_scale = sum(self._skeleton.bones(joints_m).scale for joints_m in self._joints_m) / len(self)
         return (
             self._mirrored(np.asarray(avatar.position_m)).astype(np.float32),
-            (np.asarray(avatar.sigma_m) * self.mean_scale).astype(np.float32),
+            (np.asarray(avatar.sigma_m) * mean_scale).astype(np.float32),
             np.asarray(avatar.opacity, np.float32),
             np.asarray(avatar.rgb if rgb is None else rgb, np.float32),
         )
@@ -113,8 +109,10 @@ class HandMotion:
     def _poses(self, poses: list[HandPose]) -> BonePoses:
         bones = [self._skeleton.bones(pose.joints_m, np.float64, forearm=pose.forearm) for pose in poses]
         frames, scales = (np.stack(parts) for parts in zip(*map(self._skeleton.frames, bones), strict=True))
+        if self.handedness is Handedness.LEFT:  # from the right-hand code's to proper axes in the hand's world
+            frames = MIRROR @ frames @ TURN_FLEXION_AXIS
         joints_m = np.stack([pose.joints_m for pose in poses])
-        return BonePoses(joints_m, joint_axes(frames, self.handedness), scales[..., JOINT_AXES])
+        return BonePoses(joints_m, frames[..., JOINT_AXES], scales[..., JOINT_AXES])
 
 
 def check_balls(avatar: HandAvatar) -> None:
@@ -126,10 +124,3 @@ def check_balls(avatar: HandAvatar) -> None:
             came="ellipsoids",
             remedy="Render it, or export a mesh.",
         )
-
-
-def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:
-    """Engine frames (..., 3, 3) of the *right-hand* code, columns x, y, z, to proper joint axes in the hand's world."""
-    if handedness is Handedness.LEFT:
-        frames = MIRROR @ frames @ TURN_FLEXION_AXIS
-    return frames[..., JOINT_AXES]

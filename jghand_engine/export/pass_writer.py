@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from jghand_engine import __version__
 from jghand_engine.captures.image_files import image_texts
 from jghand_engine.errors import InputError
-from jghand_engine.export.cameras import COLMAP_FILES, Shot, write_colmap, write_transforms
+from jghand_engine.export.camera_file import COLMAP_FILES, write_colmap, write_transforms
 from jghand_engine.export.exr import exr_package, probe_exr, write_exr
 from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
 from jghand_engine.files import remove_file
@@ -102,9 +102,9 @@ class PassWriter:
                 "frames": [json.loads(image_texts(picture)[JOINTS_KEY]) for picture in pictures],
             }  # fmt: skip
             write_json(self._folder / "joints.json", content)
-        shots = [Shot(picture.name, self._camera) for picture in pictures]
-        write_colmap(self._folder / "colmap", shots)
-        write_transforms(self._folder / "transforms.json", shots)
+        names = [picture.name for picture in pictures]
+        write_colmap(self._folder / "colmap", names, self._camera)
+        write_transforms(self._folder / "transforms.json", names, self._camera)
 
 
 def refuse_older_truth(folder: Path, names: Sequence[str] = ()) -> None:

@@ -315,7 +315,11 @@ def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -
     while one of them misses a joint between it and the wrist, goes linearly.
     """
     share = part[..., 0]
-    palm_first, palm_second, palm = _palms_between(first_m, second_m, share[:, 0])
+    (palm_first, has_first), (palm_second, has_second) = palm_frames(first_m), palm_frames(second_m)
+    # where either has none, the world's
+    none = ~(has_first & has_second)
+    palm_first[none] = palm_second[none] = np.eye(3)
+    palm = slerp_rotation(palm_first, palm_second, share[:, 0])
     inside = slerp(
         np.einsum("fji,fbj->fbi", palm_first, bone_directions(first_m)),
         np.einsum("fji,fbj->fbi", palm_second, bone_directions(second_m)),
@@ -354,14 +358,6 @@ def forearm_turns(joints_m: np.ndarray, rest_joints_m: np.ndarray, carried: np.n
     (F, 3, 3) from where they are at the hand's rest (21, 3). Joints in level order."""
     (at_rest,), _ = palm_frames(rest_joints_m[None])
     return quaternions(np.swapaxes(palm_frames(joints_m)[0], -1, -2) @ carried @ at_rest)
-
-
-def _palms_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Palm frames of two motions and between them; where either has none, the world's."""
-    (a, has_a), (b, has_b) = palm_frames(first), palm_frames(second)
-    none = ~(has_a & has_b)
-    a[none] = b[none] = np.eye(3)
-    return a, b, slerp_rotation(a, b, part)
 
 
 def _as_joints(joints: np.ndarray) -> np.ndarray:

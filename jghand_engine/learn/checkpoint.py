@@ -21,7 +21,7 @@ import torch
 from jghand_engine import __version__
 from jghand_engine.errors import InputError
 from jghand_engine.files import write_file
-from jghand_engine.learn.trainable import Trainable
+from jghand_engine.learn.step import HandTraining
 
 # checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
 CHECKPOINTS_KEPT = 2
@@ -119,11 +119,6 @@ class CheckpointFolder:
             raise damaged[0]
         return None, []
 
-    def remove_leftovers(self) -> None:
-        """Removes what a kill in the middle of a save left: temporary files of `files.writing`."""
-        for path in self._folder.glob(".step_*.safetensors"):
-            path.unlink(missing_ok=True)
-
     def clear(self) -> None:
         for _, path in self._numbered():
             path.unlink()
@@ -171,25 +166,25 @@ class Snapshot:
     state: LoopState
 
     @classmethod
-    def of(cls, trainable: Trainable, state: LoopState) -> Snapshot:
-        tensors = {name: tensor.detach().clone() for name, tensor in trainable.tensors().items()}
-        return cls(tensors, copy.deepcopy(trainable.scalars()), copy.deepcopy(state))
+    def of(cls, training: HandTraining, state: LoopState) -> Snapshot:
+        tensors = {name: tensor.detach().clone() for name, tensor in training.tensors().items()}
+        return cls(tensors, copy.deepcopy(training.scalars()), copy.deepcopy(state))
 
-    def restore(self, trainable: Trainable) -> LoopState:
-        """Puts `trainable` back into this state; returns the loop's part, to go on with."""
-        trainable.load_tensors(self.tensors)
-        trainable.load_scalars(copy.deepcopy(self.scalars))
-        trainable.plan(self.state.planned_steps)
+    def restore(self, training: HandTraining) -> LoopState:
+        """Puts `training` back into this state; returns the loop's part, to go on with."""
+        training.load_tensors(self.tensors)
+        training.load_scalars(copy.deepcopy(self.scalars))
+        training.plan(self.state.planned_steps)
         return copy.deepcopy(self.state)
 
 
-def check_fits(tensors: Mapping[str, torch.Tensor], trainable: Trainable, thing: str) -> None:
-    """InputError when `tensors`, which errors call `thing`, are not those of `trainable`: by name, shape and type."""
+def check_fits(tensors: Mapping[str, torch.Tensor], training: HandTraining, thing: str) -> None:
+    """InputError when `tensors`, which errors call `thing`, are not those of `training`: by name, shape and type."""
 
     def form(tensor: torch.Tensor | None) -> str:
         return "none" if tensor is None else f"{str(tensor.dtype).removeprefix('torch.')} {tuple(tensor.shape)}"
 
-    wanted = trainable.tensors()
+    wanted = training.tensors()
     for name in {**wanted, **tensors}:
         want, came = form(wanted.get(name)), form(tensors.get(name))
         if want != came:

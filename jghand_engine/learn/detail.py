@@ -25,6 +25,7 @@ from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Bones, Skeleton
+from jghand_engine.learn.light import smooth
 from jghand_engine.learn.pictures import LruCache, Pictures
 from jghand_engine.native.library import load as load_native
 from jghand_engine.render.camera import Camera
@@ -301,8 +302,9 @@ class DetailLearner(nn.Module):
             places, log_ratio = of[id(camera)]
             alpha, depth_sum = (plane.detach().reshape(-1)[places.pixel] for plane in (alpha, depth_sum))
             apart = depth_sum / alpha.clamp_min(ALPHA_FROM) - places.depth_m - scale * depth_m
-            fade = _smooth(apart.abs() / places.graze, scale * FADE_FROM_M, scale * FADE_TO_M)
-            weight = _smooth(alpha, ALPHA_FROM, ALPHA_TO) * (1 - fade)
+            low, high = scale * FADE_FROM_M, scale * FADE_TO_M
+            fade = smooth((apart.abs() / places.graze - low) / (high - low))
+            weight = smooth((alpha - ALPHA_FROM) / (ALPHA_TO - ALPHA_FROM)) * (1 - fade)
             whole = torch.ones(camera.height * camera.width, 3)
             whole = whole.index_copy(0, places.pixel.long(), (weight[:, None] * log_ratio).exp())
             return whole.reshape(camera.height, camera.width, 3)
@@ -387,9 +389,3 @@ def _squared_slopes(uv: np.ndarray, px: np.ndarray) -> np.ndarray:
     along_x = (du1 * dx2[:, 1:] - du2 * dx1[:, 1:]) / area
     along_y = (du2 * dx1[:, :1] - du1 * dx2[:, :1]) / area
     return (along_x**2 + along_y**2).sum(1)
-
-
-def _smooth(x: Tensor, none: float, full: float) -> Tensor:
-    """0 up to `none`, 1 from `full` on, smooth between."""
-    part = ((x - none) / (full - none)).clamp(0, 1)
-    return part * part * (3 - 2 * part)

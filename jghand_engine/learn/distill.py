@@ -16,7 +16,6 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
-from jghand_engine.errors import InputError
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.pose_net import PoseNet, numbers_of
 from jghand_engine.learn.tensors import HandTensors
@@ -61,13 +60,12 @@ def poses_near(known: Tensor, count: int, seed: int) -> Tensor:
 def distill(
     avatar: HandAvatar, poses: Tensor, bases: Sequence[int], *, tick: Callable[[float], None] = lambda _: None
 ) -> dict[int, LinearCorrectives]:
-    """The linear tiers of sizes `bases`, fitted to the avatar's network on poses (M, 37). tick: called with the part
-    that is done. InputError for an avatar without a network."""
+    """The linear tiers of sizes `bases`, fitted to the network of a trained avatar on poses (M, 37). tick: called with
+    the part that is done."""
     learned = HandTensors.of(avatar).learned
-    net = None if learned is None else learned.correctives
-    if not isinstance(net, PoseNet):
-        wanted = "correctives that depend on the pose"
-        raise InputError(f"avatar {avatar.info.name}", wanted=wanted, came="none", remedy="Give a trained avatar.")
+    assert learned is not None
+    net = learned.correctives
+    assert isinstance(net, PoseNet)
     with torch.no_grad():
         features = torch.stack([net.angles(Angles.of(pose)) for pose in poses])
         mean, projection = _components(features, net.bone_weights)
@@ -78,7 +76,8 @@ def distill(
         for start in range(0, total, DISTIL_GAUSSIANS_AT_ONCE):
             rows = slice(start, start + DISTIL_GAUSSIANS_AT_ONCE)
             part = net.part(rows)
-            wanted = torch.stack([_correction(part, pose) for pose in poses], 1)
+            corrections = [part(Angles.of(pose)) for pose in poses]
+            wanted = torch.stack([torch.cat([one.offset_m, one.shade], -1) for one in corrections], 1)
             fit = _Fit(torch.einsum("ni,mik->nmk", part.bone_weights, numbers), wanted)
             for basis in bases:
                 found[basis].append(fit.solved(basis))
@@ -102,12 +101,6 @@ def _components(features: Tensor, bone_weights: Tensor) -> tuple[Tensor, Tensor]
     variance, direction = variance.flip(0), direction.flip(1)
     spread = variance.clamp_min(DISTIL_VARIANCE_MIN * float(variance[0].clamp_min(1e-30))).sqrt()
     return mean, (direction / spread).float()
-
-
-def _correction(net: PoseNet, pose: Tensor) -> Tensor:
-    """(n, 6) offset and shade."""
-    correction = net(Angles.of(pose))
-    return torch.cat([correction.offset_m, correction.shade], -1)
 
 
 class _Fit:

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -40,15 +40,9 @@ Item = TypeVar("Item")
 # figures are given apart for pictures whose fingers are bent, on the mean of their joints, below, between and above
 # these angles, degrees: an open, a relaxed, a half closed hand and a fist
 FLEXION_REGIONS_DEG = (15.0, 35.0, 60.0)
-
-
-class Picturer(Protocol):
-    """Whatever draws a hand: an avatar in the renderer, or a model that is still learning."""
-
-    def __call__(self, hand: Hand, handedness: Handedness, camera: Camera) -> np.ndarray:
-        """A pose, or (21, 3) level-order joints, world, meters -> (H, W, 4) float32, premultiplied, display-referred
-        sRGB."""
-        ...
+# whatever draws a hand, an avatar in the renderer or a model that is still learning: a pose, or (21, 3) level-order
+# joints, world, meters -> (H, W, 4) float32, premultiplied, display-referred sRGB
+Picturer: TypeAlias = Callable[[Hand, Handedness, Camera], np.ndarray]
 
 
 class AvatarPicturer:

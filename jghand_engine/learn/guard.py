@@ -14,8 +14,8 @@ from dataclasses import replace
 import torch
 
 from jghand_engine.errors import JGHandError
-from jghand_engine.learn.checkpoint import LoopState, Snapshot
-from jghand_engine.learn.trainable import Trainable
+from jghand_engine.learn.checkpoint import Snapshot
+from jghand_engine.learn.step import HandTraining
 
 # steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
 GUARD_KEEP_STEPS = 50
@@ -25,13 +25,13 @@ GUARD_KEEPS_AT_FIRST = (2, 5, 10, 20)
 GUARD_RECOVERIES_MAX = 5
 
 
-def find_non_finite(figures: Mapping[str, float], trainable: Trainable) -> list[str]:
+def find_non_finite(figures: Mapping[str, float], training: HandTraining) -> list[str]:
     """What a step left that is not finite, in the order in which it computes, such as "gradient planes.uv (2 NaN)".
 
     Costs one pass over memory when there is nothing.
     """
     bad = [f"figure {name} ({value})" for name, value in figures.items() if not math.isfinite(value)]
-    parts = {"gradient": trainable.gradients(), "state": trainable.tensors()}
+    parts = {"gradient": training.gradients(), "state": training.tensors()}
     floating = [tensor for part in parts.values() for tensor in part.values() if tensor.is_floating_point()]
     # the norm overflows for huge finite values too: then the exact look finds nothing
     if bad or not math.isfinite(float(torch.nn.utils.get_total_norm(floating))):
@@ -46,24 +46,17 @@ def _in_tensors(kind: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[str]
             yield f"{kind} {name} ({text})"
 
 
-class Guard:
-    """Goes back to `good`, the last good state of a training."""
+def recovered(good: Snapshot, number: int, findings: list[str], training: HandTraining) -> Snapshot:
+    """Puts `training` back into its last good state; that state with step `number` among those left out.
 
-    def __init__(self, good: Snapshot) -> None:
-        self.good = good
-
-    def recover(self, number: int, findings: list[str], trainable: Trainable) -> LoopState:
-        """Puts `trainable` back; returns where the loop then stands, with step `number` among those left out.
-
-        JGHandError when that happened too often.
-        """
-        state = self.good.restore(trainable)
-        state.skipped = sorted({*state.skipped, number})
-        if len(state.skipped) > GUARD_RECOVERIES_MAX:
-            raise JGHandError(
-                f"{len(state.skipped)} steps of the training gave values that are not finite, "
-                f"at last step {number}: {findings[0]}",
-                remedy="Look at the pictures with `jghand check-data`.",
-            )
-        self.good = replace(self.good, state=state)
-        return self.good.restore(trainable)
+    JGHandError when that happened too often.
+    """
+    state = good.restore(training)
+    state.skipped = sorted({*state.skipped, number})
+    if len(state.skipped) > GUARD_RECOVERIES_MAX:
+        raise JGHandError(
+            f"{len(state.skipped)} steps of the training gave values that are not finite, "
+            f"at last step {number}: {findings[0]}",
+            remedy="Look at the pictures with `jghand check-data`.",
+        )
+    return replace(good, state=state)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from jghand_engine.errors import InputError
 from jghand_engine.learn.ssim import ssim
 
 # a learned offset counts as quadratic below this length, meters: at 0 a plain norm has no gradient, and offsets start
@@ -19,7 +18,6 @@ OFFSET_LENGTH_EPS_M = 1e-5
 
 def l1_loss(rgb: Tensor, truth: Tensor) -> Tensor:
     """Mean |rgb - truth| over pixels and channels."""
-    _check_alike("rgb", rgb, truth)
     return (rgb - truth.detach()).abs().mean()
 
 
@@ -30,7 +28,6 @@ def ssim_loss(rgb: Tensor, truth: Tensor) -> Tensor:
 
 def mask_loss(alpha: Tensor, mask: Tensor) -> Tensor:
     """Mean (alpha - mask)^2 over the pixels."""
-    _check_alike("alpha", alpha, mask)
     return (alpha - mask.detach()).square().mean()
 
 
@@ -41,8 +38,6 @@ def offset_loss(*offsets_m: Tensor, hand_size_m: float) -> Tensor:
     Dividing makes meters and millimeters agree. The length is smooth, sqrt(|x|^2 + eps^2) - eps: offsets start at 0,
     where a plain norm has no gradient (METHOD 2.10).
     """
-    if not hand_size_m > 0:
-        raise InputError("hand size", wanted="a positive length in meters", came=str(hand_size_m))
     eps = OFFSET_LENGTH_EPS_M
     squares = [(offset * offset).sum(-1) for offset in offsets_m]
     # the same as sqrt(square + eps^2) - eps, without its cancellation
@@ -54,9 +49,3 @@ def tone_loss(shade: Tensor) -> Tensor:
     """Square of the mean shade of a pose (N, 3), summed over channels: what colors all skin alike is albedo, which is
     shown without shade too."""
     return shade.mean(0).square().sum()
-
-
-def _check_alike(name: str, ours: Tensor, truth: Tensor) -> None:
-    """Unlike shapes would broadcast silently."""
-    if ours.shape != truth.shape:
-        raise InputError(f"{name} against its truth", wanted=f"shape {tuple(truth.shape)}", came=str(tuple(ours.shape)))

@@ -162,7 +162,13 @@ class LearnedHand(nn.Module):
         self.planes = IdentityPlanes(points.uvd, texels=options.plane_texels, depth_texels=options.depth_texels)
         # offset 3, color 3, opacity 1, normal 3, shine or reflectance 1, spread 1, roughness 1
         widths = (13 if options.known_light else 11,) if options.one_decoder else (3, 3, 1)
-        self.decoders = nn.ModuleList(_decoder(self.planes.width, options.hidden, width) for width in widths)
+        inputs, hidden = self.planes.width, options.hidden
+        self.decoders = nn.ModuleList(
+            nn.Sequential(
+                nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(), nn.Linear(hidden, width)
+            )
+            for width in widths
+        )
         self.log_sigma = nn.Parameter(points.sigma_m.log())
         if options.anisotropic:
             self.log_stretch = nn.Parameter(torch.zeros(len(points), 3))
@@ -333,11 +339,6 @@ class LearnedHand(nn.Module):
             growth = (self.log_sigma[:known] - start[:known])[nearest.to(start.device)]
             self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth
         self.keep_in_range()
-
-
-def _decoder(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
-    layers = nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(), nn.Linear(hidden, outputs)
-    return nn.Sequential(*layers)
 
 
 def grown_radii(sigma_m: Tensor, scale: float, uvd_depth: Tensor) -> Tensor:

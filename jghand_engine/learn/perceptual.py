@@ -20,8 +20,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from jghand_engine.errors import InputError, install_extra
-from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
+from jghand_engine.errors import InputError, first_line, install_extra
 
 # floor of the length of a feature vector, as both networks were trained with it
 PERCEPTUAL_NORM_EPS = 1e-10
@@ -49,30 +48,19 @@ class PerceptualMetric:
     heads: tuple[Tensor, ...]
 
     def distance(self, rgb: Tensor, truth: Tensor) -> Tensor:
-        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1.
-
-        InputError for unlike shapes or a side below METRIC_BOX_MIN_PX.
-        """
-        if rgb.shape != truth.shape or rgb.dim() != 3 or rgb.shape[2] != 3:
-            raise InputError(f"pictures for {self.name}", wanted="two of one shape (height, width, 3)",
-                             came=f"{tuple(rgb.shape)} and {tuple(truth.shape)}")  # fmt: skip
-        if min(rgb.shape[:2]) < METRIC_BOX_MIN_PX:
-            raise InputError(f"pictures for {self.name}", came=f"{rgb.shape[1]} x {rgb.shape[0]} pixels",
-                             wanted=f"at least {METRIC_BOX_MIN_PX} along each side")  # fmt: skip
+        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1, each side METRIC_BOX_MIN_PX or
+        more."""
         ours = self.features(_network_input(rgb))
         with torch.no_grad():
             theirs = self.features(_network_input(truth))
-        parts = [_map_distance(*maps) for maps in zip(ours, theirs, self.heads, strict=True)]
+        # weighted squared differences of feature maps, each of unit length over the channels
+        squares = [(_unit(a) - _unit(b)).square() for a, b in zip(ours, theirs, strict=True)]
+        parts = [functional.conv2d(one, head).mean() for one, head in zip(squares, self.heads, strict=True)]
         return torch.stack(parts).sum()
 
 
 def _network_input(rgb: Tensor) -> Tensor:
     return (2 * rgb - 1).permute(2, 0, 1).unsqueeze(0)
-
-
-def _map_distance(ours: Tensor, theirs: Tensor, head: Tensor) -> Tensor:
-    """Weighted squared difference of one pair of feature maps, each of unit length over the channels."""
-    return functional.conv2d((_unit(ours) - _unit(theirs)).square(), head).mean()
 
 
 def _unit(features: Tensor) -> Tensor:
@@ -219,7 +207,7 @@ def _load_tensors(path: Path) -> Tensors:
             content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         # a damaged file ends in whatever its bytes lead to: zip, pickle, key and decoding errors
-        raise InputError(f"weights {path}", wanted="a file of tensors", came=_first_line(error)) from error
+        raise InputError(f"weights {path}", wanted="a file of tensors", came=first_line(error)) from error
     if not isinstance(content, dict) or not all(isinstance(value, Tensor) for value in content.values()):
         raise InputError(f"weights {path}", wanted="named tensors and nothing else", came=type(content).__name__)
     return {str(name): value.detach() for name, value in content.items()}
@@ -228,8 +216,3 @@ def _load_tensors(path: Path) -> Tensors:
 def _check_present(tensors: Tensors, names: list[str], thing: str) -> None:
     if missing := [name for name in names if name not in tensors]:
         raise InputError(thing, wanted=f"the tensor {missing[0]}", came=f"none ({len(missing)} are missing)")
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).splitlines()
-    return lines[0][:200] if lines else type(error).__name__

@@ -52,49 +52,36 @@ class View:
     lit: MixedLight | None = None
 
 
-@dataclass(frozen=True)
-class _CachedView:
-    rgb: np.ndarray
-    mask: np.ndarray
-    camera: Camera
-
-
-@dataclass(frozen=True)
-class _CutGroups:
-    """The lights of a picture apart, as of one that is no larger than the cut. camera: of that"""
-
-    groups: LitPicture
-    camera: Camera
-
-
 class Pictures:
     """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES.
     known_light: whether their lights are taken apart, which are known then"""
 
     def __init__(self, *, known_light: bool = False) -> None:
         self._known_light = known_light
-        self._cache: LruCache[_CachedView] = LruCache(
-            PICTURE_CACHE_BYTES, lambda view: view.rgb.nbytes + view.mask.nbytes
+        self._cache: LruCache[tuple[np.ndarray, np.ndarray, Camera]] = LruCache(
+            PICTURE_CACHE_BYTES, lambda cut: cut[0].nbytes + cut[1].nbytes
         )
-        self._groups: LruCache[_CutGroups] = LruCache(PICTURE_CACHE_BYTES, lambda cut: cut.groups.groups.nbytes)
+        self._groups: LruCache[tuple[LitPicture, Camera]] = LruCache(
+            PICTURE_CACHE_BYTES, lambda cut: cut[0].groups.nbytes
+        )
 
     def view(self, sample: Sample, stride: int = 1, seed: Sequence[int] | None = None) -> View:
         """The picture of a sample; stride 2 averages 2 x 2 pixels into one. seed: of a mix of its lights, where they
         are known; None: all of them as they are. InputError as `load_image`, or when no pixel of it shows the hand."""
         if self._known_light and sample.light is not None:
             return self._lit(sample, sample.light, stride, seed)
-        cached = self._cache.get(sample.image, lambda: _cut(sample))
-        rgb, mask = torch.from_numpy(cached.rgb).float() / 255.0, torch.from_numpy(cached.mask).float() / 255.0
-        view = View(rgb, mask, cached.camera)
+        *planes, camera = self._cache.get(sample.image, lambda: _cut(sample))
+        rgb, mask = (torch.from_numpy(plane).float() / 255.0 for plane in planes)
+        view = View(rgb, mask, camera)
         return view if stride == 1 else coarser(view, stride)
 
     def _lit(self, sample: Sample, light: KnownLight, stride: int, seed: Sequence[int] | None) -> View:
-        picture = self._groups.get(sample.image, lambda: _cut_groups(sample))
+        groups, camera = self._groups.get(sample.image, lambda: _cut_groups(sample))
         weight = np.ones((light.groups, 3))
         if seed is not None:
             weight = random_weights(light, np.random.default_rng([*seed]))
-        one = mix(picture.groups, weight)
-        view = View(torch.from_numpy(one.rgb), torch.from_numpy(one.alpha), picture.camera)
+        one = mix(groups, weight)
+        view = View(torch.from_numpy(one.rgb), torch.from_numpy(one.alpha), camera)
         if stride > 1:
             view = coarser(view, stride)
         lit = MixedLight(sample.image, light, weight, one.exposure)
@@ -126,7 +113,8 @@ def coarser(view: View, stride: int) -> View:
     return View(small[..., :3].contiguous(), small[..., 3].contiguous(), camera)
 
 
-def _cut(sample: Sample) -> _CachedView:
+def _cut(sample: Sample) -> tuple[np.ndarray, np.ndarray, Camera]:
+    """(h, w, 3) and (h, w) uint8 rgb and mask of the part with the hand, and its camera."""
     picture = load_image(sample)
     rows, columns = (np.flatnonzero(picture.mask.max(axis=axis) > 0) for axis in (1, 0))
     if not len(rows):
@@ -136,23 +124,22 @@ def _cut(sample: Sample) -> _CachedView:
     least = max(2 * SSIM_WINDOW_PX + 2, METRIC_BOX_MIN_PX)
     top, bottom = _span(rows, picture.mask.shape[0], least)
     left, right = _span(columns, picture.mask.shape[1], least)
-    camera = sample.camera
-    camera = replace(camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top)
-    cut = slice(top, bottom), slice(left, right)
-    rgb, mask = (np.round(255 * plane[cut]).astype(np.uint8) for plane in (picture.rgb, picture.mask))
-    return _CachedView(rgb, mask, camera)
+    planes = (plane[top:bottom, left:right] for plane in (picture.rgb, picture.mask))
+    rgb, mask = (np.round(255 * plane).astype(np.uint8) for plane in planes)
+    return rgb, mask, sample.camera.part(left, top, right - left, bottom - top)
 
 
-def _cut_groups(sample: Sample) -> _CutGroups:
+def _cut_groups(sample: Sample) -> tuple[LitPicture, Camera]:
+    """The lights of a picture apart, as of one that is no larger than the part with the hand; and its camera."""
     whole = load_groups(sample)
     (left, top), (rows, columns) = whole.corner_px, whole.alpha.shape
     least = max(2 * SSIM_WINDOW_PX + 2, METRIC_BOX_MIN_PX)
-    first_row, last_row = _span(top + np.arange(rows), whole.size_px[1], least)
-    first_column, last_column = _span(left + np.arange(columns), whole.size_px[0], least)
-    size_px = last_column - first_column, last_row - first_row
-    camera = sample.camera
-    camera = replace(camera, width=size_px[0], height=size_px[1], cx=camera.cx - first_column, cy=camera.cy - first_row)
-    return _CutGroups(replace(whole, corner_px=(left - first_column, top - first_row), size_px=size_px), camera)
+    low_y, high_y = _span(top + np.arange(rows), whole.size_px[1], least)
+    low_x, high_x = _span(left + np.arange(columns), whole.size_px[0], least)
+    size_px = high_x - low_x, high_y - low_y
+    return replace(whole, corner_px=(left - low_x, top - low_y), size_px=size_px), sample.camera.part(
+        low_x, low_y, *size_px
+    )
 
 
 def _span(filled: np.ndarray, size: int, least: int) -> tuple[int, int]:

@@ -95,11 +95,6 @@ class PoseNet(nn.Module):
         return other
 
     @property
-    def encoding(self) -> Tensor:
-        """(N, waves) the positional encoding of the Gaussians."""
-        return self._constant[:, : self.encoding_in.in_features]  # type: ignore[index]
-
-    @property
     def bone_weights(self) -> Tensor:
         """(N, 21) by which the features of the bones are mixed."""
         return self._constant[:, self.encoding_in.in_features :]  # type: ignore[index]

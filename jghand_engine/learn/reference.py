@@ -145,7 +145,7 @@ def _select(
     gaussians: Gaussians, position_c: torch.Tensor, camera: Camera, alpha_min: float
 ) -> tuple[torch.Tensor, int]:
     """Indices of the visible Gaussians front to back, ties by index, and the number of invalid ones."""
-    valid = _valid(gaussians, position_c)
+    valid = _valid(gaussians)
     in_front = torch.nonzero(valid & (position_c[:, 2] > contract.Z_NEAR_M))[:, 0]
     ellipses = _project(gaussians, position_c, in_front, camera)
     sized = (ellipses.a < contract.VAR_MAX_PX2) & (ellipses.c < contract.VAR_MAX_PX2)
@@ -158,7 +158,7 @@ def _select(
     return in_front[visible[front_to_back]], invalid
 
 
-def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
+def _valid(gaussians: Gaussians) -> torch.Tensor:
     """(N,) bool: every value can be drawn. Comparisons with NaN are false."""
     g, reach = gaussians, contract.POSITION_MAX_M
     covariance = g.covariance_m2

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -33,25 +33,9 @@ FILLS = (0.9, 3.0)
 SAMPLES = 32
 
 
-@dataclass(frozen=True)
-class WholeShadow:
-    """A picture without the avatar's shadow on itself, and with the whole of it."""
-
-    # (H, W, 4) premultiplied, without it
-    rgba: np.ndarray
-    # (H, W, 3) with it
-    shaded: np.ndarray
-    # (H, W) 0..1: how much of the light does not arrive; 0 beside the hand
-    occlusion: np.ndarray
-
-    @property
-    def darkest(self) -> float:
-        """Largest difference of a channel, 0..1."""
-        return float(np.abs(self.shaded - self.rgba[..., :3]).max())
-
-
-def whole_shadow(renderer: HandRenderer, avatar: HandAvatar, joints_m: np.ndarray, camera: Camera) -> WholeShadow:
-    """The shadow of joints (21, 3) as if no gate ever closed it. renderer: of `avatar`, without shadow, with depth"""
+def _darkest(renderer: HandRenderer, avatar: HandAvatar, joints_m: np.ndarray, camera: Camera) -> float:
+    """Largest difference of a channel, 0..1, that the shadow of joints (21, 3) makes as if no gate ever closed it.
+    renderer: of `avatar`, without shadow, with depth"""
     frame = renderer.render(joints_m, camera)
     look = ShadowLook() if avatar.learned is None else avatar.learned.shadow or ShadowLook()
     planes = torch.from_numpy(np.concatenate([frame.rgba, (frame.rgba[..., 3] * frame.depth_m)[..., None]], -1))
@@ -60,7 +44,7 @@ def whole_shadow(renderer: HandRenderer, avatar: HandAvatar, joints_m: np.ndarra
     visible = (darken(planes, camera, style, library=load()) / planes[:3].clamp_min(1e-6))[1].numpy()
     occlusion = np.where(frame.rgba[..., 3] > 0.5, 1 - visible, 0.0)
     shaded = frame.rgba[..., :3] * (1 - occlusion[..., None] * np.array(look.tint, np.float32))
-    return WholeShadow(frame.rgba, shaded, occlusion)
+    return float(np.abs(shaded - frame.rgba[..., :3]).max())
 
 
 def with_shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda part: None) -> HandAvatar:
@@ -78,7 +62,7 @@ def shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda part:
     views = list(_views(avatar))
     darkest = 0.0
     for number, (joints_m, camera) in enumerate(views, start=1):
-        darkest = max(darkest, whole_shadow(renderer, avatar, joints_m, camera).darkest)
+        darkest = max(darkest, _darkest(renderer, avatar, joints_m, camera))
         tick(number / len(views))
     return darkest
 

@@ -16,7 +16,6 @@ from PIL import Image, ImageDraw, ImageFont
 from jghand_engine.captures.captures import by_pose
 from jghand_engine.captures.sample import Sample
 from jghand_engine.color import to_bytes
-from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, write_png
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import palm_frames, poses_between
@@ -164,10 +163,8 @@ def hands_between(first: Sample, second: Sample, parts: np.ndarray) -> np.ndarra
 
 
 def pairs_of(samples: Sequence[Sample], count: int) -> list[tuple[Sample, Sample]]:
-    """Random pairs of different poses, at most `count`, no pose twice. InputError when there are not two poses."""
+    """Random pairs of different poses, at most `count`, no pose twice."""
     poses = list({sample.pose: sample for sample in samples}.values())
-    if len(poses) < 2:
-        raise InputError("poses to go between", wanted="at least two", came=str(len(poses)))
     order = np.random.default_rng(0).permutation(len(poses))
     return [(poses[a], poses[b]) for a, b in zip(order[:-1:2], order[1::2], strict=False)][:count]
 

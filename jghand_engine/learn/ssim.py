@@ -36,10 +36,9 @@ def ssim(rgb: Tensor, truth: Tensor) -> Tensor:
     """
     truth = truth.detach()
     _check_pictures(rgb, truth)
-    library = _library_for(rgb, truth)
-    if library is None:
-        return ssim_parts(rgb, truth)[0].mean()
-    return _NativeMeanSsim.apply(rgb, truth, library)  # type: ignore[no-any-return]
+    if all(t.dtype == torch.float32 and t.device.type == "cpu" and t.shape[2] == CHANNELS for t in (rgb, truth)):
+        return _NativeMeanSsim.apply(rgb, truth, load())  # type: ignore[no-any-return]
+    return ssim_parts(rgb, truth)[0].mean()
 
 
 def ssim_parts(rgb: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
@@ -81,11 +80,6 @@ def _check_pictures(rgb: Tensor, truth: Tensor) -> None:
 # ---- native ---------------------------------------------------------------------------------------------------------
 
 _kernels = threading.local()
-
-
-def _library_for(rgb: Tensor, truth: Tensor) -> Library | None:
-    native = all(t.dtype == torch.float32 and t.device.type == "cpu" and t.shape[2] == CHANNELS for t in (rgb, truth))
-    return load() if native else None
 
 
 def _kernel(library: Library) -> NativeSsim:

@@ -30,12 +30,12 @@ from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.skeleton import Skeleton, Transform
 from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
-from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen
+from jghand_engine.learn.cast_shadow import LampsSeen
 from jghand_engine.learn.detail import PIXEL_MAX_M, DetailLearner, Ratio
 from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.known_light import LitHand, Pose, trained_on
 from jghand_engine.learn.losses import l1_loss, mask_loss, offset_loss, ssim_loss, tone_loss
-from jghand_engine.learn.model import LearnedHand, LightPart
+from jghand_engine.learn.model import LearnedHand
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import LruCache, Pictures, View, tone
@@ -48,7 +48,6 @@ from jghand_engine.learn.shadow import darken, printed_visibility
 from jghand_engine.learn.skeleton import BoneTransforms, angle_ranges
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, map_weights, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
-from jghand_engine.learn.trainable import GAUSSIANS, LOSS
 from jghand_engine.native.library import load as load_native
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.camera import Camera
@@ -110,11 +109,15 @@ class _PosedBones:
 
 
 class HandTraining:
-    """A Trainable (`learn.trainable`): learns `material` as `options` say, with torch's part on `device`."""
+    """Learns `material` as `options` say, in numbered steps, with torch's part on `device`.
+
+    Nothing random goes from one step to the next: what a step does follows from `tensors`, `scalars`, its number and
+    the planned number of steps alone. That makes a resumed training bit-identical to an uninterrupted one, and a
+    failed step repeatable. The loop (`learn.run`), checkpoints and guard know no more of it than the methods up to
+    `avatar`.
+    """
 
     def __init__(self, material: Material, options: TrainOptions, device: torch.device = CPU) -> None:
-        if len({sample.handedness for sample in material.train}) != 1:
-            raise InputError("pictures to learn from", wanted="one hand, right or left", came="none or both")
         _check_joints(material)
         self.options, self._material, self._device = options, material, device
         self._handedness = material.train[0].handedness
@@ -150,7 +153,8 @@ class HandTraining:
         self._pictures = Pictures(known_light=model.known_light)
         self._relit = None
         if model.known_light:
-            self._relit = _lit_hand(material, self._cast, points.joints_m, model.left_out)
+            assert self._cast is not None
+            self._relit = LitHand(self._cast, points.joints_m, model.left_out)
         self._settings = RenderSettings()
         self._library = load_native("auto")
         self._octave = octave_of_wave(model.pose.octaves).to(device)
@@ -191,12 +195,16 @@ class HandTraining:
         )
         return DetailLearner(self._material.template, skeleton)
 
-    # ---- Trainable ---------------------------------------------------------------------------------------------------
+    # ---- what the loop calls ----------------------------------------------------------------------------------------
 
     def plan(self, steps: int) -> None:
+        """Says how many steps the whole training will have, for schedules. Under a time budget it is an estimate and
+        may change between two steps."""
         self._steps = max(steps, 1)
 
     def step(self, number: int) -> dict[str, float]:
+        """One step of optimization, counted from 0 over the whole training. Its figures: the `loss` that is minimized,
+        its terms, how many `gaussians` it drew. All chance in it follows from (seed, number)."""
         self._part = part = min(number / self._steps, 1.0)
         self._refine(part)
         self._find_detail(part)
@@ -222,10 +230,10 @@ class HandTraining:
                 self._texture_optimizer.step()
                 self._detail.keep_in_range()
         figures = {name: float(term.detach()) for name, term in terms.items()}
-        return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
+        return {"loss": float(loss.detach()), "gaussians": float(self._count), "gradient": float(norm), **figures}
 
     def tensors(self) -> dict[str, Tensor]:
-        """See Trainable: parameters under their names, Adam's moments behind `adam.`."""
+        """Every tensor of the state, not copied: parameters under their names, Adam's moments behind `adam.`."""
         named = {name: parameter.data for name, parameter in self.hand.named_parameters()}
         for name, parameter in self.hand.named_parameters():
             state = self._started(self._optimizer, parameter)
@@ -237,33 +245,36 @@ class HandTraining:
         return named
 
     def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Takes over values, which have the names, shapes and types of `tensors()`."""
         with torch.no_grad():
             for name, own in self.tensors().items():
                 own.copy_(tensors[name])
         self.hand.keep_in_range()
 
     def scalars(self) -> dict[str, Any]:
-        """See Trainable: how many Gaussians take part so far, and the part of the training that is over."""
+        """The rest of the state: how many Gaussians take part so far, and the part of the training that is over."""
         return {"count": self._count, "part": self._part}
 
     def load_scalars(self, scalars: Mapping[str, Any]) -> None:
         self._count, self._part = int(scalars["count"]), float(scalars.get("part", 1.0))
 
     def gradients(self) -> dict[str, Tensor]:
+        """Of the last step, by the name of their parameter, as the update used them."""
         return {name: parameter.grad for name, parameter in self.hand.named_parameters() if parameter.grad is not None}
 
     def preview(self) -> np.ndarray:
+        """(H, W, 3) sRGB 0..1: the first fixed view, the truth beside ours."""
         view, ours = self._drawn(self._material.judged[0])
         return torch.cat([view.rgb, ours], 1).numpy()
 
     def fixed_psnr(self) -> float:
-        """See Trainable: on the cuts of the fixed views."""
+        """Mean PSNR of the cuts of the fixed views, dB."""
         pairs = [self._drawn(sample) for sample in self._material.judged]
         errors = torch.stack([(view.rgb - ours).square().mean() for view, ours in pairs])
         return float(-10 * torch.log10(errors.clamp_min(1e-10)).mean())
 
     def avatar(self) -> HandAvatar:
-        """See Trainable: plain numbers, apart from what goes on learning; its angle ranges are those of the poses."""
+        """What has been learned so far, apart from what goes on learning; its angle ranges are those of the poses."""
         with torch.no_grad():
             info = replace(self._info, pose_statistics=angle_ranges(self._transform, self._joints_m()))
             avatar = self.hand.avatar(info, handedness=self._handedness).avatar()
@@ -353,7 +364,9 @@ class HandTraining:
                 terms["perceptual"].append(weights.perceptual * unlike.cpu())
         mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
         moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
-        mean["offset"] = weights.offset * offset_loss(moved_m, correction.offset_m, hand_size_m=self._hand_size_m())
+        wrist_m, middle_tip_m = self.hand.points.joints_m[[0, 18]]
+        size_m = float((middle_tip_m - wrist_m).norm())
+        mean["offset"] = weights.offset * offset_loss(moved_m, correction.offset_m, hand_size_m=size_m)
         mean["tone"] = weights.tone * tone_loss(correction.shade)
         if weights.roughness:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
@@ -449,11 +462,6 @@ class HandTraining:
         """(P, 21, 3) joints of all poses that are learned from."""
         return torch.from_numpy(np.stack([self._poses[name][0].joints_m for name in self._names]))
 
-    def _hand_size_m(self) -> float:
-        """Canonical wrist to the tip of the middle finger."""
-        joints_m = self.hand.points.joints_m
-        return float((joints_m[18] - joints_m[0]).norm())
-
     def _started(self, optimizer: torch.optim.Adam, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
         """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
         state = optimizer.state[parameter]
@@ -463,22 +471,14 @@ class HandTraining:
         return state
 
 
-def _with_detail(picture: Picture, camera: Camera, detail: Ratio | None) -> Tensor:
-    """(H, W, 3) the colors of a picture, multiplied by detail."""
-    return picture.rgb if detail is None else picture.rgb * detail(camera, picture.alpha, picture.depth_sum)
-
-
-def _lit_hand(material: Material, cast: CastTensors | None, joints_m: Tensor, left_out: LightPart | None) -> LitHand:
-    """InputError for pictures of unknown light, or a hand that learns no shadows of its fingers."""
-    trained_on([*material.train, *material.judged])
-    if cast is None:
-        raise InputError("hand in known light", wanted="shadows of its fingers to learn", came="none")
-    return LitHand(cast, joints_m, left_out)
-
-
 def _check_joints(material: Material) -> None:
     """One joint that is not known would make a whole step's gradients unknown."""
     for sample in (*material.train, *material.judged):
         if not np.isfinite(sample.joints_m).all():
             raise InputError(f"joints of {sample.image}", wanted="21 known joints", came="NaN or infinity",
                              remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip
+
+
+def _with_detail(picture: Picture, camera: Camera, detail: Ratio | None) -> Tensor:
+    """(H, W, 3) the colors of a picture, multiplied by detail."""
+    return picture.rgb if detail is None else picture.rgb * detail(camera, picture.alpha, picture.depth_sum)

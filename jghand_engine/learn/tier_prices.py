@@ -86,7 +86,7 @@ def held_out_measure(avatar: HandAvatar, capture: Capture, split: Split, limit: 
 def exact_tier_measure(exact: HandAvatar) -> Measure:
     """By the exact tier's own pictures of named poses and those between them."""
     subject = moving_subject(exact.info.name, exact, *SIZE_PX)
-    poses_m = measured_poses(subject)
+    poses_m = subject.poses[::POSE_STEP]
 
     def pictures(avatar: HandAvatar) -> list[np.ndarray]:
         renderer = HandRenderer(avatar, preset(PRESET))
@@ -104,11 +104,6 @@ def exact_tier_measure(exact: HandAvatar) -> Measure:
     on = f"{len(poses_m)} made-up poses against the exact tier, preset {PRESET}"
     of = f"lost of an avatar of {MODEL_PSNR_DB:g} dB"
     return Measure(f"{on}; {of}", known_poses(exact), subject, psnr_db, lost_of_a_model_db)
-
-
-def measured_poses(subject: Subject) -> np.ndarray:
-    """(P, 21, 3) of a motion."""
-    return subject.poses[::POSE_STEP]
 
 
 def known_poses(avatar: HandAvatar) -> Tensor:

@@ -11,6 +11,7 @@ output.json     digest of the finished avatar that this training wrote, and may 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -101,7 +102,10 @@ class WorkFolder:
         with locked(self.path / LOCK, work="training", remedy=remedy):
             # again: another may have trained here meanwhile
             check_folder(self.path, start)
-            self._remove_leftovers()
+            # temporary files of `files.writing`, of a kill in the middle of a save
+            left = ("checkpoints/.step_*.safetensors", f".{Path(MARK).stem}.*{Path(MARK).suffix}")
+            for path in itertools.chain.from_iterable(map(self.path.glob, left)):
+                path.unlink(missing_ok=True)
             if start is Start.FRESH:
                 self._clear()
             if start is not Start.RESUME:
@@ -115,11 +119,6 @@ class WorkFolder:
 
     def _write_mark(self, about: dict[str, Any]) -> None:
         write_json(self.path / MARK, {**about, "budget": asdict(self._budget)})
-
-    def _remove_leftovers(self) -> None:
-        self.checkpoints.remove_leftovers()
-        for path in self.path.glob(f".{Path(MARK).stem}.*{Path(MARK).suffix}"):
-            path.unlink(missing_ok=True)
 
     def _clear(self) -> None:
         """Removes what a training leaves and nothing else, but for output.json: the avatar stays its own."""

@@ -1,7 +1,6 @@
 """Motions in files: our own, and those of other programs, recognized by what stands in them.
 
-read         any motion file -> PoseSequence and sentences about it; what commands call
-recognize    which format a file, or a folder, is
+read         any motion file, whose format its content tells -> PoseSequence and sentences; what commands call
 content      what every reader takes and gives, and what is said of a damaged file
 choose       which hand of a file is meant; unit and joint order where a file does not say them
 clocks       rates, clocks of unknown units

@@ -34,7 +34,7 @@ _UNIT_NAMES = {"m": "meters", "cm": "centimeters", "mm": "millimeters"}
 
 def chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[HandTrack, list[str]]:
     """The hand that is wanted, and the notes so far. InputError where there is none, or more than one."""
-    tracks = [track for track in content.tracks if track.frames_seen]
+    tracks = [track for track in content.tracks if np.isfinite(track.joints).all(axis=-1).any()]
     if not tracks:
         came = "none" if not content.tracks else "hands that are in no frame"
         remedy = content.notes[-1] if content.notes and not content.tracks else ""

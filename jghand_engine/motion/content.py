@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.errors import InputError, MemoryLimitError, first_line
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
@@ -113,10 +113,6 @@ class HandTrack:
     labeled: bool = False
     notes: tuple[str, ...] = ()
     times: Sequence[float | None] = ()
-
-    @property
-    def frames_seen(self) -> int:
-        return int(np.isfinite(self.joints).all(axis=-1).any(axis=-1).sum())
 
 
 @dataclass(frozen=True)
@@ -249,15 +245,10 @@ def damage_as_input_error(file: Path) -> Iterator[None]:
     except NoMotionError as error:
         raise InputError(f"motion file {file}: {error}") from error
     except _DAMAGE as error:
-        raise InputError(f"motion file {file}", wanted="an undamaged file", came=_one_line(error)) from error
-
-
-def _one_line(error: BaseException) -> str:
-    """The first line of an error; Python's name for it only where its text alone says nothing."""
-    text = str(error).strip().splitlines()
-    if not text:
-        return type(error).__name__
-    return text[0][:200] if isinstance(error, ValueError) else f"{type(error).__name__}: {text[0][:200]}"
+        # Python's name for it only where its text alone says nothing
+        is_clear = isinstance(error, ValueError) or not str(error).strip()
+        came = first_line(error) if is_clear else f"{type(error).__name__}: {first_line(error)}"
+        raise InputError(f"motion file {file}", wanted="an undamaged file", came=came) from error
 
 
 def check_size(file: Path, *, text: bool) -> None:

@@ -14,12 +14,38 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
 from jghand_engine.hand.sequence import FRAME_EPS, PoseSequence
+from jghand_engine.motion import bvh, files, freemocap, interhand, mediapipe, openpose, tables, usd, webxr
 from jghand_engine.motion.choose import chosen, recognized_order, recognized_unit, warned
 from jghand_engine.motion.clocks import DEFAULT_FPS, clock_s, even_frames, is_one_motion
-from jghand_engine.motion.content import HandTrack, MotionContent, MotionFormat, check_size, damage_as_input_error
-from jghand_engine.motion.recognize import READERS, recognized
+from jghand_engine.motion.content import (
+    HandTrack,
+    MotionContent,
+    MotionFormat,
+    NoMotionError,
+    Reader,
+    Source,
+    check_size,
+    damage_as_input_error,
+    json_content,
+)
 from jghand_engine.motion.tools import retimed, with_hand_length
 
+# bytes from which the format of a file is recognized
+RECOGNIZE_BYTES = 1 << 16
+# the first that recognizes a file reads it: those that know a name or a mark come before those that take what is left
+READERS = (
+    *(openpose.READER, freemocap.READER, usd.READER, files.ARRAY, files.ARCHIVE, bvh.READER),
+    *(files.OBJECT, webxr.RECORDING, interhand.READER, mediapipe.READER, files.LISTS, webxr.READER, tables.READER),
+)
+_SKELETONS = "export BVH or USD from a program that reads it, such as Blender"
+# how files begin that are not read, and what to do
+_NOT_READ = {
+    b"Kaydara FBX Binary": f"FBX is not read: {_SKELETONS}",
+    b"; FBX": f"FBX is not read: {_SKELETONS}",
+    b"glTF": f"glTF is not read: {_SKELETONS}",
+    b"#VRML": f"VRML is not read: {_SKELETONS}",
+    b"BLENDER": "a .blend file is not read: export BVH or USD from it",
+}
 # what files of motions are called; what they are their content says
 _SUFFIXES = {suffix for reader in READERS for suffix in reader.suffixes}
 
@@ -85,13 +111,46 @@ def read_content(file: Path, wanted: MotionFormat) -> MotionContent:
     with damage_as_input_error(file):
         if file.is_file():
             check_size(file, text=False)
-        reader, source = recognized(file)
+        reader, source = _recognized(file)
         content = reader.read(source, wanted)
     suffix = file.suffix.lower()
     if file.is_file() and suffix in _SUFFIXES and suffix not in reader.suffixes:
         note = f"It is called {suffix}, but by its content it is {content.kind}."
         content = replace(content, notes=(note, *content.notes))
     return content
+
+
+def _recognized(path: Path) -> tuple[Reader, Source]:
+    """What reads a file or a folder, and what it reads. OSError; NoMotionError says what else it is, or that nobody
+    knows."""
+    source = _source(path)
+    reader = next((reader for reader in READERS if reader.recognizes(source)), None)
+    if reader is not None:
+        return reader, source
+    if path.is_dir():
+        raise NoMotionError(
+            "a folder with neither frames of OpenPose nor hands of FreeMoCap; pictures to learn from are no motion"
+        )
+    if isinstance(source.document, dict) and "asset" in source.document:
+        raise NoMotionError(_NOT_READ[b"glTF"])
+    if source.document is not None:
+        raise NoMotionError("JSON in which JGHand finds no frames of hands")
+    raise NoMotionError("its beginning is that of no motion file that JGHand knows; hands in a video are tracked")
+
+
+def _source(path: Path) -> Source:
+    if path.is_dir():
+        return Source(path)
+    with open(path, "rb") as stream:
+        head = stream.read(RECOGNIZE_BYTES)
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if not text:
+        raise NoMotionError("it is empty")
+    for mark, advice in _NOT_READ.items():
+        if head.startswith(mark):
+            raise NoMotionError(advice)
+    is_json = text[:1] in (b"{", b"[")
+    return Source(path, text, json_content(path) if is_json else None)
 
 
 def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrder, list[str]]:

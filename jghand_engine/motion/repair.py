@@ -35,8 +35,8 @@ class FilledMotion:
         longest_s = self.gaps.longest / self.sequence.fps
         text = (
             f"{self.gaps.sentence()}: they were filled by turning the bones evenly from what was seen before to what "
+            "was seen after."
         )
-        text += "was seen after."
         if longest_s > GAP_LONG_S:
             text += f" The longest gap has {longest_s:.1f} s: what the hand did there is not known."
         return text
@@ -66,7 +66,12 @@ def fill_gaps(sequence: PoseSequence) -> FilledMotion:
         # where the palm was seen too its turning is known; else the bone is taken as it is
         known = np.flatnonzero(seen & has_palm if (seen & has_palm).any() else seen)
         if not len(known):
-            raise _never_seen(sequence, LEVEL_NAMES[joint])
+            raise InputError(
+                "motion",
+                wanted="every bone in at least one frame",
+                came=f"none that shows the bone to {LEVEL_NAMES[joint]}",
+                remedy=f"In {len(sequence.gaps.frames)} of {len(sequence)} frames joints are missing.",
+            )
         bones = sequence.joints_m[known, joint] - sequence.joints_m[known, parent]
         inside = np.einsum("fji,fj->fi", palms[known], bones)
         joints[lost, joint] = joints[lost, parent] + np.einsum(
@@ -173,12 +178,3 @@ def _neighbors(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.nd
     after = known[place]
     way = np.where(after > before, after - before, 1)
     return before, after, np.clip((wanted - before) / way, 0.0, 1.0)
-
-
-def _never_seen(sequence: PoseSequence, name: str) -> InputError:
-    return InputError(
-        "motion",
-        wanted="every bone in at least one frame",
-        came=f"none that shows the bone to {name}",
-        remedy=f"In {len(sequence.gaps.frames)} of {len(sequence)} frames joints are missing.",
-    )

@@ -98,7 +98,10 @@ def picture_findings(pictures: FilmPictures, start: Start, zones: Zones, colors:
     """Of the pictures that are kept: size, camera, views, light, and what is behind the hand."""
     moved = camera_moved(pictures, zones.away)
     findings = [_size(pictures, start), _moving(pictures, moved), *_views(start), _ruler(start)]
-    findings += [_burnt(pictures, zones), _dark(pictures, zones), _wall(colors), _sleeve(pictures, zones, colors)]
+    findings += [_burnt(pictures, zones), _dark(pictures, zones)]
+    if colors.overlap > OVERLAP_MAX:
+        findings.append(Finding("skin and background", "The wall has the color of the skin. Take another one."))
+    findings.append(_sleeve(pictures, zones, colors))
     if pictures.is_film:
         findings.append(_brightness(pictures, zones.away & ~moved[:, None, None]))
     return [finding for finding in findings if finding is not None]
@@ -204,12 +207,6 @@ def _brightness(pictures: FilmPictures, away: np.ndarray) -> Finding | None:
         return None
     return Finding("exposure", f"The brightness changes while filming, most{_where(pictures, int(np.argmax(steps)))}. "
                    "Lock exposure and focus.", refuses=True)  # fmt: skip
-
-
-def _wall(colors: FilmColors) -> Finding | None:
-    if colors.overlap <= OVERLAP_MAX:
-        return None
-    return Finding("skin and background", "The wall has the color of the skin. Take another one.")
 
 
 def _sleeve(pictures: FilmPictures, zones: Zones, colors: FilmColors) -> Finding | None:

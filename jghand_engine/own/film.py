@@ -20,7 +20,7 @@ from jghand_engine.files import writing
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.track.detection import HandDetector, SeenHand
 from jghand_engine.track.poses import Poses
-from jghand_engine.track.track import CAMERA_ANGLES_DEG, Sightings, detect
+from jghand_engine.track.track import CAMERA_ANGLES_DEG, Sightings
 from jghand_engine.track.video import TRACK_EDGE_PX, Video, open_video, read_frames
 
 PHOTOGRAPH_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
@@ -158,23 +158,6 @@ def smaller(rgb8: np.ndarray, edge_px: int) -> np.ndarray:
 # ---- how sharp -------------------------------------------------------------------------------------------------------
 
 
-class _SharpnessToo:
-    """A detector of hands that also notes how sharp each picture is about the hands in it; it is a `HandDetector`.
-
-    sharpness: of each picture; NaN without a hand
-    """
-
-    def __init__(self, detector: HandDetector) -> None:
-        self._detector = detector
-        self.sharpness: list[float] = []
-
-    def detect(self, rgb8: np.ndarray, time_s: float) -> list[SeenHand]:
-        """As the detector."""
-        found = self._detector.detect(rgb8, time_s)
-        self.sharpness.append(max((_sharpness(rgb8, hand) for hand in found), default=math.nan))
-        return found
-
-
 def _sharpness(rgb8: np.ndarray, hand: SeenHand) -> float:
     """Variance of the Laplacian of the gray picture where the hand is."""
     height, width = rgb8.shape[:2]
@@ -208,9 +191,13 @@ def look(
 ) -> Looked:
     """Looks for hands in all pictures; tick is told how many were looked at, `notes` gets what is wrong with it. most:
     as of `Source.read`"""
-    watcher = _SharpnessToo(detector)
-    sightings = detect(source.read(notes, most=most), source.fps, watcher, tick)
-    return Looked(sightings, np.array(watcher.sharpness), source.is_film)
+    seen, sharpness = Sightings(source.fps, source.size_px), []
+    for number, picture in enumerate(source.read(notes, most=most)):
+        hands = detector.detect(picture, number / source.fps)
+        seen.frames.append(hands)
+        sharpness.append(max((_sharpness(picture, hand) for hand in hands), default=math.nan))
+        tick(number + 1)
+    return Looked(seen, np.array(sharpness), source.is_film)
 
 
 def blurred(sharpness: np.ndarray) -> np.ndarray:

@@ -54,11 +54,6 @@ def view_of(camera: Camera, low_px: np.ndarray, high_px: np.ndarray, factor: int
     return View(part.scaled(1 / factor), int(left), int(top), int(width), int(height))
 
 
-def reduction(joints_px: np.ndarray) -> int:
-    """How many times smaller the pictures of joints (F, 21, 2) become."""
-    return max(1, round(float(np.median(hand_size_px(joints_px))) / FIT_HAND_PX))
-
-
 def hand_side(camera: Camera, joints_m: np.ndarray) -> Tensor:
     """(h, w) how much of each pixel lies on the hand's side of the wrist, 0..1. joints_m: (21, 3) camera axes"""
     normal, limit = (line[0] for line in wrist_lines(camera.project(joints_m)[0][None]))
@@ -85,7 +80,9 @@ class Sight:
 def sights(rgb_u8: np.ndarray, masks: np.ndarray, joints_m: np.ndarray, camera: Camera) -> list[Sight]:
     """Of pictures (F, H, W, 3) and masks (F, H, W), for joints (F, 21, 3) in camera axes. camera: of a whole picture"""
     joints_px = camera.project(joints_m)[0]
-    factor, margin = reduction(joints_px), MARGIN_PART * hand_size_px(joints_px)
+    size_px = hand_size_px(joints_px)
+    # how many times smaller the pictures become
+    factor, margin = max(1, round(float(np.median(size_px)) / FIT_HAND_PX)), MARGIN_PART * size_px
     masks = masks & wrist_side(joints_px, camera.width, camera.height)
     seen = []
     for row, (rgb, mask) in enumerate(zip(rgb_u8, masks, strict=True)):

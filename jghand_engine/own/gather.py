@@ -21,7 +21,6 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.color import srgb_to_linear
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.light import unit
@@ -168,16 +167,12 @@ def trusted(joints_m: np.ndarray) -> np.ndarray:
 def _shown(
     avatar: HandAvatar, joints_m: np.ndarray, camera: Camera, pictures: np.ndarray, masks: np.ndarray
 ) -> Iterator[Shown]:
-    count, size = len(joints_m), (camera.height, camera.width)
-    if pictures.shape != (count, *size, 3) or masks.shape != (count, *size):
-        raise InputError("pictures", wanted=f"{count} of {size[1]} x {size[0]} with masks", came=str(pictures.shape))
     hand = HandTensors.of(avatar.for_hand(Handedness.RIGHT))
     info, learned = avatar.info, hand.learned
     transform = JointTransform(
         avatar.canonical_joints_m, handedness=Handedness.RIGHT, swing=info.swing, scale_mode=info.scale_mode
     )
-    if learned is None:
-        raise InputError(f"avatar {info.name}", wanted="one that was learned, with normals", came="a painted one")
+    assert learned is not None
     turned = np.diag([*MOTION_FROM_CAMERA, 1.0])
     every_px, _ = camera.project(joints_m)
     # the skin behind the wrist is the forearm's, whose place no joint says

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,9 +24,8 @@ from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.own.chain import Chain, chain_of, rotation
-from jghand_engine.own.fit_colors import SkinColors
-from jghand_engine.own.fit_pictures import FitPictures
-from jghand_engine.own.fit_surface import FIT_GAUSSIANS, FitSurface, outline_factor
+from jghand_engine.own.fit_colors import SkinColors, skin_colors
+from jghand_engine.own.fit_surface import FIT_GAUSSIANS, FitSurface, Kept, outline_factor
 from jghand_engine.own.fit_terms import (
     Evidence,
     anatomy_terms,
@@ -37,7 +36,7 @@ from jghand_engine.own.fit_terms import (
     landmark_term,
     smooth_term,
 )
-from jghand_engine.own.fit_views import sights
+from jghand_engine.own.fit_views import Sight, sights
 from jghand_engine.own.shape import SHAPE_COUNT, in_shape
 from jghand_engine.own.start import PACKED, Start, packed, unpacked
 from jghand_engine.render.camera import Camera
@@ -287,13 +286,8 @@ class HandFit:
                 adam.zero_grad()
                 cost(pictures, self.joints(pictures)).backward()
                 adam.step()
-                self._hold_sides()
-
-    @torch.no_grad()
-    def _hold_sides(self) -> None:
-        turn = self.unknowns.turn_rad
-        length = turn.norm(dim=-1, keepdim=True)
-        turn.mul_(TURN_MAX_RAD / length.clamp_min(TURN_MAX_RAD))
+                turn = self.unknowns.turn_rad.detach()
+                turn.mul_(TURN_MAX_RAD / turn.norm(dim=-1, keepdim=True).clamp_min(TURN_MAX_RAD))
 
     @torch.no_grad()
     def _shown(
@@ -324,3 +318,46 @@ class HandFit:
         joints = self.joints(everything).double().numpy()
         shape = now.shape.double().numpy()
         return FittedHand(self.start.camera, poses, joints, own, shape, self.outline_residual)
+
+
+# ---- a hand before pictures -----------------------------------------------------------------------------------------
+
+# where a hand covers more than this its color is compared; color is divided by no less than the second
+COVERED_MIN, COVERED_FLOOR = 0.7, 0.3
+
+
+@dataclass(frozen=True)
+class FitPictures:
+    """A hand before the pictures, with all that changes slowly as the fit goes on.
+
+    factor: of the radii, see fit_surface.outline_factor
+    """
+
+    surface: FitSurface
+    pictures: Sequence[Sight]
+    kept: Kept
+    factor: float
+
+    def colors(self, joints_m: Tensor, shape: Tensor) -> SkinColors:
+        """What the pictures give to the skin as joints (F, 21, 3) and shape (SHAPE_COUNT,) stand."""
+        with torch.no_grad():
+            posed = self.surface.posed(joints_m, shape, self.kept)
+        return skin_colors(self.surface, posed, self.kept, self.pictures, self.factor)
+
+    def errors(self, pictures: Tensor, joints_m: Tensor, shape: Tensor, colors: SkinColors | None = None) -> Tensor:
+        """(B, 2) of some pictures: squared errors of the outline, and absolute ones of the color, part of the hand's
+        area. joints_m: (B, 21, 3) of those. Without colors the second is 0."""
+        kept = self.kept.of(pictures)
+        posed = self.surface.posed(joints_m, shape, kept)
+        errors = []
+        for row, picture in enumerate(pictures.tolist()):
+            sight = self.pictures[picture]
+            rgb = self.surface.hand.rgb if colors is None else colors.of(posed.normal[row], kept.shade[row])
+            drawn = self.surface.draw(posed, row, sight.view.camera, rgb.to(joints_m), self.factor)
+            area = (sight.side * sight.mask).sum().clamp_min(1)
+            outline = (sight.side * (drawn.alpha - sight.mask) ** 2).sum() / area
+            covered = sight.side * sight.mask * (drawn.alpha.detach() > COVERED_MIN)
+            shown = drawn.rgb / drawn.alpha.clamp_min(COVERED_FLOOR)[..., None]
+            color = (covered * (shown - sight.rgb).abs().sum(-1)).sum() / area
+            errors.append(torch.stack([outline, torch.zeros_like(color) if colors is None else color]))
+        return torch.stack(errors)

@@ -26,7 +26,6 @@ from jghand_engine.avatar.cast_task import FLESH_SOFTNESS, LAMP_HALF_WIDTH
 from jghand_engine.avatar.learned import lamp_directions
 from jghand_engine.avatar.relighting import thrown_back
 from jghand_engine.avatar.scene_light import CELLS, SceneLight, World
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.cast_shadow import CastTensors
 from jghand_engine.learn.scene_light import (
@@ -122,11 +121,8 @@ class LitFilm:
 
     def __init__(self, avatar: HandAvatar, observed: Observations) -> None:
         learned = avatar.learned
-        if learned is None or learned.response is None or learned.cast is None:
-            raise InputError(
-                f"avatar {avatar.info.name}", wanted="one that learned in known light", came="another",
-                remedy="Begin with the built-in hand.",
-            )  # fmt: skip
+        assert learned is not None
+        assert learned.response is not None
         hand = HandTensors.of(avatar)
         assert hand.learned is not None
         assert hand.learned.cast is not None
@@ -292,11 +288,14 @@ def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin) -> Own
         trained_on={},
         film_light=cells.astype(np.float32),
     )
+    sizes_m = [float(-one.position_m[:, 2].mean()) / one.camera.fx for one in observed.shown]
+    # two fifths of the pictures have finer pixels
+    pixel_m = float(np.quantile(sizes_m, 0.4))
     info = replace(
         avatar.info,
         name=f"Hand of {origin.name}",
         license=f"{avatar.info.license}; skin: the user's own",
-        learned_from=LearnedFrom(origin.name, "film", len(observed), origin.digest, _pixel_m(observed)),
+        learned_from=LearnedFrom(origin.name, "film", len(observed), origin.digest, pixel_m),
     )
     own = replace(
         avatar.for_hand(origin.handedness),
@@ -307,12 +306,6 @@ def skin_from(observed: Observations, avatar: HandAvatar, origin: Origin) -> Own
         detail=None,
     )
     return OwnHand(own, seen, found.world)
-
-
-def _pixel_m(observed: Observations) -> float:
-    """Two fifths of the pictures have finer ones."""
-    sizes = [float(-one.position_m[:, 2].mean()) / one.camera.fx for one in observed.shown]
-    return float(np.quantile(sizes, 0.4))
 
 
 @torch.no_grad()

@@ -12,7 +12,6 @@ sheet.png     film and avatar side by side, new poses, what was seen · report.j
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -25,11 +24,11 @@ from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.errors import InputError
-from jghand_engine.files import file_error, make_folder, writing
+from jghand_engine.files import make_folder, remove_file, writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import hand_length
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.json_files import read_small_json
+from jghand_engine.json_files import read_small_json, write_json
 from jghand_engine.lock import locked
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.own.chain import chain_of
@@ -220,7 +219,7 @@ def _begun(
     begun.track.save(work / TRACK)
     begun.pictures.save(work / PICTURES)
     begun.start.save(work / START)
-    _write_json(work / CHECKS, {"findings": [asdict(finding) for finding in begun.findings]})
+    write_json(work / CHECKS, {"findings": [asdict(finding) for finding in begun.findings]})
     return begun
 
 
@@ -331,16 +330,9 @@ def work_folder(path: Path, paths: Sequence[Path], options: OwnOptions, *, resum
         if not resume:
             # the mark last: a folder that was being emptied when the run was stopped is still one of ours
             for name in reversed(_FILES):
-                _forget(path / name)
-            _write_json(path / MARK, stamp)
+                remove_file(path / name)
+            write_json(path / MARK, stamp)
         yield
-
-
-def _forget(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise file_error(path, error) from error
 
 
 def _stamp(paths: Sequence[Path], options: OwnOptions) -> dict[str, Any]:
@@ -353,8 +345,3 @@ def _stamp(paths: Sequence[Path], options: OwnOptions) -> dict[str, Any]:
         except OSError as error:
             raise InputError(f"cannot read {path}", came=str(error.strerror or error)) from error
     return {"jghand_own": __version__, "files": digests, "options": asdict(options)}
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with writing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

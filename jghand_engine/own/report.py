@@ -14,7 +14,7 @@ from jghand_engine.avatar.learned import no_light
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.color import displayed
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, write_png
-from jghand_engine.files import writing
+from jghand_engine.files import write_file
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.metrics import compare
@@ -132,8 +132,7 @@ def write_report(
         "each": each,
     }
     write_png(folder / "sheet.png", sheet(own, film, held))
-    with writing(folder / "report.json") as temporary:
-        temporary.write_text(json.dumps(report, indent=1), encoding="utf-8")
+    write_file(folder / "report.json", json.dumps(report, indent=1))
     return report
 
 

@@ -21,19 +21,16 @@ from jghand_engine.avatar.light_records import lamps_of, light_of, turn_of
 from jghand_engine.avatar.scene_light import Baked, SceneLight, Shades, World
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, from_level, to_level
-from jghand_engine.hand.sequence import HandPose
+from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.json_files import JsonObject
 from jghand_engine.native.machine import return_free_memory
 from jghand_engine.render import budget
-from jghand_engine.render.blur import Moment, middle
-from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.render.blur import middle
 from jghand_engine.render.renderer import SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
 from jghand_engine.service.commands import AvatarError, Canceled, LoadedAvatar, RenderedImage, never
 from jghand_engine.service.image_request import (
-    Exposure,
     ImageRequest,
     ImageSettings,
     RequestedHand,
@@ -128,8 +125,6 @@ class HandImages:
     def render(self, request: ImageRequest, canceled: Callable[[], bool] = never) -> RenderedImage:
         """All hands in one image: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
-        moments = [_moment(exposure, request) for exposure in request.exposures]
-        weights = [exposure.weight for exposure in request.exposures]
         light = None if request.light is None else self._on_hands(self._light(request.light), request)
         renderer = self._renderer(request, light)
 
@@ -137,8 +132,8 @@ class HandImages:
             if canceled():
                 raise Canceled
 
-        frame = renderer.render_moments(moments, weights, check_canceled=check)
-        ids = renderer.bone_ids(middle(moments).camera) if request.ids else None
+        frame = renderer.render_moments(request.moments, request.weights, check_canceled=check)
+        ids = renderer.bone_ids(middle(request.moments).camera) if request.ids else None
         report = frame.report.as_dict()
         return RenderedImage(frame.rgba, report, frame.depth_m, ids, frame.covered_depth_m, frame.linear)
 
@@ -320,20 +315,3 @@ def _measured_size(pixels: int) -> tuple[int, int]:
     widths = BUDGET_WIDTHS_PX
     sizes = [(width, round(width / BUDGET_ASPECT)) for width in widths]
     return next((size for size in sizes if size[0] * size[1] >= pixels), sizes[-1])
-
-
-def _moment(exposure: Exposure, request: ImageRequest) -> Moment:
-    camera = Camera(
-        request.width,
-        request.height,
-        exposure.fx,
-        exposure.fy,
-        exposure.cx,
-        exposure.cy,
-        exposure.camera_from_world,
-        Lens(exposure.aperture_m, exposure.focus_m) if exposure.aperture_m > 0 else None,
-        orthographic=request.orthographic,
-    )
-    joints_m = to_level(exposure.joints_world_m, JointOrder.STANDARD)
-    forearms = [None] * len(joints_m) if exposure.forearms is None else exposure.forearms
-    return Moment(list(map(HandPose, joints_m, forearms)), camera)

@@ -5,7 +5,7 @@ the palm of a hand that points up (as captures have it). A hand's own space lies
 `world_from_hand`, a camera by `camera_from_world`; everything is float64 or float32 on the wire and float64 here, so
 that a hand far from the origin loses nothing. Joints are in the standard order. Source: BLENDER 3.2.
 
-An image of more than one moment (motion blur) carries each as one exposure, in the order of time.
+An image of more than one moment (motion blur) carries each, in the order of time.
 """
 
 from __future__ import annotations
@@ -16,8 +16,12 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.hand.orders import JointOrder, to_level
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.hand.wrist import unit_turns
 from jghand_engine.native import contract
+from jghand_engine.render.blur import Moment
+from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
 
 # hands in one image; each costs as much as the first
@@ -68,18 +72,10 @@ class ImageSettings:
         return cls(**value)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and 0 < len(value) <= SETTING_TEXT_MAX
-
-
 _CHECKS = {
-    "preset": (_is_text, "the name of a preset"),
+    "preset": (lambda v: isinstance(v, str) and 0 < len(v) <= SETTING_TEXT_MAX, "the name of a preset"),
     "budget_ms": (
-        lambda v: v is None or (_is_number(v) and 0 < v <= BUDGET_MAX_MS),
+        lambda v: v is None or (type(v) in (int, float) and 0 < v <= BUDGET_MAX_MS),
         f"null, or milliseconds above 0, at most {BUDGET_MAX_MS:g}",
     ),
 }
@@ -92,38 +88,6 @@ class RequestedHand:
     avatar: str
     handedness: str
     forearm: bool = True
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """One moment of an image.
-
-    fx, fy, cx, cy:      pixels (orthographic: fx and fy are pixels per meter)
-    camera_from_world:   (4, 4) rigid, meters, OpenCV axes
-    joints_m:            (n, 21, 3) in each hand's own space
-    world_from_hand:     (n, 4, 4) rigid, meters
-    forearms:            (n, 4) quaternions, see `HandPose`; None: all as their palms carry them
-    aperture_m, focus_m: of a thin lens, aperture 0 for a pinhole
-    weight:              of this moment in the mean of all
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    camera_from_world: np.ndarray
-    joints_m: np.ndarray
-    world_from_hand: np.ndarray
-    forearms: np.ndarray | None = None
-    aperture_m: float = 0.0
-    focus_m: float = 1.0
-    weight: float = 1.0
-
-    @property
-    def joints_world_m(self) -> np.ndarray:
-        """(n, 21, 3) float64 in the world, meters."""
-        turn, offset_m = self.world_from_hand[:, :3, :3], self.world_from_hand[:, None, :3, 3]
-        return np.einsum("nab,njb->nja", turn, self.joints_m) + offset_m
 
 
 @dataclass(frozen=True)
@@ -155,7 +119,9 @@ class ImageRequest:
 
     width, height: pixels
     hands:         none for an empty image
-    exposures:     at least one, in the order of time; the middle one, or the one before, is the image's moment
+    moments:       at least one, in the order of time; the middle one, or the one before, is the image's moment. Joints
+                   in the world, cameras of that size
+    weights:       of each moment in the mean of all
     depth, ids:    whether these maps are wanted
     light:         of the scene, in which colors are scene-linear; None for the light of the captures
     """
@@ -163,9 +129,9 @@ class ImageRequest:
     width: int
     height: int
     hands: tuple[RequestedHand, ...]
-    exposures: tuple[Exposure, ...]
+    moments: tuple[Moment, ...]
+    weights: tuple[float, ...]
     settings: ImageSettings = field(default_factory=ImageSettings)
-    orthographic: bool = False
     depth: bool = False
     ids: bool = False
     light: RequestedLight | None = None
@@ -184,20 +150,18 @@ def read_request(message: Message) -> tuple[ImageRequest, list[str]]:
     if type(orthographic) is not bool:
         raise InputError("orthographic", wanted="true or false", came=repr(orthographic)[:80])
     hands = _hands(header)
-    request = ImageRequest(
+    moments, weights = _moments(message, len(hands), (width, height), orthographic=orthographic)
+    return ImageRequest(
         width,
         height,
         hands,
-        _exposures(message, len(hands)),
+        moments,
+        weights,
         ImageSettings.parse(header.get("settings", {})),
-        orthographic,
         depth="depth" in outputs or "depth_covered" in outputs,
         ids="ids" in outputs,
         light=_light(message, len(hands)),
-    )
-    if orthographic and any(exposure.aperture_m > 0 for exposure in request.exposures):
-        raise InputError("lenses", wanted="an aperture of 0 for an orthographic camera", came="an open lens")
-    return request, outputs
+    ), outputs
 
 
 def text_of(header: dict[str, Any], name: str) -> str:
@@ -242,10 +206,12 @@ def _hands(header: dict[str, Any]) -> tuple[RequestedHand, ...]:
     )
 
 
-def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
-    """Every moment: arrays pinholes (m, 4), lenses (m, 2; left out: pinholes), weights (m; left out: all alike),
-    camera_from_world (m, 4, 4), and where there are hands joints (m, n, 21, 3), world_from_hand (m, n, 4, 4) and
-    forearms (m, n, 4; left out: as palms carry them)."""
+def _moments(
+    message: Message, hands: int, size_px: tuple[int, int], *, orthographic: bool
+) -> tuple[tuple[Moment, ...], tuple[float, ...]]:
+    """Every moment and its weight: arrays pinholes (m, 4), lenses (m, 2; left out: pinholes), weights (m; left out:
+    all alike), camera_from_world (m, 4, 4), and where there are hands joints (m, n, 21, 3), world_from_hand
+    (m, n, 4, 4) and forearms (m, n, 4; left out: as palms carry them)."""
     came = message.arrays.get("pinholes")
     count = came.shape[0] if came is not None else 0
     if not 1 <= count <= EXPOSURES_MAX:
@@ -260,32 +226,30 @@ def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
         if not (lenses[:, 0] >= 0).all() or not (lenses[:, 1] > contract.Z_NEAR_M).all():
             wanted = f"an aperture of 0 or more and a focus beyond {contract.Z_NEAR_M:g}, meters"
             raise InputError("array lenses", wanted=wanted, came=str(lenses.tolist())[:80])
+        if orthographic and lenses[:, 0].any():
+            raise InputError("lenses", wanted="an aperture of 0 for an orthographic camera", came="an open lens")
     weights = np.ones(count)
     if "weights" in message.arrays:
         weights = _numbers(message, "weights", (count,))
         if not (weights >= 0).all() or not weights.sum() > 0:
             raise InputError("array weights", wanted="0 or more, not all 0", came=str(weights.tolist())[:80])
-    cameras = _rigid(message, "camera_from_world", (count, 4, 4))
+    cameras_from_world = _rigid(message, "camera_from_world", (count, 4, 4))
     joints, places = np.zeros((count, 0, JOINTS, 3)), np.zeros((count, 0, 4, 4))
     if hands:
         joints = _numbers(message, "joints", (count, hands, JOINTS, 3))
         places = _rigid(message, "world_from_hand", (count, hands, 4, 4))
-    forearms = [None] * count
+    turns, offsets_m = places[..., :3, :3], places[..., None, :3, 3]
+    joints_m = to_level(np.einsum("mnab,mnjb->mnja", turns, joints) + offsets_m, JointOrder.STANDARD)
+    forearms = [[None] * hands] * count
     if "forearms" in message.arrays:
         forearms = unit_turns(_numbers(message, "forearms", (count, hands, 4)))
-    return tuple(
-        Exposure(
-            *map(float, pinholes[i]),
-            camera_from_world=cameras[i],
-            joints_m=joints[i],
-            world_from_hand=places[i],
-            forearms=forearms[i],
-            aperture_m=float(lenses[i, 0]),
-            focus_m=float(lenses[i, 1]),
-            weight=float(weights[i]),
-        )
-        for i in range(count)
-    )
+    moments = []
+    for k in range(count):
+        lens = Lens(*lenses[k].tolist()) if lenses[k, 0] > 0 else None
+        fx, fy, cx, cy = pinholes[k].tolist()
+        camera = Camera(*size_px, fx, fy, cx, cy, cameras_from_world[k], lens, orthographic)
+        moments.append(Moment(list(map(HandPose, joints_m[k], forearms[k])), camera))
+    return tuple(moments), tuple(weights.tolist())
 
 
 def _rigid(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:

@@ -14,10 +14,10 @@ from jghand_engine.avatar.relighting import in_studio
 from jghand_engine.color import decibels
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
-from jghand_engine.learn.reference import Picture, rasterize_reference
+from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import shade
 from jghand_engine.learn.skinning import pose_gaussians
-from jghand_engine.render.effect_plan import EffectPlan
+from jghand_engine.learn.tensors import mapped
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.shadow import ShadowStyle
@@ -70,24 +70,16 @@ class ExactPictures64:
     def _exact(self, pose_m: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             gaussians, camera = self._posed(pose_m), self._subject.camera
-            picture = rasterize_reference(_double(gaussians), camera, alpha_min=ALPHA_MIN)
+            picture = rasterize_reference(mapped(gaussians, Tensor.double), camera, alpha_min=ALPHA_MIN)
             plain, detailed = (one.render(pose_m, camera) for one in (self._plain, self._renderer))
             by_detail = (detailed.rgba - plain.rgba)[..., :3].astype(np.float64)
-            return self._shaded(picture, detailed.report.plan).numpy() + by_detail
-
-    def _shaded(self, picture: Picture, plan: EffectPlan | None) -> Tensor:
-        style = self._style(plan)
-        if style is None:
-            return picture.rgb
-        return shade(picture.rgb, picture.alpha, picture.depth_sum, self._subject.camera, style)
-
-    def _style(self, plan: EffectPlan | None) -> ShadowStyle | None:
-        learned = self._subject.avatar.learned
-        look = ShadowLook() if learned is None else learned.shadow
-        if plan is None or plan.strength == 0 or look is None:
-            return None
-        samples = PRESETS["reference"].shadow_samples
-        return ShadowStyle(samples, plan.strength, gain=look.gain, tint=look.tint)
+            rgb, plan, learned = picture.rgb, detailed.report.plan, self._subject.avatar.learned
+            look = ShadowLook() if learned is None else learned.shadow
+            if plan is not None and plan.strength > 0 and look is not None:
+                samples = PRESETS["reference"].shadow_samples
+                style = ShadowStyle(samples, plan.strength, gain=look.gain, tint=look.tint)
+                rgb = shade(rgb, picture.alpha, picture.depth_sum, camera, style)
+            return rgb.numpy() + by_detail
 
 
 def spread_poses(subject: Subject, count: int) -> np.ndarray:
@@ -99,8 +91,3 @@ def pose_count(size_px: Sequence[int]) -> int:
     """How many poses of pictures of this size are drawn in double precision, which takes seconds each."""
     pixels = size_px[0] * size_px[1]
     return max(2, min(POSES, round(PIXELS / pixels)))
-
-
-def _double(gaussians: Gaussians) -> Gaussians:
-    tensors = {name: value for name, value in vars(gaussians).items() if isinstance(value, Tensor)}
-    return replace(gaussians, **{name: tensor.double() for name, tensor in tensors.items()})

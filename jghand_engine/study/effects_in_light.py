@@ -66,12 +66,26 @@ def measure_lights(subject: Subject, settings: RenderSettings) -> list[LightRow]
         "and a weak lamp": SceneLight(world, (*LAMPS, WEAK)),
     }
     dragged = [SceneLight(world, (_turned(KEY, DRAG_RAD * frame), *LAMPS[1:])) for frame in range(FRAMES)]
-    runs = [_Run(name, subject, settings, moving, [light] * FRAMES) for name, light in always.items()]
-    runs.append(_Run("a lamp is dragged", subject, settings, resting, dragged))
-    for frame in range(FRAMES):
-        for run in runs:
-            run.draw(frame)
-    return [run.row for run in runs]
+    lights = {name: (moving, [light] * FRAMES) for name, light in always.items()}
+    lights["a lamp is dragged"] = (resting, list(dragged))
+    both = settings, replace(settings, effects=Choice.parse("all"))
+    renderers = {
+        name: [SceneRenderer([subject.avatar], each, own[0]) for each in both] for name, (_, own) in lights.items()
+    }
+    for renderer in (one for pair in renderers.values() for one in pair):
+        renderer.render([subject.poses[0]], subject.camera)
+    rows = {name: LightRow(name) for name in lights}
+    for index in range(FRAMES):
+        for name, (poses, own) in lights.items():
+            for renderer in renderers[name]:
+                renderer.light = own[index]
+            frame, other = (one.render([poses[index]], subject.camera) for one in renderers[name])
+            rows[name].errors.append(float(np.abs(frame.displayed() - other.displayed()).max()))
+            rows[name].ms.append(frame.report.total_ms)
+            rows[name].all_ms.append(other.report.total_ms)
+            decisions = () if frame.report.plan is None else frame.report.plan.decisions
+            rows[name].skipped = [f"{one.effect}: {one.reason}" for one in decisions if _leaves_out(one)]
+    return list(rows.values())
 
 
 def light_table(rows: Sequence[LightRow]) -> Table:
@@ -88,37 +102,6 @@ def light_table(rows: Sequence[LightRow]) -> Table:
         "channel of any pixel, displayed without exposure, from the same frames with all effects forced; ms: medians.",
     )
     return Table("In the light of a scene", columns, tuple(cells), notes)
-
-
-class _Run:
-    """Poses, each in its light."""
-
-    def __init__(
-        self,
-        name: str,
-        subject: Subject,
-        settings: RenderSettings,
-        poses: np.ndarray,
-        lights: Sequence[SceneLight | None],
-    ) -> None:
-        self.row = LightRow(name)
-        self._poses, self._lights, self._camera = poses, lights, subject.camera
-        every = replace(settings, effects=Choice.parse("all"))
-        self._renderers = [SceneRenderer([subject.avatar], each, lights[0]) for each in (settings, every)]
-        for renderer in self._renderers:
-            renderer.render([subject.poses[0]], subject.camera)
-
-    def draw(self, index: int) -> None:
-        """Adds one frame, as it is called for and with all effects."""
-        for renderer in self._renderers:
-            renderer.light = self._lights[index]
-        frame, other = (renderer.render([self._poses[index]], self._camera) for renderer in self._renderers)
-        row = self.row
-        row.errors.append(float(np.abs(frame.displayed() - other.displayed()).max()))
-        row.ms.append(frame.report.total_ms)
-        row.all_ms.append(other.report.total_ms)
-        decisions = () if frame.report.plan is None else frame.report.plan.decisions
-        row.skipped = [f"{one.effect}: {one.reason}" for one in decisions if _leaves_out(one)]
 
 
 def _leaves_out(decision: Decision) -> bool:

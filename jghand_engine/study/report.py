@@ -85,18 +85,14 @@ def write_report(report: Report, folder: Path) -> list[Path]:
     }
     for table in report.tables:
         title = re.sub(r"\W+", "_", table.title.split(",")[0].lower()).strip("_")
-        content[f"{report.name}_{title}.csv"] = csv_of(table)
+        # the notes are in the JSON
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([table.columns, *table.rows])
+        content[f"{report.name}_{title}.csv"] = text.getvalue().encode()
     make_folder(folder)
     for name, data in content.items():
         write_file(folder / name, data)
     return [folder / name for name in content]
-
-
-def csv_of(table: Table) -> bytes:
-    """The cells of a table; its notes are in the JSON."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([table.columns, *table.rows])
-    return text.getvalue().encode()
 
 
 def png_of(figure: Figure) -> bytes:

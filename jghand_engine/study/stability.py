@@ -7,7 +7,7 @@ curves      stability_curves     ours beside the usual way (stability_usual)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -66,22 +66,21 @@ class Stability:
         )
 
 
-_Piece = TypeVar("_Piece")
+_Row = TypeVar("_Row")
 
 
 def measure_stability(tick: Callable[[], None] = lambda: None) -> Stability:
     """Measures everything; `tick` is called after each of COUNT pieces."""
 
-    def ticked(values: Iterable[_Piece]) -> Iterator[_Piece]:
-        for value in values:
-            yield value
-            tick()
+    def done(row: _Row) -> _Row:
+        tick()
+        return row
 
     return Stability(
-        hands=list(ticked(hand_row(case) for case in hand_cases().values())),
-        correctives=list(ticked(correctives_row(hand_cases()[name]) for name in FAR_OUTSIDE)),
-        pictures=list(ticked(scene_row(case) for case in SCENES.values())),
-        curves=list(ticked(curve() for curve in CURVES)),
+        hands=[done(hand_row(case)) for case in hand_cases().values()],
+        correctives=[done(correctives_row(hand_cases()[name])) for name in FAR_OUTSIDE],
+        pictures=[done(scene_row(case)) for case in SCENES.values()],
+        curves=[done(curve()) for curve in CURVES],
     )
 
 

@@ -125,20 +125,27 @@ def straight_error() -> Curve:
     )  # fmt: skip
 
 
-def sideways() -> Curve:
-    """A finger turns sideways to 90 degrees: how far does the skin jump when the joints are 0.5 mm off?"""
+def _jumps(
+    name: str, title: str, below: str, x: str, turned: Callable[[Tensor, int, float], Tensor], finger: int
+) -> Curve:
+    """How far the skin jumps of a relaxed hand whose finger is `turned` so far (radians) beside the trouble."""
     beside_deg = np.geomspace(60, 0.01, 20)
-    base = posed("relaxed")
+    base, nudges = posed("relaxed"), random_nudges()
 
     def jump_mm(way: Formulation, degrees: float) -> float:
-        return moved_mm(way, HandCase("sideways", abducted(base, _MIDDLE, math.radians(degrees))), random_nudges())
+        return moved_mm(way, HandCase("turned", turned(base, finger, math.radians(degrees))), nudges)
 
     mine, theirs = _both(beside_deg.tolist(), jump_mm)
     return Curve(
-        "sideways", "A finger turns sideways", "How far the skin jumps, joints 0.5 mm off",
-        "degrees short of 90 sideways", "jump of the skin, mm",
-        "flexion, then abduction (Euler angles)", beside_deg, mine, theirs, visible=2.0,
+        name, title, below, x, "jump of the skin, mm", "flexion, then abduction (Euler angles)",
+        beside_deg, mine, theirs, visible=2.0,
     )  # fmt: skip
+
+
+def sideways() -> Curve:
+    """A finger turns sideways to 90 degrees: how far does the skin jump when the joints are 0.5 mm off?"""
+    below = "How far the skin jumps, joints 0.5 mm off"
+    return _jumps("sideways", "A finger turns sideways", below, "degrees short of 90 sideways", abducted, _MIDDLE)
 
 
 def flat_palm() -> Curve:
@@ -161,19 +168,8 @@ def flat_palm() -> Curve:
 
 def folded() -> Curve:
     """A finger turns backwards and sideways, which no joint can do: ours has to lose its twist somewhere."""
-    beside_deg = np.geomspace(60, 0.01, 20)
-    base = posed("relaxed")
-
-    def jump_mm(way: Formulation, degrees: float) -> float:
-        hand = backwards_sideways(base, _INDEX, math.radians(degrees))
-        return moved_mm(way, HandCase("folded", hand), random_nudges())
-
-    mine, theirs = _both(beside_deg.tolist(), jump_mm)
-    return Curve(
-        "folded", "A finger folds back, sideways", "The price: how far its skin jumps",
-        "degrees beside the worst direction", "jump of the skin, mm",
-        "flexion, then abduction (Euler angles)", beside_deg, mine, theirs, visible=2.0,
-    )  # fmt: skip
+    below, x = "The price: how far its skin jumps", "degrees beside the worst direction"
+    return _jumps("folded", "A finger folds back, sideways", below, x, backwards_sideways, _INDEX)
 
 
 def short_bone() -> Curve:

@@ -43,12 +43,6 @@ def usual_angle(a: Tensor, b: Tensor) -> Tensor:
     return torch.acos(((a * b).sum(-1)).clamp(-1 + CLIP, 1 - CLIP))
 
 
-def crossed_frames(parent: Tensor, child: Tensor) -> Tensor:
-    """Frames (..., 3, 3) of bones from their directions and their parents': the axis is their cross product."""
-    y = usual_unit(torch.linalg.cross(parent, child))
-    return torch.stack([torch.linalg.cross(y, child), y, child], -1)
-
-
 class UsualTransform:
     """Joints (..., 21, 3) -> UsualBones, in the joints' own precision. crossed: phalanges take their frame from the
     cross product with their parent, as keypoint rigs do, instead of flexion and abduction angles, as HALO does."""
@@ -92,8 +86,9 @@ class UsualTransform:
         angles = []
         for first in (5, 10, 15):
             parent, child = frames[-1], along[..., first : first + 5, :]
-            if self._crossed:
-                turned = crossed_frames(parent[..., 2], child)
+            if self._crossed:  # the axis is the cross product of the bone with its parent
+                y = usual_unit(torch.linalg.cross(parent[..., 2], child))
+                turned = torch.stack([torch.linalg.cross(y, child), y, child], -1)
                 angle = torch.stack([usual_angle(parent[..., 2], child), torch.zeros_like(child[..., 0])], -1)
             else:
                 turned, angle = _by_angles(parent, child)

@@ -41,7 +41,9 @@ def reshaped(avatar: HandAvatar, faces: np.ndarray, before_m: np.ndarray, after_
     """
     change = _Change.of(faces, before_m, after_m)
     position_m, stretch = change.places(avatar.position_m)
-    sigma_m = (avatar.sigma_m * change.sizes(stretch)).clip(SIGMA_MIN_M, SIGMA_MAX_M).astype(np.float32)
+    # by how much lengths grow, on average over directions
+    growth = np.cbrt(np.abs(np.linalg.det(np.eye(3) + stretch)))
+    sigma_m = (avatar.sigma_m * growth).clip(SIGMA_MIN_M, SIGMA_MAX_M).astype(np.float32)
     learned, detail = avatar.learned, avatar.detail
     if learned is not None:
         learned = replace(learned, normal=_turned(learned.normal, stretch))
@@ -87,11 +89,6 @@ class _Change:
         stretch = np.einsum("nk,nkij->nij", shares, self.stretch[corners])
         moved = points + offset_m + np.einsum("nij,nj->ni", stretch, points - near.point_m)
         return moved.astype(np.float32), stretch
-
-    @staticmethod
-    def sizes(stretch: np.ndarray) -> np.ndarray:
-        """(N,) by how much lengths grow, on average over directions."""
-        return np.cbrt(np.abs(np.linalg.det(np.eye(3) + stretch)))
 
 
 def _stretch(faces: np.ndarray, before_m: np.ndarray, offset_m: np.ndarray) -> np.ndarray:

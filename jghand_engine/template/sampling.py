@@ -21,8 +21,6 @@ from jghand_engine.template.weights import segment_distance
 # depth of the shell of Gaussians under the skin, meters; deeper ones are hidden
 SHELL_DEPTH_M = 0.003
 GAUSSIANS_PER_BONE = 3000
-# farthest-point order takes (points per bone)^2 steps
-SHELL_PER_BONE_MAX = 20_000
 # a shell as deep as this is the whole hand: the middle of the thickest palm is less deep
 SHELL_DEPTH_MAX_M = 0.030
 # edge of the cells from which the shell is drawn, meters: speed only
@@ -68,13 +66,8 @@ def sample_shell(
     """Draws `per_bone` points per bone, uniformly in the shell of thickness `depth_m` under the closed surface.
 
     depth_of_points: the depth coordinate goes from the deepest point to the shallowest, as the paper has it
-    The same arguments give the same points. Raises InputError for numbers out of range, and when a bone has no skin.
+    The same arguments give the same points. Raises InputError when a bone has no skin.
     """
-    if not 1 <= per_bone <= SHELL_PER_BONE_MAX:
-        raise InputError("points per bone", wanted=f"1..{SHELL_PER_BONE_MAX}", came=str(per_bone))
-    most_m = SHELL_DEPTH_MAX_M if depth_of_points else UVD_RANGE_M
-    if not 0 < depth_m <= most_m:
-        raise InputError("depth of the shell", wanted=f"0..{most_m} m", came=f"{depth_m} m")
     surface = Surface(template.vertices_m, template.faces)
     points_m, drawn = _draw(template, surface, per_bone, depth_m, np.random.default_rng(seed))
     order = farthest_point_order(points_m)

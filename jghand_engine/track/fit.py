@@ -65,7 +65,9 @@ def fit(chain: JointChain, landmarks: Landmarks, trust: Trust | None = None) -> 
     believed = ~_in_long_gaps(landmarks.seen, FIT_GAP_S * landmarks.fps)
     fitted, known = [], []
     reach = None if trust.smoothing == 0 else FIT_REACH_S * landmarks.fps
-    for kept, wide in _parts(seen, reach, _margin(landmarks.fps, trust.smoothing)):
+    # so far reaches what a frame says, and farther with more smoothing
+    margin = math.ceil(FIT_MARGIN_S * landmarks.fps * max(1.0, math.sqrt(trust.smoothing)))
+    for kept, wide in _parts(seen, reach, min(margin, FIT_MARGIN_FRAMES_MAX)):
         poses = _fit_part(chain, landmarks.part(wide), start.part(wide), trust)
         kept = kept[believed[kept]]
         fitted.append(poses.part(np.isin(wide, kept)))
@@ -80,12 +82,6 @@ def _in_long_gaps(seen: np.ndarray, longest: float) -> np.ndarray:
     for place in np.flatnonzero(np.diff(places) - 1 > longest):
         inside[places[place] + 1 : places[place + 1]] = True
     return inside
-
-
-def _margin(fps: float, smoothing: float) -> int:
-    """Frames on both sides of a part that are fitted with it: so far reaches what a frame says, and farther with more
-    smoothing."""
-    return min(math.ceil(FIT_MARGIN_S * fps * max(1.0, math.sqrt(smoothing))), FIT_MARGIN_FRAMES_MAX)
 
 
 def _parts(seen: np.ndarray, longest_gap: float | None, margin: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -92,19 +92,14 @@ def hands_over_time(detections: Detections, fps: float) -> FoundHands:
         hand = Handedness.RIGHT if trail.rightness >= 0 else Handedness.LEFT
         chosen[hand].append(trail)
     count = len(detections)
+    # in how many pictures a hand must be seen
+    least = min(max(HAND_SEEN_FRAMES_MIN, min(HAND_SEEN_PART_MIN * count, HAND_SEEN_S * fps)), count)
     found = FoundHands({}, {})
     for hand, own in chosen.items():
         if own:
             there = _joined(hand, own, count)
-            believed = there.seen.sum() >= _least(count, fps)
-            (found.hands if believed else found.doubted)[hand] = there
+            (found.hands if there.seen.sum() >= least else found.doubted)[hand] = there
     return found
-
-
-def _least(count: int, fps: float) -> float:
-    """In how many of a film's pictures a hand must be seen."""
-    part = min(HAND_SEEN_PART_MIN * count, HAND_SEEN_S * fps)
-    return min(max(HAND_SEEN_FRAMES_MIN, part), count)
 
 
 def shape_rightness(space_m: np.ndarray) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +14,7 @@ from jghand_engine.hand.orders import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M, chec
 from jghand_engine.hand.sequence import PoseSequence, bone_directions
 from jghand_engine.track import CAMERA_ANGLE_DEG
 from jghand_engine.track.costs import Trust
-from jghand_engine.track.detection import HandDetector, SeenHand
+from jghand_engine.track.detection import SeenHand
 from jghand_engine.track.fit import fit
 from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
 from jghand_engine.track.own_hand import own_canonical_joints
@@ -87,18 +87,6 @@ class Sightings:
     fps: float
     size_px: tuple[int, int] = (0, 0)
     frames: list[list[SeenHand]] = field(default_factory=list)
-
-
-def detect(
-    pictures: Iterable[np.ndarray], fps: float, detector: HandDetector, tick: Callable[[int], None] = lambda done: None
-) -> Sightings:
-    """Looks for hands in pictures, one at a time; tick is told how many were looked at."""
-    seen = Sightings(fps)
-    for picture in pictures:
-        seen.size_px = (picture.shape[0], picture.shape[1])
-        seen.frames.append(detector.detect(picture, len(seen.frames) / fps))
-        tick(len(seen.frames))
-    return seen
 
 
 def camera_of(sightings: Sightings, angle_deg: float) -> Pinhole:

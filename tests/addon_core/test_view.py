@@ -6,6 +6,8 @@ import numpy as np
 
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import HandInSpace, Moment, Pinhole, SceneLight, avatar_stamp, picture_request
+from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.render.camera import Lens
 from jghand_engine.service.image_request import read_request
 from jghand_engine.service.protocol import Message
 
@@ -29,6 +31,11 @@ def understood(header, arrays):
     return read_request(Message(header, arrays))
 
 
+def standard(moment):
+    """(hands, 21, 3) its joints in the standard order, world, meters."""
+    return from_level(np.stack(moment.joints_m), JointOrder.STANDARD)
+
+
 def test_the_engine_sees_every_joint_where_the_pinhole_does():
     request, outputs = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["rgba_u8", "depth"], preset="draft"))
     assert (request.width, request.height, outputs) == (96, 64, ["rgba_u8", "depth"])
@@ -36,10 +43,10 @@ def test_the_engine_sees_every_joint_where_the_pinhole_does():
         ("right.jghand", "right"),
         ("left.jghand", "left"),
     ]
-    (exposure,) = request.exposures
-    for hand, joints_m in zip(HANDS, exposure.joints_world_m, strict=True):
-        seen = Pinhole(96, 64, exposure.fx, exposure.fy, exposure.cx, exposure.cy, exposure.camera_from_world)
-        np.testing.assert_allclose(seen.project(joints_m), VIEW.project(hand.joints_world_m), atol=1e-9)
+    (moment,) = request.moments
+    for hand, joints_m in zip(HANDS, standard(moment), strict=True):
+        pixels, depth_m = moment.camera.project(joints_m)
+        np.testing.assert_allclose(np.c_[pixels, depth_m], VIEW.project(hand.joints_world_m), atol=1e-9)
 
 
 def test_up_in_blender_is_up_in_the_light_of_captures():
@@ -47,9 +54,7 @@ def test_up_in_blender_is_up_in_the_light_of_captures():
     upright = np.array([[1.0, 0, 0, 2], [0, 0, -1, 3], [0, 1, 0, 4], [0, 0, 0, 1]])  # +y of the hand along +z
     hand = replace(HANDS[0], world_from_hand=upright)
     request, _ = understood(*picture_request([Moment(VIEW, [hand])], outputs=["rgba_u8"], preset="draft"))
-    place = request.exposures[0].world_from_hand[0]
-    np.testing.assert_allclose(place[:3, :3], np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(place[:3, 3], (2, 4, -3))
+    np.testing.assert_allclose(standard(request.moments[0])[0] - (2, 4, -3), hand.joints_m, atol=1e-12)
 
 
 def test_a_light_arrives_with_its_lamps_and_its_world():
@@ -70,14 +75,14 @@ def test_a_light_arrives_with_its_lamps_and_its_world():
 def test_settings_lens_and_rays_arrive():
     view = replace(VIEW, aperture_m=0.01, focus_m=0.7)
     request, _ = understood(*picture_request([Moment(view, HANDS)], outputs=["ids"], preset="final", budget_ms=9.5))
-    assert (request.exposures[0].aperture_m, request.exposures[0].focus_m) == (0.01, 0.7)
+    assert request.moments[0].camera.lens == Lens(0.01, 0.7)
     assert request.ids
     assert not request.depth
     assert (request.settings.preset, request.settings.budget_ms) == ("final", 9.5)
     request, _ = understood(
         *picture_request([Moment(replace(VIEW, orthographic=True), [])], outputs=["rgba_u8"], preset="draft")
     )
-    assert request.orthographic
+    assert request.moments[0].camera.orthographic
     assert request.hands == ()
 
 
@@ -89,13 +94,13 @@ def test_moments_arrive_in_their_order_with_their_weights():
     ]
     request, _ = understood(*picture_request(moments, outputs=["depth_covered"], preset="draft"))
     assert [hand.forearm for hand in request.hands] == [hand.forearm for hand in shown]
-    assert [exposure.fx for exposure in request.exposures] == [100, 101, 102]
-    assert [exposure.weight for exposure in request.exposures] == [1, 2, 3]
+    assert [moment.camera.fx for moment in request.moments] == [100, 101, 102]
+    assert request.weights == (1, 2, 3)
     assert request.depth
-    for moment, exposure in zip(moments, request.exposures, strict=True):
-        came = exposure.camera_from_world @ exposure.world_from_hand
-        wanted = [moment.view.camera_from_world @ hand.world_from_hand for hand in moment.hands]
-        np.testing.assert_allclose(came, wanted, atol=1e-9)
+    for sent, came in zip(moments, request.moments, strict=True):
+        for hand, joints_m in zip(sent.hands, standard(came), strict=True):
+            pixels, depth_m = came.camera.project(joints_m)
+            np.testing.assert_allclose(np.c_[pixels, depth_m], sent.view.project(hand.joints_world_m), atol=1e-9)
 
 
 def test_the_stamp_of_an_avatar_changes_with_its_file(tmp_path):
@@ -109,10 +114,10 @@ def test_the_stamp_of_an_avatar_changes_with_its_file(tmp_path):
 
 
 def test_how_a_forearm_is_turned_is_said_for_all_hands_or_for_none():
-    (straight,) = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["depth"], preset="draft"))[0].exposures
-    assert straight.forearms is None
+    (straight,) = understood(*picture_request([Moment(VIEW, HANDS)], outputs=["depth"], preset="draft"))[0].moments
+    assert [hand.forearm for hand in straight.hands] == [None, None]
     turn = np.array([0.6, 0.0, 0.8, 0.0])
     bent = [HANDS[0], replace(HANDS[1], forearm_turn=turn)]
-    (exposure,) = understood(*picture_request([Moment(VIEW, bent)], outputs=["depth"], preset="draft"))[0].exposures
-    np.testing.assert_allclose(exposure.forearms, [(1, 0, 0, 0), turn])
+    (moment,) = understood(*picture_request([Moment(VIEW, bent)], outputs=["depth"], preset="draft"))[0].moments
+    np.testing.assert_allclose([hand.forearm for hand in moment.hands], [(1, 0, 0, 0), turn])
     assert bent[1].pose_bytes != HANDS[1].pose_bytes

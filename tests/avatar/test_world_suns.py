@@ -8,7 +8,7 @@ import pytest
 
 from jghand_engine.avatar.scene_light import World, harmonics
 from jghand_engine.avatar.world_suns import SUNS_MAX, take_suns
-from jghand_engine.export.world_picture import read_world_picture
+from jghand_engine.export.light_file import read_world_picture
 from jghand_engine.native.scene_light_task import LampKind
 
 NORMALS = np.random.default_rng(0).standard_normal((200, 3))

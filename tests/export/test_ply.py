@@ -90,7 +90,7 @@ def test_a_motion_is_made_in_parts_whose_frames_keep_their_numbers(tmp_path):
         assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes()
 
 
-@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"name": ""}, {"axes": "xyz"}, {"up": "x"}, {"format": "obj"}])
+@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"name": ""}, {"axes": "xyz"}, {"up": "x"}, {"suffix": "obj"}])
 def test_options_that_make_no_file_are_refused(wrong):
     with pytest.raises(InputError):
         SplatOptions(**wrong)

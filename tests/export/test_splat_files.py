@@ -199,7 +199,7 @@ def test_light_comes_from_above_whichever_axis_points_up(avatar):
 @pytest.mark.parametrize("format", ["splat", "glb", "spz"])
 def test_a_motion_becomes_numbered_files_in_the_axes_of_the_format(tmp_path, format):
     avatar, motion = small_avatar(), lively_motion(Handedness.LEFT, 2)
-    report = export_splats(tmp_path, avatar, motion, SplatOptions(format, "left", first_frame=41))
+    report = export_splats(tmp_path, avatar, motion, SplatOptions("left", format, first_frame=41))
     assert [path.name for path in report.files] == [f"left.0041.{format}", f"left.0042.{format}"]
     assert report.axes == ("rdf" if format == "splat" else "rub")
     if format == "splat":
@@ -211,11 +211,11 @@ def test_a_motion_becomes_numbered_files_in_the_axes_of_the_format(tmp_path, for
 
 def test_gltf_is_not_written_in_axes_that_it_does_not_have():
     with pytest.raises(InputError, match="axes of glb files: wanted rub, got 'rdf'"):
-        SplatOptions("glb", axes="rdf")
+        SplatOptions(suffix="glb", axes="rdf")
 
 
 def test_without_its_package_sog_says_what_to_install_before_anything_is_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "gaussforge", None)
     with pytest.raises(InputError, match=r"jghand\[formats\]"):
-        export_splats(tmp_path / "new", small_avatar(), lively_motion(Handedness.RIGHT, 1), SplatOptions("sog"))
+        export_splats(tmp_path / "new", small_avatar(), lively_motion(Handedness.RIGHT, 1), SplatOptions(suffix="sog"))
     assert not (tmp_path / "new").exists()

@@ -8,7 +8,7 @@ import pytest
 from jghand_engine.avatar.scene_light import World
 from jghand_engine.avatar.world_suns import averaged
 from jghand_engine.errors import InputError
-from jghand_engine.export.world_picture import COLUMNS_MAX, ROWS_MAX, read_world_picture
+from jghand_engine.export.light_file import COLUMNS_MAX, ROWS_MAX, read_world_picture
 
 PICTURE = np.random.default_rng(0).lognormal(0, 2, (9, 20, 3)).astype(np.float32)
 

@@ -19,7 +19,6 @@ from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.errors import InputError
 from jghand_engine.export.video import ffmpeg_program, write_video
 from jghand_engine.motion.read import read_motion_file
-from jghand_engine.template.builtin import load_fields
 from jghand_engine.track import video
 from jghand_engine.track.video import open_video, read_frames
 
@@ -162,20 +161,6 @@ def test_no_picture_outside_the_set_is_read(interhand, tmp_path, name):
         annotations["images"][0]["file_name"] = name
     with pytest.raises(InputError, match=r"annotation 0 in .*file_name"):
         open_capture(folder)
-
-
-# ---- templates -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("vertices", None), ("weights", np.zeros((1609, 21), np.float32)), ("joint_names", np.zeros(21))],
-)
-def test_a_missing_or_wrong_field_of_a_template_is_named(tmp_path, name, value):
-    path = tmp_path / "hand_right.npz"
-    np.savez(path, **{field: one for field, one in {**load_fields(), name: value}.items() if one is not None})
-    with pytest.raises(InputError, match=name):
-        load_fields(path)
 
 
 # ---- films -----------------------------------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ def test_categories_are_those_of_the_split(split):
 
 def test_a_split_without_held_out_pictures_is_told(capture):
     with pytest.raises(InputError, match="take another --split"):
-        categories_of(split_by_rule(capture, 0, 0), "test")
+        categories_of(split_by_rule(capture, 99, 99), "test")
 
 
 @pytest.mark.parametrize("handedness", [RIGHT, LEFT])

@@ -13,7 +13,6 @@ from small_hands import INFO, SMALL_MODEL, bones_of, joints_of
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.avatar.relighting import estimated
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn import scene_light as torch_light
 from jghand_engine.learn.evaluate import AvatarPicturer, measure_pictures
@@ -101,16 +100,6 @@ def test_highlights_are_compared_by_their_logarithm_with_the_same_slope():
     assert bool(torch.isfinite(slope).all())
     assert float(slope[3]) == pytest.approx(float(slope[4]), rel=1e-3)
     assert 2 < float(tone(light)[-1].detach()) < 3
-
-
-def test_a_picture_of_unknown_light_among_them_is_refused(samples):
-    with pytest.raises(InputError, match="light of"):
-        training_of([samples[0], replace(samples[1], light=None)])
-
-
-def test_a_hand_without_shadows_of_its_fingers_is_refused(samples):
-    with pytest.raises(InputError, match="shadows"):
-        training_of(samples, replace(OPTIONS, model=replace(MODEL, cast_shadow=False)))
 
 
 def test_gradients_of_light_are_those_of_finite_differences():

@@ -5,7 +5,7 @@ import math
 from small_trainings import read_log
 
 from jghand_engine.learn.checkpoint import LoopState
-from jghand_engine.learn.log import Log, add_figures, take_means
+from jghand_engine.learn.run import Log, add_figures, take_means
 
 
 def test_lines_after_the_step_and_half_written_ones_are_cut(tmp_path):

@@ -11,7 +11,6 @@ from small_hands import SMALL_MODEL
 from small_trainings import SMALL, parameters_of, small_training
 
 from jghand_engine.captures.sample import Sample
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.sequence import HandPose
@@ -89,13 +88,6 @@ def test_an_epoch_shows_every_picture_once(build, samples, views):
         assert set(names) == {sample.image.name for sample in few}
         assert len(names) == 8 or views == 2
     assert drawn(training, range(epoch)) != drawn(training, range(epoch, 2 * epoch))
-
-
-@pytest.mark.parametrize("hands", ["none", "both"])
-def test_pictures_of_one_hand_are_wanted(build, samples, hands, tmp_path):
-    chosen = [] if hands == "none" else [samples[0], mirrored(samples[1], tmp_path)]
-    with pytest.raises(InputError, match="one hand"):
-        build(chosen=chosen)
 
 
 # ---- stages ----------------------------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ import torch
 from drawn_film import film_of, plain_hand
 
 from jghand_engine.avatar.learned import no_light
-from jghand_engine.errors import InputError
 from jghand_engine.own.gather import observe, trusted
 from jghand_engine.own.masks import wrist_side
 
@@ -74,9 +73,3 @@ def test_a_bent_finger_counts_less_than_a_straight_one(flat):
     found = seen_by(hand, film).trust[3]
     index, middle = (torch.from_numpy(hand.bone_weights[:, bone] > 0.99) for bone in (12, 13))
     assert found[index].min() > 0.8 > 0.2 > found[middle].max()
-
-
-def test_pictures_without_as_many_masks_are_refused_in_words(flat):
-    hand, film = flat
-    with pytest.raises(InputError, match="8 of 96 x 160 with masks"):
-        seen_by(hand, film, film.masks[:3])

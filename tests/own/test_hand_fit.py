@@ -12,11 +12,10 @@ from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.own import fit_surface
-from jghand_engine.own.fit_pictures import FitPictures
 from jghand_engine.own.fit_surface import FitSurface, outline_factor
 from jghand_engine.own.fit_terms import guides
 from jghand_engine.own.fit_views import sights, view_of
-from jghand_engine.own.hand_fit import RATES, Effort, FittedHand, HandFit
+from jghand_engine.own.hand_fit import RATES, Effort, FitPictures, FittedHand, HandFit
 from jghand_engine.own.masks import wrist_side
 from jghand_engine.own.shape import SHAPE_COUNT
 from jghand_engine.render.camera import Camera

@@ -11,10 +11,9 @@ from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar, save_avatar
-from jghand_engine.avatar.relighting import in_studio, relightable
+from jghand_engine.avatar.relighting import relightable
 from jghand_engine.avatar.scene_light import World, harmonics
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.own import light_and_skin
 from jghand_engine.own.gather import Observations, counted, observe
@@ -136,14 +135,6 @@ def test_where_half_of_the_pictures_have_a_shadow_skin_is_not_freckled():
         rough.append(float(albedo.log().std(0).mean()))
     # observed 0.22 where each asks but one other, and 0.10
     assert rough[1] < 0.6 * rough[0]
-
-
-def test_a_hand_of_unknown_light_is_no_beginning():
-    hand = plain_hand(300)
-    film = film_of(hand, window_world(), count=3)
-    observed = observe(hand, film.joints_m, film.camera, film.pictures, film.masks)
-    with pytest.raises(InputError, match="Begin with the built-in hand"):
-        LitFilm(in_studio(hand), observed)
 
 
 def test_a_world_of_cells_has_the_light_of_its_cells():

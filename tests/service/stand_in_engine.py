@@ -20,9 +20,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.render.blur import Moment
 from jghand_engine.service import protocol, server
 from jghand_engine.service.commands import Canceled, LoadedAvatar, RenderedImage, never
-from jghand_engine.service.image_request import Exposure, ImageRequest
+from jghand_engine.service.image_request import ImageRequest
 
 # radius of a joint's disc, meters
 DISC_M = 0.004
@@ -50,17 +52,17 @@ class StandInHands:
             self._misbehave(canceled)
         if self.fault == "blank":  # for measuring the way there and back
             return self._blank(picture)
-        total = sum(exposure.weight for exposure in picture.exposures)
+        total = sum(picture.weights)
         rgba, depth, ids, behind, near = (
             np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), (), (), ())
         )
-        for index, exposure in enumerate(picture.exposures):
+        for index, (moment, weight) in enumerate(zip(picture.moments, picture.weights, strict=True)):
             if canceled():
                 raise Canceled
-            color, near_m, numbers = _discs(picture, exposure)
-            rgba += exposure.weight / total * color
-            behind, near = behind + exposure.weight * (near_m > 0), near + exposure.weight * near_m
-            if index == (len(picture.exposures) - 1) // 2:
+            color, near_m, numbers = _discs(picture, moment)
+            rgba += weight / total * color
+            behind, near = behind + weight * (near_m > 0), near + weight * near_m
+            if index == (len(picture.moments) - 1) // 2:
                 depth, ids = near_m, numbers
         covered = near / np.where(behind > 0, behind, 1)
         return RenderedImage(rgba, {"total_ms": 1.0, "stages": []}, depth, ids, covered)
@@ -107,23 +109,24 @@ class StandInHands:
                 print("printed by a library " * 10000)
 
 
-def _discs(picture: ImageRequest, moment: Exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _discs(picture: ImageRequest, moment: Moment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Color, depth, and the number of the joint, of one moment."""
     size = (picture.height, picture.width)
     x, y = np.meshgrid(np.arange(picture.width) + 0.5, np.arange(picture.height) + 0.5)
     rgba, depth, ids = np.zeros((*size, 4), np.float32), np.zeros(size, np.float32), np.zeros(size, np.uint8)
-    turn, offset_m = moment.camera_from_world[:3, :3], moment.camera_from_world[:3, 3]
+    camera = moment.camera
+    turn, offset_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     points = [
         (*point, number, (1, 1, 1, 1) if hand.handedness == "right" else (0, 0, 1, 1))
-        for hand, joints in zip(picture.hands, moment.joints_world_m, strict=True)
-        for number, point in enumerate(joints @ turn.T + offset_m)
+        for hand, joints_m in zip(picture.hands, moment.joints_m, strict=True)
+        for number, point in enumerate(from_level(joints_m, JointOrder.STANDARD) @ turn.T + offset_m)
     ]
     for px, py, pz, number, color in sorted(points, key=lambda point: -point[2]):
         if pz <= 0:
             continue
-        scale = 1.0 if picture.orthographic else pz
-        u, v = moment.fx * px / scale + moment.cx, moment.fy * py / scale + moment.cy
-        inside = ((x - u) / moment.fx) ** 2 + ((y - v) / moment.fy) ** 2 <= (DISC_M / scale) ** 2
+        scale = 1.0 if camera.orthographic else pz
+        u, v = camera.fx * px / scale + camera.cx, camera.fy * py / scale + camera.cy
+        inside = ((x - u) / camera.fx) ** 2 + ((y - v) / camera.fy) ** 2 <= (DISC_M / scale) ** 2
         rgba[inside], depth[inside], ids[inside] = color, pz, max(number, 1)
     return rgba, depth, ids
 

@@ -19,15 +19,17 @@ from jghand_engine.errors import InputError
 from jghand_engine.gpu import device
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
+from jghand_engine.hand.sequence import HandPose
 from jghand_engine.native import contract
 from jghand_engine.render import blur, budget
-from jghand_engine.render.camera import Camera
+from jghand_engine.render.blur import Moment
+from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.renderer import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.service import hands
 from jghand_engine.service.commands import error_header
 from jghand_engine.service.hands import IDLE_AVATARS_MAX, HandImages
-from jghand_engine.service.image_request import Exposure, ImageRequest, ImageSettings, RequestedHand, RequestedLight
+from jghand_engine.service.image_request import ImageRequest, ImageSettings, RequestedHand, RequestedLight
 
 PINHOLE = (200.0, 200.0, 60.0, 45.0)
 DRAFT = ImageSettings("draft")
@@ -44,15 +46,22 @@ class Hand:
     world_from_hand: np.ndarray = field(default_factory=lambda: np.eye(4))
 
 
-def exposure(hands: list[Hand], camera_from_world: np.ndarray = CAMERA_FROM_WORLD, **more) -> Exposure:
-    joints, places = (np.stack([getattr(hand, name) for hand in hands]) for name in ("joints_m", "world_from_hand"))
-    return Exposure(*PINHOLE, camera_from_world, joints, places, **more)
+def seen(
+    hands: list[Hand], camera_from_world: np.ndarray = CAMERA_FROM_WORLD, lens: Lens | None = None, forearm=None
+) -> Moment:
+    """120 x 90 pixels of hands at one moment. forearm: of each of them"""
+    turns, offsets_m = (np.stack([hand.world_from_hand[:3, part] for hand in hands]) for part in (slice(3), 3))
+    joints_m = np.einsum("nab,njb->nja", turns, np.stack([hand.joints_m for hand in hands])) + offsets_m[:, None]
+    poses = [HandPose(each, forearm) for each in to_level(joints_m, JointOrder.STANDARD)]
+    return Moment(poses, Camera(120, 90, *PINHOLE, camera_from_world, lens))
 
 
-def asked(hands: list[Hand], *moments: Exposure, **more) -> ImageRequest:
+def asked(hands: list[Hand], *moments: Moment, **more) -> ImageRequest:
     """120 x 90 pixels of hands; without moments at one, from CAMERA_FROM_WORLD."""
     entries = tuple(RequestedHand(hand.avatar, hand.handedness) for hand in hands)
-    return ImageRequest(120, 90, entries, moments or (exposure(hands),), **{"settings": DRAFT, "depth": True, **more})
+    moments = moments or (seen(hands),)
+    told = {"settings": DRAFT, "depth": True, "weights": (1.0,) * len(moments), **more}
+    return ImageRequest(120, 90, entries, moments, **told)
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +183,7 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
     dark = replace(avatar, learned=replace(avatar.learned, shine=np.zeros(2000, np.float32)))
     turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
     for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
-        moment = exposure([hand], camera_from_world)
+        moment = seen([hand], camera_from_world)
         came = source.render(asked([hand], moment, settings=ImageSettings("viewport")))
         camera = Camera(120, 90, *PINHOLE, camera_from_world)
         wanted, matt = (
@@ -234,7 +243,7 @@ def test_the_light_stays_in_the_world_while_a_hand_and_its_camera_turn(source, r
     for hand, changes in ((right, False), (trained, True)):
         turned = replace(hand, world_from_hand=turn)
         one = source.render(asked([hand])).rgba
-        other = source.render(asked([turned], exposure([turned], CAMERA_FROM_WORLD @ turn.T))).rgba
+        other = source.render(asked([turned], seen([turned], CAMERA_FROM_WORLD @ turn.T))).rgba
         np.testing.assert_allclose(other[..., 3], one[..., 3], atol=0.02)
         assert bool(np.abs(other - one).mean() > 0.01) is changes
 
@@ -273,7 +282,7 @@ def as_given(monkeypatch):
 
 def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and_ids(source, right, as_given):
     at = [moved(right, x_m) for x_m in (-0.02, 0.0, 0.03)]
-    came = source.render(asked([right], *(exposure([hand]) for hand in at), ids=True))
+    came = source.render(asked([right], *(seen([hand]) for hand in at), ids=True))
     alone = [source.render(asked([hand], ids=True)) for hand in at]
     mean = np.mean([linear(one.rgba) for one in alone], 0)
     # worst observed 2e-6
@@ -297,8 +306,7 @@ def linear(rgba: np.ndarray) -> np.ndarray:
 
 def test_a_moment_counts_by_its_weight(source, right, as_given):
     at = [moved(right, x_m) for x_m in (0.0, 0.06)]
-    weighted = [exposure([hand], weight=weight) for hand, weight in zip(at, (3.0, 1.0), strict=True)]
-    came = source.render(asked([right], *weighted)).rgba[..., 3]
+    came = source.render(asked([right], *(seen([hand]) for hand in at), weights=(3.0, 1.0))).rgba[..., 3]
     alone = [source.render(asked([hand])).rgba[..., 3] for hand in at]
     np.testing.assert_allclose(came, 0.75 * alone[0] + 0.25 * alone[1], atol=1e-5)
 
@@ -306,7 +314,7 @@ def test_a_moment_counts_by_its_weight(source, right, as_given):
 def test_a_lens_blurs_what_is_out_of_focus_and_leaves_depth_sharp(source, right):
     sharp = source.render(asked([right]))
     focused, blurred = (
-        source.render(asked([right], exposure([right], aperture_m=0.02, focus_m=focus_m))) for focus_m in (0.5, 0.9)
+        source.render(asked([right], seen([right], lens=Lens(0.02, focus_m)))) for focus_m in (0.5, 0.9)
     )
     edges = [np.abs(np.diff(picture.rgba[..., 3], axis=1)).max() for picture in (sharp, focused, blurred)]
     assert edges[1] > 0.7 * edges[0]
@@ -439,8 +447,7 @@ def test_a_hand_is_shown_with_its_forearm_or_without(source, tmp_path):
     )
     assert hidden < 0.9 * shown
     # turned by a right angle about the axis of flexion it is not where it was; without one nothing is turned
-    turn = np.array([[np.sqrt(0.5), 0, np.sqrt(0.5), 0]])
-    bent = replace(request, exposures=(replace(request.exposures[0], forearms=turn),))
+    bent = replace(request, moments=(seen([hand], forearm=np.array([np.sqrt(0.5), 0, np.sqrt(0.5), 0])),))
     assert np.abs(source.render(bent).rgba - source.render(request).rgba).max() > 0.5
     cut = [replace(each, hands=(replace(each.hands[0], forearm=False),)) for each in (bent, request)]
     assert np.array_equal(*(source.render(each).rgba for each in cut))

@@ -14,7 +14,7 @@ from small_avatars import small_avatar
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
-from jghand_engine.study import accuracy_measures, accuracy_plot, stability, stability_plot, stability_views
+from jghand_engine.study import accuracy_measures, accuracy_plot, stability, stability_plot
 from jghand_engine.study.accuracy import Accuracy, Row, TruthScore
 from jghand_engine.study.accuracy_growth import PANELS, Growth
 from jghand_engine.study.accuracy_reference import Error
@@ -70,9 +70,9 @@ def hard_cases() -> Stability:
     return Stability(hands, [trained], pictures, [curve])
 
 
-def views() -> list[stability_views.ViewPair]:
+def views() -> list[stability_plot.ViewPair]:
     blank = np.full((40, 40, 3), 200, np.uint8)
-    return [stability_views.ViewPair("view", blank, blank)]
+    return [stability_plot.ViewPair("view", blank, blank)]
 
 
 # ---- accuracy --------------------------------------------------------------------------------------------------------
@@ -129,7 +129,7 @@ def test_every_hard_case_is_in_a_table_that_says_what_it_misses(hard_cases):
 
 def test_the_study_of_stability_writes_its_folder(hard_cases, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stability, "measure_stability", lambda tick: hard_cases)
-    monkeypatch.setattr(stability_views, "view_pairs", views)
+    monkeypatch.setattr(stability_plot, "view_pairs", views)
     assert main(["study", "stability", "--out", str(tmp_path / "study")]) == 0
     assert "3 meet every bound" in capsys.readouterr().out
     hands = json.loads((tmp_path / "study" / "stability.json").read_text())["hands"]
@@ -167,7 +167,7 @@ def test_the_first_page_has_the_studys_figure_of_the_hand_that_ships():
 
 def test_pages_quote_a_study_between_their_marks_alone(hard_cases, tmp_path, monkeypatch):
     monkeypatch.setattr(stability, "measure_stability", lambda tick: hard_cases)
-    monkeypatch.setattr(stability_views, "view_pairs", views)
+    monkeypatch.setattr(stability_plot, "view_pairs", views)
     study, checkout = tmp_path / "study", tmp_path / "checkout"
     assert main(["study", "stability", "--out", str(study)]) == 0
     (checkout / "docs").mkdir(parents=True)

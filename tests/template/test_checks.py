@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jghand_engine.errors import InputError
-from jghand_engine.template.builtin import load_template
-from jghand_engine.template.checks import check_template
+from jghand_engine.template.builtin import load_template, load_template_with_forearm
+from jghand_engine.template.mano import check_template
 
 
 @pytest.mark.parametrize(
@@ -36,3 +36,8 @@ def test_an_unusable_surface_is_refused_with_its_fault(field, change, message):
     template = load_template()
     with pytest.raises(InputError, match=message):
         check_template(replace(template, **{field: change(template)}))
+
+
+@pytest.mark.parametrize("load", [load_template, load_template_with_forearm])
+def test_the_built_in_hands_are_usable(load):
+    assert check_template(load()) is load()

@@ -12,13 +12,14 @@ from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
 from jghand_engine.native.scene_light_task import LampKind
+from jghand_engine.own.film import look, source_of
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.renderer import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.track.detection import SecondLook
 from jghand_engine.track.mediapipe_hands import MediaPipeHands, check_package, model_file
-from jghand_engine.track.track import detect, track
-from jghand_engine.track.video import open_video, read_frames
+from jghand_engine.track.track import track
+from jghand_engine.track.video import open_video
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -98,7 +99,7 @@ def test_the_hand_of_a_real_video_is_found_in_every_picture(shared_data):
     video = open_video(shared_data / "real" / "human_hand_video.mp4")
     canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     with MediaPipeHands() as detector:
-        sightings = detect(read_frames(video, most=90), video.fps, detector)
+        sightings = look(source_of(video), detector, most=90).sightings
     hands = track(sightings, canonical)
     assert set(hands) == {Handedness.RIGHT}
     hand = hands[Handedness.RIGHT]

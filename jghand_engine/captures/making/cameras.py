@@ -10,12 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine.errors import InputError
 from jghand_engine.render.camera import Camera
 
-CAMERAS_MAX = 500
-# edges of an image, pixels: below nothing is seen of a hand, above Cycles takes minutes an image
-SIZE_PX = (16, 4096)
 # distance from the middle of the hands, meters: like the stages of the data sets
 DISTANCE_M = (0.8, 1.1)
 # largest roll about the viewing direction, degrees
@@ -38,39 +34,19 @@ class PlannedCamera:
     samples: int | None = None
 
 
-@dataclass(frozen=True)
-class CameraPlan:
-    """count cameras in all, of which close_ups are near ones, that are not planned here; images of width x height
-    pixels; seed of the distances and rolls."""
+def plan_cameras(count: int, size_px: tuple[int, int], seed: int, vertices_m: np.ndarray) -> list[PlannedCamera]:
+    """Cameras for posed hands (P, V, 3), meters. Every vertex of every pose is inside the image of each.
 
-    count: int
-    close_ups: int
-    width: int
-    height: int
-    seed: int = 0
-
-    def check(self) -> None:
-        """InputError names what cannot be."""
-        if not 1 <= self.count <= CAMERAS_MAX:
-            raise InputError("cameras of a capture", wanted=f"1 to {CAMERAS_MAX}", came=str(self.count))
-        if not 0 <= self.close_ups < self.count:
-            raise InputError("close-ups", wanted=f"0 to {self.count - 1} of {self.count}", came=str(self.close_ups))
-        low, high = SIZE_PX
-        if not (low <= self.width <= high and low <= self.height <= high):
-            raise InputError("image", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
-
-
-def plan_cameras(plan: CameraPlan, vertices_m: np.ndarray) -> list[PlannedCamera]:
-    """Cameras for posed hands (P, V, 3), meters. Every vertex of every pose is inside the image of each."""
-    plan.check()
-    random = np.random.default_rng(plan.seed)
+    size_px: width, height · seed: of the distances and rolls
+    """
+    random = np.random.default_rng(seed)
     points = vertices_m.reshape(-1, 3)
     center = (points.min(0) + points.max(0)) / 2
     cameras = []
-    for direction in sphere_directions(plan.count - plan.close_ups, float(random.uniform(0, 2 * np.pi))):
+    for direction in sphere_directions(count, float(random.uniform(0, 2 * np.pi))):
         eye = center + random.uniform(*DISTANCE_M) * direction
         roll = np.radians(random.uniform(-1, 1) * ROLL_DEG)
-        cameras.append(PlannedCamera(framed(aimed(eye, center, roll, (plan.width, plan.height)), points)))
+        cameras.append(PlannedCamera(framed(aimed(eye, center, roll, size_px), points)))
     return cameras
 
 

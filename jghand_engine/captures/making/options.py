@@ -18,6 +18,9 @@ from jghand_engine.hand.sequence import PoseSequence
 
 # rays per pixel: 1 is a test, beyond the most the denoiser has nothing left to do
 SAMPLES = (1, 4096)
+CAMERAS_MAX = 500
+# edges of an image, pixels: below nothing is seen of a hand, above Cycles takes minutes an image
+EDGES_PX = (16, 4096)
 # the environments that come with Blender (Poly Haven, CC0)
 HDRI_NAMES = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
 
@@ -110,6 +113,14 @@ class CaptureOptions:
             if not least <= value <= most:
                 wanted = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
                 raise InputError(name, wanted=wanted, came=f"{value:g}")
+        if not 1 <= self.cameras <= CAMERAS_MAX:
+            raise InputError("cameras of a capture", wanted=f"1 to {CAMERAS_MAX}", came=str(self.cameras))
+        if not 0 <= self.close_ups < self.cameras:
+            wanted = f"0 to {self.cameras - 1} of {self.cameras}"
+            raise InputError("close-ups", wanted=wanted, came=str(self.close_ups))
+        low, high = EDGES_PX
+        if not (low <= self.width <= high and low <= self.height <= high):
+            raise InputError("image", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
         if isinstance(light, Light):
             light.check()
         self.skin.check()

@@ -28,7 +28,7 @@ import numpy as np
 
 from jghand_engine.captures.capture_folder import FOREARM, HANDS_FILE, PLAN_FILE
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
-from jghand_engine.captures.making.cameras import CameraPlan, PlannedCamera, plan_cameras
+from jghand_engine.captures.making.cameras import PlannedCamera, plan_cameras
 from jghand_engine.captures.making.close_ups import plan_close_ups
 from jghand_engine.captures.making.closing import Closing
 from jghand_engine.captures.making.lights import LIGHTS_FILE, VariedLight, lights_bytes, plan_lights
@@ -135,8 +135,6 @@ class CapturePlan:
     def jobs(self, folder: Path, shard: tuple[int, int] = (1, 1)) -> list[Job]:
         """The images of a shard (number from 1, of how many): whole poses, all cameras of each."""
         number, count = shard
-        if not 1 <= number <= count:
-            raise InputError("shard", wanted="NUMBER/COUNT with a number from 1 to the count", came=f"{number}/{count}")
         record = self.record
         return [
             Job(
@@ -190,8 +188,6 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     """Everything of a capture but its images. InputError for options that cannot be."""
     options.check()
     hand = RiggedHand(load_identity(options.identity, forearm=True))
-    camera_plan = CameraPlan(options.cameras, options.close_ups, options.width, options.height, options.seed)
-    camera_plan.check()
     if options.motion is None:
         poses, closing = varied_poses(hand, options.poses, options.seed), Closing(hand)
         names, posed = poses.names, hand.pose(np.stack([closing.closed(angles) for angles in poses.angles_deg]))
@@ -200,7 +196,8 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
     posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
     vertices_m = hand.skin(posed)
-    cameras = plan_cameras(camera_plan, _of_hand(vertices_m))
+    whole, size_px = options.cameras - options.close_ups, (options.width, options.height)
+    cameras = plan_cameras(whole, size_px, options.seed, _of_hand(vertices_m))
     samples = options.sampling.samples
     cameras += plan_close_ups(hand.identity, vertices_m, options.close_ups, options.seed, samples)
     person = PersonSkin.of(hand.identity, options.skin, options.sampling.subdivisions)

@@ -7,13 +7,8 @@ as is the self-shadow. Of the texture of a hand's detail they have the means und
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.avatar.posing import PosedHand
 
 # spherical harmonics of band 0: color = 0.5 + SH_C0 * coefficient
 SH_C0 = 0.28209479177387814
@@ -46,19 +41,3 @@ class SplatCloud:
 
     def __len__(self) -> int:
         return len(self.positions_m)
-
-    @classmethod
-    def of_frame(cls, posed: PosedHand, avatar: HandAvatar, *, axes: str, up: str, light: str = "") -> SplatCloud:
-        """The Gaussians of a frame, whose world has the axis `up` upwards, in `axes`. avatar: that was posed, whose
-        Gaussians are balls."""
-        axes_from_world = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
-        count = len(posed.position_m)
-        return cls(
-            posed.position_m @ axes_from_world.T,
-            np.broadcast_to(posed.sigma_m[:, None], (count, 3)),
-            np.broadcast_to([1.0, 0.0, 0.0, 0.0], (count, 4)),
-            np.asarray(avatar.opacity, np.float32),
-            np.clip(np.asarray(avatar.rgb, np.float32) if posed.rgb is None else posed.rgb, 0, 1),
-            axes,
-            light,
-        )

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.scene_light import SceneLight
 from jghand_engine.errors import InputError
@@ -98,46 +100,27 @@ class FrameFiles:
 
 
 @dataclass(frozen=True)
-class SplatOptions:
-    """What files are written.
+class SplatOptions(FrameFiles):
+    """What files are written; their suffix is a key of FORMATS.
 
-    format: a key of FORMATS
-    axes:   of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
-    up:     the axis of the motion's world that points up
-    light:  of a scene, that falls on the hand; None: what the avatar carries
-    name, first_frame, overwrite: as of FrameFiles
+    axes:  of the numbers, rdf (x right, y down, z forward) or rub (y up); None: as the format's readers expect it
+    up:    the axis of the motion's world that points up
+    light: of a scene, that falls on the hand; None: what the avatar carries
     """
 
-    format: str = "ply"
-    name: str = "hand"
     axes: str | None = None
-    first_frame: int = 0
     up: str = "y"
-    overwrite: bool = False
     light: SceneLight | None = None
 
     def __post_init__(self) -> None:
-        choices = (("format", self.format, FORMATS), ("up", self.up, RUB_FROM_UP))
-        for option, value, wanted in choices:
+        super().__post_init__()
+        for option, value, wanted in (("format", self.suffix, FORMATS), ("up", self.up, RUB_FROM_UP)):
             if value not in wanted:
                 raise InputError(option, wanted=" or ".join(wanted), came=repr(value))
-        if self.axes is not None and self.axes not in self._format.axes:
-            wanted = " or ".join(self._format.axes if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
-            raise InputError(f"axes of {self.format} files", wanted=wanted, came=repr(self.axes))
-        _ = self.names
-
-    @property
-    def _format(self) -> SplatFormat:
-        return FORMATS[self.format]
-
-    @property
-    def names(self) -> FrameFiles:
-        """Those of the files. InputError for a name that no file should have."""
-        return FrameFiles(self.name, self.format, self.first_frame, self.overwrite)
-
-    @property
-    def written_axes(self) -> str:
-        return self.axes or self._format.axes[0]
+        known = FORMATS[self.suffix].axes
+        if self.axes is not None and self.axes not in known:
+            wanted = " or ".join(known if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
+            raise InputError(f"axes of {self.suffix} files", wanted=wanted, came=repr(self.axes))
 
 
 @dataclass(frozen=True)
@@ -176,24 +159,25 @@ def export_splats(
     and for a package that is missing; RetryError for a full disk.
     """
     options = options or SplatOptions()
-    kind = FORMATS[options.format]
+    kind = FORMATS[options.suffix]
     kind.check()
-    clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up, light=options.light)
+    axes = options.axes or kind.axes[0]
+    clouds = SplatMotion(avatar, sequence, axes=axes, up=options.up, light=options.light)
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
-    files = tuple(options.names.path(target, index) for index in frames)
-    kept = options.names.refuse_others(target, files, len(sequence))
+    files = tuple(options.path(target, index) for index in frames)
+    kept = options.refuse_others(target, files, len(sequence))
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
         write_file(path, content)
         size += len(content)
         if progress:
             progress(done, len(files))
-    return SplatReport(files, options.written_axes, clouds.light, len(avatar), size, kept)
+    return SplatReport(files, axes, clouds.light, len(avatar), size, kept)
 
 
-class SplatMotion:
-    """An avatar driven by a sequence, as clouds.
+class SplatMotion(HandMotion):
+    """An avatar whose Gaussians are balls, driven by a sequence, as clouds.
 
     axes:  a key of AXES_FROM_RUB
     up:    the motion's axis upwards
@@ -210,9 +194,19 @@ class SplatMotion:
         light: SceneLight | None = None,
     ) -> None:
         check_balls(avatar)
-        self._motion, self._axes, self._up = HandMotion(with_detail_in_colors(avatar), sequence, light, up), axes, up
-        self.light = self._motion.light
+        super().__init__(with_detail_in_colors(avatar), sequence, light, up)
+        self._axes, self._axes_from_world = axes, AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
 
     def cloud(self, index: int) -> SplatCloud:
-        posed, avatar = self._motion.frame(index), self._motion.avatar
-        return SplatCloud.of_frame(posed, avatar, axes=self._axes, up=self._up, light=self.light)
+        """The Gaussians of a frame."""
+        posed, count = self.frame(index), len(self.avatar)
+        rgb = np.asarray(self.avatar.rgb, np.float32) if posed.rgb is None else posed.rgb
+        return SplatCloud(
+            posed.position_m @ self._axes_from_world.T,
+            np.broadcast_to(posed.sigma_m[:, None], (count, 3)),
+            np.broadcast_to([1.0, 0.0, 0.0, 0.0], (count, 4)),
+            np.asarray(self.avatar.opacity, np.float32),
+            np.clip(rgb, 0, 1),
+            self._axes,
+            self.light,
+        )

@@ -32,10 +32,11 @@ GZIP_LEVEL = 6
 def spz_bytes(cloud: SplatCloud) -> bytes:
     """The content of a file. SPZ documents axes rub as its own; the cloud's are written as they are."""
     bits = fractional_bits(cloud.positions_m)
+    fixed_point = np.round(cloud.positions_m.astype(np.float64) * 2**bits).astype("<i4")
     harmonics = (cloud.rgb - 0.5) / SH_C0
     parts = (
         struct.pack("<IIIBBBB", MAGIC, VERSION, len(cloud), 0, bits, 0, 0),
-        _fixed_point(cloud.positions_m, bits),
+        fixed_point.view(np.uint8).reshape(-1, 4)[:, :3].tobytes(),
         to_bytes(cloud.opacity).tobytes(),
         to_bytes(harmonics * COLOR_SCALE + 0.5).tobytes(),
         _steps((np.log(cloud.scales_m) - LN_SIGMA_MIN) * STEPS_PER_LN).tobytes(),
@@ -51,11 +52,6 @@ def fractional_bits(positions_m: np.ndarray) -> int:
     # one step of room for rounding up
     whole_bits = 0 if farthest_m == 0 else math.ceil(math.log2(farthest_m + 2**-FRACTIONAL_BITS))
     return max(0, min(FRACTIONAL_BITS, POSITION_BITS - 1 - whole_bits))
-
-
-def _fixed_point(positions_m: np.ndarray, bits: int) -> bytes:
-    numbers = np.round(positions_m.astype(np.float64) * 2**bits).astype("<i4")
-    return numbers.view(np.uint8).reshape(-1, 4)[:, :3].tobytes()
 
 
 def _steps(values: np.ndarray) -> np.ndarray:

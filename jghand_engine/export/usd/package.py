@@ -370,11 +370,10 @@ class _Writer:
         if not layer.Export(str(target)):
             raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
         variant = Variant(self._options.default_variant)
-        if not variant.has_frames:
+        paths = {Variant.SPLATS: (f"{HAND_PATH}/Splats", None), Variant.POINTS: (None, f"{HAND_PATH}/Points")}
+        if variant not in paths:  # all of it follows the skeleton
             return None
-        is_splats = variant is Variant.SPLATS
-        paths = (f"{HAND_PATH}/Splats", None) if is_splats else (None, f"{HAND_PATH}/Points")
-        return SplatLayer(Usd.Stage.Open(str(target)), self._span, self._look, self._cloud.sigma_m, *paths)
+        return SplatLayer(Usd.Stage.Open(str(target)), self._span, self._look, self._cloud.sigma_m, *paths[variant])
 
     def _write_frames(self, layer: SplatLayer | None) -> None:
         if layer is None:

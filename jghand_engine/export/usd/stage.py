@@ -45,11 +45,6 @@ class Variant(StrEnum):
     POINTS_SKINNED = "points_skinned"
     MESH = "mesh"
 
-    @property
-    def has_frames(self) -> bool:
-        """Whether Gaussians are written in every frame; in the others all follows the skeleton."""
-        return self in (Variant.SPLATS, Variant.POINTS)
-
 
 class LayerNames:
     """File names of one export, all in one folder."""
@@ -130,15 +125,11 @@ def set_display(
     color.GetAttr().SetColorSpace(LINEAR)
     numbers = {} if opacity is None else {"displayOpacity": opacity}
     if material is not None:
-        numbers |= {"roughness": material.roughness, "ior": refractive_index(material.reflectance)}
+        # the refractive index of what reflects this part of the light at right angles (Fresnel)
+        root = np.sqrt(material.reflectance)
+        numbers |= {"roughness": material.roughness, "ior": (1 + root) / (1 - root)}
     for name, values in numbers.items():
         api.CreatePrimvar(name, TYPES.FloatArray, UsdGeom.Tokens.vertex).Set(floats(values))
-
-
-def refractive_index(reflectance: np.ndarray) -> np.ndarray:
-    """Of what reflects this part of the light at right angles (Fresnel)."""
-    root = np.sqrt(reflectance)
-    return (1 + root) / (1 - root)
 
 
 def bound(positions_m: np.ndarray, radius_m: np.ndarray) -> Vt.Vec3fArray:

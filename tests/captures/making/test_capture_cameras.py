@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras, sphere_directions
+from jghand_engine.captures.making.cameras import plan_cameras, sphere_directions
+from jghand_engine.captures.making.options import CaptureOptions
 from jghand_engine.captures.making.rig import RiggedHand, load_identity
 from jghand_engine.errors import InputError
 from jghand_engine.render.camera import Camera
-
-PLAN = CameraPlan(count=14, close_ups=2, width=334, height=512)
 
 
 @pytest.fixture(scope="module")
@@ -17,8 +16,10 @@ def posed() -> np.ndarray:
     return hand.skin(hand.pose(np.stack([hand.angles_of(name) for name in ("open", "fist", "spread")])))
 
 
-def whole_views(posed: np.ndarray, plan: CameraPlan = PLAN) -> list[Camera]:
-    planned = plan_cameras(plan, posed)
+def whole_views(
+    posed: np.ndarray, count: int = 12, size_px: tuple[int, int] = (334, 512), seed: int = 0
+) -> list[Camera]:
+    planned = plan_cameras(count, size_px, seed, posed)
     assert {(one.pose, one.samples) for one in planned} == {(None, None)}
     return [one.camera for one in planned]
 
@@ -49,7 +50,7 @@ def test_principal_points_are_off_the_center_and_pixels_square(posed):
 
 
 def test_the_seed_decides_the_cameras(posed):
-    first, again, other = (whole_views(posed, CameraPlan(6, 1, 64, 96, seed)) for seed in (0, 0, 1))
+    first, again, other = (whole_views(posed, 5, (64, 96), seed) for seed in (0, 0, 1))
     assert [c.camera_from_world.tolist() for c in first] == [c.camera_from_world.tolist() for c in again]
     assert first[0].camera_from_world.tolist() != other[0].camera_from_world.tolist()
 
@@ -65,15 +66,15 @@ def test_directions_are_unit_vectors_and_apart(count):
 
 
 @pytest.mark.parametrize(
-    ("plan", "named"),
+    ("numbers", "named"),
     [
-        (CameraPlan(0, 0, 334, 512), "cameras"),
-        (CameraPlan(4, 4, 334, 512), "close-ups"),
-        (CameraPlan(4, -1, 334, 512), "close-ups"),
-        (CameraPlan(4, 1, 3, 512), "image"),
-        (CameraPlan(4, 1, 334, 99999), "image"),
+        ((0, 0, 25, 334, 512), "cameras"),
+        ((4, 4, 25, 334, 512), "close-ups"),
+        ((4, -1, 25, 334, 512), "close-ups"),
+        ((4, 1, 25, 3, 512), "image"),
+        ((4, 1, 25, 334, 99999), "image"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(plan, named, posed):
+def test_what_cannot_be_is_refused_by_name(numbers, named):
     with pytest.raises(InputError, match=named):
-        plan_cameras(plan, posed)
+        CaptureOptions("3", *numbers).check()
