@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from pathlib import Path
 
@@ -38,11 +37,6 @@ def job_folder() -> Path:
         return Path(tempfile.mkdtemp(prefix="job_", dir=user_folder("jobs")))
     except OSError as error:
         raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
-
-
-def remove_job_folder(folder: Path) -> None:
-    """The job is over. What cannot be removed stays: nobody looks there again."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def absolute(thing: bpy.types.Object, name: str) -> str:

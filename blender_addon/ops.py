@@ -46,6 +46,7 @@ class Reporting:
 
     # Blender's, of the operator that this is mixed into
     bl_idname: str
+    bl_options = UNDOABLE
     report: Callable[[set[str], str], None]
     as_keywords: Callable[[], dict[str, Any]]
 

@@ -48,9 +48,17 @@ class StartsJob(InTurns):
     watched = True
     _is_done = False
 
-    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        jobs = map(runtime.jobs().get, (cls.key, *cls.never_beside))
+        running = next((job for job in jobs if job is not None and not job.is_over), None)
+        if running is None:
+            return True
+        return missing(cls, f"{running.spec.title} is running already: wait until it has ended, or cancel it")
+
+    def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
         """The objects whose hands are recorded; none where a job needs no motion."""
-        return hands_to_write(context)
+        return []
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec | None:
         raise NotImplementedError
@@ -191,14 +199,14 @@ def named_hands(
 # ---- what can be refused ---------------------------------------------------------------------------------------------
 
 
-def poll_hands_to_write(operator: type[StartsJob], context: bpy.types.Context) -> bool:
+def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
     if not hands_to_write(context):
         if context.scene.jghand.output.hands == "all":
             return missing(operator, "There is no hand in this view layer that is rendered")
         return missing(operator, "Select a hand, or choose All")
     if not frames_to_write(context):
         return missing(operator, "The last frame comes before the first")
-    return all(poll_job(operator, key) for key in (operator.key, *operator.never_beside))
+    return True
 
 
 def poll_usd(operator: type, context: bpy.types.Context) -> bool:
@@ -212,13 +220,6 @@ def lacks_usd(_context: bpy.types.Context) -> bool:
     except JGHandFailure as failure:
         return failure.kind == "no_usd"
     return False
-
-
-def poll_job(operator: type, key: str) -> bool:
-    job = runtime.jobs().get(key)
-    if job is None or job.is_over:
-        return True
-    return missing(operator, f"{job.spec.title} is running already: wait until it has ended, or cancel it")
 
 
 def place(context: bpy.types.Context, text: str) -> Path:

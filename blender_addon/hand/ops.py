@@ -19,7 +19,7 @@ from ..core.bone_maps import BoneMap
 from ..core.joints import FOREARM, HANDEDNESSES, NAMES, RIGHT
 from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
-from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
+from ..ops import UNDOABLE_PLUMBING, Reporting, missing
 from ..render import scene_light
 from ..render.camera import add_framing_camera
 from . import armature, avatar_files, controls, family, sources, stand_ins
@@ -48,7 +48,6 @@ class AddHand(Reporting, bpy.types.Operator):
         "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor or beside a hand that "
         "stands there"
     )
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)
     avatar: bpy.props.EnumProperty(name="Avatar", description="Whose hand", items=family.items)
@@ -99,7 +98,6 @@ class AddForearmBone(Reporting, bpy.types.Operator):
     bl_idname = "jghand.add_forearm_bone"
     bl_label = "Add Forearm Bone"
     bl_description = "Add a bone from the elbow to the wrist, which then bends and twists when one of them is turned"
-    bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -124,7 +122,6 @@ class UseArmature(Reporting, bpy.types.Operator):
         "Draw hands on this armature: its bones are recognized by their names, of Rigify, Mixamo, VRM, MakeHuman, "
         "Unreal, Auto-Rig Pro and others. Bones, keys and constraints stay as they are"
     )
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
@@ -180,7 +177,6 @@ class UseObjects(Reporting, bpy.types.Operator):
         "Draw a hand on 21 selected objects, one per joint, recognized by their names (such as right_index_finger_mcp "
         "or left_index1). An empty is added that stands for the hand"
     )
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
@@ -235,7 +231,6 @@ class FillBoneMap(Reporting, bpy.types.Operator):
     bl_idname = "jghand.fill_bone_map"
     bl_label = "Find Bones Again"
     bl_description = "Look for this hand's bones by their names again"
-    bl_options = UNDOABLE
 
     only_missing: bpy.props.BoolProperty(
         name="Only Missing",
@@ -269,7 +264,6 @@ class Forget(Reporting, bpy.types.Operator):
     bl_idname = "jghand.forget"
     bl_label = "Remove Hand Binding"
     bl_description = "Draw no hand on this object. Bones, objects and keys stay; the bone map is deleted"
-    bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(
         name="Hand", description="Which hand is no longer drawn", items=_EITHER, default="BOTH"
@@ -318,7 +312,6 @@ class LoadAvatar(Reporting, bpy.types.Operator):
     bl_idname = "jghand.load_avatar"
     bl_label = "Load Avatar"
     bl_description = "Choose the avatar file that is drawn on the selected hands"
-    bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     relative_path: bpy.props.BoolProperty(

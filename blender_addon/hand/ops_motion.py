@@ -153,7 +153,7 @@ class KeysFile(FromFile):
             self.working,
             (*program, *said(folder)),
             on_done=lambda: results.append(read(folder)),
-            on_over=lambda: folders.remove_job_folder(folder),
+            scratch=(folder,),
         )
         job = runtime.start_job(runtime.IMPORT, spec)
         try:

@@ -10,6 +10,7 @@ limit.
 from __future__ import annotations
 
 import json
+import shutil
 import time
 import traceback
 from collections import deque
@@ -145,8 +146,8 @@ class JobSpec:
     more: tuple[tuple[str, ...], ...] = ()
     # called once, on the thread that ticks, when it is done; what it raises makes the job a failed one
     on_done: Callable[[], None] | None = None
-    # called once, when it is over however it ended; takes away what only the job needed
-    on_over: Callable[[], None] | None = None
+    # folders that only the job needs: they go when it is over, however it ended
+    scratch: tuple[Path, ...] = ()
 
 
 class Job:
@@ -277,8 +278,8 @@ class Job:
         self._over()
 
     def _over(self) -> None:
-        if self.spec.on_over is not None:
-            self._call(self.spec.on_over)
+        for folder in self.spec.scratch:
+            shutil.rmtree(folder, ignore_errors=True)
 
     def _call(self, work: Callable[[], None]) -> None:
         """What others have to do at the end. Whatever goes wrong there makes this a failed job, with its trace in the

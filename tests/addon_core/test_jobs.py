@@ -137,11 +137,12 @@ def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monk
 
 @posix
 @pytest.mark.parametrize("fault", ["short", "die"])
-def test_what_only_the_job_needed_is_taken_away_once_when_it_is_over(tmp_path, fault):
-    over = []
-    job = Job(spec(fault, on_over=lambda: over.append(job.is_over)))
+def test_what_only_the_job_needed_is_taken_away_when_it_is_over(tmp_path, fault):
+    (tmp_path / "scratch").mkdir()
+    job = Job(spec(fault, scratch=(tmp_path / "scratch",)))
+    assert (tmp_path / "scratch").is_dir()
     ended(job)
-    assert over == [True]
+    assert not list(tmp_path.iterdir())
 
 
 @posix

@@ -423,7 +423,7 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
     one, other = folders.job_folder(), folders.job_folder()
     assert one != other
     for folder in (one, other):
-        folders.remove_job_folder(folder)
+        folder.rmdir()
     a_hand(extension)
     extension.scene.jghand.output.folder = str(tmp_path / "out")
     before = set(folders.user_folder("jobs").iterdir())
