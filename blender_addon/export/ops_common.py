@@ -50,7 +50,7 @@ class StartsJob(InTurns):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        jobs = map(runtime.jobs().get, (cls.key, *cls.never_beside))
+        jobs = map(runtime.jobs.get, (cls.key, *cls.never_beside))
         running = next((job for job in jobs if job is not None and not job.is_over), None)
         if running is None:
             return True
@@ -94,7 +94,7 @@ class StartsJob(InTurns):
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """A step per frame; then the job is looked at, unless it takes hours."""
         for key in (self.key, *self.never_beside):  # before minutes of recording
-            runtime.jobs().refuse_second(key)
+            runtime.jobs.refuse_second(key)
         self.prepare(context)
         recordings: list[Recording] = []
         things = self.recorded_hands(context)

@@ -146,7 +146,7 @@ class KeysFile(FromFile):
     ) -> Generator[float, None, _Result]:
         """What `read` finds in a folder, after the renderer has done there what it is `said` to. Closed half-way, the
         renderer is asked to end and leaves nothing. JGHandFailure: why it failed."""
-        runtime.jobs().refuse_second(runtime.IMPORT)
+        runtime.jobs.refuse_second(runtime.IMPORT)
         program, folder = runtime.program(learns=self.learns), folders.job_folder()
         results: list[_Result] = []
         spec = JobSpec(

@@ -124,7 +124,7 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
         if told is not None and failure.kind == told.kind:
             continue
         draw_failure(layout.box(), context, failure, name)
-    report = runtime.last_report(runtime.VIEWPORT)
+    report = runtime.reports.get(runtime.VIEWPORT)
     warnings = panel_text.warnings(report) if report is not None else ()
     for line in panel_text.folded(warnings, _WARNINGS):
         ui.explained(layout, line, icon="ERROR")

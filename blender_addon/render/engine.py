@@ -78,7 +78,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             traceback.print_exc()
             failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
         if failure is not None:
-            runtime.note_render(RenderNote(failure=failure))
+            runtime.render_note = RenderNote(failure=failure)
             if failure.kind == "canceled" and self.test_break():
                 return
             scene = depsgraph.scene.original
@@ -162,10 +162,10 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         evaluate_ms, request_ms = (1e3 * seconds for seconds in times)
         if reports:
             names = tuple(hand.name for hand in seen[0].hands)
-            runtime.set_report(runtime.RENDER, {**reports[0], panel_text.HANDS: names})
-        before = runtime.last_render()
+            runtime.reports[runtime.RENDER] = {**reports[0], panel_text.HANDS: names}
+        before = runtime.render_note
         if before is None or before.failure is None:  # another view layer of this frame may have failed
-            runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
+            runtime.render_note = RenderNote(None, reports, evaluate_ms, request_ms)
         counts = [f"{len(seen[0].hands)} hands"] + ([f"{len(seen)} sub-frames"] if len(seen) > 1 else [])
         drawn = [panel_text.milliseconds(report.get("total_ms", 0.0)) for report in reports]
         self.update_stats("JGHand", " · ".join([*counts, *drawn]))

@@ -208,7 +208,7 @@ class PassesPage(_OwnPage, bpy.types.Panel):
 
 def receipt_of(context: bpy.types.Context, kind: str) -> ReceiptText | None:
     """The newest receipt of a kind in words; None before there is one."""
-    report = runtime.last_report(kind)
+    report = runtime.reports.get(kind)
     if report is None:
         return None
     settings = context.scene.jghand

@@ -88,7 +88,7 @@ def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     if scene is None or composite.is_hands_scene(scene):
         return
     _failed = ""
-    runtime.note_render(None)
+    runtime.render_note = None
     text = sentence_of(scene)
     if not text or (scene.session_uid, text) in _said:
         return

@@ -9,7 +9,6 @@ limit.
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 import traceback
@@ -23,7 +22,7 @@ from typing import Any
 from ..core.panel_text import duration
 from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
 from . import state as machine
-from .process import Child
+from .process import Child, told_in
 
 # a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
 JOB_STOP_S = 30.0
@@ -100,17 +99,6 @@ class JobState:
 
     def failed(self, failure: JGHandFailure) -> JobState:
         return replace(self, phase=Phase.FAILED, eta_s=None, failure=failure)
-
-
-def parse_line(line: str) -> dict[str, Any] | None:
-    """What a line of the engine's standard error says (`jghand … --progress-json`); None for any other line."""
-    if not line.startswith("{"):
-        return None
-    try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) and isinstance(content.get("jghand"), str) else None
 
 
 def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGHandFailure:
@@ -193,7 +181,7 @@ class Job:
         self.state = replace(self.state, phase=Phase.CANCELLING)
         if self._asked_s is None:
             self._asked_s = time.monotonic()
-            self._close_input()
+            self.close_input()
 
     def wait(self, timeout_s: float) -> bool:
         """Blocks until it is over, at most so long; True when it is over."""
@@ -214,10 +202,10 @@ class Job:
                 return
         self.wait(2 * JOB_LAST_WORDS_S)
 
-    def let_go(self) -> None:
-        """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
-        its checkpoint."""
-        self._close_input()
+    def close_input(self) -> None:
+        """Asks it to stop, whether it is looked at any more or not: a training writes its checkpoint, and ends."""
+        if self._process is not None:
+            self._process.close_stdin()
 
     # ---- the process -------------------------------------------------------------------------------------------------
 
@@ -238,14 +226,14 @@ class Job:
     def _hear(self, line: str, _is_output: bool) -> None:
         """However much comes, only the newest is kept."""
         self._heard_s = time.monotonic()
-        content = parse_line(line)
-        if content is None:
-            if line:
+        content = told_in(line)
+        match content.get("jghand"):
+            case "error":
+                self._error = content
+            case "progress" | "training":
+                self._progress = content
+            case other if line and not isinstance(other, str):
                 self._output.append(line[: machine.LOG_LINE_MAX])
-        elif content["jghand"] == "error":
-            self._error = content
-        elif content["jghand"] in ("progress", "training"):
-            self._progress = content
 
     def _take_news(self) -> None:
         progress, self._progress = self._progress, None
@@ -261,7 +249,7 @@ class Job:
 
     def _end(self, code: int) -> None:
         self._take_news()
-        self._close_input()
+        self.close_input()
         canceled = self.state.phase is Phase.CANCELLING
         if code == 0 and self._waiting and not canceled:
             self.state = JobState(text=self.spec.title)
@@ -299,10 +287,6 @@ class Job:
         waited_s = time.monotonic() - self._asked_s
         if waited_s > JOB_STOP_S:
             self._process.end_tree(at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
-
-    def _close_input(self) -> None:
-        if self._process is not None:
-            self._process.close_stdin()
 
 
 class JobTable:
@@ -344,7 +328,7 @@ class JobTable:
         longer, as a training for its checkpoint, end by themselves."""
         running = self.running
         for job in running:
-            job.let_go()
+            job.close_input()
         until = time.monotonic() + JOB_END_S
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))

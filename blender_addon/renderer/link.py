@@ -23,7 +23,7 @@ from typing import Any
 from ..core import protocol
 from ..errors import JGHandFailure
 from . import state as machine
-from .process import EngineProcess, LostError
+from .process import EngineProcess
 from .waiting import Answer, Arrays, Call, Waiting
 
 __all__ = ["Answer", "EngineLink", "Status"]
@@ -354,7 +354,7 @@ class EngineLink:
             engine.send(())
             while (message := engine.receive()) is not None:
                 self._take(message, engine)
-        except LostError as lost:
+        except JGHandFailure as lost:
             self._say(machine.Broke(time.monotonic(), self._run, lost.kind, lost.detail))
         ended = engine.why_it_ended()
         if ended is not None:

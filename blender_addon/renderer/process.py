@@ -202,16 +202,9 @@ class Child:
         ended()
 
 
-class LostError(Exception):
-    """The engine cannot be used any more. kind: a key of errors.ADVICE; detail: what happened."""
-
-    def __init__(self, kind: str, detail: str) -> None:
-        super().__init__(kind, detail)
-        self.kind, self.detail = kind, detail
-
-
 class EngineProcess(Child):
-    """An engine that was started; `connect` when it has said where it listens; then messages, which raise LostError.
+    """An engine that was started; `connect` when it has said where it listens; then messages. JGHandFailure: it cannot
+    be used any more.
 
     Only `kill` and the search for the reason of a break wait, and not for long."""
 
@@ -247,7 +240,7 @@ class EngineProcess(Child):
         self._greeted = True
         theirs = self.handshake["protocol"]
         if theirs != protocol.PROTOCOL_VERSION:
-            raise LostError("protocol", f"extension {protocol.PROTOCOL_VERSION}, engine {theirs}")
+            raise JGHandFailure("protocol", f"extension {protocol.PROTOCOL_VERSION}, engine {theirs}")
         try:
             address = ("127.0.0.1", int(self.handshake.get("port", 0)))
             self.socket = socket.create_connection(address, timeout=_CONNECT_S)
@@ -284,17 +277,16 @@ class EngineProcess(Child):
             raise self._broken("broken_stream" if self._welcome else "token", str(error)) from error
         except (protocol.ProtocolError, OSError) as error:
             self._disconnect()
-            raise LostError("broken_stream", str(error)) from error
+            raise JGHandFailure("broken_stream", str(error)) from error
         if message is not None and not self._welcome:
             if message.header.get("kind") != "welcome":
-                refusal = failure_told(message.header.get("error"))
-                raise LostError(refusal.kind, refusal.detail)
+                raise failure_told(message.header.get("error"))
             self._welcome = True
         return message
 
     # ---- the end -----------------------------------------------------------------------------------------------------
 
-    def why_it_ended(self) -> LostError | None:
+    def why_it_ended(self) -> JGHandFailure | None:
         """The reason of the end of the process; None while it runs."""
         code = self.popen.poll()
         if code is None:
@@ -302,8 +294,8 @@ class EngineProcess(Child):
         self.said_all(_LAST_WORDS_S)
         missing = [line for line in tuple(self._log) if "No module named" in line]
         if not self.handshake and missing:
-            return LostError("no_engine", missing[-1].strip())
-        return LostError(kind_of_exit(code), f"exit code {code}")
+            return JGHandFailure("no_engine", missing[-1].strip())
+        return JGHandFailure(kind_of_exit(code), f"exit code {code}")
 
     def kill(self) -> None:
         self._disconnect()
@@ -318,26 +310,26 @@ class EngineProcess(Child):
         self.socket = self._receiver = None
         self._outgoing.clear()
 
-    def _broken(self, kind: str, detail: str) -> LostError:
+    def _broken(self, kind: str, detail: str) -> JGHandFailure:
         """The connection broke; when that is because the process ends, a little later, that is the reason."""
         self._disconnect()
         ended = self.why_it_ended() if self.ends_within(machine.TERMINATE_S) else None
-        return ended or LostError(kind, detail)
+        return ended or JGHandFailure(kind, detail)
 
     def _hear(self, line: str, is_output: bool) -> None:
         """Finds the handshake in what it prints."""
-        found = _handshake(line) if not self.handshake and is_output else {}
-        if found:
+        found = told_in(line) if not self.handshake and is_output else {}
+        if "protocol" in found:
             self.handshake = found
             self._wake()
         elif line:
             self._log.append(line[: machine.LOG_LINE_MAX])
 
 
-def _handshake(line: str) -> dict[str, Any]:
-    """The handshake that a line is; empty for any other line."""
+def told_in(line: str) -> dict[str, Any]:
+    """The JSON object that a line is; empty for any other line."""
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return content if isinstance(content, dict) and "protocol" in content else {}
+    return content if isinstance(content, dict) else {}

@@ -70,8 +70,8 @@ class TrainingSetPanel(Sidebar, bpy.types.Panel):
 
 def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingFolder | None:
     """What lies in the folder of the training that runs, or of the one beside the avatar's file."""
-    job = runtime.jobs().get(runtime.TRAINING)
-    if job is not None and runtime.jobs().runs(runtime.TRAINING):
+    job = runtime.jobs.get(runtime.TRAINING)
+    if job is not None and runtime.jobs.runs(runtime.TRAINING):
         path = job.spec.folder
     else:
         try:
@@ -83,7 +83,7 @@ def _look_at_training(context: bpy.types.Context, avatar_file: str) -> TrainingF
 
 def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:
     row = layout.row(align=True)
-    if runtime.jobs().runs(runtime.TRAINING):
+    if runtime.jobs.runs(runtime.TRAINING):
         row.operator("jghand.cancel_job", text="Pause", icon="PAUSE").key = runtime.TRAINING
     elif seen is not None and seen.can_go_on:
         row.operator("jghand.train", text="Resume", icon="PLAY").start = "resume"
@@ -97,7 +97,7 @@ _PICTURE_UNITS = 9.0
 
 
 def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: TrainingFolder) -> None:
-    job = runtime.jobs().get(runtime.TRAINING)
+    job = runtime.jobs.get(runtime.TRAINING)
     if job is not None and not job.is_over:
         ui.paragraph(layout, context, job.state.text)  # whole: the bar of its progress has no room for loss and dB
     elif seen.can_go_on:
@@ -125,7 +125,7 @@ class FilmPanel(Sidebar, bpy.types.Panel):
     bl_options = ui.CLOSED
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, job = self.layout, runtime.jobs().get(runtime.OWN)
+        layout, job = self.layout, runtime.jobs.get(runtime.OWN)
         if job is None or job.is_over:
             for number, line in enumerate(_FILMING, 1):
                 ui.paragraph(layout, context, f"{number}. {line}.")

@@ -314,7 +314,7 @@ def take(view: View, moment: DrawMoment) -> bool:
         view.place = view.places.get(tag)
         names = view.place.hands if view.place is not None else ()
         for report in answer.message.header.get("reports", [])[:1]:
-            runtime.set_report(runtime.VIEWPORT, {**report, HANDS: names})
+            runtime.reports[runtime.VIEWPORT] = {**report, HANDS: names}
     return accepted or view.failure is not before
 
 

@@ -141,13 +141,13 @@ def test_a_picture_whose_hand_failed_is_magenta_and_says_why(scene, capfd):
     hand = bpy.data.objects["right"]
     hand.scale.x = 0
     assert is_magenta(f12())
-    assert runtime.last_render().failure.kind == "zero_scale"
+    assert runtime.render_note.failure.kind == "zero_scale"
     told = capfd.readouterr()
     assert "JGHand: The hands of frame 1 failed and are magenta: A scale of zero is not supported" in told.err
     assert "ERROR A scale of zero is not supported" in told.out
     hand.scale.x = 1
     assert covered(f12()) > 20
-    assert runtime.last_render().failure is None
+    assert runtime.render_note.failure is None
 
 
 def fails_from(hand: bpy.types.Object, frame: int) -> None:
@@ -172,7 +172,7 @@ def test_an_animation_goes_on_with_magenta_frames_and_says_so_once(scene, tmp_pa
         True,
     ]
     assert capfd.readouterr().err.count("failed and are magenta") == 1
-    assert runtime.last_render().failure.kind == "zero_scale"
+    assert runtime.render_note.failure.kind == "zero_scale"
 
 
 def test_a_second_time_brings_it_up_to_date_and_makes_nothing_twice(scene):

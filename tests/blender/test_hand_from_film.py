@@ -55,10 +55,10 @@ def engine(extension, tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, str(folder / "engine.py")))
     monkeypatch.setattr(runtime, "timers_fire", lambda: True)
     monkeypatch.setattr(runtime, "watch_jobs", lambda: None)
-    monkeypatch.setattr(runtime, "_jobs", JobTable())
+    monkeypatch.setattr(runtime, "jobs", JobTable())
     monkeypatch.setattr(folders, "user_folder", lambda name, make=True: made(tmp_path / name))
     yield folder
-    for job in runtime.jobs().running:
+    for job in runtime.jobs.running:
         job.kill()
 
 
@@ -77,7 +77,7 @@ def film(tmp_path) -> Path:
 
 def started(film: Path, **chosen: object) -> Job:
     assert bpy.ops.jghand.hand_from_film(filepath=str(film), **chosen) == {"FINISHED"}
-    job = runtime.jobs().get(runtime.OWN)
+    job = runtime.jobs.get(runtime.OWN)
     assert job is not None
     return job
 
