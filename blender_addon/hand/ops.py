@@ -10,6 +10,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy_extras.io_utils import ImportHelper
 from mathutils import Vector
 
 from .. import folders, versions
@@ -19,11 +20,11 @@ from ..core.bone_maps import BoneMap
 from ..core.joints import FOREARM, HANDEDNESSES, NAMES, RIGHT
 from ..core.view import BUILTIN_AVATAR
 from ..errors import JGHandFailure
-from ..ops import UNDOABLE_PLUMBING, Reporting, missing
+from ..ops import REGISTERED, UNDOABLE_PLUMBING, Reporting, missing
 from ..render import scene_light
 from ..render.camera import add_framing_camera
-from . import armature, avatar_files, controls, family, sources, stand_ins
-from .properties import HANDS
+from . import armature, avatar_files, controls, seen_hands, sources, stand_ins
+from .properties import HANDS, hand_items
 from .seen_hands import named
 
 # det of an object's axes below which it is flat and can hide nothing that is inside of it
@@ -50,7 +51,7 @@ class AddHand(Reporting, bpy.types.Operator):
     )
 
     handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)
-    avatar: bpy.props.EnumProperty(name="Avatar", description="Whose hand", items=family.items)
+    avatar: bpy.props.EnumProperty(name="Avatar", description="Whose hand", items=hand_items)
     use_controls: bpy.props.BoolProperty(
         name="Finger Controls",
         description="Add controls for curl and spread of each finger, for pinned tips, and joint limits",
@@ -352,6 +353,24 @@ class LoadAvatar(Reporting, bpy.types.Operator):
             self.warn("Hands that are linked from another file keep their avatar.")
 
 
+class InstallHands(Reporting, ImportHelper, bpy.types.Operator):
+    bl_idname = "jghand.install_hands"
+    bl_label = "Install Hands"
+    bl_description = "Choose a zip of hands: they are offered by Add Hand from then on, in every file"
+    bl_options = REGISTERED
+
+    filename_ext = ".zip"
+    filter_glob: bpy.props.StringProperty(default="*.zip", options={"HIDDEN"})
+
+    def run(self, _context: bpy.types.Context) -> None:
+        path = Path(bpy.path.abspath(self.filepath))
+        if not path.is_file():
+            raise JGHandFailure("bad_pack", str(path))
+        names, broken = avatar_files.unpack(path, folders.user_folder(seen_hands.HANDS))
+        doubts = [f"Damaged, and left out: {', '.join(broken)}. Get the zip again."] if broken else []
+        self.tell(f"Installed hands: {', '.join(names) or '0'}.", doubts=doubts)
+
+
 class DropAvatar(bpy.types.FileHandler):
     bl_idname = "JGHAND_FH_avatar"
     bl_label = "JGHand Avatar"
@@ -400,7 +419,10 @@ def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.ty
             yield thing
 
 
-CLASSES = (AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand, LoadAvatar, DropAvatar)
+CLASSES = (
+    *(AddHand, AddForearmBone, UseArmature, UseObjects, FillBoneMap, Forget, SelectHand),
+    *(LoadAvatar, InstallHands, DropAvatar),
+)
 
 
 def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:

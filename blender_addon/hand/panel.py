@@ -16,7 +16,7 @@ from ..renderer import runtime
 from ..renderer.panel import draw_failure, draw_job, draw_status
 from ..ui import Sidebar
 from ..viewport import views
-from . import armature, avatar_files, controls, family, poses, sources
+from . import armature, avatar_files, controls, poses, properties, sources
 from .seen_hands import avatar_of
 
 # the controls that curl and spread
@@ -83,7 +83,7 @@ def _draw_empty(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 def _draw_add(layout: bpy.types.UILayout, context: bpy.types.Context, *, icon: str, scale_y: float = 1.0) -> None:
     """Add Hand below the picture of the hand that it adds, where there is more than one."""
     choice = context.window_manager.jghand
-    if len(family.items()) > 1:
+    if len(properties.hand_items()) > 1:
         layout.template_icon_view(choice, "hand", show_labels=True, scale=4.0, scale_popup=6.0)
         layout.label(text=bpy.types.UILayout.enum_item_name(choice, "hand", choice.hand), translate=False)
     row = layout.row()

@@ -12,7 +12,7 @@ import bpy.utils.previews
 from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
-from ..hand import avatar_files, family
+from ..hand import avatar_files, properties
 from ..hand.panel import HandPanel
 from ..preferences import preferences
 from ..renderer import runtime
@@ -103,7 +103,7 @@ def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: T
     elif seen.can_go_on:
         layout.label(text=seen.sentence())
     if seen.picture is not None:
-        layout.template_icon(icon_value=family.icon_of(seen.picture), scale=_PICTURE_UNITS)
+        layout.template_icon(icon_value=properties.icon_of(seen.picture), scale=_PICTURE_UNITS)
     if seen.avatar is not None:
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 
@@ -161,9 +161,9 @@ def _draw_own(layout: bpy.types.UILayout, context: bpy.types.Context, work: Path
     for sentence in ui.kept(context, _look_at_findings, str(work / TOLD)) or ():
         ui.paragraph(layout, context, sentence, icon="INFO")
     if proof.is_file():
-        layout.template_icon(icon_value=family.icon_of(proof), scale=_PICTURE_UNITS)
+        layout.template_icon(icon_value=properties.icon_of(proof), scale=_PICTURE_UNITS)
         layout.operator("wm.path_open", text="Film and Hand Side by Side", icon="IMAGE_DATA").filepath = str(proof)
-    if any(item[0] == avatar.stem for item in family.items()):
+    if any(item[0] == avatar.stem for item in properties.hand_items()):
         row = layout.row()
         row.operator_menu_enum("jghand.add_hand", "handedness", text="Add My Hand", icon="ADD").avatar = avatar.stem
         row.operator("jghand.load_avatar", text="On Selected Hands").filepath = str(avatar)

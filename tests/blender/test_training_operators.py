@@ -15,10 +15,10 @@ from test_avatar_cards import write_avatar  # pyright: ignore[reportMissingImpor
 from waiting import wait_for_count, wait_until
 
 from blender_addon.export import bakes
-from blender_addon.export.properties import IDENTITIES
 from blender_addon.hand import avatar_files, seen_hands
 from blender_addon.hand import panel as hand_panel
 from blender_addon.hand.ops import LoadAvatar
+from blender_addon.render.properties import IDENTITIES
 from blender_addon.renderer import runtime
 from blender_addon.renderer.jobs import Job, JobTable, Phase
 from blender_addon.train import panel as training
