@@ -76,14 +76,9 @@ def _appended(context: bpy.types.BlendImportContext, *_: object) -> None:
         thing, source = item.id, item.source_library
         if isinstance(thing, bpy.types.Object) and thing.library is None and source is not None:
             for name in _PATHS:
-                _adapt(thing, name, source)
-
-
-def _adapt(thing: bpy.types.Object, name: str, source: bpy.types.Library) -> None:
-    text = getattr(thing.jghand, name)
-    if text.startswith("//"):
-        whole = bpy.path.abspath(text, library=source)
-        setattr(thing.jghand, name, relative(whole) if bpy.data.filepath else whole)
+                if (text := getattr(thing.jghand, name)).startswith("//"):
+                    whole = bpy.path.abspath(text, library=source)
+                    setattr(thing.jghand, name, relative(whole) if bpy.data.filepath else whole)
 
 
 APP_HANDLERS = (("blend_import_post", _appended),)

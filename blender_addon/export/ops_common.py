@@ -23,7 +23,7 @@ from ..hand.seen_hands import avatar_of
 from ..ops import DONE, InTurns, chosen_hands, followed, missing, seen_frames
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
-from .recording import Recording, check_place, file_names, with_file_name
+from .recording import Recording, file_names
 
 
 class StartsJob(InTurns):
@@ -223,6 +223,11 @@ def lacks_usd(_context: bpy.types.Context) -> bool:
 
 
 def place(context: bpy.types.Context, text: str) -> Path:
-    """A folder or a file as the settings name it. JGHandFailure: no_place."""
-    check_place(text, saved=bool(context.blend_data.filepath))
-    return Path(bpy.path.abspath(with_file_name(text, context.blend_data.filepath))).absolute()
+    """A folder or a file as the settings name it, with the stem of the opened file for its `{blend_name}`: files of one
+    folder share their settings' defaults, and must not write over each other. JGHandFailure: no_place."""
+    blend = context.blend_data.filepath
+    if not text.strip():
+        raise JGHandFailure("no_place", "no folder is chosen")
+    if text.startswith("//") and not blend:
+        raise JGHandFailure("no_place", "the folder is beside the file, and that was never saved")
+    return Path(bpy.path.abspath(text.replace("{blend_name}", Path(blend).stem or "untitled"))).absolute()

@@ -102,8 +102,8 @@ class AddForearmBone(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        hand = context.object
-        if hand is None or not armature.is_hand(hand):
+        hand = common.active_hand(context)
+        if hand is None:
             return missing(cls, "Select a hand")
         return not armature.has_forearm_bone(hand) or missing(cls, "This hand has one already")
 
@@ -210,10 +210,8 @@ class UseObjects(Reporting, bpy.types.Operator):
     ) -> bpy.types.Object:
         joints = sources.objects_of(bone_map, things)
         holder = bpy.data.objects.new(f"{bone_map.handedness.capitalize()} Hand (objects)", None)
-        holder.empty_display_type, holder.empty_display_size = (
-            "SPHERE",
-            HOLDER_SHAPE_M / context.scene.unit_settings.scale_length,
-        )
+        holder.empty_display_type = "SPHERE"
+        holder.empty_display_size = HOLDER_SHAPE_M / context.scene.unit_settings.scale_length
         context.scene.collection.objects.link(holder)
         common.link_to_active_collection(context, holder)
         holder.location = joints[0].matrix_world.translation

@@ -399,7 +399,9 @@ class TrackVideo(KeysFile, bpy.types.Operator):
             anchor = next((place for place, one in enumerate(wanted) if one.hand is not None), None)
             near = near_hand(film.motions, anchor, in_place=self.placement == "IN_PLACE")
             wanted = [replace(one, motion=content) for one, content in zip(wanted, near, strict=True)]
-            origin_m = np.zeros(3) if anchor is None else motion.stands_at_m(wanted[anchor].hand, context.scene)
+            hand = None if anchor is None else wanted[anchor].hand
+            stands = np.zeros(3) if hand is None else np.array(hand.matrix_world.translation, dtype=np.float64)
+            origin_m = context.scene.unit_settings.scale_length * stands
             self.conclude(self.keying(context, wanted, origin_m=origin_m), wanted)
             return
         done = self.keying(context, wanted, origin_m=np.zeros(3), set_rate=True)

@@ -145,7 +145,7 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not poll_hand(cls, context):
             return False
-        return hand_poses.is_used() or missing(cls, 'Press "Install Pose Library" first')
+        return hand_poses.library() is not None or missing(cls, 'Press "Install Pose Library" first')
 
     def run(self, context: bpy.types.Context) -> None:
         if context.mode != "POSE":

@@ -289,7 +289,7 @@ class PosePanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        library = "jghand.show_pose_shelf" if poses.is_used() else "jghand.make_pose_assets"
+        library = "jghand.show_pose_shelf" if poses.library() else "jghand.make_pose_assets"
         layout.operator(library, icon="ASSET_MANAGER")
         row = layout.row(align=True)
         row.menu(PoseMenu.bl_idname, icon="ARMATURE_DATA")

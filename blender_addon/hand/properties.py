@@ -14,6 +14,7 @@ import bpy
 import bpy.utils.previews
 
 from ..core import bone_maps, poses
+from ..core.bone_maps import JointSource
 from ..core.joints import FINGERS, RIGHT
 from ..core.view import BUILTIN_AVATAR
 from ..versions import path_options
@@ -48,19 +49,21 @@ POSES = tuple(
 
 # properties' functions have names of their own: a lambda in an annotation would not see this module
 def _bone(row: JGHandJoint) -> str:
-    return sources.bone_of(row.id_data, row.name)
+    return sources.source_of(row.id_data, row.name).bone
 
 
 def _set_bone(row: JGHandJoint, bone: str) -> None:
-    sources.set_bone(row.id_data, row.name, bone)
+    end = sources.source_of(row.id_data, row.name).end
+    sources.set_source(row.id_data, row.name, JointSource(bone, end) if bone else None)
 
 
 def _end(row: JGHandJoint) -> int:
-    return bone_maps.ENDS.index(sources.end_of(row.id_data, row.name))
+    return bone_maps.ENDS.index(sources.source_of(row.id_data, row.name).end)
 
 
 def _set_end(row: JGHandJoint, place: int) -> None:
-    sources.set_end(row.id_data, row.name, bone_maps.ENDS[place])
+    if bone := sources.source_of(row.id_data, row.name).bone:
+        sources.set_source(row.id_data, row.name, JointSource(bone, bone_maps.ENDS[place]))
 
 
 def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
