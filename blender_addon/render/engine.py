@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..core import film, panel_text
+from ..core import panel_text, view
 from ..core.view import Moment, Part, SceneLight, picture_request
 from ..errors import JGHandFailure
 from ..hand import seen_hands
@@ -187,7 +187,7 @@ def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
     """What of the picture has to be handed over: all of it, or, where the rest is as empty as Blender's passes are
     anyway, what covers anything."""
     height, width = arrays[COMBINED].shape[:2]
-    rows, columns = film.covered(arrays[COMBINED][..., 3])
+    rows, columns = view.covered(arrays[COMBINED][..., 3])
     if not scene.render.film_transparent or DEPTH in arrays or rows.start == rows.stop:
         return Part(0, 0, width, height)
     return Part(columns.start, rows.start, columns.stop, rows.stop)
@@ -195,14 +195,14 @@ def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
 
 def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene, *, linear: bool) -> Iterator[tuple[str, np.ndarray]]:
     """The passes as Blender takes them, of an evaluated scene. linear: whether colors are scene-linear already"""
-    combined = arrays[COMBINED] if linear else film.scene_linear(arrays[COMBINED])
+    combined = arrays[COMBINED] if linear else view.scene_linear(arrays[COMBINED])
     if not scene.render.film_transparent:
-        combined = film.over(combined, samples.background(scene.world))
-    yield COMBINED, film.from_bottom(combined)
+        combined = view.over(combined, samples.background(scene.world))
+    yield COMBINED, view.from_bottom(combined)
     if DEPTH in arrays:
-        yield DEPTH, film.from_bottom(film.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))
+        yield DEPTH, view.from_bottom(view.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))
     if IDS in arrays:
-        yield IDS, film.from_bottom(arrays[IDS])
+        yield IDS, view.from_bottom(arrays[IDS])
 
 
 CLASSES = (JGHandRenderEngine,)

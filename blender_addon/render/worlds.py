@@ -22,8 +22,9 @@ import bpy
 import numpy as np
 
 from .. import versions
-from ..core import film, worlds
+from ..core import worlds
 from ..core.pacing import digest
+from ..core.view import linear_of
 from ..core.worlds import Sun, WorldLight
 from ..errors import JGHandFailure
 from ..hand import armature
@@ -235,7 +236,7 @@ def _read(image: bpy.types.Image) -> np.ndarray:
     image.pixels.foreach_get(values)
     values = values.reshape(height, width, channels)[::-1, :, :3]
     if is_encoded:
-        values = film.linear_of(values)
+        values = linear_of(values)
     return worlds.averaged(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0))
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from blender_addon import versions
-from blender_addon.core import film, posing
-from blender_addon.core.view import Moment, picture_request
+from blender_addon.core import posing
+from blender_addon.core.view import Moment, over, picture_request, scene_linear
 from blender_addon.hand import armature
 from blender_addon.render import camera, composite, lamps
 from blender_addon.renderer import runtime
@@ -109,7 +109,7 @@ def test_soft_edges_are_mixed_with_what_is_behind_them(scene, engine_python):
         runtime._link.close()
         runtime._link = before
     rgba, depth = (np.asarray(reply.arrays[name].view()) for name in ("rgba_f32", "depth"))
-    linear = film.over(film.scene_linear(rgba), (0.2, 0.2, 0.2))[..., :3]
+    linear = over(scene_linear(rgba), (0.2, 0.2, 0.2))[..., :3]
     wanted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
     seen = depth > 0  # what covers a pixel less than that has no depth to be combined by
     soft = seen & (rgba[..., 3] > 0.1) & (rgba[..., 3] < 0.9)
