@@ -164,34 +164,29 @@ def _bake(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, hands: Sequence[Ha
 def _new_stage(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface]) -> _Stage:
     made: list[Any] = []
     try:
-        return _built(scene, layer, surfaces, made)
+        own = probe.new_scene(scene, None, made, SAMPLES)
+        white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
+        skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
+        above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
+        above.data.materials.append(white)
+        for name in _SEEN_BY:
+            setattr(above, f"visible_{name}", False)
+        hands = []
+        for surface in surfaces:
+            mesh = bpy.data.meshes.new(probe.NAME)
+            made.append((bpy.data.meshes, mesh))
+            mesh.from_pydata(surface.vertices, [], surface.faces)
+            mesh.materials.append(skin)
+            hands.append(bpy.data.objects.new(probe.NAME, mesh))
+            made.append((bpy.data.objects, hands[-1]))
+        there = armature.rendered_at_any_frame(layer, _is_there)
+        of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
+        there = [_linked(thing, above, hands, of_hands, made) if thing.type == "LIGHT" else thing for thing in there]
+        for thing in (above, *hands, *there):
+            own.collection.objects.link(thing)
+        return _Stage(own, hands, above)
     finally:
         handover.leave(made)
-
-
-def _built(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, surfaces: Sequence[Surface], made: list[Any]) -> _Stage:
-    """made: see `probe.new_scene`"""
-    own = probe.new_scene(scene, None, made, SAMPLES)
-    white = probe.new_material("ShaderNodeBsdfDiffuse", (1.0, 1.0, 1.0, 1.0), made)
-    skin = probe.new_material("ShaderNodeBsdfDiffuse", stand_ins.SKIN_RGBA, made)
-    above = probe.new_facets(np.zeros((LOOKS * FINE_POINTS * len(surfaces), 3, 3)), made)
-    above.data.materials.append(white)
-    for name in _SEEN_BY:
-        setattr(above, f"visible_{name}", False)
-    hands = []
-    for surface in surfaces:
-        mesh = bpy.data.meshes.new(probe.NAME)
-        made.append((bpy.data.meshes, mesh))
-        mesh.from_pydata(surface.vertices, [], surface.faces)
-        mesh.materials.append(skin)
-        hands.append(bpy.data.objects.new(probe.NAME, mesh))
-        made.append((bpy.data.objects, hands[-1]))
-    there = armature.rendered_at_any_frame(layer, _is_there)
-    of_hands = armature.rendered_at_any_frame(layer, armature.is_any_hand)
-    there = [_linked(thing, above, hands, of_hands, made) if thing.type == "LIGHT" else thing for thing in there]
-    for thing in (above, *hands, *there):
-        own.collection.objects.link(thing)
-    return _Stage(own, hands, above)
 
 
 def _is_there(thing: bpy.types.Object) -> bool:

@@ -128,11 +128,6 @@ def sentence(engine: str) -> str:
     return f"This image has no hands: {name} does not draw them."
 
 
-def was_said(scene: bpy.types.Scene) -> bool:
-    """Whether it was said of this scene, and shown."""
-    return any(uid == scene.session_uid for uid, _ in _said) and ui.later is None
-
-
 APP_HANDLERS = (("render_init", on_render),)
 
 

@@ -81,18 +81,8 @@ class _Standing:
     shapes: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class _Thing:
-    """Something that may stand in the light.
-
-    shape:  its triangles
-    matrix: (4, 4) to the axes of the lamps, meters
-    """
-
-    shape: _Shape
-    matrix: np.ndarray
-
-
+# something that may stand in the light: its triangles, and (4, 4) to the axes of the lamps, meters
+_Thing = tuple[_Shape, np.ndarray]
 # by scene and view layer; by digest, the last used at the end, as what was found for lamps
 _standing: dict[Hashable, _Standing] = {}
 _shapes: OrderedDict[bytes, _Shape] = OrderedDict()
@@ -121,12 +111,12 @@ def left_of_lamps(
     around = cache(partial(_around, points_m, normals))  # for all lamps
     for place, rows in between.items():
         things = [
-            _Thing(_shapes[digest], standing.matrices[row])
+            (_shapes[digest], standing.matrices[row])
             for row in rows
             if (digest := standing.shapes.get(standing.meshes[row])) is not None and _shapes[digest].tree is not None
         ]
         if things:
-            key = (skin, repr(lamps[place]), *((thing.shape.digest, thing.matrix.tobytes()) for thing in things))
+            key = (skin, repr(lamps[place]), *((shape.digest, matrix.tobytes()) for shape, matrix in things))
             if key not in _found:
                 _found[key] = _look(points_m, normals, lamps[place], things, around)
                 if len(_found) > _FOUND:
@@ -384,17 +374,17 @@ def _ends(starts: np.ndarray, lamp: Mapping[str, Any], at: np.ndarray) -> np.nda
 def _are_hit(starts: np.ndarray, ways: np.ndarray, things: Sequence[_Thing]) -> np.ndarray:
     """(N,) whether a thing is met on the way from each point."""
     hit = np.zeros(len(starts), bool)
-    for thing in things:
-        if thing.shape.tree is None or not np.linalg.det(thing.matrix[:3, :3]):
+    for shape, matrix in things:
+        if shape.tree is None or not np.linalg.det(matrix[:3, :3]):
             continue
-        back = np.linalg.inv(thing.matrix)
+        back = np.linalg.inv(matrix)
         rows = np.flatnonzero(~hit)
         origins = starts[rows] @ back[:3, :3].T + back[:3, 3]
         along = ways[rows] @ back[:3, :3].T
-        near = np.flatnonzero(meet_box(origins, along, thing.shape.box))
+        near = np.flatnonzero(meet_box(origins, along, shape.box))
         rows, origins, along = rows[near], origins[near], along[near]
         lengths = np.linalg.norm(along, axis=-1)
-        cast = thing.shape.tree.ray_cast
+        cast = shape.tree.ray_cast
         hit[rows] = [
             cast(origin, way, length)[0] is not None
             for origin, way, length in zip(origins.tolist(), along.tolist(), lengths.tolist(), strict=True)

@@ -32,9 +32,9 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, *, butto
     if status.since or status.detail:
         ui.explained(box, panel_text.Line(status.since or "Details", tip=status.detail), icon="INFO")
     row = box.row(align=True)
-    for button in status.buttons if buttons else ():
-        properties = row.operator(button.operator, text=button.label)
-        if button.operator == "preferences.addon_show":
+    for operator, label in status.buttons if buttons else ():
+        properties = row.operator(operator, text=label)
+        if operator == "preferences.addon_show":
             properties.module = JGHandPreferences.bl_idname
 
 
