@@ -214,11 +214,6 @@ def _of_picture(shine: Shine) -> WorldLight:
     return WorldLight(radiance, shine.turn, key=key)
 
 
-def picture_of(image: bpy.types.Image) -> np.ndarray:
-    """(H, W, 3) float32 Rec.709 of an environment, averaged. Raises as `_read`."""
-    return _rec709(_read(image))
-
-
 def _read(image: bpy.types.Image) -> np.ndarray:
     """(H, W, 3) scene-linear, averaged. Raises Unread where only Blender knows its colors, JGHandFailure
     (no_world_image)."""
@@ -353,7 +348,7 @@ def read_hdri() -> bool:
     image = None
     try:
         image = bpy.data.images.load(path)
-        _hdris[path] = picture_of(image)
+        _hdris[path] = _rec709(_read(image))
     except (RuntimeError, JGHandFailure, Unread):  # no such file, or none that can be read
         _hdris[path] = None
     finally:

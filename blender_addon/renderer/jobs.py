@@ -169,7 +169,9 @@ class Job:
         process = self._process
         code = process.popen.poll() if process is not None else None
         if process is not None and code is None:
-            self._insist()
+            waited_s = 0.0 if self._asked_s is None else time.monotonic() - self._asked_s
+            if waited_s > JOB_STOP_S:  # by force what does not answer a request to stop
+                process.end_tree(at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
         elif code is not None and self._said_all():
             self._end(code)
         return self.state != before
@@ -279,14 +281,6 @@ class Job:
         except Exception as error:
             self._output.extend(traceback.format_exc().splitlines())
             self.state = self.state.failed(JGHandFailure("internal", f"{type(error).__name__}: {error}"))
-
-    def _insist(self) -> None:
-        """Ends by force what does not answer a request to stop."""
-        if self._asked_s is None or self._process is None:
-            return
-        waited_s = time.monotonic() - self._asked_s
-        if waited_s > JOB_STOP_S:
-            self._process.end_tree(at_once=waited_s > JOB_STOP_S + machine.TERMINATE_S)
 
 
 class JobTable:

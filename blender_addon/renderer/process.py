@@ -218,7 +218,8 @@ class EngineProcess(Child):
         self.socket: socket.socket | None = None
         self._greeted = self._welcome = False
         self._receiver: protocol.Receiver | None = None
-        self._outgoing: deque[memoryview] = deque()
+        # what the socket has not taken yet
+        self.outgoing: deque[memoryview] = deque()
         self._log, self._wake = log, wake
         super().__init__(command, self._hear, wake)
         assert self.popen.stdin is not None  # it was asked for as a pipe
@@ -227,11 +228,6 @@ class EngineProcess(Child):
             self.popen.stdin.flush()
 
     # ---- messages ----------------------------------------------------------------------------------------------------
-
-    @property
-    def has_more_to_send(self) -> bool:
-        """Whether the socket took less than there is."""
-        return bool(self._outgoing)
 
     def connect(self) -> None:
         """Connects to where the engine listens, once that is known, and says the token."""
@@ -253,18 +249,18 @@ class EngineProcess(Child):
 
     def send(self, pieces: Iterable[bytes | memoryview]) -> None:
         """Sends as much as the socket takes now, of what is left from before first."""
-        self._outgoing.extend(memoryview(piece).cast("B") for piece in pieces)
+        self.outgoing.extend(memoryview(piece).cast("B") for piece in pieces)
         try:
-            while self._outgoing and self.socket is not None:
-                sent = self.socket.send(self._outgoing[0])
-                if sent < self._outgoing[0].nbytes:
-                    self._outgoing[0] = self._outgoing[0][sent:]
+            while self.outgoing and self.socket is not None:
+                sent = self.socket.send(self.outgoing[0])
+                if sent < self.outgoing[0].nbytes:
+                    self.outgoing[0] = self.outgoing[0][sent:]
                 else:
-                    self._outgoing.popleft()
+                    self.outgoing.popleft()
         except (BlockingIOError, InterruptedError):
             return
         except OSError:  # the reading side says what is the matter
-            self._outgoing.clear()
+            self.outgoing.clear()
 
     def receive(self) -> protocol.Message | None:
         """The next message that has come whole, None when there is none. The first one is the engine's welcome."""
@@ -308,7 +304,7 @@ class EngineProcess(Child):
         if self.socket is not None:
             self.socket.close()
         self.socket = self._receiver = None
-        self._outgoing.clear()
+        self.outgoing.clear()
 
     def _broken(self, kind: str, detail: str) -> JGHandFailure:
         """The connection broke; when that is because the process ends, a little later, that is the reason."""
