@@ -13,16 +13,12 @@ from dataclasses import dataclass
 MISTAKE, BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY, INTERRUPTED = 1, 2, 3, 4, 130
 
 
-# what the exit code of a process says that said nothing itself; the system kills for memory, a shell tells it so
+# what the exit code of a process says that said nothing itself, else that it crashed; the system kills for memory, a
+# shell tells it so
 EXIT_KINDS = {-9: "killed", 137: "killed", OUT_OF_MEMORY: "out_of_memory"}
 
 # failures of a picture that say nothing about it: somebody gave it up
 GIVEN_UP = frozenset({"canceled", "stopped"})
-
-
-def kind_of_exit(code: int) -> str:
-    """The failure behind the exit code of a process that should not have ended."""
-    return EXIT_KINDS.get(code, "crashed")
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ class StartsJob(InTurns):
     confirmed: bpy.props.BoolProperty(
         name="Confirmed",
         description="What is overwritten was asked about",
-        default=False,
         options={"SKIP_SAVE", "HIDDEN"},
     )
 
@@ -170,19 +169,9 @@ def record_steps(
         avatar = avatar_of(thing)
         turns = [hand.forearm_turn for hand in moments if hand.forearm_turn is not None]
         known = len(turns) == len(read) and (avatar_files.has_forearm(avatar) or armature.has_forearm_bone(thing))
-        into.append(
-            Recording(
-                name,
-                handedness,
-                avatar,
-                joints_m,
-                frames[0],
-                fps,
-                thing.name,
-                thing.jghand.forearm,
-                np.stack(turns) if known else None,
-            )
-        )
+        turned = np.stack(turns) if known else None
+        of_hand = thing.name, thing.jghand.forearm, turned
+        into.append(Recording(name, handedness, avatar, joints_m, frames[0], fps, *of_hand))
 
 
 def named_hands(

@@ -130,7 +130,6 @@ class KeysFile(FromFile):
         name="Set Frame Rate",
         description="Make the scene's frame rate that of the motion, so that all its keys are on whole frames; else "
         "the motion keeps its speed at the scene's rate",
-        default=False,
     )
 
     poll = classmethod(poll_scene)
@@ -245,7 +244,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",
-        default=False,
     )
 
     hand: bpy.props.EnumProperty(name="Hand", description="Which hand of the file", items=_HANDS)

@@ -23,7 +23,6 @@ class _Posing(Reporting):
     use_keys: bpy.props.BoolProperty(
         name="Insert Keys",
         description="Key the fingers at this frame. Blender's Auto Keying does so in any case",
-        default=False,
     )
 
     poll = classmethod(poll_hands)

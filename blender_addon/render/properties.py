@@ -290,13 +290,11 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         name="Surroundings",
         description="Light hands with what comes from the objects around them, too: emission, walls that throw light "
         "back and hide the world. Cycles measures it at the hands, again whenever one of these objects changes",
-        default=False,
     )
     use_exact_light: bpy.props.BoolProperty(
         name="Exact Light",
         description="Renders bake all light that falls on the hands with Cycles, frame by frame: soft shadows, panels "
         "that shine, what walls throw back. Takes a second or more for each frame; views stay as they are",
-        default=False,
     )
     motion_samples: bpy.props.IntProperty(
         name="Motion Samples",

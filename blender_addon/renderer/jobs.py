@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.panel_text import duration
-from ..errors import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
+from ..errors import BAD_INPUT, EXIT_KINDS, INTERRUPTED, JGHandFailure
 from . import state as machine
 from .process import Child, told_in
 
@@ -111,7 +111,7 @@ def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGH
     if exit_code == BAD_INPUT:
         # a mistake in the arguments: an engine that does not know what this extension asks for
         return JGHandFailure("protocol", last)
-    kind = kind_of_exit(exit_code)
+    kind = EXIT_KINDS.get(exit_code, "crashed")
     return JGHandFailure(kind, f"exit code {exit_code}\n{last}".strip() if kind == "crashed" else last)
 
 

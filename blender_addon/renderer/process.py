@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ..core import protocol
-from ..errors import JGHandFailure, kind_of_exit
+from ..errors import EXIT_KINDS, JGHandFailure
 from . import state as machine
 from .waiting import failure_told
 
@@ -291,7 +291,7 @@ class EngineProcess(Child):
         missing = [line for line in tuple(self._log) if "No module named" in line]
         if not self.handshake and missing:
             return JGHandFailure("no_engine", missing[-1].strip())
-        return JGHandFailure(kind_of_exit(code), f"exit code {code}")
+        return JGHandFailure(EXIT_KINDS.get(code, "crashed"), f"exit code {code}")
 
     def kill(self) -> None:
         self._disconnect()
