@@ -13,20 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import JGHandFailure
-from .joints import (
-    ELBOW_RIGHT_M,
-    INDEX,
-    LEFT,
-    MIDDLE,
-    NAMES,
-    PARENTS,
-    PINKY,
-    REST_RIGHT_M,
-    RING,
-    TAILS,
-    THUMB,
-    WRIST,
-)
+from .joints import ELBOW_RIGHT_M, INDEX, LEFT, MIDDLE, NAMES, PARENTS, PINKY, REST_RIGHT_M, RING, TAILS, THUMB, WRIST
 
 # a rest bone shorter than this part of the mean bone has no direction, and Blender deletes bones of no length
 REST_BONE_MIN = 1e-2

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.joints import NAMES
-from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, avatar_stamp
+from ..core.view import BUILTIN_AVATAR, avatar_stamp
 from ..errors import JGHandFailure
 
 # seconds: views and panels are drawn again and again, and ask the disk no more often than this
@@ -116,9 +116,7 @@ _cards: dict[str, tuple[str, Card | JGHandFailure]] = {}
 
 
 def stamp(avatar: str) -> str:
-    """Changes within a second after the file of an avatar did; "" for those that come with the renderer."""
-    if avatar in SHIPPED_AVATARS:
-        return ""
+    """`avatar_stamp`, which is asked once a second."""
     now_s = time.monotonic()
     looked_s, known = _stamps.get(avatar, (float("-inf"), ""))
     if now_s - looked_s >= LOOK_S:

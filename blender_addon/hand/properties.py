@@ -36,13 +36,7 @@ FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at)
 
 # the named poses; both hands have the same, and numbers are places in the table
 POSES = tuple(
-    (
-        pose.name,
-        pose.label,
-        pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
-        "NONE",
-        place,
-    )
+    (pose.name, pose.label, pose.description or f"A hand pose: {pose.name.replace('_', ' ')}", "NONE", place)
     for place, pose in enumerate(poses.all_poses(RIGHT))
 )
 

@@ -124,12 +124,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene, light: SceneLight | None) -> Any:
         """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
         self.update_stats("JGHand", "Waiting for the renderer")
-        header, arrays = picture_request(
-            seen,
-            outputs=outputs,
-            preset=scene.jghand.render_preset,
-            light=light,
-        )
+        header, arrays = picture_request(seen, outputs=outputs, preset=scene.jghand.render_preset, light=light)
         chosen = preferences()
         timeout_s = chosen.render_timeout_s if chosen is not None else REQUEST_S
         return runtime.link().request(header, arrays, timeout_s=timeout_s, canceled=self._is_canceled)

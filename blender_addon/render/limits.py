@@ -63,7 +63,7 @@ def sentences(context: bpy.types.Context) -> tuple[str, ...]:
         found,
         is_mixed,
         frozenset(kinds.items()),
-        scene_shadows.edits(),
+        scene_shadows.edits,
         *(each.tobytes() for each in (joints, from_eye, from_lamps)),
     )
     if last[0] != key:

@@ -166,15 +166,7 @@ class SaveLight(Reporting, ExportHelper, bpy.types.Operator):
             raise JGHandFailure("no_place")
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".json")
         scene_light.save(context.evaluated_depsgraph_get(), path)
-        self.tell(f"Wrote {path}.", *scene_light.warnings())
+        self.tell(f"Wrote {path}.", *scene_light.warnings)
 
 
-CLASSES = (
-    UseEngine,
-    UseStandard,
-    AddCamera,
-    CombineWithScene,
-    RemoveCombination,
-    SaveLight,
-    Explain,
-)
+CLASSES = (UseEngine, UseStandard, AddCamera, CombineWithScene, RemoveCombination, SaveLight, Explain)

@@ -52,7 +52,7 @@ class LightPanel(ui.HandSidebar, bpy.types.Panel):
         around.active = is_chosen
         around.prop(scene.jghand, "use_surroundings")
         around.prop(scene.jghand, "use_exact_light")
-        for warning in scene_light.warnings() if is_chosen else ():
+        for warning in scene_light.warnings if is_chosen else ():
             ui.paragraph(layout, context, warning, icon="INFO")
         hand = ui.active(context)
         if hand is not None and hand.type == "ARMATURE":

@@ -87,8 +87,8 @@ _Thing = tuple[_Shape, np.ndarray]
 _standing: dict[Hashable, _Standing] = {}
 _shapes: OrderedDict[bytes, _Shape] = OrderedDict()
 _found: OrderedDict[Hashable, np.ndarray] = OrderedDict()
-# how often something was edited that may throw a shadow
-_edits = 0
+# how often something was edited that may throw a shadow: as long as this stays, so does that
+edits = 0
 
 
 def left_of_lamps(
@@ -126,11 +126,6 @@ def left_of_lamps(
     return left
 
 
-def edits() -> int:
-    """As long as this stays, so does what may throw a shadow."""
-    return _edits
-
-
 def notice(depsgraph: bpy.types.Depsgraph) -> None:
     """Something was changed in Blender, or another frame is evaluated."""
     if any(_may_shade(update.id) for update in depsgraph.updates):
@@ -138,8 +133,8 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def expect() -> None:
-    global _edits
-    _edits += 1
+    global edits
+    edits += 1
 
 
 def _may_shade(thing: bpy.types.ID) -> bool:
@@ -173,14 +168,14 @@ def _solids(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, 
 def _mesh_of(thing: bpy.types.Object) -> tuple[int, int]:
     """What an evaluated mesh is known by: its address, and the number that it gets anew at each evaluation; where
     Blender gives it none, it is another after each edit."""
-    return thing.data.session_uid or -_edits - 1, thing.data.as_pointer()
+    return thing.data.session_uid or -edits - 1, thing.data.as_pointer()
 
 
 def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     """Where things stand; a render reads it each time, as edits are not told of there."""
     key = (depsgraph.scene.session_uid, depsgraph.view_layer.name)
     last = _standing.get(key) if depsgraph.mode == "VIEWPORT" else None
-    if last is not None and last.edits == _edits:
+    if last is not None and last.edits == edits:
         return last
     meshes, names, places = [], [], []
     boxes: dict[tuple[int, int], np.ndarray] = {}
@@ -200,7 +195,7 @@ def _standing_in(depsgraph: bpy.types.Depsgraph) -> _Standing:
     middles = (turns @ box.mean(1)[:, :, None])[..., 0] + matrices[:, :3, 3]
     radii = np.linalg.norm((np.abs(turns) @ (box[:, 1] - box[:, 0])[:, :, None])[..., 0], axis=-1) / 2
     known = {mesh: last.shapes[mesh] for mesh in boxes if mesh in last.shapes} if last is not None else {}
-    standing = _Standing(_edits, meshes, names, matrices, middles, radii, known)
+    standing = _Standing(edits, meshes, names, matrices, middles, radii, known)
     if depsgraph.mode == "VIEWPORT":
         if len(_standing) >= _SCENES:
             _standing.clear()
