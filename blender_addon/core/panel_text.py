@@ -190,12 +190,12 @@ def map_lines(sources: Sequence[Any], known: Sequence[str]) -> list[Line]:
     ]
     lines = []
     if empty:
-        lines.append(Line(f"{len(empty)} of 21 joints have no bone: {_listed(empty)}", good=False))
+        lines.append(Line(f"{len(empty)} of 21 joints have no bone: {listed(empty)}", good=False))
     if gone:
-        lines.append(Line(f"Bones that are gone: {_listed(gone)}", good=False))
+        lines.append(Line(f"Bones that are gone: {listed(gone)}", good=False))
     twice = _used_twice(sources)
     if twice:
-        lines.append(Line(f"Several joints on one place: {_listed(twice)}", good=False))
+        lines.append(Line(f"Several joints on one place: {listed(twice)}", good=False))
     return lines or [Line("All 21 joints have a bone")]
 
 
@@ -247,7 +247,7 @@ def folded(lines: Sequence[Line], most: int) -> tuple[Line, ...]:
     return (*lines[:most], Line(f"{len(others)} more warnings", tip=tip, good=False))
 
 
-def _listed(names: Sequence[str], most: int = 6) -> str:
+def listed(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 

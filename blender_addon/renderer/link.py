@@ -137,18 +137,19 @@ class EngineLink:
     def answer(self, slot: str) -> Answer | None:
         """The newest answer of the slot, whatever it asked for since; it stays until the next or until `drop`."""
         with self._news:
-            return self._waiting.answer(slot)
+            return self._waiting.slot(slot).answer
 
     def wait(self, slot: str, tag: Hashable, timeout_s: float) -> Answer | None:
         """Waits for the answer with this tag; None when it does not come in time or is not on its way."""
         deadline = time.monotonic() + timeout_s
         with self._news:
             while True:
-                answer = self._waiting.answer(slot)
+                place = self._waiting.slot(slot)
+                answer = place.answer
                 if answer is not None and answer.tag == tag:
                     return answer
                 left_s = deadline - time.monotonic()
-                if left_s <= 0 or not self._waiting.expects(slot, tag) or not self._works():
+                if left_s <= 0 or not place.expects(tag) or not self._works():
                     return None
                 self._news.wait(min(left_s, machine.POLL_S))
 

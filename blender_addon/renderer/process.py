@@ -41,16 +41,10 @@ _SYSTEMS = {"linux": "linux", "darwin": "macos", "win32": "windows"}
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
 
-def engine_command(
-    python: str | None = None,
-    *,
-    checkout: Path | None = None,
-    environment: Mapping[str, str] = os.environ,
-    on_gpu: bool = False,
-) -> tuple[str, ...]:
-    """The command that starts the engine as a service; as `engine_program`. on_gpu: one that draws on the graphics
-    card, and refuses to start without one."""
-    words = (*engine_program(python, checkout=checkout, environment=environment), "serve")
+def engine_command(python: str | None = None, *, on_gpu: bool = False, **places: Any) -> tuple[str, ...]:
+    """The command that starts the engine as a service. on_gpu: one that draws on the graphics card, and refuses to
+    start without one; places: as of `engine_program`."""
+    words = (*engine_program(python, **places), "serve")
     return (*words, "--backend", "gpu") if on_gpu else words
 
 

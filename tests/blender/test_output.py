@@ -46,13 +46,6 @@ def extension(context):
     blender_addon.unregister()
 
 
-@pytest.fixture
-def engine(engine_python, monkeypatch):
-    """The real engine for jobs."""
-    monkeypatch.setenv(VARIABLE, engine_python)
-    return engine_python
-
-
 def a_hand(context, handedness="right", place="moved and turned"):
     hand = keyed_hand(context, handedness, moving_hand_m(handedness, FRAMES))
     for bag in hand.animation_data.action.layers[0].strips[0].channelbags:

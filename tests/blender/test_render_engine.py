@@ -485,15 +485,6 @@ def test_an_animation_and_a_batch_run_write_the_same_bytes(scene, tmp_path, monk
 # ---- the real engine ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
-    from blender_addon.renderer.process import engine_command
-
-    link = EngineLink(lambda: engine_command(engine_python))
-    yield link
-    link.close()
-
-
 @pytest.mark.parametrize(("dither", "steps"), [(0.0, 1.0), (1.0, 1.5)])
 def test_under_standard_the_picture_is_the_engines_own(scene, real_engine, dither, steps):
     """Premultiplied and within one 8-bit step, at edges and inside. Blender's writer dithers by half a step more,

@@ -1,6 +1,5 @@
 """Hands in the light of their scene: what F12 makes of lamps and worlds, and what a view asks for."""
 
-import contextlib
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -32,11 +31,9 @@ pytestmark = pytest.mark.usefixtures("linked_extension")
 
 
 @pytest.fixture(scope="module")
-def real_engine(engine_python, linked_extension) -> Iterator[EngineLink]:
-    from blender_addon.renderer.process import engine_command
-
-    with contextlib.closing(EngineLink(lambda: engine_command(engine_python))) as link, linked_to(link):
-        yield link
+def real_engine(real_engine) -> Iterator[EngineLink]:
+    with linked_to(real_engine):
+        yield real_engine
 
 
 @pytest.fixture
