@@ -2,8 +2,7 @@
 """Whole poses of our armature: taking one, taking the other hand's, going back to rest, keying what was posed; and
 Blender's own asset shelf of them.
 
-The left hand's bones have the mirrored axes of the right hand's (`core.posing`), so that a turn (w, x, y, z) becomes
-(w, x, -y, -z) and a way (x, y, z) becomes (-x, y, z) on the other hand; turns of the controls are the same on both.
+Turns and ways of bones are mirrored on the other hand (`core.poses`); turns of the controls are the same on both.
 """
 
 from __future__ import annotations

@@ -65,11 +65,8 @@ def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context)
     settings.id_data.update_tag()
 
 
-def _cast_shadow(_settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
-    stand_ins.update()
-
-
-def _show_forearm(settings: JGHandObjectSettings, context: bpy.types.Context) -> None:
+def _make_anew(settings: JGHandObjectSettings, context: bpy.types.Context) -> None:
+    """... and what throws the shadow."""
     _evaluate_again(settings, context)
     stand_ins.update()
 
@@ -113,14 +110,14 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Forearm",
         description="Show the forearm, of an avatar that has one. Without it the hand fades out at the wrist",
         default=True,
-        update=_show_forearm,
+        update=_make_anew,
         override=OVERRIDABLE,
     )
     cast_shadow: bpy.props.BoolProperty(
         name="Cast Shadow",
         description="Throw a shadow on the scene in Cycles and EEVEE, by a mesh that no camera sees",
         default=True,
-        update=_cast_shadow,
+        update=_make_anew,
         options=set(),
         override=OVERRIDABLE,
     )
