@@ -24,7 +24,7 @@ from ..core.panel_text import in_blenders_words
 from ..core.view import avatar_stamp
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE_IMPORT, FromFile, followed, poll_scene
-from ..render.camera import add_film_camera, look_through_camera
+from ..render.camera import add_film_camera
 from ..renderer import runtime
 from ..renderer.jobs import JobSpec
 from . import armature, controls, motion
@@ -405,7 +405,8 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         done = self.keying(context, wanted, origin_m=np.zeros(3), set_rate=True)
         camera, is_behind = add_film_camera(context, path, film.size_px, self.camera_angle, self.first_frame)
         common.link_to_active_collection(context, camera)
-        look_through_camera(context.area)
+        if context.area is not None and context.area.type == "VIEW_3D":
+            context.area.spaces.active.region_3d.view_perspective = "CAMERA"
         text = f"{camera.name} sees as the film's camera did; the scene has the film's size and frame rate."
         doubts = [] if is_behind else ["This Blender cannot play the film, so it is not behind the hand."]
         self.conclude([*done, text], wanted, *doubts)

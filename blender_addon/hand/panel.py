@@ -44,8 +44,10 @@ class HandPanel(Sidebar, bpy.types.Panel):
         status = runtime.link().status
         if status.state == "failed" or (there and (status.state != "ready" or status.doing)):
             draw_status(layout, context)
-        if not there:
-            _draw_empty(layout, context)
+        if not there:  # one sentence and one button
+            ui.paragraph(layout, context, "Add a hand: an armature to pose, with a photorealistic hand on it.")
+            _draw_add(layout, context, icon="VIEW_PAN", scale_y=1.4)
+            _draw_existing(layout, context)
             return
         _draw_hands(layout, context, ui.hands_of(context))
         _draw_problems(layout, context, status.failure)
@@ -71,13 +73,6 @@ def _shading_hint(context: bpy.types.Context) -> str:
     if is_lit and transform != "Standard":  # Blender draws overlays after its view transform
         return f"Material Preview shows hands without the view transform {transform}; renders and Rendered have it"
     return ""
-
-
-def _draw_empty(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """One sentence and one button."""
-    ui.paragraph(layout, context, "Add a hand: an armature to pose, with a photorealistic hand on it.")
-    _draw_add(layout, context, icon="VIEW_PAN", scale_y=1.4)
-    _draw_existing(layout, context)
 
 
 def _draw_add(layout: bpy.types.UILayout, context: bpy.types.Context, *, icon: str, scale_y: float = 1.0) -> None:
